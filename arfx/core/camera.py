@@ -1,0 +1,219 @@
+"""A calibrated camera: projection with lens distortion, and its inverse.
+
+Pixel centres lie at integer coordinates; x right, y down, z forward (OpenCV).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from arfx.core.numerics import EPS_DEPTH_M, divide
+from arfx.core.rect import Rect
+from arfx.errors import InputError
+
+BROWN = "brown"  # OpenCV k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]: Brown-Conrady, rational, thin prism, tilt
+FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant")
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Intrinsics of one picture size.
+
+    width, height : px
+    matrix : (3, 3) float64, zero skew
+    distortion : (n,) float64, n in 0, 4, 5, 8, 12, 14 for `brown`, 4 for `fisheye`
+    model : "brown" or "fisheye"
+    source : where it came from, for messages
+    guessed : True when no calibration was given
+
+    Raises InputError for non-finite values, a focal length <= 0 or a wrong number of coefficients.
+    """
+
+    width: int
+    height: int
+    matrix: np.ndarray
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    model: str = BROWN
+    source: str = ""
+    guessed: bool = False
+
+    def __post_init__(self) -> None:
+        m, d = np.array(self.matrix, float), np.array(self.distortion, float).ravel()
+        object.__setattr__(self, "matrix", m)
+        object.__setattr__(self, "distortion", d)
+        where = f" in {self.source}" if self.source else ""
+        if m.shape != (3, 3) or not np.isfinite(m).all() or not np.isfinite(d).all():
+            raise InputError(f"camera calibration{where} holds values that are not finite numbers", "calibrate again")
+        if m[0, 0] <= 0 or m[1, 1] <= 0:
+            raise InputError(f"camera calibration{where}: focal length must be above 0, is {m[0, 0]:g}, {m[1, 1]:g} px")
+        if self.width <= 0 or self.height <= 0:
+            raise InputError(f"camera calibration{where}: picture size {self.width}x{self.height}")
+        allowed = (0, 4) if self.model == FISHEYE else (0, 4, 5, 8, 12, 14)
+        if self.model not in (BROWN, FISHEYE) or d.size not in allowed:
+            raise InputError(
+                f"camera calibration{where}: {d.size} distortion coefficients for model {self.model!r}",
+                f"one of {', '.join(map(str, allowed))}",
+            )
+
+    fx = property(lambda self: float(self.matrix[0, 0]))
+    fy = property(lambda self: float(self.matrix[1, 1]))
+    cx = property(lambda self: float(self.matrix[0, 2]))
+    cy = property(lambda self: float(self.matrix[1, 2]))
+
+    @property
+    def rect(self) -> Rect:
+        return Rect.of(self.width, self.height)
+
+    @property
+    def distorted(self) -> bool:
+        return self.model == FISHEYE or bool(np.any(self.distortion))
+
+    def _coefficients(self) -> np.ndarray:
+        d = np.zeros(14)
+        d[: self.distortion.size] = self.distortion
+        return d
+
+    @cached_property
+    def max_radius(self) -> float:
+        """Largest normalised radius r = |(x, y)/z| up to which the distortion is one-to-one; inf if everywhere.
+
+        Beyond it the polynomial folds back, and points that are out of the picture would reappear inside it.
+        """
+        if self.model == FISHEYE:
+            theta = np.linspace(1e-4, np.pi / 2 - 1e-3, 2000)
+            d = self._coefficients()
+            t = theta * (1 + theta**2 * (d[0] + theta**2 * (d[1] + theta**2 * (d[2] + theta**2 * d[3]))))
+            fold = np.flatnonzero(np.diff(t) <= 0)
+            return float(np.tan(theta[fold[0]])) if fold.size else float(np.tan(theta[-1]))
+        d = self._coefficients()
+        r = np.linspace(0, 10, 20001)[1:]
+        r2 = r * r
+        radial = divide(1 + r2 * (d[0] + r2 * (d[1] + r2 * d[4])), 1 + r2 * (d[5] + r2 * (d[6] + r2 * d[7])), where_zero=-1.0)
+        fold = np.flatnonzero(np.diff(r * radial) <= 0)
+        return float(r[fold[0]]) if fold.size else float("inf")
+
+    def distort(self, xy: np.ndarray) -> np.ndarray:
+        """Ideal normalised coordinates (..., 2) to distorted ones. Source: OpenCV calib3d documentation."""
+        xy = np.asarray(xy, float)
+        if not self.distorted:
+            return xy.copy()
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        d = self._coefficients()
+        if self.model == FISHEYE:
+            r = np.sqrt(r2)
+            th = np.arctan(r)
+            t2 = th * th
+            td = th * (1 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3]))))
+            return xy * divide(td, r, where_zero=1.0)[..., None]
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty = d
+        radial = divide(1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6)), where_zero=1.0)
+        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)
+        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
+        if tx or ty:
+            h = _tilt(tx, ty) @ np.stack([xd, yd, np.ones_like(xd)], -1)[..., None]
+            xd, yd = divide(h[..., 0, 0], h[..., 2, 0]), divide(h[..., 1, 0], h[..., 2, 0])
+        return np.stack([xd, yd], -1)
+
+    def undistort(self, xy: np.ndarray, iterations: int = 12) -> np.ndarray:
+        """Distorted normalised coordinates (..., 2) to ideal ones: Newton with a numerical Jacobian.
+
+        Points that no direction maps to (beyond the fold) give NaN.
+        """
+        target = np.asarray(xy, float)
+        if not self.distorted:
+            return target.copy()
+        h, guess = 1e-6, target.copy()
+        along_x, along_y = np.array([h, 0.0]), np.array([0.0, h])
+        for _ in range(iterations):
+            here = self.distort(guess)
+            dx = (self.distort(guess + along_x) - self.distort(guess - along_x)) / (2 * h)
+            dy = (self.distort(guess + along_y) - self.distort(guess - along_y)) / (2 * h)
+            err = target - here
+            det = dx[..., 0] * dy[..., 1] - dy[..., 0] * dx[..., 1]
+            sx = divide(err[..., 0] * dy[..., 1] - err[..., 1] * dy[..., 0], det)
+            sy = divide(err[..., 1] * dx[..., 0] - err[..., 0] * dx[..., 1], det)
+            step = np.stack([sx, sy], -1)
+            size = np.linalg.norm(step, axis=-1, keepdims=True)
+            guess = guess + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))  # damped near a fold
+        missed = np.linalg.norm(self.distort(guess) - target, axis=-1) > 1e-6
+        guess[missed | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
+        return guess
+
+    def project(self, points_camera: np.ndarray) -> np.ndarray:
+        """Points (..., 3) in camera coordinates, metres, to pixels (..., 2).
+
+        NaN for points closer than EPS_DEPTH_M in front of the camera, or beyond the distortion's fold.
+        Agrees with cv2.projectPoints to 1e-9 px inside.
+        """
+        p = np.asarray(points_camera, float)
+        z = p[..., 2]
+        ok = z > EPS_DEPTH_M
+        xy = p[..., :2] / np.where(ok, z, 1.0)[..., None]
+        ok &= (xy**2).sum(-1) <= self.max_radius**2
+        uv = self.distort(np.where(ok[..., None], xy, 0.0)) * [self.fx, self.fy] + [self.cx, self.cy]
+        return np.where(ok[..., None], uv, np.nan)
+
+    def normalised(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) to ideal normalised coordinates (x/z, y/z); NaN where no direction maps there."""
+        return self.undistort((np.asarray(pixels, float) - [self.cx, self.cy]) / [self.fx, self.fy])
+
+    def directions(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) to viewing directions (..., 3) with z = 1 (not unit length)."""
+        n = self.normalised(pixels)
+        return np.concatenate([n, np.ones_like(n[..., :1])], -1)
+
+    def scaled_to(self, width: int, height: int) -> Camera:
+        """The same lens for another picture size.
+
+        Raises InputError if the aspect ratio differs by more than 0.5 %.
+        """
+        if (width, height) == (self.width, self.height):
+            return self
+        if abs(width * self.height / (height * self.width) - 1) > 0.005:
+            raise InputError(
+                f"camera calibration {self.source or ''} is for {self.width}x{self.height}, the clip is {width}x{height}",
+                "the aspect ratios differ: calibrate with the same camera mode (crop) as the clip",
+            )
+        sx, sy = width / self.width, height / self.height
+        m = self.matrix.copy()
+        m[0] *= sx
+        m[1] *= sy
+        m[0, 2] = (self.cx + 0.5) * sx - 0.5  # pixel centres at integers: the picture's edge is at -0.5
+        m[1, 2] = (self.cy + 0.5) * sy - 0.5
+        m[2] = [0, 0, 1]
+        return Camera(width, height, m, self.distortion, self.model, self.source, self.guessed)
+
+    def ideal(self) -> Camera:
+        """The same camera without lens distortion."""
+        return Camera(self.width, self.height, self.matrix, np.zeros(0), BROWN, self.source, self.guessed)
+
+    def to_json(self) -> dict:
+        return {
+            "width": self.width, "height": self.height, "matrix": self.matrix.tolist(),
+            "distortion": self.distortion.tolist(), "model": self.model, "source": self.source, "guessed": self.guessed,
+        }  # fmt: skip
+
+    @staticmethod
+    def from_json(d: dict) -> Camera:
+        return Camera(
+            d["width"], d["height"], np.array(d["matrix"]), np.array(d["distortion"]), d["model"], d["source"], d["guessed"]
+        )
+
+    @staticmethod
+    def guess(width: int, height: int, horizontal_fov_deg: float = 65.0) -> Camera:
+        """A pinhole with a typical phone's field of view along the long side; `guessed` is set."""
+        f = max(width, height) / 2 / np.tan(np.radians(horizontal_fov_deg) / 2)
+        m = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
+        return Camera(width, height, m, source=f"guess ({horizontal_fov_deg:g} deg along the long side)", guessed=True)
+
+
+def _tilt(tx: float, ty: float) -> np.ndarray:
+    """OpenCV's tilted-sensor homography from angles in radians."""
+    rx = np.array([[1, 0, 0], [0, np.cos(tx), np.sin(tx)], [0, -np.sin(tx), np.cos(tx)]])
+    ry = np.array([[np.cos(ty), 0, -np.sin(ty)], [0, 1, 0], [np.sin(ty), 0, np.cos(ty)]])
+    r = ry @ rx
+    return np.array([[r[2, 2], 0, -r[0, 2]], [0, r[2, 2], -r[1, 2]], [0, 0, 1]]) @ r

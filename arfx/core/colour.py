@@ -1,0 +1,90 @@
+"""Transfer functions and luma/chroma matrices: how coded values relate to linear light.
+
+Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6, BT.1886, BT.601-7, BT.2020-2 (matrix coefficients).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.errors import ConfigError
+
+# (Kr, Kb) by matrix name; the names are FFmpeg's.
+LUMA_COEFFICIENTS = {
+    "bt709": (0.2126, 0.0722),
+    "bt601": (0.299, 0.114),
+    "smpte240m": (0.212, 0.087),
+    "fcc": (0.30, 0.11),
+    "bt2020": (0.2627, 0.0593),
+}
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A transfer function by name: srgb, bt709, bt1886 or gamma:X (X > 0)."""
+
+    name: str = "srgb"
+
+    def __post_init__(self) -> None:
+        if self.name in ("srgb", "bt709", "bt1886"):
+            return
+        kind, _, value = self.name.partition(":")
+        try:
+            if kind == "gamma" and 0.1 <= float(value) <= 10:
+                return
+        except ValueError:
+            pass
+        raise ConfigError(f"unknown transfer {self.name!r}", "one of srgb, bt709, bt1886, gamma:2.2")
+
+    @property
+    def gamma(self) -> float:
+        return 2.4 if self.name == "bt1886" else float(self.name.partition(":")[2])
+
+    def decode(self, v: np.ndarray) -> np.ndarray:
+        """Coded value (0..1; outside is mirrored through zero) to linear light, same shape and float type."""
+        v = np.asarray(v)
+        a = np.abs(v)
+        if self.name == "srgb":
+            lin = np.where(a <= 0.04045, a / 12.92, ((a + 0.055) / 1.055) ** 2.4)
+        elif self.name == "bt709":
+            lin = np.where(a < 0.081, a / 4.5, ((a + 0.099) / 1.099) ** (1 / 0.45))
+        else:
+            lin = a**self.gamma
+        return np.copysign(lin, v).astype(v.dtype if v.dtype.kind == "f" else float)
+
+    def encode(self, lin: np.ndarray) -> np.ndarray:
+        """Linear light to coded value; the inverse of decode."""
+        lin = np.asarray(lin)
+        a = np.abs(lin)
+        if self.name == "srgb":
+            v = np.where(a <= 0.0031308, a * 12.92, 1.055 * a ** (1 / 2.4) - 0.055)
+        elif self.name == "bt709":
+            v = np.where(a < 0.018, a * 4.5, 1.099 * a**0.45 - 0.099)
+        else:
+            v = a ** (1 / self.gamma)
+        return np.copysign(v, lin).astype(lin.dtype if lin.dtype.kind == "f" else float)
+
+
+SRGB = Transfer("srgb")
+
+
+def yuv_from_rgb(matrix: str) -> np.ndarray:
+    """(3, 3) float64 from coded R'G'B' to Y'CbCr with Y' in 0..1 and Cb, Cr in -0.5..0.5 (full scale).
+
+    Raises ConfigError for an unknown matrix name.
+    """
+    if matrix not in LUMA_COEFFICIENTS:
+        raise ConfigError(f"unknown colour matrix {matrix!r}", "one of " + ", ".join(LUMA_COEFFICIENTS))
+    kr, kb = LUMA_COEFFICIENTS[matrix]
+    kg = 1 - kr - kb
+    y = np.array([kr, kg, kb])
+    cb = (np.array([0.0, 0.0, 1.0]) - y) / (2 * (1 - kb))
+    cr = (np.array([1.0, 0.0, 0.0]) - y) / (2 * (1 - kr))
+    return np.stack([y, cb, cr])
+
+
+def luminance(rgb: np.ndarray) -> np.ndarray:
+    """Linear luminance Y of linear BT.709/sRGB RGB (..., 3)."""
+    return rgb @ np.asarray([0.2126, 0.7152, 0.0722], rgb.dtype)

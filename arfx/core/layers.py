@@ -1,0 +1,73 @@
+"""Named image layers of one frame, all over the same rectangle: the G-buffer and the composite."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+
+import numpy as np
+
+from arfx.core.rect import Rect
+
+
+class Layer(StrEnum):
+    """Layer names. Arrays are float32 unless stated; colours are linear RGB, scene referred, 1 = paper white."""
+
+    PLATE = "plate"  # (h, w, 3) the real frame; never changed
+    IMAGE = "image"  # (h, w, 3) the composite so far
+    VIRTUAL = "virtual"  # (h, w, 3) shaded virtual object, premultiplied by COVERAGE
+    COVERAGE = "coverage"  # (h, w) fraction of the pixel that the virtual object covers, 0..1
+    DEPTH = "depth"  # (h, w) metres along the optical axis of the nearest virtual surface; inf = none
+    NORMAL = "normal"  # (h, w, 3) unit, WORLD frame, towards the camera; zero = none
+    POSITION = "position"  # (h, w, 3) metres, WORLD frame, of the nearest virtual surface; zero = none
+    ALBEDO = "albedo"  # (h, w, 3) base colour, not premultiplied
+    MATERIAL = "material"  # (h, w, 4) metallic, roughness, specular (dielectric F0 / 0.08), alpha
+    EMISSIVE = "emissive"  # (h, w, 3) emitted radiance
+    OBJECT_ID = "object_id"  # (h, w) int32, 0 = none, else 1 + part index
+    MOTION = "motion"  # (h, w, 2) px, from the previous frame
+    SHADOW = "shadow"  # (h, w, 3) ratio of light left on the real surface, 1 = none taken
+    IRRADIANCE = "irradiance"  # (h, w, 3) on the virtual surface
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Arrays over one rectangle, read-only. `adding` and `crop` return new mappings that share memory."""
+
+    rect: Rect
+    arrays: Mapping[Layer, np.ndarray] = field(default_factory=dict)
+
+    def __getitem__(self, name: Layer) -> np.ndarray:
+        return self.arrays[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.arrays
+
+    def adding(self, new: Mapping[Layer, np.ndarray]) -> Layers:
+        """These layers plus `new` (which replaces same-named ones).
+
+        Raises ValueError where an array does not cover the rectangle.
+        """
+        shape = (self.rect.height, self.rect.width)
+        frozen = {}
+        for name, array in new.items():
+            if array.shape[:2] != shape:
+                raise ValueError(f"layer {name}: shape {array.shape[:2]}, expected {shape}")
+            view = array.view()
+            view.setflags(write=False)
+            frozen[name] = view
+        return Layers(self.rect, MappingProxyType({**self.arrays, **frozen}))
+
+    def crop(self, rect: Rect) -> Layers:
+        """The part inside `rect`, which must lie in this rectangle."""
+        if rect == self.rect:
+            return self
+        if not self.rect.contains(rect):
+            raise ValueError(f"crop {rect} is not inside {self.rect}")
+        part = rect.slices_in(self.rect)
+        return Layers(rect, MappingProxyType({k: a[part] for k, a in self.arrays.items()}))
+
+    def only(self, names: Iterable[Layer]) -> Layers:
+        keep = set(names)
+        return Layers(self.rect, MappingProxyType({k: a for k, a in self.arrays.items() if k in keep}))

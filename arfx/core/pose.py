@@ -1,0 +1,127 @@
+"""Rigid transforms and rotations. `dest_from_source` poses map source coordinates to destination ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.numerics import EPS_ANGLE, normalise
+
+
+def skew(v: np.ndarray) -> np.ndarray:
+    """(..., 3) -> (..., 3, 3) with skew(a) @ b = a x b."""
+    v = np.asarray(v, float)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
+
+
+def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
+    """Rodrigues: rotation vector (..., 3), radians, to matrix (..., 3, 3); series near zero."""
+    r = np.asarray(rotvec, float)
+    t2 = (r * r).sum(-1)[..., None, None]
+    t = np.sqrt(t2)
+    small = t < EPS_ANGLE
+    ts = np.where(small, 1.0, t)
+    a = np.where(small, 1 - t2 / 6, np.sin(ts) / ts)
+    b = np.where(small, 0.5 - t2 / 24, (1 - np.cos(ts)) / (ts * ts))
+    k = skew(r)
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+def rotvec_from_rotation(rotation: np.ndarray) -> np.ndarray:
+    """Matrix (..., 3, 3) to rotation vector of length <= pi, through a quaternion: stable at 0 and pi."""
+    q = quaternion_from_rotation(rotation)
+    q = np.where(q[..., :1] < 0, -q, q)
+    s = np.linalg.norm(q[..., 1:], axis=-1)
+    angle = 2 * np.arctan2(s, q[..., 0])
+    factor = np.where(s < EPS_ANGLE, 2.0 + s * s / 3, angle / np.where(s < EPS_ANGLE, 1.0, s))
+    return q[..., 1:] * factor[..., None]
+
+
+def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) to unit quaternion (..., 4), scalar first (Shepperd: the largest element is the pivot)."""
+    m = np.asarray(rotation, float)
+    d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], -1)
+    tr = d.sum(-1)
+    cand = np.stack([tr, d[..., 0], d[..., 1], d[..., 2]], -1)
+    pick = cand.argmax(-1)
+    w = np.stack([1 + tr, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], -1)
+    x = np.stack([w[..., 1], 1 + 2 * d[..., 0] - tr, m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0]], -1)
+    y = np.stack([w[..., 2], x[..., 2], 1 + 2 * d[..., 1] - tr, m[..., 1, 2] + m[..., 2, 1]], -1)
+    z = np.stack([w[..., 3], x[..., 3], y[..., 3], 1 + 2 * d[..., 2] - tr], -1)
+    every = np.stack([w, x, y, z], -2)
+    return normalise(np.take_along_axis(every, pick[..., None, None], -2)[..., 0, :])
+
+
+def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
+    """Rotation about x, then y, then z (fixed axes), degrees."""
+    rx, ry, rz = (rotation_from_rotvec(np.radians(a) * np.eye(3)[i]) for i, a in enumerate((x, y, z)))
+    return rz @ ry @ rx
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A rigid transform: p_dest = rotation @ p_source + translation_m.
+
+    rotation : (3, 3) float64, orthonormal, det +1
+    translation_m : (3,) float64, metres
+    """
+
+    rotation: np.ndarray
+    translation_m: np.ndarray
+
+    def __matmul__(self, other: Pose) -> Pose:
+        return Pose(self.rotation @ other.rotation, self.rotation @ other.translation_m + self.translation_m)
+
+    def inverse(self) -> Pose:
+        return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the source in destination coordinates."""
+        return np.asarray(points, float) @ self.rotation.T + self.translation_m
+
+    @property
+    def rotvec(self) -> np.ndarray:
+        return rotvec_from_rotation(self.rotation)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        m = np.eye(4)
+        m[:3, :3], m[:3, 3] = self.rotation, self.translation_m
+        return m
+
+    @staticmethod
+    def identity() -> Pose:
+        return Pose(np.eye(3), np.zeros(3))
+
+    @staticmethod
+    def from_rotvec(rotvec: np.ndarray, translation_m: np.ndarray) -> Pose:
+        return Pose(rotation_from_rotvec(np.asarray(rotvec, float).reshape(3)), np.asarray(translation_m, float).reshape(3))
+
+    @staticmethod
+    def from_matrix(m: np.ndarray) -> Pose:
+        m = np.asarray(m, float)
+        return Pose(m[:3, :3].copy(), m[:3, 3].copy())
+
+    def to_json(self) -> list[float]:
+        """[rx, ry, rz, tx, ty, tz]: rotation vector in radians, metres. Exact to float64 round trip of the log."""
+        return [*map(float, self.rotvec), *map(float, self.translation_m)]
+
+    @staticmethod
+    def from_json(v: list[float]) -> Pose:
+        return Pose.from_rotvec(np.asarray(v[:3]), np.asarray(v[3:6]))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Pose) and bool(
+            np.array_equal(self.rotation, other.rotation) and np.array_equal(self.translation_m, other.translation_m)
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # arrays inside; compare by value only
+
+
+def rotation_angle_rad(a: Pose, b: Pose) -> float:
+    """Angle of the rotation between two poses, radians, 0..pi."""
+    return float(np.linalg.norm(rotvec_from_rotation(a.rotation.T @ b.rotation)))

@@ -1,0 +1,90 @@
+"""What stands where: camera, markers, the virtual object and the default light. Fixed for a whole clip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.light import Light
+from arfx.core.marker import MarkerSpec
+from arfx.core.model import Model
+from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.errors import ConfigError, InputError
+
+# Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up file's y goes out of the print.
+_UPRIGHT = {
+    "z": np.eye(3),
+    "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
+}
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How the model stands on its marker. Scale or fit, then rotate, then offset (CLI.md)."""
+
+    scale: float = 1.0
+    fit_m: float | None = None
+    rotate_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def world_from_model(self, model: Model, up: str | None = None) -> np.ndarray:
+        """(4, 4) from the model file's coordinates to metres in marker axes; the middle of the base is the origin.
+
+        Raises ConfigError for a scale that is not above 0, InputError for a model without extent.
+        """
+        axes = _UPRIGHT[up or model.up]
+        box = np.array([[model.bounds[i][k] for k, i in enumerate(idx)] for idx in np.ndindex(2, 2, 2)]) @ axes.T
+        low, high = box.min(0), box.max(0)
+        extent = float((high - low).max())
+        if not np.isfinite(extent) or extent <= 0:
+            raise InputError(f"model {model.source} has no extent")
+        scale = self.scale if self.fit_m is None else self.fit_m / extent
+        if not np.isfinite(scale) or scale <= 0:
+            raise ConfigError(f"the model's scale must be above 0, is {scale:g}")
+        base = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+        linear = rotation_from_euler_deg(*self.rotate_deg) * scale
+        m = np.eye(4)
+        m[:3, :3] = linear @ axes
+        m[:3, 3] = np.asarray(self.offset_m, float) - linear @ base
+        return m
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """world = frame of the marker map (the first marker's own axes unless a map says otherwise).
+
+    world_from_model : (4, 4), rigid times a uniform scale
+    world_from_marker : pose of each marker by key
+    """
+
+    camera: Camera
+    model: Model
+    world_from_model: np.ndarray
+    markers: tuple[MarkerSpec, ...] = ()
+    world_from_marker: Mapping[str, Pose] = field(default_factory=dict)
+    light: Light = field(default_factory=Light)
+    seed: int = 0
+
+    @cached_property
+    def model_points_m(self) -> np.ndarray:
+        """(n, 3) all vertices in world coordinates, metres."""
+        return self.model.vertices @ self.world_from_model[:3, :3].T + self.world_from_model[:3, 3]
+
+    @cached_property
+    def model_corners_m(self) -> np.ndarray:
+        """(8, 3) corners of the model's bounding box, world, metres."""
+        b = self.model.bounds
+        c = np.array([[b[i][k] for k, i in enumerate(idx)] for idx in np.ndindex(2, 2, 2)])
+        return c @ self.world_from_model[:3, :3].T + self.world_from_model[:3, 3]
+
+    @cached_property
+    def footprint_m(self) -> tuple[np.ndarray, float]:
+        """Centre (2,) and radius, metres, of the circle on the plane z = 0 around the model seen from above."""
+        xy = self.model_points_m[:, :2]
+        c = (xy.min(0) + xy.max(0)) / 2
+        return c, float(np.linalg.norm(xy - c, axis=1).max())

@@ -1,0 +1,33 @@
+"""Lengths and times as people write them."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from arfx.errors import ConfigError
+
+METRES_PER = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+
+
+def length_m(text: str, what: str = "length") -> float:
+    """'25mm', '0.165m', '6.5in', '-2cm' to metres. A unit is required. Raises ConfigError."""
+    m = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?\s*", text)
+    if not m or (m[2] or "").lower() not in METRES_PER:
+        if m and m[2] is None and float(m[1]) == 0:
+            return 0.0
+        raise ConfigError(f"{what}: {text!r} is not a length", "a number with a unit: 25mm, 0.165m, 6.5in, 4cm")
+    value = float(m[1]) * METRES_PER[m[2].lower()]
+    if not math.isfinite(value):
+        raise ConfigError(f"{what}: {text!r} is not finite")
+    return value
+
+
+def time_s(text: str, what: str = "time") -> float:
+    """'1.5', '1.5s', '90s', '2min', '01:02.5', '1:02:03' to seconds. Raises ConfigError."""
+    t = text.strip()
+    if m := re.fullmatch(r"(?:(\d+):)?(\d+):(\d+(?:\.\d+)?)", t):
+        return int(m[1] or 0) * 3600 + int(m[2]) * 60 + float(m[3])
+    if m := re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*(ms|s|min|h)?", t):
+        return float(m[1]) * {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}[m[2] or "s"]
+    raise ConfigError(f"{what}: {text!r} is not a time", "seconds (1.5, 90s), 2min, or h:mm:ss")

@@ -1,0 +1,55 @@
+"""The errors a user can meet: one message each (what, where, what would be right) and an exit code."""
+
+from __future__ import annotations
+
+
+class ArfxError(Exception):
+    """A failure with one clear message.
+
+    message : what is wrong and where (file, frame, key)
+    hint : what would be right; printed on a line of its own, may be empty
+    exit_code : the process's exit status (documented in CLI help)
+    """
+
+    exit_code = 5
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return f"{self.message}\nhelp: {self.hint}" if self.hint else self.message
+
+    def __reduce__(self) -> tuple[type[ArfxError], tuple[str, str]]:
+        return type(self), (self.message, self.hint)
+
+
+class ConfigError(ArfxError):
+    """Usage or configuration is wrong (exit 2)."""
+
+    exit_code = 2
+
+
+class InputError(ArfxError):
+    """An input cannot be read or makes no sense (exit 3)."""
+
+    exit_code = 3
+
+
+class NothingToDoError(ArfxError):
+    """The inputs are fine, but hold nothing to work on: no marker, no board (exit 4)."""
+
+    exit_code = 4
+
+
+class RenderError(ArfxError):
+    """Rendering or writing failed (exit 5)."""
+
+    exit_code = 5
+
+
+class JobInterruptedError(ArfxError):
+    """The user stopped the job; it can be resumed (exit 130)."""
+
+    exit_code = 130

@@ -1,0 +1,1 @@
+"""The command line of arfx: main and one thin file per command."""

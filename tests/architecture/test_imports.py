@@ -1,0 +1,85 @@
+"""Imports run one way, modules stay small, nothing is called by an empty name."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FIRST = {"errors", "core"}
+ALLOWED: dict[str, set[str]] = {
+    "errors": set(),
+    "core": {"errors"},
+    "config": FIRST,
+    "media": FIRST,
+    "calibrate": FIRST,
+    "stages": FIRST,
+    "analyse": FIRST,
+    "synth": FIRST | {"media"},
+    "plan": FIRST | {"config", "media", "calibrate", "synth", "stages", "analyse"},
+}
+ALLOWED["run"] = ALLOWED["plan"] | {"plan"}
+ALLOWED["measure"] = ALLOWED["run"] | {"run"}
+ALLOWED["arfx_cli"] = ALLOWED["measure"] | {"measure"}
+EMPTY_NAMES = {"utils", "util", "helpers", "helper", "manager", "base", "misc", "common"}
+MODULES = sorted([*(ROOT / "arfx").rglob("*.py"), *(ROOT / "cli" / "arfx_cli").rglob("*.py")])
+
+
+def room(path: Path) -> str:
+    parts = path.relative_to(ROOT).parts
+    if parts[0] == "cli":
+        return "arfx_cli"
+    return parts[1].removesuffix(".py")
+
+
+def imported(tree: ast.AST) -> list[str]:
+    out: list[str] = []
+    for n in ast.walk(tree):
+        if isinstance(n, ast.ImportFrom):
+            assert n.level == 0, "relative imports hide where a name comes from"
+            if n.module == "arfx":
+                out += [f"arfx.{a.name}" for a in n.names]
+            elif n.module:
+                out.append(n.module)
+        elif isinstance(n, ast.Import):
+            out += [a.name for a in n.names]
+    return out
+
+
+def wrong_imports(source: str, here: str) -> list[str]:
+    bad = []
+    for name in imported(ast.parse(source)):
+        top, *rest = name.split(".")
+        if top not in ("arfx", "arfx_cli"):
+            if here == "core" and top not in ("numpy", "__future__") and top not in __import__("sys").stdlib_module_names:
+                bad.append(name)
+            continue
+        there = "arfx_cli" if top == "arfx_cli" else (rest[0] if rest else "")
+        if there in ("", "__version__") or there == here:
+            continue
+        if there not in ALLOWED[here]:
+            bad.append(name)
+    return bad
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in MODULES if p != ROOT / "arfx" / "__init__.py"], ids=lambda p: str(p.relative_to(ROOT))
+)
+def test_imports_go_one_way(path: Path) -> None:
+    assert not wrong_imports(path.read_text(), room(path))
+
+
+def test_the_import_rule_rejects_a_wrong_import() -> None:
+    assert wrong_imports("from arfx.run import job", "stages") == ["arfx.run"]
+    assert wrong_imports("import scipy", "core") == ["scipy"]
+    assert wrong_imports("from arfx.core.rect import Rect", "media") == []
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_modules_stay_small_and_named(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= 400, "split it along a seam that a newcomer would expect"
+    assert path.stem not in EMPTY_NAMES
+    if path.stem != "__init__":
+        assert ast.get_docstring(ast.parse(path.read_text())), "a module's header says what it does"
