@@ -1,0 +1,100 @@
+"""The `arfx` command: lists the commands without importing them, and turns errors into one message and an exit code."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from arfx import __version__
+from arfx.errors import ArfxError
+
+# command -> (module, one-line help). The module is imported only when its command runs.
+COMMANDS = {
+    "demo": ("arfx_cli.demo", "Make a sample clip, process it, write out.mp4 and a report. No argument needed."),
+    "process": ("arfx_cli.process", "Put a virtual model onto the marker of a clip: the main job."),
+    "plan": ("arfx_cli.plan", "Explain what `process` would do and leave out, with predicted time; renders nothing."),
+    "inspect": ("arfx_cli.inspect", "Stream properties, markers found, coverage, blur; suggests the `process` command."),
+    "calibrate": ("arfx_cli.calibrate", "Camera intrinsics from pictures or video of a board, with a verdict."),
+    "target": ("arfx_cli.target", "A printable marker, marker sheet or board, true to scale."),
+    "synth": ("arfx_cli.synth", "A synthetic clip with exact truth."),
+    "verify": ("arfx_cli.verify", "Run a synthetic scene and report errors against its truth."),
+    "report": ("arfx_cli.report", "The report of a finished job."),
+    "bench": ("arfx_cli.bench", "Cost of each stage and level on this machine."),
+    "doctor": ("arfx_cli.doctor", "What works here: renderer back ends, codecs, cores; the fix for what does not."),
+}
+EXIT_CODES = (
+    "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to work on; "
+    "5 rendering failed; 130 interrupted, resumable."
+)
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported on use, so that `--help` answers at once."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), "command")  # noqa: B009
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as e:
+            import difflib
+
+            near = difflib.get_close_matches(args[0], COMMANDS, 1) if args else []
+            raise click.UsageError(f"{e.message} Did you mean {near[0]!r}?" if near else e.message, ctx) from None
+
+
+@click.group(cls=LazyGroup, epilog=EXIT_CODES, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="arfx")
+def cli() -> None:
+    """Batch augmented reality: a recorded clip and a camera calibration in, the clip with a virtual model
+    standing on its marker out.
+
+    \b
+    Example:
+      arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm -o out.mp4
+    """
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Entry point. Exits with the codes of EXIT_CODES; ARFX_DEBUG=1 shows tracebacks."""
+    debug = os.environ.get("ARFX_DEBUG") == "1"
+    try:
+        code = cli.main(args=list(sys.argv[1:] if argv is None else argv), prog_name="arfx", standalone_mode=False)
+    except ArfxError as e:
+        if debug:
+            raise
+        click.echo(f"error: {e}", err=True)
+        sys.exit(e.exit_code)
+    except click.ClickException as e:
+        e.show()
+        sys.exit(e.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("interrupted", err=True)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(0)
+    except OSError as e:
+        if debug:
+            raise
+        click.echo(f"error: {e.strerror or e}{f': {e.filename}' if e.filename else ''}", err=True)
+        sys.exit(5)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()
