@@ -31,7 +31,7 @@ class MarkerSpec:
         return np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0.0]])
 
     def __str__(self) -> str:
-        return f"{self.family}:{self.id}:{self.size_m * 1e3:g}mm"
+        return f"{self.family}:{self.id}:{self.size_m * 1e3:.12g}mm"
 
     @staticmethod
     def parse(text: str) -> MarkerSpec:

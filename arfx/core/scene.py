@@ -60,6 +60,7 @@ class Scene:
 
     world_from_model : (4, 4), rigid times a uniform scale
     world_from_marker : pose of each marker by key
+    world_from_anchor : the marker that the model stands on; its plane z = 0 is the real surface below it
     """
 
     camera: Camera
@@ -67,6 +68,7 @@ class Scene:
     world_from_model: np.ndarray
     markers: tuple[MarkerSpec, ...] = ()
     world_from_marker: Mapping[str, Pose] = field(default_factory=dict)
+    world_from_anchor: Pose = field(default_factory=Pose.identity)
     light: Light = field(default_factory=Light)
     seed: int = 0
 
@@ -84,7 +86,7 @@ class Scene:
 
     @cached_property
     def footprint_m(self) -> tuple[np.ndarray, float]:
-        """Centre (2,) and radius, metres, of the circle on the plane z = 0 around the model seen from above."""
-        xy = self.model_points_m[:, :2]
+        """Centre (2,) and radius, metres, of the circle around the model on the anchor's plane, in anchor axes."""
+        xy = self.world_from_anchor.inverse().apply(self.model_points_m)[:, :2]
         c = (xy.min(0) + xy.max(0)) / 2
         return c, float(np.linalg.norm(xy - c, axis=1).max())

@@ -29,10 +29,15 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """Does this frame call for the stage? rect : pixels it may change, empty = not called for; reason : in units."""
+    """Does this frame call for the stage?
+
+    rect : pixels it may change, empty = not called for;  reason : in units
+    follows : it can only change pixels in which an earlier stage of the frame writes (the composite)
+    """
 
     rect: Rect
     reason: str
+    follows: bool = False
 
 
 @dataclass(frozen=True)

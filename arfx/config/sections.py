@@ -1,0 +1,110 @@
+"""The sections of a job file, as typed, frozen models. One docstring line per key: it is also the documentation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from arfx.core.colour import Transfer
+from arfx.core.marker import MarkerSpec
+from arfx.core.units import length_m, time_s
+from arfx.errors import ConfigError
+
+
+def _via(parse: Any, kind: type) -> BeforeValidator:
+    def read(value: Any) -> Any:
+        if value is None or isinstance(value, kind):
+            return value
+        try:
+            return parse(value if isinstance(value, str) else f"{value}")
+        except ConfigError as e:
+            raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+
+    return BeforeValidator(read)
+
+
+class _LengthValue(float):
+    """A length that was read with its unit, so that a second validation keeps it."""
+
+
+def _length(text: str) -> _LengthValue:
+    return _LengthValue(length_m(text))
+
+
+class _TimeValue(float):
+    """A time that was read already."""
+
+
+Length = Annotated[float, _via(_length, _LengthValue)]
+Time = Annotated[float, _via(lambda t: _TimeValue(time_s(t)), _TimeValue)]
+
+
+def _marker(value: Any) -> Any:
+    return value if isinstance(value, MarkerSpec) else _parse_marker(value)
+
+
+def _parse_marker(value: Any) -> MarkerSpec:
+    try:
+        return MarkerSpec.parse(str(value))
+    except ConfigError as e:
+        raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
+
+
+class InputSection(Section):
+    clip: Path | None = Field(default=None, description="the video to process")
+    camera: Path | None = Field(default=None, description="calibration file; missing: a stated guess, with a warning")
+    marker_map: Path | None = Field(default=None, description="known layout of several markers (TOML, or WPILib field JSON)")
+    start: Time | None = Field(default=None, description="first moment to process, from the clip's first frame")
+    end: Time | None = Field(default=None, description="last moment to process, from the clip's first frame")
+    transfer: Annotated[str, BeforeValidator(lambda v: Transfer(str(v)).name)] = Field(
+        default="srgb", description="how coded values become light: srgb, bt709, bt1886, gamma:X"
+    )
+
+
+class MarkerSection(Section):
+    spec: Annotated[MarkerSpec, BeforeValidator(_marker)] = Field(description="FAMILY:ID:SIZE, such as 36h11:3:165mm")
+
+
+class ModelSection(Section):
+    file: Path | None = Field(default=None, description="glTF/GLB, OBJ, PLY, STL or another format that trimesh reads")
+    scale: float = Field(default=1.0, gt=0, description="metres per file unit")
+    fit: Length | None = Field(default=None, description="largest extent after scaling; overrides scale")
+    rotate: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="degrees about marker x, y, z, in this order")
+    offset: tuple[Length, Length, Length] = Field(default=(0.0, 0.0, 0.0), description="lengths along marker x, y, z")
+    up: Literal["x", "y", "z"] | None = Field(default=None, description="file axis that points up; default by file type")
+
+
+class PipelineSection(Section):
+    stages: list[str] | Literal["auto"] = Field(default="auto", description="effects allowed, in order; auto = those that exist")
+    quality: Literal["draft", "standard", "high", "reference"] = Field(default="standard", description="level of every effect")
+    skip: bool = Field(default=True, description="leave out what a frame does not call for; false forces every stage")
+    seed: int = Field(default=0, ge=0, description="seed of all random numbers")
+
+
+class OutputSection(Section):
+    path: Path | None = Field(default=None, description="output file, or frames/%06d.png")
+    codec: str | None = Field(default=None, description="h264, h265, av1, prores, ffv1, png, exr; default by file name")
+    crf: float | None = Field(default=None, description="constant rate factor of the codec")
+    preset: str | None = Field(default=None, description="encoder preset")
+    pixel_format: str | None = Field(default=None, description="FFmpeg pixel format, such as yuv444p10le")
+
+
+class JobConfig(Section):
+    """A whole job: what `arfx process` needs to know. `params` holds one frozen dataclass per stage and `analyse`."""
+
+    input: InputSection = InputSection()
+    marker: tuple[MarkerSection, ...] = ()
+    model: ModelSection = ModelSection()
+    pipeline: PipelineSection = PipelineSection()
+    output: OutputSection = OutputSection()
+    params: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def markers(self) -> tuple[MarkerSpec, ...]:
+        return tuple(m.spec for m in self.marker)
