@@ -36,7 +36,7 @@ def frozen(config: JobConfig) -> dict[str, Any]:
     tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]
     for section, key in (("input", "clip"), ("input", "camera"), ("input", "marker_map"), ("model", "file"), ("output", "path")):
         path = tree[section][key]
-        if path is not None and not str(path).startswith("builtin:"):
+        if path is not None:
             tree[section][key] = str(Path(path).absolute())
     result: dict[str, Any] = plain({**tree, **config.params})
     return result

@@ -39,7 +39,7 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
     base = file.parent if file else Path()
     for section, key in _PATHS:
         table = document.get(str(section))
-        if isinstance(table, dict) and isinstance(table.get(key), str) and not _is_builtin(table[key]):
+        if isinstance(table, dict) and isinstance(table.get(key), str):
             table[key] = str(base / table[key])
     merged = merge(document, overrides)
     problems: list[str] = []
@@ -122,10 +122,6 @@ def _plain(message: str) -> str:
 
 def _is_type_tag(part: Any) -> bool:
     return isinstance(part, str) and ("[" in part or part in ("constrained-str", "function-before"))
-
-
-def _is_builtin(value: str) -> bool:
-    return value.startswith("builtin:")
 
 
 def _known_keys(path: KeyPath) -> list[str]:

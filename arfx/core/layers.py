@@ -31,6 +31,30 @@ class Layer(StrEnum):
     IRRADIANCE = "irradiance"  # (h, w, 3) on the virtual surface
 
 
+# (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing virtual, no shadow.
+_NEUTRAL: dict[Layer, tuple[int, type, float]] = {
+    Layer.VIRTUAL: (3, np.float32, 0.0),
+    Layer.COVERAGE: (0, np.float32, 0.0),
+    Layer.DEPTH: (0, np.float32, np.inf),
+    Layer.NORMAL: (3, np.float32, 0.0),
+    Layer.POSITION: (3, np.float32, 0.0),
+    Layer.ALBEDO: (3, np.float32, 0.0),
+    Layer.MATERIAL: (4, np.float32, 0.0),
+    Layer.EMISSIVE: (3, np.float32, 0.0),
+    Layer.OBJECT_ID: (0, np.int32, 0),
+    Layer.MOTION: (2, np.float32, 0.0),
+    Layer.SHADOW: (3, np.float32, 1.0),
+    Layer.IRRADIANCE: (3, np.float32, 0.0),
+}
+
+
+def neutral(name: Layer, rect: Rect) -> np.ndarray:
+    """A new array over `rect` as if nothing virtual were there. PLATE and IMAGE have no neutral value: KeyError."""
+    channels, dtype, value = _NEUTRAL[name]
+    shape = (rect.height, rect.width, channels) if channels else (rect.height, rect.width)
+    return np.full(shape, value, dtype)
+
+
 @dataclass(frozen=True)
 class Layers:
     """Arrays over one rectangle, read-only. `adding` and `crop` return new mappings that share memory."""

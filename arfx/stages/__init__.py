@@ -1,0 +1,41 @@
+"""The one table of stages. To add an effect: write its module, add its line here, add a scene folder.
+
+Modules are imported on first use of `stage_class`, so that help and configuration stay quick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Any
+
+
+class _Table(Mapping[str, type]):
+    """name -> stage class, imported when looked up."""
+
+    def __init__(self, places: dict[str, str]) -> None:
+        self._places = places
+
+    def __getitem__(self, name: str) -> Any:
+        module, _, cls = self._places[name].rpartition(".")
+        return getattr(import_module(module), cls)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+# In the order in which they run. Configuration can leave effects out, never reorder them.
+STAGES: Mapping[str, Any] = _Table(
+    {
+        "raster": "arfx.stages.raster.Raster",
+        "plain": "arfx.stages.plain.Plain",
+        "contact": "arfx.stages.contact.Contact",
+        "composite": "arfx.stages.composite.Composite",
+    }
+)
+# Stages that every job has; the others are effects that a pipeline names.
+IMPLICIT = ("raster", "plain", "contact", "composite")
+EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)

@@ -1,0 +1,77 @@
+"""Virtual over real, in linear light: IMAGE = PLATE x SHADOW x (1 - COVERAGE) + VIRTUAL, faded by the facts' opacity.
+
+Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, SYSTEMS.md S1. Cost: O(pixels), memory bound.
+Leaves out: depth order against real objects (no depth of the real scene here).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+
+
+@dataclass(frozen=True)
+class CompositeParams:
+    """No settings: the operator is fixed."""
+
+
+class Composite:
+    name = "composite"
+    reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW})
+    writes = frozenset({Layer.IMAGE})
+    levels = (Level("standard", 0.004),)
+    needs_facts = frozenset({"pose"})
+    reach = 0
+    Params = CompositeParams
+
+    def __init__(self, params: CompositeParams | None = None) -> None:
+        self.params = params or CompositeParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        if facts.camera_from_world is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        return Demand(frame, "something virtual is in view", follows=True)
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        return out
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 14)
+
+    def prepare(self, scene: Scene, level: Level) -> None:
+        return None
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        now: Layers = window.now
+        out = _over(
+            now[Layer.PLATE], now[Layer.VIRTUAL], now[Layer.COVERAGE], now[Layer.SHADOW], np.float32(window.facts[-1].opacity)
+        )
+        return {Layer.IMAGE: out}
+
+
+@numba.njit(cache=True, fastmath=False, nogil=True)
+def _over(
+    plate: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, shadow: np.ndarray, opacity: np.float32
+) -> np.ndarray:  # pragma: no cover - compiled
+    out = np.empty_like(plate)
+    for y in range(plate.shape[0]):
+        for x in range(plate.shape[1]):
+            left = np.float32(1) - coverage[y, x]
+            for c in range(3):
+                p = plate[y, x, c]
+                # as a difference, so that a pixel with nothing virtual keeps its exact value
+                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (shadow[y, x, c] * left - np.float32(1)))
+    return out

@@ -1,0 +1,213 @@
+"""Shadow of the object on the plane that it stands on, under the default light: soft, and dark where they touch.
+
+The object and the default light do not move on their plane, so the share of light that is left is one small picture of
+the plane, made once per clip with rays (embree): cosine-weighted visibility of the ambient hemisphere and of the
+light's disc. Each frame only looks it up. Cost: O(pixels of the footprint). Leaves out: other real surfaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
+from arfx.core.light import Light
+from arfx.core.numerics import HALF_GREY
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.errors import ConfigError
+from arfx.stages.occlusion import Occluder, cone, hemisphere
+
+GRID_PX = 8  # pitch of the table of viewing directions; bilinear between: error below 1e-3 px for usual lenses
+
+
+@dataclass(frozen=True)
+class ContactParams:
+    """strength : share of the computed darkening that is shown, 0..1"""
+
+    strength: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.strength <= 1:
+            raise ConfigError(f"contact.strength must be between 0 and 1, is {self.strength:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """ratio : (n, n, 3) light left on the plane;  centre_m (2,), half_m : the square it covers, anchor axes
+    grid : (gh, gw, 2) normalised viewing directions every GRID_PX pixels"""
+
+    ratio: np.ndarray
+    centre_m: np.ndarray
+    half_m: float
+    grid: np.ndarray
+
+
+class Contact:
+    name = "contact"
+    reads: frozenset[Layer] = frozenset()
+    writes = frozenset({Layer.SHADOW})
+    levels = (Level("draft", 0.02), Level("standard", 0.02), Level("high", 0.02), Level("reference", 0.02))
+    needs_facts = frozenset({"pose"})
+    reach = 0
+    Params = ContactParams
+
+    def __init__(self, params: ContactParams | None = None) -> None:
+        self.params = params or ContactParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        pose = facts.camera_from_world
+        if pose is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        if self.params.strength < HALF_GREY:
+            return Demand(EMPTY, "contact shadow changes less than half a grey level")
+        eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+        if eye[2] <= 0:
+            return Demand(EMPTY, "plane seen from behind")
+        centre, half = extent_m(scene)
+        t = np.linspace(-1, 1, 9)
+        edge = np.concatenate([np.stack(p, -1) for p in ((t, -np.ones(9)), (t, np.ones(9)), (-np.ones(9), t), (np.ones(9), t))])
+        points = np.column_stack([centre + half * edge, np.zeros(len(edge))])
+        seen = scene.camera.project(pose.apply(scene.world_from_anchor.apply(points)))
+        rect = frame if not np.isfinite(seen).all() else Rect.around(seen, 1.0).clip(frame)
+        return Demand(rect, "contact shadow in view" if not rect.empty else "contact shadow out of view")
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        return out
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 3)
+
+    def prepare(self, scene: Scene, level: Level) -> Prepared:
+        texels, rays = {"draft": (96, 48), "standard": (160, 96), "high": (256, 144), "reference": (384, 400)}[level.name]
+        centre, half = extent_m(scene)
+        ratio = light_left(scene, centre, half, texels, rays)
+        return Prepared(1 + (ratio - 1) * self.params.strength, centre, half, direction_grid(scene.camera))
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        pose = window.facts[-1].camera_from_world
+        assert pose is not None
+        rect = window.now.rect
+        anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
+        shadow = _look_up(
+            rect.x0, rect.y0, rect.width, rect.height, anchor_from_camera.rotation, anchor_from_camera.translation_m,
+            prepared.grid, prepared.ratio.astype(np.float32), prepared.centre_m, prepared.half_m,
+        )  # fmt: skip
+        return {Layer.SHADOW: shadow}
+
+
+def extent_m(scene: Scene) -> tuple[np.ndarray, float]:
+    """Centre (2,) and half side, metres, anchor axes, of the square that the shadow is computed in.
+
+    Holds the footprint, the shadow cast by every light that stands at least 20 degrees high, and a border of one
+    object height (half the height again beyond that, ambient occlusion is under (h / (h + d))^2 / 4 < 6 %, and is
+    faded out so that no edge shows).
+    """
+    points = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
+    height = max(float(points[:, 2].max()), 0.0)
+    ground = [points[:, :2]]
+    for light in scene.light.lights:
+        d = scene.world_from_anchor.rotation.T @ light.unit
+        if d[2] > np.sin(np.radians(20)):
+            ground.append(points[:, :2] - np.maximum(points[:, 2:], 0) * d[:2] / d[2])
+    every = np.concatenate(ground)
+    low, high = every.min(0) - height, every.max(0) + height
+    return (low + high) / 2, float(max((high - low).max() / 2, 1e-3))
+
+
+def light_left(scene: Scene, centre: np.ndarray, half: float, texels: int, rays: int) -> np.ndarray:
+    """(texels, texels, 3) float64 share of the default light that reaches the anchor's plane with the object there.
+
+    Row 0 is the lowest anchor y. Noise of the ray count is smoothed over a texel; 1 at the borders.
+    """
+    import cv2
+
+    anchor_from_world = scene.world_from_anchor.inverse()
+    occluder = Occluder(anchor_from_world.apply(scene.model_points_m), np.concatenate(_shifted_faces(scene)))
+    t = (np.arange(texels) + 0.5) / texels * 2 - 1
+    x, y = np.meshgrid(centre[0] + half * t, centre[1] + half * t)
+    lift = 1e-4 * half  # off the plane, or a base that lies in it would hide every ray or none, by rounding
+    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, lift)], -1)
+    light: Light = scene.light
+    ambient = np.asarray(light.ambient_rgb, float)
+    seen = occluder.visible_share(points, hemisphere(rays))
+    left, whole = ambient * seen[:, None], ambient.copy()
+    for li in light.lights:
+        d = scene.world_from_anchor.rotation.T @ li.unit
+        if d[2] <= 0:
+            continue
+        share = occluder.visible_share(points, cone(d, max(li.angular_size_deg, 0.5), max(rays // 3, 16)))
+        left = left + np.asarray(li.rgb) * d[2] * share[:, None]
+        whole = whole + np.asarray(li.rgb) * d[2]
+    ratio = np.where(whole > 0, left / np.where(whole > 0, whole, 1), 1.0).reshape(texels, texels, 3)
+    ratio = cv2.GaussianBlur(ratio, (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
+    r = np.maximum(np.abs(t)[:, None], np.abs(t)[None, :])
+    fade = np.clip((1 - r) / 0.25, 0, 1)
+    fade = (fade * fade * (3 - 2 * fade))[..., None]
+    return 1 + (np.clip(ratio, 0, 1) - 1) * fade
+
+
+def _shifted_faces(scene: Scene) -> list[np.ndarray]:
+    faces, start = [], 0
+    for part in scene.model.parts:
+        faces.append(part.faces + start)
+        start += len(part.vertices)
+    return faces
+
+
+def direction_grid(camera: Camera) -> np.ndarray:
+    """(gh, gw, 2) float64 ideal normalised coordinates at every GRID_PX-th pixel, one step beyond the picture."""
+    x = np.arange(0, camera.width + GRID_PX, GRID_PX)
+    y = np.arange(0, camera.height + GRID_PX, GRID_PX)
+    return camera.normalised(np.stack(np.meshgrid(x, y), -1).astype(float))
+
+
+@numba.njit(cache=True, nogil=True)
+def _look_up(x0, y0, width, height, rotation, origin, grid, ratio, centre, half):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    out = np.ones((height, width, 3), np.float32)
+    n = ratio.shape[0]
+    for j in range(height):
+        gy = (y0 + j) / GRID_PX
+        iy = int(gy)
+        fy = gy - iy
+        for i in range(width):
+            gx = (x0 + i) / GRID_PX
+            ix = int(gx)
+            fx = gx - ix
+            nx = (grid[iy, ix, 0] * (1 - fx) + grid[iy, ix + 1, 0] * fx) * (1 - fy) + (
+                grid[iy + 1, ix, 0] * (1 - fx) + grid[iy + 1, ix + 1, 0] * fx
+            ) * fy
+            ny = (grid[iy, ix, 1] * (1 - fx) + grid[iy, ix + 1, 1] * fx) * (1 - fy) + (
+                grid[iy + 1, ix, 1] * (1 - fx) + grid[iy + 1, ix + 1, 1] * fx
+            ) * fy
+            dz = rotation[2, 0] * nx + rotation[2, 1] * ny + rotation[2, 2]
+            if not dz < 0:  # away from the plane, or no direction maps to this pixel (NaN)
+                continue
+            s = -origin[2] / dz
+            if s <= 0:
+                continue
+            px = origin[0] + s * (rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2])
+            py = origin[1] + s * (rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2])
+            u = ((px - centre[0]) / half + 1) * 0.5 * n - 0.5
+            v = ((py - centre[1]) / half + 1) * 0.5 * n - 0.5
+            if not (u > -1 and v > -1 and u < n and v < n):
+                continue
+            iu, iv = int(np.floor(u)), int(np.floor(v))
+            fu, fv = u - iu, v - iv
+            a, b = max(iu, 0), min(iu + 1, n - 1)
+            c, d = max(iv, 0), min(iv + 1, n - 1)
+            for k in range(3):
+                out[j, i, k] = (ratio[c, a, k] * (1 - fu) + ratio[c, b, k] * fu) * (1 - fv) + (
+                    ratio[d, a, k] * (1 - fu) + ratio[d, b, k] * fu
+                ) * fv
+    return out

@@ -1,0 +1,121 @@
+"""The default light: ambient from above and below, one soft direction, and a highlight on glossy materials.
+
+Used where no light is measured. Diffuse plus Blinn-Phong with Schlick's Fresnel; the metallic-roughness model of
+glTF 2.0 decides how much of each. Cost: O(covered pixels). Leaves out: shadows on the object itself, reflections.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class PlainParams:
+    """gain : multiplies the default light, 1 = a white surface that faces the light is nearly white
+    sky : how much more ambient light comes from above than from below, 0..1
+    """
+
+    gain: float = 1.0
+    sky: float = 0.35
+
+    def __post_init__(self) -> None:
+        if not (self.gain >= 0 and np.isfinite(self.gain)):
+            raise ConfigError(f"plain.gain must be 0 or more, is {self.gain:g}")
+        if not 0 <= self.sky <= 1:
+            raise ConfigError(f"plain.sky must be between 0 and 1, is {self.sky:g}")
+
+
+class Plain:
+    name = "plain"
+    reads = frozenset({Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE})
+    writes = frozenset({Layer.VIRTUAL})
+    levels = (Level("standard", 0.02),)
+    needs_facts = frozenset({"pose"})
+    reach = 0
+    Params = PlainParams
+
+    def __init__(self, params: PlainParams | None = None) -> None:
+        self.params = params or PlainParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        if facts.camera_from_world is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        rect = facts.model_box.pad(2).clip(frame)
+        return Demand(rect, "model is lit" if not rect.empty else "model out of view")
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        return out
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 20)
+
+    def prepare(self, scene: Scene, level: Level) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        light = scene.light
+        g = self.params.gain
+        directions = np.array([li.unit for li in light.lights], float).reshape(-1, 3)
+        colours = np.array([li.rgb for li in light.lights], float).reshape(-1, 3) * g
+        up = scene.world_from_anchor.rotation[:, 2]
+        return directions, colours, np.asarray(light.ambient_rgb, float) * g, up
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        now, pose = window.now, window.facts[-1].camera_from_world
+        directions, colours, ambient, up = prepared
+        assert pose is not None
+        eye = pose.inverse().translation_m
+        arrays = [now[k] for k in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE)]
+        return {Layer.VIRTUAL: _shade(*arrays, eye, directions, colours, ambient, up, self.params.sky)}
+
+
+@numba.njit(cache=True, nogil=True)
+def _shade(coverage, normal, position, albedo, material, emissive, eye, directions, colours, ambient, up, sky):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    out = np.zeros(albedo.shape, np.float32)
+    for y in range(coverage.shape[0]):
+        for x in range(coverage.shape[1]):
+            cov = coverage[y, x]
+            if cov <= 0:
+                continue
+            nx, ny, nz = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+            vx, vy, vz = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1], eye[2] - position[y, x, 2]
+            vl = np.sqrt(vx * vx + vy * vy + vz * vz)
+            if vl > 0:
+                vx, vy, vz = vx / vl, vy / vl, vz / vl
+            metallic, rough, specular = material[y, x, 0], max(material[y, x, 1], 0.05), material[y, x, 2]
+            shininess = 2.0 / (rough * rough * rough * rough) - 2.0  # Blinn exponent of the GGX width roughness^2
+            shininess = min(max(shininess, 1.0), 2000.0)
+            high = 1.0 + sky * (nx * up[0] + ny * up[1] + nz * up[2])
+            for c in range(3):
+                a = albedo[y, x, c]
+                f0 = 0.08 * specular * (1 - metallic) + a * metallic
+                diffuse = ambient[c] * high
+                # without a picture of the surroundings a metal reflects the ambient light only
+                shine = f0 * ambient[c] * high
+                for k in range(directions.shape[0]):
+                    lx, ly, lz = directions[k, 0], directions[k, 1], directions[k, 2]
+                    nl = nx * lx + ny * ly + nz * lz
+                    if nl <= 0:
+                        continue
+                    diffuse += colours[k, c] * nl
+                    hx, hy, hz = lx + vx, ly + vy, lz + vz
+                    hl = np.sqrt(hx * hx + hy * hy + hz * hz)
+                    if hl > 0:
+                        nh = max((nx * hx + ny * hy + nz * hz) / hl, 0.0)
+                        vh = max((vx * hx + vy * hy + vz * hz) / hl, 0.0)
+                        fresnel = f0 + (1 - f0) * (1 - vh) ** 5
+                        shine += fresnel * colours[k, c] * nl * (shininess + 8) / 8.0 * nh**shininess
+                out[y, x, c] = cov * (a * (1 - metallic) * diffuse + shine + emissive[y, x, c])
+    return out
