@@ -11,6 +11,8 @@ import numpy as np
 
 from arfx.errors import ConfigError
 
+# BT.709's 1.099 and 0.018 unrounded (BT.2020 table 4): rounded, the curve steps back at the joint.
+_ALPHA, _BETA = 1.09929682680944, 0.018053968510807
 # (Kr, Kb) by matrix name; the names are FFmpeg's.
 LUMA_COEFFICIENTS = {
     "bt709": (0.2126, 0.0722),
@@ -49,7 +51,7 @@ class Transfer:
         if self.name == "srgb":
             lin = np.where(a <= 0.04045, a / 12.92, ((a + 0.055) / 1.055) ** 2.4)
         elif self.name == "bt709":
-            lin = np.where(a < 0.081, a / 4.5, ((a + 0.099) / 1.099) ** (1 / 0.45))
+            lin = np.where(a < 4.5 * _BETA, a / 4.5, ((a + _ALPHA - 1) / _ALPHA) ** (1 / 0.45))
         else:
             lin = a**self.gamma
         return np.copysign(lin, v).astype(v.dtype if v.dtype.kind == "f" else float)
@@ -61,7 +63,7 @@ class Transfer:
         if self.name == "srgb":
             v = np.where(a <= 0.0031308, a * 12.92, 1.055 * a ** (1 / 2.4) - 0.055)
         elif self.name == "bt709":
-            v = np.where(a < 0.018, a * 4.5, 1.099 * a**0.45 - 0.099)
+            v = np.where(a < _BETA, a * 4.5, _ALPHA * a**0.45 - (_ALPHA - 1))
         else:
             v = a ** (1 / self.gamma)
         return np.copysign(v, lin).astype(lin.dtype if lin.dtype.kind == "f" else float)

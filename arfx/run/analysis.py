@@ -1,0 +1,102 @@
+"""The sequential pass over the clip: decode once, in order, and fold every frame into facts. Checkpointed."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from arfx.analyse.analyser import Analyser, Analysis
+from arfx.core.camera import Camera
+from arfx.core.pose import Pose
+from arfx.errors import NothingToDoError
+from arfx.media.clip import ClipInfo
+from arfx.media.frames import ClipReader
+from arfx.run.folder import JobFolder, write_text
+
+CHECKPOINT_S = 20.0  # at most this much analysis is lost to a kill
+Progress = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What the pass leaves behind. pts : presentation times of the frames to render, in the clip's time base"""
+
+    analysis: Analysis
+    pts: list[int]
+    truncated: str | None
+    decode_s: float
+    analyse_s: float
+
+
+def analyse_clip(
+    info: ClipInfo,
+    camera: Camera,
+    markers: tuple[Any, ...],
+    params: Any,
+    marker_map: Mapping[str, Pose] | None,
+    span_s: tuple[float | None, float | None],
+    progress: Progress,
+    folder: JobFolder | None = None,
+    key: str = "",
+) -> Pass:
+    """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
+
+    folder, key : where the state is checkpointed and what it must match to be taken up again
+    Raises NothingToDoError if the span holds no frame or no marker is seen.
+    """
+    analyser = Analyser(markers, camera, params, marker_map)
+    pts: list[int] = []
+    origin: int | None = None
+    if folder is not None and (saved := _saved(folder, key)):
+        analyser.restore(saved["state"])
+        pts, origin = saved["pts"], saved["origin"]
+    decode_s = analyse_s = 0.0
+    last_save = time.monotonic()
+    expected = info.frame_count_stated if span_s == (None, None) else None
+    with ClipReader(info) as reader:
+        frames = reader.frames(first_pts=pts[-1] if pts else None)
+        while True:
+            start = time.perf_counter()
+            frame = next(frames, None)
+            decode_s += time.perf_counter() - start
+            if frame is None:
+                break
+            if origin is None:
+                origin = frame.pts
+            if pts and frame.pts <= pts[-1]:
+                continue
+            since_s = float((frame.pts - origin) * info.time_base)
+            if span_s[0] is not None and since_s < span_s[0] - 1e-9:
+                continue
+            if span_s[1] is not None and since_s > span_s[1] + 1e-9:
+                break
+            start = time.perf_counter()
+            analyser.step(len(pts), frame.time_s, frame.luma())
+            analyse_s += time.perf_counter() - start
+            pts.append(frame.pts)
+            progress("analyse", len(pts), expected)
+            if folder is not None and time.monotonic() - last_save > CHECKPOINT_S:
+                write_text(folder.checkpoint, json.dumps({"key": key, "pts": pts, "origin": origin, "state": analyser.state()}))
+                last_save = time.monotonic()
+        truncated = reader.truncated
+    if not pts:
+        raise NothingToDoError(
+            f"{info.path} has no frame between {span_s[0] or 0:g} s and {'its end' if span_s[1] is None else f'{span_s[1]:g} s'}",
+            "check --start and --end; `arfx inspect` tells the clip's length",
+        )
+    start = time.perf_counter()
+    analysis = analyser.finish()
+    analyse_s += time.perf_counter() - start
+    progress("analyse", len(pts), len(pts))
+    return Pass(analysis, pts, truncated, decode_s, analyse_s)
+
+
+def _saved(folder: JobFolder, key: str) -> dict[str, Any] | None:
+    try:
+        saved = json.loads(folder.checkpoint.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None  # no checkpoint, or one cut short before renames were atomic on this disk: start over
+    return saved if saved.get("key") == key else None

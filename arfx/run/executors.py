@@ -1,0 +1,82 @@
+"""Who renders the chunks: this process, or several spawned ones. Both give the same bytes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from arfx.errors import RenderError
+from arfx.run.worker import render_chunk
+
+# one chunk's arguments: folder, job key, first, last, target
+Task = tuple[str, str, int, int, str]
+Finished = Callable[[int], None]
+_counter: Any = None
+
+
+def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Iterator[dict[str, Any]]:
+    """Render in this process, in order. progress : called with the number of frames done."""
+    done = 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        progress(done)
+
+    for task in tasks:
+        yield render_chunk(*task, tick)
+
+
+def _start(counter: Any) -> None:
+    """In each worker: leave Ctrl-C to the parent, and keep libraries from starting a thread per core each."""
+    global _counter
+    _counter = counter
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+def _tick() -> None:
+    with _counter.get_lock():
+        _counter.value += 1
+
+
+def _render(task: Task) -> dict[str, Any]:
+    return render_chunk(*task, _tick)
+
+
+def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Iterator[dict[str, Any]]:
+    """Render in `workers` spawned processes (never forked: an OpenGL context does not survive it), in any order.
+
+    Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped.
+    """
+    import concurrent.futures as futures
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    counter = context.Value("L", 0)
+    # one software-rendering thread and one kernel thread per process; two processes scale better than two threads
+    for name in ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    pool = futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(counter,))
+    try:
+        waiting = {pool.submit(_render, task) for task in tasks}
+        while waiting:
+            ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
+            progress(counter.value)
+            for future in ready:
+                yield future.result()
+        pool.shutdown()
+    except futures.process.BrokenProcessPool:
+        raise RenderError(
+            "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
+        ) from None
+    finally:
+        for process in list((pool._processes or {}).values()):  # shutdown alone would wait for whole chunks
+            process.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
+        time.sleep(0)

@@ -1,0 +1,133 @@
+"""Run one frame's plan. A pure function of its arguments: any process may run any frame.
+
+Each layer is kept with the rectangle that it was made for; a step sees what it reads over its own rectangle, filled
+with the neutral value (nothing virtual, no shadow) where no stage has written.
+"""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.numerics import count_non_finite
+from arfx.core.plan import FramePlan
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Level, Stage, Window
+from arfx.errors import RenderError
+
+
+@dataclass
+class Canvas:
+    """The layers of one frame while its plan runs: name -> (rectangle, array)."""
+
+    plate: np.ndarray
+    rect: Rect
+    stored: dict[Layer, tuple[Rect, np.ndarray]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.stored = {Layer.PLATE: (self.rect, self.plate), Layer.IMAGE: (self.rect, self.plate)}
+
+    def view(self, names: frozenset[Layer], rect: Rect) -> Layers:
+        """Read-only layers over `rect`."""
+        arrays = {}
+        for name in names:
+            where, array = self.stored.get(name, (Rect(0, 0, 0, 0), np.empty(0)))
+            if where.contains(rect) and not where.empty:
+                arrays[name] = array[rect.slices_in(where)]
+                continue
+            full = neutral(name, rect)
+            both = where.clip(rect)
+            if not both.empty:
+                full[both.slices_in(rect)] = array[both.slices_in(where)]
+            arrays[name] = full
+        return Layers(rect).adding(arrays)
+
+    def put(self, name: Layer, rect: Rect, array: np.ndarray) -> None:
+        """Write `array` over `rect`; what was there before stays outside it."""
+        where, before = self.stored.get(name, (rect, array))
+        if where != rect and not rect.contains(where):
+            whole = where.union(rect)
+            merged = before.copy() if whole == where else self.view(frozenset({name}), whole)[name].copy()
+            merged[rect.slices_in(whole)] = array
+            self.stored[name] = (whole, merged)
+        else:
+            self.stored[name] = (rect, array)
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """image : (h, w, 3) linear over plan.changed;  plate : the same pixels before;  seconds : by stage"""
+
+    image: np.ndarray
+    plate: np.ndarray
+    seconds: dict[str, float]
+    canvas: Canvas
+
+
+def rng_for(seed: int, index: int, stage: str) -> np.random.Generator:
+    """Random numbers keyed by (seed, frame, stage): the same whoever renders the frame, in whatever order."""
+    return np.random.Generator(np.random.Philox(key=[seed, (index << 32) | zlib.crc32(stage.encode())]))
+
+
+def run_frame(
+    plate: np.ndarray,
+    facts: FrameFacts,
+    plan: FramePlan,
+    scene: Scene,
+    stages: Mapping[str, Stage],
+    levels: Mapping[str, Level],
+    prepared: Mapping[str, Any],
+    seed: int = 0,
+    past: Sequence[tuple[Canvas, FrameFacts]] = (),
+) -> FrameResult:
+    """Run a plan that has steps.
+
+    plate : (h, w, 3) float32 linear light over plan.rect
+    past : canvases of the frames before, oldest first, as many as the largest reach asks for
+
+    Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite.
+    """
+    canvas = Canvas(plate, plan.rect)
+    seconds: dict[str, float] = {}
+    for step in plan.steps:
+        stage = stages[step.stage]
+        start = time.perf_counter()
+        earlier = past[len(past) - stage.reach :] if stage.reach else ()
+        window = Window(
+            (*(c.view(stage.reads, step.need) for c, _ in earlier), canvas.view(stage.reads, step.need)),
+            (*(f for _, f in earlier), facts),
+        )
+        rng = rng_for(seed, facts.index, stage.name)
+        made = stage.run(window, scene, prepared[stage.name], levels[stage.name], rng)
+        inside = step.out.slices_in(step.need)
+        for name, array in made.items():
+            part = array[inside]
+            if name is not Layer.DEPTH:  # infinite where nothing is
+                _require_finite(part, name, stage.name, facts.index, step.out)
+            canvas.put(name, step.out, part)
+        seconds[stage.name] = seconds.get(stage.name, 0.0) + time.perf_counter() - start
+    where, image = canvas.stored[Layer.IMAGE]
+    return FrameResult(image[plan.changed.slices_in(where)], plate[plan.changed.slices_in(plan.rect)], seconds, canvas)
+
+
+def _require_finite(array: np.ndarray, layer: Layer, stage: str, index: int, rect: Rect) -> None:
+    # a sum is finite only if every term is (or overflows, which the count then settles)
+    if array.dtype.kind != "f" or np.isfinite(array.sum(dtype=np.float64)):
+        return
+    bad = count_non_finite(array)
+    if bad:
+        wrong = ~np.isfinite(array.reshape(*array.shape[:2], -1)).all(-1)
+        y, x = np.argwhere(wrong)[0]
+        raise RenderError(
+            f"stage {stage!r} made {bad} pixels of layer {layer} that are not finite numbers, "
+            f"frame {index}, first at x {x + rect.x0}, y {y + rect.y0}",
+            "please report this with the job folder; --set or another level may avoid it",
+        )

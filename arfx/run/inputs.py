@@ -1,0 +1,156 @@
+"""Everything that a job reads, opened and checked before any work starts."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from arfx.config.sections import JobConfig
+from arfx.core.camera import Camera
+from arfx.core.colour import Transfer
+from arfx.core.light import DirectionalLight, Light
+from arfx.core.marker import MarkerSpec
+from arfx.core.model import Model
+from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.scene import Placement, Scene
+from arfx.core.units import length_m
+from arfx.errors import ConfigError, InputError
+from arfx.media.cameras import load_camera
+from arfx.media.clip import ClipInfo, probe
+from arfx.media.models import load_model
+from arfx.media.output import OutputPlan, OutputSettings, plan_output
+
+Notice = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    config: JobConfig
+    info: ClipInfo
+    camera: Camera
+    model: Model
+    marker_map: Mapping[str, Pose] | None
+    output: OutputPlan
+    notices: tuple[str, ...]
+
+
+def open_inputs(config: JobConfig) -> Inputs:
+    """Probe, load and check. Raises ConfigError for what is missing, InputError for what cannot be read."""
+    clip, camera, notices = open_clip(config)
+    if config.model.file is None:
+        raise ConfigError("no model is named", "--model FILE: glTF/GLB, OBJ, PLY, STL …")
+    if config.output.path is None:
+        raise ConfigError("no output is named", "-o out.mp4")
+    settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
+    output = plan_output(clip, config.output.path, settings)
+    model = load_model(config.model.file, config.model.up)
+    placement(config).world_from_model(model, config.model.up)
+    return Inputs(config, clip, camera, model, marker_map(config), output, (*notices, *output.notices))
+
+
+def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
+    """Clip and camera at the clip's size, with notices."""
+    if config.input.clip is None:
+        raise ConfigError("no clip is named", "arfx process CLIP …")
+    if not config.markers:
+        raise ConfigError("no marker is named", "--marker FAMILY:ID:SIZE; `arfx inspect CLIP` finds out which is there")
+    keys = [m.key for m in config.markers]
+    if len(set(keys)) < len(keys):
+        twice = next(k for k in keys if keys.count(k) > 1)
+        raise ConfigError(f"marker {twice} is named twice", "each family and id once")
+    info = probe(config.input.clip, Transfer(config.input.transfer))
+    notices: list[str] = list(getattr(info, "notices", ()))
+    if config.input.camera is None:
+        camera = Camera.guess(info.width, info.height)
+        notices.append(
+            f"no --camera: the focal length is a guess ({camera.fx:.0f} px, {camera.source}); sizes and perspective may be off"
+        )
+    else:
+        loaded = load_camera(config.input.camera)
+        camera = loaded.scaled_to(info.width, info.height)
+        if camera is not loaded:
+            notices.append(f"camera calibration scaled from {loaded.width}x{loaded.height} to {info.width}x{info.height}")
+    return info, camera, notices
+
+
+def placement(config: JobConfig) -> Placement:
+    m = config.model
+    fit = None if m.fit is None else float(m.fit)
+    if fit is not None and fit <= 0:
+        raise ConfigError(f"--fit must be above 0, is {fit:g} m")
+    return Placement(m.scale, fit, m.rotate, (float(m.offset[0]), float(m.offset[1]), float(m.offset[2])))
+
+
+def make_scene(
+    config: JobConfig, camera: Camera, model: Model, world_from_marker: Mapping[str, Pose], anchor: str, seed: int
+) -> Scene:
+    """The scene of a job. anchor : key of the marker that the model stands on. The default light hangs above it."""
+    stand = world_from_marker.get(anchor, Pose.identity())
+    light = Light()
+    lights = tuple(
+        DirectionalLight(tuple(stand.rotation @ li.unit), li.rgb, li.angular_size_deg, li.confidence_deg)  # type: ignore[arg-type]
+        for li in light.lights
+    )
+    world_from_model = stand.matrix @ placement(config).world_from_model(model, config.model.up)
+    return Scene(
+        camera, model, world_from_model, config.markers, dict(world_from_marker), stand,
+        Light(light.ambient_rgb, lights, light.source), seed,
+    )  # fmt: skip
+
+
+def anchor_key(markers: tuple[MarkerSpec, ...], world_from_marker: Mapping[str, Pose]) -> str:
+    """The first configured marker that has a place in the map."""
+    return next((m.key for m in markers if m.key in world_from_marker), markers[0].key)
+
+
+def marker_map(config: JobConfig) -> dict[str, Pose] | None:
+    """World poses of the markers from --marker-map: TOML of [[marker]] tables, or a WPILib field layout (JSON)."""
+    path = config.input.marker_map
+    if path is None:
+        return None
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        poses = _wpilib_layout(json.loads(text)) if path.suffix == ".json" else _toml_layout(tomllib.loads(text))
+    except (OSError, UnicodeDecodeError) as e:
+        raise InputError(f"marker map {path} cannot be read: {getattr(e, 'strerror', None) or e}") from None
+    except (KeyError, TypeError, ValueError) as e:
+        raise InputError(
+            f"marker map {path} is not understood: {e!r}",
+            '[[marker]] with spec = "36h11:3:165mm", position = ["0m", "0m", "0m"], rotate_deg = [0, 0, 0]; or WPILib JSON',
+        ) from None
+    missing = [m.key for m in config.markers if m.key not in poses]
+    if missing:
+        raise InputError(f"marker map {path} does not hold {missing[0]}", "it holds " + ", ".join(poses))
+    return poses
+
+
+def _toml_layout(document: dict) -> dict[str, Pose]:
+    out = {}
+    for row in document["marker"]:
+        spec = row["spec"] if str(row["spec"]).count(":") == 2 else f"{row['spec']}:1m"
+        position = np.array([length_m(str(v)) for v in row["position"]])
+        out[MarkerSpec.parse(spec).key] = Pose(rotation_from_euler_deg(*row.get("rotate_deg", (0, 0, 0))), position)
+    return out
+
+
+def _wpilib_layout(document: dict) -> dict[str, Pose]:
+    """WPILib: x out of the tag, z up; here x right, y up, z out, so marker axes are its (y, z, x)."""
+    swap = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    out = {}
+    for tag in document["tags"]:
+        t, q = tag["pose"]["translation"], tag["pose"]["rotation"]["quaternion"]
+        w, x, y, z = (float(q[k]) for k in "WXYZ")
+        r = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        out[f"36h11:{int(tag['ID'])}"] = Pose(r @ swap, np.array([float(t["x"]), float(t["y"]), float(t["z"])]))
+    return out

@@ -1,0 +1,246 @@
+"""The main job: analyse, plan, render, join, report."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from arfx.analyse.files import read_facts, write_facts
+from arfx.analyse.visibility import with_model
+from arfx.config.freeze import frozen, to_toml
+from arfx.config.sections import JobConfig
+from arfx.core.facts import FrameFacts
+from arfx.core.plan import FramePlan
+from arfx.core.pose import Pose
+from arfx.core.scene import Scene
+from arfx.core.stage import level_named
+from arfx.errors import ConfigError, JobInterruptedError, RenderError
+from arfx.media.join import join_chunks
+from arfx.media.writer import chunk_suffix
+from arfx.plan.planner import plan_frame
+from arfx.run.analysis import analyse_clip
+from arfx.run.chunks import Chunk, borders
+from arfx.run.executors import Task, run_processes, run_serial
+from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
+from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
+from arfx.run.parameters import make_stages
+from arfx.run.preview import pick
+from arfx.run.summary import Timing, build_report
+
+
+def _silent(phase: str, done: int, total: int | None) -> None:
+    return None
+
+
+@dataclass
+class Options:
+    """How a job is run; none of it changes a pixel.
+
+    progress(phase, frames done, frames in all or None);  notice(message) for warnings
+    """
+
+    folder: Path | None = None
+    resume: bool = False
+    overwrite: bool = False
+    workers: int = 1
+    progress: Callable[[str, int, int | None], None] = _silent
+    notice: Callable[[str], None] = print
+
+
+@dataclass
+class Planned:
+    """A job up to the point where rendering would start."""
+
+    inputs: Inputs
+    folder: JobFolder
+    key: str
+    facts: list[FrameFacts]
+    plans: list[FramePlan]
+    scene: Scene
+    meta: dict[str, Any]
+    timing: Timing
+    stage_names: list[str] = field(default_factory=list)
+
+
+def process(config: JobConfig, options: Options) -> dict[str, Any]:
+    """Run a whole job. Returns the report (CLI.md, report.json), which the job folder holds too.
+
+    Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed.
+    """
+    started = time.perf_counter()
+    inputs = open_inputs(config)
+    for notice in inputs.notices:
+        options.notice(notice)
+    check_output(inputs.output.path, options.overwrite)
+    folder = JobFolder(options.folder or default_folder(inputs.output.path))
+    folder.open(options.resume)
+    with _interruptible(folder):
+        planned = plan_job(inputs, folder, options)
+        chunks = _chunks(planned)
+        _render(planned, chunks, options)
+        start = time.perf_counter()
+        _join(planned, chunks)
+        planned.timing.join_s = time.perf_counter() - start
+        planned.timing.wall_s = time.perf_counter() - started
+        report = build_report(planned, list(read_lines(folder.timings)))
+        write_text(folder.report, json.dumps(report, indent=1))
+        folder.remove_chunks()
+        folder.checkpoint.unlink(missing_ok=True)
+    return report
+
+
+def default_folder(output: Path) -> Path:
+    """Where a job lives while it runs, beside its output: out.mp4 -> out.mp4.job"""
+    name = output.parent.name + ".frames" if "%" in output.name else output.name
+    return output.parent / f"{name}.job"
+
+
+def check_output(path: Path, overwrite: bool) -> None:
+    """Refuse, before any work, an output that exists or a place that cannot be written."""
+    parent = path.parent
+    if not parent.exists() and "%" in path.name:
+        parent = parent.parent
+    if not parent.is_dir():
+        raise ConfigError(f"output folder {parent} does not exist", "make it first, or name another with -o")
+    taken = any(path.parent.glob(f"*{path.suffix}")) if "%" in path.name else path.exists()
+    if taken and not overwrite:
+        raise ConfigError(f"output {path} exists", "--overwrite replaces it; or name another with -o")
+    probe = parent / f".arfx-{os.getpid()}.part"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as e:
+        raise RenderError(f"cannot write into {parent}: {e.strerror}", "name another place with -o") from None
+
+
+def plan_job(inputs: Inputs, folder: JobFolder, options: Options) -> Planned:
+    """Analyse (or take up again what was analysed) and plan."""
+    config = inputs.config
+    timing = Timing()
+    assert config.input.clip is not None and config.model.file is not None
+    tree = frozen(config)
+    output = tree.pop("output")
+    model_key = file_digest(config.model.file)
+    base = [
+        code_digest(),
+        file_digest(config.input.clip),
+        inputs.camera.to_json(),
+        tree["input"],
+        tree["marker"],
+        tree["analyse"],
+    ]
+    if config.input.marker_map:
+        base.append(file_digest(config.input.marker_map))
+    analysis_key = digest(*base)
+    job_key = digest(*base, tree, model_key, inputs.output.to_json())
+    stages = make_stages(config)
+    if not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists()):
+        _analyse(inputs, folder, analysis_key, job_key, options, timing)
+        write_text(folder.job, to_toml({**tree, "output": output}))
+        write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
+    meta = json.loads(folder.frames.read_text(encoding="utf-8"))
+    facts = list(read_facts(folder.facts))
+    world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
+    scene = make_scene(config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed)
+    frame = inputs.camera.rect
+    start = time.perf_counter()
+    levels = {name: level_named(s.levels, config.pipeline.quality) for name, s in stages.items()}
+    plans = [plan_frame(list(stages.values()), levels, f, scene, frame, config.pipeline.skip) for f in facts]
+    write_lines(folder.plan, (p.to_json() for p in plans))
+    timing.plan_s = time.perf_counter() - start
+    return Planned(inputs, folder, job_key, facts, plans, scene, meta, timing, list(stages))
+
+
+def _same_job(folder: JobFolder, job_key: str) -> bool:
+    try:
+        return bool(json.loads(folder.frames.read_text(encoding="utf-8"))["job_key"] == job_key)
+    except (OSError, ValueError, KeyError):
+        return False  # no finished analysis here
+
+
+def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str, options: Options, timing: Timing) -> None:
+    config = inputs.config
+    span = (config.input.start, config.input.end)
+    done = analyse_clip(
+        inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
+        options.progress, folder, analysis_key,
+    )  # fmt: skip
+    timing.decode_s, timing.analyse_s = done.decode_s, done.analyse_s
+    world = done.analysis.world_from_marker
+    anchor = anchor_key(config.markers, world)
+    scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed)
+    facts = with_model(done.analysis.facts, scene)
+    notices = list(done.analysis.notices)
+    if done.truncated:
+        notices.append(done.truncated)
+    for notice in notices:
+        options.notice(notice)
+    write_facts(folder.facts, facts)
+    document = {
+        "job_key": job_key, "pts": done.pts, "anchor": anchor, "world_from_marker": {k: p.to_json() for k, p in world.items()},
+        "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
+        "previews": pick(facts), "notices": [*inputs.notices, *notices],
+    }  # fmt: skip
+    write_text(folder.frames, json.dumps(document, default=float))
+
+
+def _chunks(planned: Planned) -> list[Chunk]:
+    """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and plan of its frames."""
+    planned_lines = [p.to_json() for p in planned.plans]
+    out = []
+    for first, last in borders(len(planned.facts)):
+        part = slice(first, last + 1)
+        parts = [[f.to_json() for f in planned.facts[part]], planned_lines[part], planned.meta["pts"][part]]
+        out.append(Chunk(first, last, digest(planned.key, parts, planned.meta["world_from_marker"])))
+    return out
+
+
+def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
+    folder, suffix = planned.folder, chunk_suffix(planned.inputs.output)
+    todo = [c for c in chunks if not c.path(folder.chunks, suffix).exists()]
+    keep = sum(c.frames for c in chunks) - sum(c.frames for c in todo)
+    total = len(planned.facts)
+    if not keep:
+        folder.timings.unlink(missing_ok=True)
+    tasks: list[Task] = [(str(folder.path), planned.key, c.first, c.last, str(c.path(folder.chunks, suffix))) for c in todo]
+    start = time.perf_counter()
+
+    def progress(done: int) -> None:
+        options.progress("render", keep + done, total)
+
+    progress(0)
+    workers = min(options.workers, len(tasks))
+    results = run_processes(tasks, workers, progress) if workers > 1 else run_serial(tasks, progress)
+    with folder.timings.open("a", encoding="utf-8") as log:
+        for result in results:
+            log.write(json.dumps(result) + "\n")
+            log.flush()
+    progress(sum(c.frames for c in todo))
+    planned.timing.render_s = time.perf_counter() - start
+
+
+def _join(planned: Planned, chunks: list[Chunk]) -> None:
+    info, output, config = planned.inputs.info, planned.inputs.output, planned.inputs.config
+    paths = [c.path(planned.folder.chunks, chunk_suffix(output)) for c in chunks]
+    try:
+        join_chunks(paths, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end)
+    except OSError as e:
+        raise disk_error(e, output.path) from None
+
+
+@contextlib.contextmanager
+def _interruptible(folder: JobFolder) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise JobInterruptedError(
+            f"interrupted; what is done is kept in {folder.path}", "the same command with --resume goes on"
+        ) from None
+    except OSError as e:
+        raise disk_error(e, Path(e.filename) if e.filename else folder.path) from None

@@ -1,0 +1,126 @@
+"""report.json of a job, from its facts, plans and timings (the fields are a contract: docs of `arfx report`)."""
+
+from __future__ import annotations
+
+import resource
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
+from arfx.plan.explain import summarise
+
+if TYPE_CHECKING:
+    from arfx.run.job import Planned
+
+
+@dataclass
+class Timing:
+    """Seconds of the phases that this process saw."""
+
+    decode_s: float = 0.0
+    analyse_s: float = 0.0
+    plan_s: float = 0.0
+    render_s: float = 0.0
+    join_s: float = 0.0
+    wall_s: float = 0.0
+
+
+def build_report(planned: Planned, timings: list[dict[str, Any]]) -> dict[str, Any]:
+    info, meta, facts = planned.inputs.info, planned.meta, planned.facts
+    pts = np.array(meta["pts"], dtype=object) * info.time_base
+    last_s = float(np.median(np.diff(pts).astype(float))) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
+    seconds = float(pts[-1] - pts[0]) + last_s
+    stage_s: dict[str, float] = defaultdict(float)
+    phase_s: dict[str, float] = defaultdict(float)
+    for row in timings:
+        for name, s in row["stages"].items():
+            stage_s[name] += s
+        for name, s in row["seconds"].items():
+            phase_s[name] += s
+    rows = summarise(planned.plans, planned.stage_names, planned.inputs.camera.rect.area)
+    for row in rows:
+        row["measured_s"] = stage_s.get(row["name"], 0.0)
+    output = planned.inputs.output.path
+    size = sum(p.stat().st_size for p in output.parent.glob(f"*{output.suffix}")) if "%" in output.name else output.stat().st_size
+    timing = planned.timing
+    stream = info.to_json()
+    return {
+        "input": {
+            "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
+            "fps": info.fps, "vfr": _irregular(pts), "rotation": info.rotation_deg,
+            "audio": stream.get("audio"), "truncated": meta["truncated"],
+            "camera": planned.inputs.camera.source, "camera_guessed": planned.inputs.camera.guessed, "stream": stream,
+        },
+        "output": {
+            "path": str(output), "frames": len(facts), "seconds": seconds, "bytes": size,
+            "codec": planned.inputs.output.codec, "pixel_format": planned.inputs.output.pixel_format,
+        },
+        "pose": _pose(planned),
+        "light": _light(planned),
+        "stages": rows,
+        "health": _health(planned),
+        "timing": {
+            "decode_s": timing.decode_s + phase_s["decode"], "analyse_s": timing.analyse_s, "plan_s": timing.plan_s,
+            "render_s": sum(stage_s.values()) + phase_s["edit"], "encode_s": phase_s["encode"] + timing.join_s,
+            "prepare_s": phase_s["prepare"], "wall_s": timing.wall_s,
+            "frames_per_s": len(facts) / timing.wall_s if timing.wall_s > 0 else None, "peak_rss_mb": _peak_rss_mb(),
+        },
+        "notices": meta["notices"],
+    }  # fmt: skip
+
+
+def _irregular(pts: np.ndarray) -> bool:
+    steps = np.diff(pts).astype(float)
+    return bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
+
+
+def _pose(planned: Planned) -> dict[str, Any]:
+    facts, summary = planned.facts, planned.meta["summary"]
+    count = {k: sum(f.status == k for f in facts) for k in (MEASURED, INTERPOLATED, ABSENT)}
+    return {
+        **summary,
+        "frames_measured": count[MEASURED],
+        "frames_interpolated": count[INTERPOLATED],
+        "frames_absent": count[ABSENT],
+        "static": planned.meta["static"],
+        "world_from_marker": planned.meta["world_from_marker"],
+    }
+
+
+def _light(planned: Planned) -> dict[str, Any]:
+    light = planned.scene.light.to_json()
+    lights = [{**li, "confidence_deg": li["confidence_deg"]} for li in light["lights"]]
+    return {
+        "source": light["source"], "frame": "marker", "normals_seen": 0, "normal_span_deg": 0.0, "rank": None, "condition": None,
+        "gain": None, "bias": None, "bias_ci95": None, "clipped_fraction": None, "ambient_rgb": light["ambient_rgb"],
+        "lights": lights, "verdict": "refused", "reason": "the light is not estimated: a plain default light is used",
+    }  # fmt: skip
+
+
+def _check(check: str, value: Any, limit: Any, ok: bool, action: str) -> dict[str, Any]:
+    return {"check": check, "value": value, "limit": limit, "verdict": "ok" if ok else "warn", "action": "none" if ok else action}
+
+
+def _health(planned: Planned) -> list[dict[str, Any]]:
+    """Every estimate of the job with its limit and what was done about it."""
+    camera, summary, meta = planned.inputs.camera, planned.meta["summary"], planned.meta
+    known = "guessed" if camera.guessed else "given"
+    rows = [_check("camera calibration", known, "given", not camera.guessed, "field of view assumed")]
+    reprojection = (summary.get("reprojection_px") or {}).get("median")
+    if reprojection is not None:
+        action = "check marker size, calibration and lens mode"
+        rows.append(_check("reprojection median (px)", reprojection, 1.0, reprojection <= 1.0, action))
+    rows += summary.get("health", [])
+    absent = sum(f.status == ABSENT for f in planned.facts)
+    rows.append(_check("frames without a pose", absent, 0, absent == 0, "object left out there"))
+    rows.append(_check("pixels that are not finite", 0, 0, True, "the job would have stopped"))
+    whole = meta["truncated"] is None
+    rows.append(_check("source file", meta["truncated"] or "whole", "whole", whole, "processed to its last good frame"))
+    return rows
+
+
+def _peak_rss_mb() -> float:
+    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024

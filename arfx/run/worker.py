@@ -1,0 +1,162 @@
+"""Render one chunk: the unit of work. What it needs it reads from the job folder; it is sent a range, never pixels."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from arfx.config.load import load
+from arfx.config.sections import JobConfig
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.plan import FramePlan
+from arfx.core.pose import Pose
+from arfx.core.scene import Scene
+from arfx.core.stage import Level, Stage, level_named
+from arfx.errors import RenderError
+from arfx.media.clip import ClipInfo, probe
+from arfx.media.frames import ClipReader, Frame
+from arfx.media.models import load_model
+from arfx.media.output import OutputPlan
+from arfx.media.writer import ChunkWriter
+from arfx.run.folder import JobFolder, disk_error, read_lines
+from arfx.run.frame import Canvas, run_frame
+from arfx.run.inputs import make_scene
+from arfx.run.parameters import make_stages, parameters
+from arfx.run.preview import save_preview
+
+Tick = Callable[[], None]
+
+
+@dataclass
+class Context:
+    """What a worker keeps between chunks of one job: the scene and what each stage prepared, nothing per frame."""
+
+    config: JobConfig
+    info: ClipInfo
+    output: OutputPlan
+    scene: Scene
+    stages: dict[str, Stage]
+    levels: dict[str, Level]
+    pts: list[int]
+    previews: frozenset[int]
+    prepared: dict[str, Any] = field(default_factory=dict)
+
+    def prepare(self, names: set[str]) -> None:
+        for name in sorted(names - self.prepared.keys()):
+            self.prepared[name] = self.stages[name].prepare(self.scene, self.levels[name])
+
+
+@lru_cache(maxsize=1)
+def open_context(folder: str, job_key: str) -> Context:
+    """The context of a job. job_key only keeps two jobs that reuse a folder apart."""
+    place = JobFolder(Path(folder))
+    config = load(place.job, {}, parameters())
+    inputs = json.loads(place.inputs.read_text(encoding="utf-8"))
+    frames = json.loads(place.frames.read_text(encoding="utf-8"))
+    from arfx.core.colour import Transfer
+
+    assert config.input.clip is not None and config.model.file is not None
+    info = probe(config.input.clip, Transfer(config.input.transfer))
+    world = {k: Pose.from_json(v) for k, v in frames["world_from_marker"].items()}
+    scene = make_scene(
+        config, Camera.from_json(inputs["camera"]), load_model(config.model.file, config.model.up), world,
+        frames["anchor"], config.pipeline.seed,
+    )  # fmt: skip
+    stages = make_stages(config)
+    levels = {name: level_named(stage.levels, config.pipeline.quality) for name, stage in stages.items()}
+    output = OutputPlan.from_json(inputs["output"])
+    return Context(config, info, output, scene, stages, levels, frames["pts"], frozenset(frames["previews"]))
+
+
+def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, tick: Tick) -> dict[str, Any]:
+    """Render frames first … last into the file `target`, which appears when it is whole.
+
+    Returns seconds by stage, decode and encode seconds, and counts.
+    Raises RenderError (frames missing in the source, a full disk, a stage that failed).
+    """
+    context = open_context(folder, job_key)
+    place = JobFolder(Path(folder))
+    reach = max((s.reach for s in context.stages.values()), default=0)
+    begin = max(first - reach, 0)
+    facts = {f.index: f for f in map(FrameFacts.from_json, read_lines(place.facts, begin, last))}
+    plans = {p.index: p for p in map(FramePlan.from_json, read_lines(place.plan, begin, last))}
+    start = time.perf_counter()
+    context.prepare({s.stage for p in plans.values() for s in p.steps})
+    seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
+    stage_seconds: dict[str, float] = {}
+    past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=max(reach, 1))
+    final = Path(target)
+    aside = final.with_name(f"{os.getpid()}-{final.name}")
+    try:
+        with ClipReader(context.info) as reader, ChunkWriter(context.output, context.info, aside) as writer:
+            wanted = iter(range(begin, last + 1))
+            index = next(wanted)
+            frames = reader.frames(first_pts=context.pts[begin], last_pts=context.pts[last])
+            while True:
+                start = time.perf_counter()
+                frame = next(frames, None)
+                seconds["decode"] += time.perf_counter() - start
+                if frame is None or index > last:
+                    break
+                if frame.pts != context.pts[index]:
+                    if frame.pts < context.pts[index]:
+                        continue
+                    raise _changed(context, index)
+                out = _frame(context, frame, facts[index], plans[index], past, seconds, stage_seconds)
+                if index >= first:
+                    if index in context.previews:
+                        save_preview(place.previews, index, frame, out)
+                    start = time.perf_counter()
+                    writer.write(out)
+                    seconds["encode"] += time.perf_counter() - start
+                    tick()
+                index = next(wanted, last + 1)
+            if index <= last:
+                raise _changed(context, index)
+            start = time.perf_counter()
+        seconds["encode"] += time.perf_counter() - start
+        aside.replace(final)
+    except OSError as e:
+        raise disk_error(e, final) from None
+    return {"first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "pid": os.getpid()}
+
+
+def _changed(context: Context, index: int) -> RenderError:
+    return RenderError(
+        f"{context.info.path}: frame {index} could not be decoded again where the analysis saw it",
+        "the file has changed, or seeking in it is broken: copy it to another container and try again",
+    )
+
+
+def _frame(
+    context: Context,
+    frame: Frame,
+    facts: FrameFacts,
+    plan: FramePlan,
+    past: deque[tuple[Canvas, FrameFacts]],
+    seconds: dict[str, float],
+    stage_seconds: dict[str, float],
+) -> Frame:
+    if not plan.steps or plan.changed.empty:
+        return frame
+    start = time.perf_counter()
+    plate = frame.linear(plan.rect)
+    seconds["edit"] += time.perf_counter() - start
+    result = run_frame(
+        plate, facts, plan, context.scene, context.stages, context.levels, context.prepared, context.scene.seed, tuple(past)
+    )
+    past.append((result.canvas, facts))
+    for name, s in result.seconds.items():
+        stage_seconds[name] = stage_seconds.get(name, 0.0) + s
+    start = time.perf_counter()
+    out = frame.edited(plan.changed, result.plate, result.image)
+    seconds["edit"] += time.perf_counter() - start
+    return out

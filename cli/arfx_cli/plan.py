@@ -1,0 +1,51 @@
+"""`arfx plan`: what `process` would do and leave out, and why; renders nothing."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+
+from arfx_cli.console import Progress, emit_json, json_option, say, verbose_option
+from arfx_cli.job_options import job_config, job_options
+
+
+@click.command()
+@job_options
+@json_option
+@verbose_option
+def command(as_json: bool, verbose: bool, **given: Any) -> None:
+    """Explain what `arfx process` with the same arguments would do to CLIP, with predicted time.
+
+    \b
+    Example:
+      arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm
+    """
+    from arfx.plan.explain import summarise, table
+    from arfx.run.folder import JobFolder
+    from arfx.run.inputs import open_inputs
+    from arfx.run.job import Options, plan_job
+
+    with tempfile.TemporaryDirectory(prefix="arfx-plan-") as scratch:
+        config = job_config(given, Path(scratch) / "out.mkv")
+        inputs = open_inputs(config)
+        folder = JobFolder(Path(scratch) / "job")
+        folder.open(resume=False)
+        with Progress() as progress:
+            planned = plan_job(inputs, folder, Options(progress=progress, notice=lambda m: say(f"note: {m}")))
+        rows = summarise(planned.plans, planned.stage_names, inputs.camera.rect.area)
+    predicted = [r["predicted_s"] for r in rows]
+    total = None if any(p is None for p in predicted) else sum(predicted)
+    if as_json:
+        document: dict[str, Any] = {"frames": len(planned.plans), "stages": rows, "predicted_s": total}
+        if verbose:
+            document["plans"] = [p.to_json() for p in planned.plans]
+        emit_json(document)
+        return
+    from rich.console import Console
+
+    Console().print(table(rows, len(planned.plans)))
+    if total is not None:
+        say(f"stages alone, predicted on one core: {total:.1f} s (decoding, analysis and encoding not counted)")

@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from arfx.config.freeze import frozen, to_toml
+from arfx.config.load import load, parse_setting
+from arfx.config.locate import line_of
+from arfx.errors import ConfigError, InputError
+
+
+@dataclass(frozen=True)
+class Lens:
+    aperture: float = 2.0
+    blades: int = 6
+    name: str = "a"
+
+    def __post_init__(self) -> None:
+        if self.blades < 3:
+            raise ConfigError(f"dof.blades must be 3 or more, is {self.blades}")
+
+
+TABLE = {"dof": Lens}
+GOOD = """[input]
+clip = "clip.mp4"
+end = "1.5s"
+
+[[marker]]
+spec = "36h11:3:165mm"
+
+[[marker]]
+spec = "36h11:4:165.1mm"
+
+[model]
+file = "m odel.glb"
+fit = "15cm"
+offset = ["1cm", "0m", "2mm"]
+
+[dof]
+aperture = 4
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "job.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_job_is_read_with_paths_relative_to_its_file(tmp_path: Path) -> None:
+    job = load(write(tmp_path, GOOD), {}, TABLE)
+    assert job.input.clip == tmp_path / "clip.mp4" and job.model.file == tmp_path / "m odel.glb"
+    assert job.markers[1].size_m == pytest.approx(0.1651) and job.model.offset == pytest.approx((0.01, 0, 0.002))
+    assert job.input.end == 1.5 and job.params["dof"] == Lens(4.0)
+
+
+def test_the_command_line_wins(tmp_path: Path) -> None:
+    over = {"dof": {"aperture": 1.0}, "input": {"end": "2s", "clip": "other.mp4"}, "marker": [{"spec": "4X4_50:0:5cm"}]}
+    job = load(write(tmp_path, GOOD), over, TABLE)
+    assert job.params["dof"].aperture == 1.0 and job.input.end == 2 and str(job.input.clip) == "other.mp4"
+    assert [m.key for m in job.markers] == ["4X4_50:0"]
+
+
+def test_a_frozen_job_reads_back_as_the_same_job(tmp_path: Path) -> None:
+    job = load(write(tmp_path, GOOD), {}, TABLE)
+    text = to_toml(frozen(job))
+    again = load(write(tmp_path, text), {}, TABLE)
+    assert frozen(again) == frozen(job) and tomllib.loads(text)["model"]["fit"] == "0.15m"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("aperture = 4", "apperture = 4", 17, "did you mean 'aperture'?"),
+        ("aperture = 4", 'aperture = "wide"', 17, "valid number"),
+        ("aperture = 4", "blades = 2", 16, "must be 3 or more"),
+        ("[dof]", "[dov]", 16, "did you mean 'dof'?"),
+        ("end =", "ende =", 3, "did you mean 'end'?"),
+        ('"36h11:4:165.1mm"', '"36h11:4:165.1"', 9, "25mm"),
+        ('"15cm"', "15", 13, "is not a length"),
+        ('"2mm"]', '"2mm", "1mm"]', 14, "offset"),
+    ],
+)
+def test_errors_point_at_the_line_and_say_what_would_be_right(tmp_path: Path, old: str, new: str, line: int, says: str) -> None:
+    with pytest.raises(ConfigError) as e:
+        load(write(tmp_path, GOOD.replace(old, new)), {}, TABLE)
+    assert f"job.toml:{line}\n" in str(e.value) and says in str(e.value) and "^" in str(e.value)
+    assert e.value.exit_code == 2
+
+
+def test_all_errors_are_told_at_once_and_the_command_line_is_named(tmp_path: Path) -> None:
+    text = GOOD.replace("aperture", "apperture").replace("end =", "ende =")
+    with pytest.raises(ConfigError) as e:
+        load(write(tmp_path, text), {"pipeline": {"quality": "best"}}, TABLE)
+    message = str(e.value)
+    assert "apperture" in message and "ende" in message and "command line: pipeline.quality" in message
+
+
+def test_unreadable_and_invalid_files() -> None:
+    with pytest.raises(InputError, match=r"none\.toml"):
+        load(Path("none.toml"), {}, TABLE)
+
+
+def test_invalid_toml(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="not valid TOML"):
+        load(write(tmp_path, "[a\n"), {}, TABLE)
+
+
+def test_settings_of_the_command_line() -> None:
+    assert parse_setting("output.crf=20") == (["output", "crf"], 20)
+    assert parse_setting("raster.backend=rays") == (["raster", "backend"], "rays")
+    assert parse_setting("a.b.c=[1, 2]") == (["a", "b", "c"], [1, 2])
+    for bad in ("crf=20", "output.crf", "=1", ".x=1"):
+        with pytest.raises(ConfigError, match=r"STAGE\.KEY=VALUE"):
+            parse_setting(bad)
+
+
+def test_line_of_falls_back_to_the_nearest_parent() -> None:
+    assert line_of(GOOD, ("marker", 1, "spec")) == 9
+    assert line_of(GOOD, ("marker", 1)) == 8
+    assert line_of(GOOD, ("dof", "blades")) == 16
+    assert line_of(GOOD, ("nothing",)) == 0
