@@ -1,0 +1,94 @@
+"""The laws that every stage keeps, as functions that raise AssertionError. Used on real and on broken stages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Level, Stage, Window
+from arfx.run.frame import rng_for
+
+
+def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
+    """Content that hides nothing: random everywhere, no flat background for a wrong border to disappear in."""
+    g = np.random.default_rng(seed)
+    h, w = rect.height, rect.width
+    out: dict[Layer, np.ndarray] = {}
+    for name in sorted(names):
+        if name in (Layer.PLATE, Layer.IMAGE):
+            out[name] = g.random((h, w, 3), dtype=np.float32)
+        elif name is Layer.NORMAL:
+            v = g.normal(size=(h, w, 3))
+            out[name] = (v / np.linalg.norm(v, axis=-1, keepdims=True)).astype(np.float32)
+        elif name is Layer.DEPTH:
+            out[name] = g.uniform(0.2, 4, (h, w)).astype(np.float32)
+        elif name is Layer.OBJECT_ID:
+            out[name] = g.integers(0, 3, (h, w)).astype(np.int32)
+        else:
+            out[name] = g.random(neutral(name, rect).shape, dtype=np.float32)
+    return Layers(rect).adding(out)
+
+
+def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
+    """Legal but nasty: black, very bright, zero normals, infinite and tiny depth, zero positions."""
+    g = np.random.default_rng(0)
+    out = {}
+    for name, a in random_layers(rect, 1, names).arrays.items():
+        b = a.copy()
+        values = {Layer.DEPTH: [np.inf, 1e-4, 1e6], Layer.OBJECT_ID: [0]}.get(name, [0.0, 1.0])
+        if name in (Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.EMISSIVE):
+            values = [0.0, 1e4]
+        pick = g.integers(0, len(values) + 1, b.shape[:2])
+        for k, v in enumerate(values):
+            b[pick == k] = v
+        out[name] = b
+    return Layers(rect).adding(out)
+
+
+def run(stage: Stage, layers: Layers, f: FrameFacts, scene: Scene, prepared: Any, level: Level) -> Mapping[Layer, np.ndarray]:
+    window = Window(tuple([layers] * (stage.reach + 1)), tuple([f] * (stage.reach + 1)))
+    return stage.run(window, scene, prepared, level, rng_for(0, f.index, stage.name))
+
+
+def check_roi_law(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared: Any, seed: int, atol: float = 1e-6) -> None:
+    """run(crop(needs(out))) == crop(run(all)) on `out`."""
+    frame = scene.camera.rect
+    g = np.random.default_rng(seed)
+    x, y = int(g.integers(0, frame.width - 40)), int(g.integers(0, frame.height - 32))
+    out = Rect(x, y, x + 37, y + 29)
+    whole = random_layers(frame, seed, stage.reads)
+    need = stage.needs(out, f, scene, level).union(out).clip(frame)
+    a = run(stage, whole, f, scene, prepared, level)
+    b = run(stage, whole.crop(need), f, scene, prepared, level)
+    for name in stage.writes:
+        np.testing.assert_allclose(b[name][out.slices_in(need)], a[name][out.slices_in(frame)], rtol=0, atol=atol, err_msg=name)
+
+
+def check_pure(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared: Any) -> None:
+    """Inputs stay unchanged, only declared layers are read and written, the same seed gives the same bits."""
+    rect = Rect(20, 15, 95, 80)
+    layers = random_layers(rect, 5, stage.reads)
+    before = {k: v.copy() for k, v in layers.arrays.items()}
+    first = run(stage, layers, f, scene, prepared, level)
+    second = run(stage, layers, f, scene, prepared, level)
+    assert set(first) <= stage.writes, f"{stage.name} writes {set(first) - stage.writes} without saying so"
+    for name, array in layers.arrays.items():
+        assert np.array_equal(array, before[name]), f"{stage.name} changed its input {name}"
+    for name, array in first.items():
+        assert array.shape[:2] == (rect.height, rect.width)
+        assert np.array_equal(array, second[name], equal_nan=True), f"{stage.name} gives other bits for the same seed: {name}"
+
+
+def check_finite(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared: Any) -> None:
+    """Hard but legal layers give finite values (depth may be infinite where nothing is)."""
+    made = run(stage, hard_layers(Rect(20, 15, 95, 80), stage.reads), f, scene, prepared, level)
+    for name, array in made.items():
+        assert not np.isnan(array).any(), f"{stage.name} makes NaN in {name}"
+        if name is not Layer.DEPTH:
+            assert np.isfinite(array).all(), f"{stage.name} makes infinity in {name}"

@@ -1,0 +1,141 @@
+"""Every stage x level x seed keeps the laws; broken stages are caught."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.core.cost import Cost
+from arfx.core.layers import Layer
+from arfx.core.rect import Rect
+from arfx.core.stage import Demand, Level, Stage
+from arfx.stages import STAGES
+from tests.contract import stage_laws as laws
+from tests.scenes import camera, facts, scene
+
+SCENE = scene(camera(160, 120, (0.05, -0.02, 0.001, 0.0005)))
+FACTS = facts(SCENE)
+CASES = [(name, level) for name in STAGES for level in range(len(STAGES[name].levels))]
+IDS = [f"{name}-{STAGES[name].levels[level].name}" for name, level in CASES]
+
+
+@cache
+def made(name: str, level: int) -> tuple[Stage, Level, Any]:
+    stage = STAGES[name]()
+    return stage, stage.levels[level], stage.prepare(SCENE, stage.levels[level])
+
+
+@pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
+def test_declares_what_the_contract_asks(name: str, level: int) -> None:
+    stage, at, _ = made(name, level)
+    assert isinstance(stage, Stage) and stage.name == name
+    assert len({le.name for le in stage.levels}) == len(stage.levels) and stage.reach >= 0
+    demand = stage.demand(FACTS, SCENE, SCENE.camera.rect)
+    assert demand.reason and SCENE.camera.rect.contains(demand.rect)
+    cost = stage.cost(Rect(0, 0, 100, 100), FACTS, SCENE, at)
+    more = stage.cost(Rect(0, 0, 150, 120), FACTS, SCENE, at)
+    assert isinstance(cost, Cost) and (cost.seconds is None or 0 <= cost.seconds <= (more.seconds or 0))
+
+
+@pytest.mark.parametrize("name", list(STAGES))
+def test_asks_for_nothing_where_the_object_is_absent(name: str) -> None:
+    demand = STAGES[name]().demand(
+        FACTS.with_(camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0)), SCENE, SCENE.camera.rect
+    )
+    assert demand.rect.empty and "not visible" in demand.reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
+def test_roi_law(name: str, level: int, seed: int) -> None:
+    stage, at, prepared = made(name, level)
+    laws.check_roi_law(stage, at, SCENE, FACTS, prepared, seed, atol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
+def test_pure_and_deterministic(name: str, level: int) -> None:
+    stage, at, prepared = made(name, level)
+    laws.check_pure(stage, at, SCENE, FACTS, prepared)
+
+
+@pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
+def test_finite_on_hard_layers(name: str, level: int) -> None:
+    stage, at, prepared = made(name, level)
+    laws.check_finite(stage, at, SCENE, FACTS, prepared)
+
+
+@dataclass(frozen=True)
+class _NoParams:
+    pass
+
+
+class Blur:
+    """A stage made only to be broken in one way at a time."""
+
+    name = "blur"
+    reads = frozenset({Layer.IMAGE})
+    writes = frozenset({Layer.IMAGE})
+    levels = (Level("standard", 0.01),)
+    needs_facts: frozenset[str] = frozenset()
+    reach = 0
+    Params = _NoParams
+
+    def __init__(self, fault: str = "") -> None:
+        self.params = _NoParams()
+        self.fault = fault
+
+    def demand(self, f: Any, s: Any, frame: Rect) -> Demand:
+        return Demand(frame, "always")
+
+    def needs(self, out: Rect, f: Any, s: Any, level: Level) -> Rect:
+        return out if self.fault == "no padding" else out.pad(4)
+
+    def cost(self, need: Rect, f: Any, s: Any, level: Level) -> Cost:
+        return Cost(0.0)
+
+    def prepare(self, s: Any, level: Level) -> None:
+        return None
+
+    def run(self, window: Any, s: Any, prepared: Any, level: Level, rng: np.random.Generator) -> dict[Layer, np.ndarray]:
+        image = window.now[Layer.IMAGE]
+        out = cv2.blur(image, (9, 9), borderType=cv2.BORDER_REPLICATE)
+        if self.fault == "not deterministic":
+            out = out + np.random.default_rng().random(out.shape, dtype=np.float32) * 1e-3
+        if self.fault == "writes its input":
+            image.setflags(write=True)
+            image[0, 0] = 0
+        if self.fault == "not finite":
+            with np.errstate(divide="ignore"):
+                out = out + 0 / np.where(image > 0, 1, image)
+        return {Layer.DEPTH: out[..., 0], Layer.IMAGE: out} if self.fault == "undeclared" else {Layer.IMAGE: out}
+
+
+def test_a_sound_blur_passes() -> None:
+    b = Blur()
+    laws.check_roi_law(b, b.levels[0], SCENE, FACTS, None, 0)
+    laws.check_pure(b, b.levels[0], SCENE, FACTS, None)
+
+
+def test_a_missing_padding_is_caught() -> None:
+    b = Blur("no padding")
+    with pytest.raises(AssertionError):
+        laws.check_roi_law(b, b.levels[0], SCENE, FACTS, None, 0)
+
+
+@pytest.mark.parametrize("fault", ["not deterministic", "writes its input", "undeclared"])
+def test_impure_stages_are_caught(fault: str) -> None:
+    b = Blur(fault)
+    with pytest.raises((AssertionError, ValueError)):
+        laws.check_pure(b, b.levels[0], SCENE, FACTS, None)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_values_that_are_not_finite_are_caught() -> None:
+    b = Blur("not finite")
+    with pytest.raises(AssertionError, match="NaN"):
+        laws.check_finite(b, b.levels[0], SCENE, FACTS, None)

@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from arfx.core.layers import Layer
+from arfx.core.plan import FramePlan, Step
+from arfx.core.rect import Rect
+from arfx.core.stage import Level
+from arfx.errors import RenderError
+from arfx.plan.planner import plan_frame
+from arfx.run.chunks import borders
+from arfx.run.frame import Canvas, rng_for, run_frame
+from arfx.stages.composite import Composite
+from tests.scenes import facts, scene
+
+SCENE = scene()
+FACTS = facts(SCENE)
+LEVEL = Level("standard", 0.1)
+
+
+def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
+    plate = np.random.default_rng(0).random((20, 30, 3), dtype=np.float32)
+    canvas = Canvas(plate, Rect(10, 10, 40, 30))
+    inner = Rect(15, 12, 20, 18)
+    canvas.put(Layer.COVERAGE, inner, np.ones((6, 5), np.float32))
+    view = canvas.view(frozenset({Layer.COVERAGE, Layer.SHADOW, Layer.IMAGE}), Rect(14, 11, 21, 19))
+    assert view[Layer.COVERAGE].sum() == 30 and view[Layer.COVERAGE][0].sum() == 0
+    assert (view[Layer.SHADOW] == 1).all()
+    canvas.put(Layer.IMAGE, inner, np.zeros((6, 5, 3), np.float32))
+    where, image = canvas.stored[Layer.IMAGE]
+    assert where == canvas.rect and image[inner.slices_in(where)].max() == 0
+    untouched = image.copy()
+    untouched[inner.slices_in(where)] = plate[inner.slices_in(where)]
+    assert np.array_equal(untouched, plate), "and the plate itself was not written to"
+
+
+class Bad:
+    name, reads, writes, reach = "bad", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 0
+
+    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
+        out = window.now[Layer.IMAGE].copy()
+        out[3, 4] = np.nan
+        return {Layer.IMAGE: out}
+
+
+def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
+    rect = Rect(5, 6, 25, 26)
+    plan = FramePlan(7, rect, rect, (Step("bad", "standard", rect, rect, "", 0.0),), ())
+    with pytest.raises(RenderError, match=r"'bad' made 1 pixels.*frame 7, first at x 9, y 9"):
+        run_frame(
+            np.ones((20, 20, 3), np.float32), FACTS.with_(index=7), plan, SCENE, {"bad": Bad()}, {"bad": LEVEL}, {"bad": None}
+        )  # type: ignore[dict-item]
+
+
+class Paint:
+    """Covers a fixed rectangle with red."""
+
+    name, reads, reach = "paint", frozenset(), 0
+    writes = frozenset({Layer.COVERAGE, Layer.VIRTUAL})
+    levels = (LEVEL,)
+
+    def demand(self, f: Any, s: Any, frame: Rect) -> Any:
+        from arfx.core.stage import Demand
+
+        return Demand(Rect(40, 30, 60, 50), "red")
+
+    def needs(self, out: Rect, *_: Any) -> Rect:
+        return out
+
+    def cost(self, *_: Any) -> Any:
+        from arfx.core.cost import Cost
+
+        return Cost(0.0)
+
+    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
+        r = window.now.rect
+        return {
+            Layer.COVERAGE: np.ones((r.height, r.width), np.float32),
+            Layer.VIRTUAL: np.full((r.height, r.width, 3), (1, 0, 0), np.float32),
+        }
+
+
+@pytest.mark.parametrize("opacity", [1.0, 0.25])
+def test_composite_over_the_plate_with_opacity(opacity: float) -> None:
+    stages: dict[str, Any] = {"paint": Paint(), "composite": Composite()}
+    levels = {n: LEVEL for n in stages}
+    f = FACTS.with_(opacity=opacity)
+    plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
+    plate = np.random.default_rng(1).random((plan.rect.height, plan.rect.width, 3), dtype=np.float32)
+    result = run_frame(plate, f, plan, SCENE, stages, levels, {"paint": None, "composite": None})
+    np.testing.assert_allclose(result.image, plate + opacity * (np.float32([1, 0, 0]) - plate), atol=1e-6)
+    assert set(result.seconds) == {"paint", "composite"}
+
+
+def test_composite_leaves_bare_pixels_bit_identical() -> None:
+    from arfx.core.layers import Layers, neutral
+    from arfx.core.stage import Window
+
+    rect = Rect(0, 0, 50, 40)
+    plate = np.random.default_rng(2).random((40, 50, 3), dtype=np.float32)
+    layers = Layers(rect).adding(
+        {Layer.PLATE: plate, Layer.IMAGE: plate, **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)}}
+    )
+    out = Composite().run(Window((layers,), (FACTS,)), SCENE, None, LEVEL, rng_for(0, 0, "c"))[Layer.IMAGE]
+    assert np.array_equal(out, plate)
+
+
+def test_random_numbers_depend_on_seed_frame_and_stage_only() -> None:
+    draws = [rng_for(*k).random() for k in ((0, 1, "a"), (0, 1, "b"), (0, 2, "a"), (1, 1, "a"), (0, 1, "a"))]
+    assert draws[0] == draws[4] and len(set(draws)) == 4
+
+
+@pytest.mark.parametrize("frames", [1, 29, 30, 31, 159, 240, 960, 961, 5000])
+def test_chunk_borders_cover_every_frame_once(frames: int) -> None:
+    parts = borders(frames)
+    assert parts[0][0] == 0 and parts[-1][1] == frames - 1
+    assert all(a[1] + 1 == b[0] for a, b in itertools.pairwise(parts))
+    assert max(b - a + 1 for a, b in parts) <= 120
