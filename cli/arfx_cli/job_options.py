@@ -13,7 +13,7 @@ from arfx.errors import ConfigError
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 _OPTIONS = [
-    click.option("--config", "config_file", type=FILE, help="Job file (TOML); the command line wins."),
+    click.option("--config", "config_file", type=FILE, help="Job file (TOML) or preset name; the command line wins."),
     click.option("--camera", type=FILE, help="Calibration: OpenCV, ROS, COLMAP, Kalibr, WPILib. Missing: a guess."),
     click.option("--marker", "markers", multiple=True, metavar="FAMILY:ID:SIZE", help="Repeatable: 36h11:3:165mm."),
     click.option("--marker-map", type=FILE, help="Known layout of several markers; without it they are mapped from the clip."),
@@ -41,6 +41,7 @@ def job_options(f: Callable[..., Any]) -> Callable[..., Any]:
 def job_config(given: dict[str, Any], output: Path | None = None) -> Any:
     """The typed job from the parsed options. Raises ConfigError naming the option."""
     from arfx.config.load import load, parse_setting
+    from arfx.config.presets import find
     from arfx.run.parameters import parameters, pipeline
 
     tree: dict[str, Any] = {}
@@ -74,7 +75,8 @@ def job_config(given: dict[str, Any], output: Path | None = None) -> Any:
     if given["no_skip"]:
         put("pipeline", "skip", False)
     put("output", "path", output and str(output))
-    config = load(given["config_file"], tree, parameters())
+    file = given["config_file"]
+    config = load(None if file is None else find(file), tree, parameters())
     pipeline(config)
     return config
 

@@ -1,0 +1,21 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from arfx.config.load import load
+from arfx.config.presets import find, presets
+from arfx.errors import InputError
+from arfx.run.parameters import parameters
+
+
+@pytest.mark.parametrize("name", sorted(presets()))
+def test_every_preset_loads(name: str) -> None:
+    load(find(Path(name)), {}, parameters())
+
+
+def test_presets_are_found_by_name_and_typos_are_answered() -> None:
+    assert {"preview", "final", "lossless"} <= set(presets())
+    with pytest.raises(InputError, match="did you mean 'preview'"):
+        find(Path("preveiw"))
