@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.clips import MARKER, write_camera, write_clip, write_model
+
+
+@dataclass
+class Material:
+    folder: Path
+    clip: Path
+    camera: Path
+    model: Path
+
+    def arguments(self, *more: str, clip: Path | None = None) -> list[str]:
+        return [
+            "process", str(clip or self.clip), "--camera", str(self.camera), "--marker", str(MARKER),
+            "--model", str(self.model), "--fit", "8cm", *more,
+        ]  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
+    d = tmp_path_factory.mktemp("material")
+    return Material(d, write_clip(d / "clip.mp4", 96, audio=True), write_camera(d / "camera.yaml"), write_model(d / "model.glb"))
+
+
+@dataclass
+class Result:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def arfx(tmp_path: Path) -> Run:
+    """Runs the real command in its own process."""
+
+    def run(*args: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> Result:
+        p = subprocess.run(
+            [sys.executable, "-m", "arfx_cli.main", *args], cwd=cwd or tmp_path, capture_output=True, text=True,
+            env={**os.environ, **(env or {})}, check=False, timeout=300,
+        )  # fmt: skip
+        return Result(p.returncode, p.stdout, p.stderr)
+
+    return run

@@ -1,0 +1,247 @@
+"""The main job through the command line: what comes out, what is refused, and what survives a kill."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from tests.cli.conftest import Material, Run
+from tests.clips import write_camera, write_clip
+
+
+def frames(path: Path) -> list[tuple[float, np.ndarray]]:
+    with av.open(str(path)) as c:
+        return [(float(f.pts * f.time_base), f.to_ndarray(format="rgb24")) for f in c.decode(video=0)]
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_the_object_stands_on_the_marker_and_the_rest_is_untouched(material: Material, arfx: Run, tmp_path: Path) -> None:
+    r = arfx(*material.arguments("-o", "out.mkv", "--set", "output.codec=ffv1", "--json"))
+    assert r.code == 0, r.err
+    report = r.json
+    before, after = frames(material.clip), frames(tmp_path / "out.mkv")
+    assert len(before) == len(after) == report["output"]["frames"] == 96
+    assert max(abs(a[0] - b[0]) for a, b in zip(before, after, strict=True)) < 2e-3
+    changed = [(a[1].astype(int) != b[1]).any(-1) for a, b in zip(before, after, strict=True)]
+    assert all(0.01 < c.mean() < 0.5 for c in changed), "every frame shows the object, none is rewritten whole"
+    assert not any(c[:30].any() or c[-20:].any() for c in changed), "rows far from the object are bit-identical"
+    # the ball's centre stands half its size above the marker's centre
+    from tests.clips import clip_camera, pose_at
+
+    for i in (0, 48, 95):
+        centre = clip_camera().project(pose_at(i, 96).apply(np.array([0, 0, 0.04])))
+        ys, xs = np.nonzero(np.abs(after[i][1].astype(int) - before[i][1]).sum(-1) > 90)
+        assert np.hypot(*(np.median(np.stack([xs, ys]), axis=1) - centre)) < 6
+    assert report["pose"]["frames_measured"] == 96 and report["pose"]["reprojection_px"]["median"] < 0.5
+    assert {"input", "output", "pose", "light", "stages", "health", "timing"} <= report.keys()
+    assert not list(tmp_path.glob("*.job")), "the job folder goes when the job is done"
+
+
+def test_audio_is_copied_bit_for_bit(material: Material, arfx: Run, tmp_path: Path) -> None:
+    r = arfx(*material.arguments("-o", "out.mp4"))
+    assert r.code == 0, r.err
+
+    def packets(path: Path) -> list[tuple[int, bytes]]:
+        with av.open(str(path)) as c:
+            s = c.streams.audio[0]
+            return [(round(float(p.pts * s.time_base) * 44100), bytes(p)) for p in c.demux(s) if p.size]
+
+    assert packets(tmp_path / "out.mp4") == packets(material.clip)
+
+
+def test_two_workers_give_the_same_bytes_as_one(material: Material, arfx: Run, tmp_path: Path) -> None:
+    for n in ("1", "2"):
+        r = arfx(*material.arguments("-o", f"out{n}.mp4", "--workers", n))
+        assert r.code == 0, r.err
+    assert digest(tmp_path / "out1.mp4") == digest(tmp_path / "out2.mp4")
+
+
+def test_a_killed_job_resumes_and_gives_the_same_bytes(material: Material, arfx: Run, tmp_path: Path) -> None:
+    whole = arfx(*material.arguments("-o", "whole.mp4", "--workers", "1"))
+    assert whole.code == 0, whole.err
+    command = [sys.executable, "-m", "arfx_cli.main", *material.arguments("-o", "out.mp4", "--workers", "1")]
+    p = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL)
+    chunks = tmp_path / "out.mp4.job" / "chunks"
+    limit = time.monotonic() + 120
+    while p.poll() is None and time.monotonic() < limit:
+        if chunks.is_dir() and any(
+            c.name[0].isdigit() and "-" in c.name and "." in c.name and c.name[6] == "-" for c in chunks.iterdir()
+        ):
+            break
+        time.sleep(0.005)
+    assert p.poll() is None, "the job ended before it could be killed"
+    os.kill(p.pid, signal.SIGKILL)
+    p.wait()
+    assert not (tmp_path / "out.mp4").exists(), "nothing under the final name"
+    kept = {c.name: c.stat().st_mtime_ns for c in chunks.iterdir() if c.name[6] == "-"}
+    assert 1 <= len(kept) < 4
+    r = arfx(*material.arguments("-o", "out.mp4", "--workers", "1", "--resume", "--job", "out.mp4.job", "--json"))
+    assert r.code == 0, r.err
+    assert digest(tmp_path / "out.mp4") == digest(tmp_path / "whole.mp4")
+    rendered = [json.loads(line)["first"] for line in (tmp_path / "out.mp4.job" / "timings.jsonl").read_text().splitlines()]
+    assert 0 in rendered and len(rendered) == len(set(rendered)), "kept chunks were not made again"
+
+
+def test_ctrl_c_leaves_a_resumable_job(material: Material, arfx: Run, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "arfx_cli.main", *material.arguments("-o", "out.mp4", "--workers", "2")]
+    p = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    limit = time.monotonic() + 120
+    while not (tmp_path / "out.mp4.job" / "plan.jsonl").exists() and p.poll() is None and time.monotonic() < limit:
+        time.sleep(0.005)
+    os.killpg(p.pid, signal.SIGINT)
+    _, err = p.communicate(timeout=60)
+    assert p.returncode == 130 and "--resume" in err, err
+    assert (tmp_path / "out.mp4.job").is_dir() and not (tmp_path / "out.mp4").exists()
+    assert arfx(*material.arguments("-o", "out.mp4", "--resume")).code == 0
+
+
+def test_outputs_are_never_overwritten_unasked(material: Material, arfx: Run, tmp_path: Path) -> None:
+    (tmp_path / "out.mp4").write_bytes(b"precious")
+    r = arfx(*material.arguments("-o", "out.mp4", "--end", "0.2"))
+    assert r.code == 2 and "--overwrite" in r.err and (tmp_path / "out.mp4").read_bytes() == b"precious"
+    assert arfx(*material.arguments("-o", "out.mp4", "--end", "0.2", "--overwrite")).code == 0
+    assert (tmp_path / "out.mp4").stat().st_size > 1000
+
+
+def test_start_and_end_select_frames_and_keep_their_times(material: Material, arfx: Run, tmp_path: Path) -> None:
+    r = arfx(*material.arguments("-o", "out.mkv", "--start", "0.5", "--end", "1.0", "--set", "output.codec=ffv1"))
+    assert r.code == 0, r.err
+    t = [f[0] for f in frames(tmp_path / "out.mkv")]
+    want = [f[0] for f in frames(material.clip) if 0.5 - 1e-6 <= f[0] <= 1.0 + 1e-6]
+    np.testing.assert_allclose(t, want, atol=1e-3)
+
+
+def test_no_marker_at_all_exits_4_and_says_what_was_tried(material: Material, arfx: Run, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "bare.mp4", 12, absent=range(12))
+    r = arfx(*material.arguments("-o", "out.mp4", clip=clip))
+    assert r.code == 4 and "36h11" in r.err and not (tmp_path / "out.mp4").exists()
+    other = material.arguments("-o", "out.mp4")
+    other[other.index("--marker") + 1] = "4X4_50:7:10cm"
+    r = arfx(*other)
+    assert r.code == 4 and "4X4_50" in r.err and "36h11:3" in r.err, "it says what it saw instead"
+
+
+def test_a_marker_that_leaves_takes_the_object_along(material: Material, arfx: Run, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "leaves.mp4", 90, absent=range(20, 75))
+    r = arfx(*material.arguments("-o", "out.mkv", "--set", "output.codec=ffv1", "--json", clip=clip))
+    assert r.code == 0, r.err
+    assert r.json["pose"]["frames_absent"] > 20
+    before, after = frames(clip), frames(tmp_path / "out.mkv")
+    assert np.array_equal(before[47][1], after[47][1]) and not np.array_equal(before[5][1], after[5][1])
+    raster = next(s for s in r.json["stages"] if s["name"] == "raster")
+    assert raster["reasons"].get("marker not visible", 0) > 20 and raster["frames_run"] + raster["frames_skipped"] == 90
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "says"),
+    [
+        (("--camera", "nan.yaml"), 3, "not finite"),
+        (("--camera", "square.yaml"), 3, "aspect"),
+        (("--camera", "none.yaml"), 3, "none.yaml"),
+        (("--model", "broken.glb"), 3, "broken.glb"),
+        (("--model", "none.glb"), 3, "none.glb"),
+        (("--marker", "36h11:3"), 2, "FAMILY:ID:SIZE"),
+        (("--marker", "37h11:3:1cm"), 2, "36h11"),
+        (("--fit", "8"), 2, "25mm"),
+        (("--set", "raster.bakend=rays"), 2, "backend"),
+        (("--pipeline", "watercolour"), 2, "watercolour"),
+        (("-o", "no/such/folder/out.mp4"), 2, "no/such/folder"),
+        (("-o", "out.xyz"), 2, "xyz"),
+        (("--start", "500s"), 4, "--start"),
+    ],
+)
+def test_bad_input_gets_one_clear_message(
+    material: Material, arfx: Run, tmp_path: Path, change: tuple[str, str], code: int, says: str
+) -> None:
+    from arfx.core.camera import Camera
+
+    (tmp_path / "broken.glb").write_bytes(b"glTF\x02\x00\x00\x00 nothing else")
+    write_camera(tmp_path / "nan.yaml")
+    (tmp_path / "nan.yaml").write_text((tmp_path / "nan.yaml").read_text().replace("304.", ".Nan", 1).replace("3.04", ".Nan", 1))
+    write_camera(tmp_path / "square.yaml", Camera(500, 500, np.array([[450.0, 0, 250], [0, 450, 250], [0, 0, 1]])))
+    args = material.arguments("-o", "out.mp4")
+    if change[0] in args and change[0] != "--set":
+        args[args.index(change[0]) + 1] = change[1]
+    else:
+        args += change
+    r = arfx(*args)
+    assert r.code == code, (r.code, r.err)
+    assert says in r.err and "Traceback" not in r.err
+    assert not (tmp_path / "out.mp4").exists()
+
+
+def test_a_camera_of_another_size_is_scaled_with_a_notice(material: Material, arfx: Run, tmp_path: Path) -> None:
+    from tests.clips import clip_camera
+
+    write_camera(tmp_path / "double.yaml", clip_camera(640, 480))
+    args = material.arguments("-o", "out.mp4", "--end", "0.3", "--json")
+    args[args.index("--camera") + 1] = "double.yaml"
+    r = arfx(*args)
+    assert r.code == 0 and "scaled from 640x480" in r.err
+    assert r.json["pose"]["reprojection_px"]["median"] < 0.5
+
+
+def test_without_a_camera_the_guess_is_said(material: Material, arfx: Run) -> None:
+    args = material.arguments("-o", "out.mp4", "--end", "0.3", "--json")
+    at = args.index("--camera")
+    del args[at : at + 2]
+    r = arfx(*args)
+    assert r.code == 0 and "guess" in r.err and r.json["health"][0]["verdict"] == "warn"
+
+
+def test_plan_explains_without_rendering(material: Material, arfx: Run, tmp_path: Path) -> None:
+    r = arfx("plan", *material.arguments("--json")[1:])
+    assert r.code == 0, r.err
+    rows = {s["name"]: s for s in r.json["stages"]}
+    assert rows["raster"]["frames_run"] == 96 and 0 < rows["raster"]["area_fraction"] < 0.6 and r.json["predicted_s"] > 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_forced_equals_planned(material: Material, arfx: Run, tmp_path: Path) -> None:
+    for name, more in (("planned", ()), ("forced", ("--no-skip",))):
+        r = arfx(*material.arguments("-o", f"{name}.mkv", "--end", "0.5", "--set", "output.codec=ffv1", *more))
+        assert r.code == 0, r.err
+    pairs = zip(frames(tmp_path / "planned.mkv"), frames(tmp_path / "forced.mkv"), strict=True)
+    assert max(np.abs(a[1].astype(int) - b[1]).max() for a, b in pairs) <= 1
+
+
+def test_read_only_output_and_full_disk_are_one_message(material: Material, arfx: Run, tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("needs /dev/full")
+    folder = tmp_path / "ro"
+    folder.mkdir()
+    if os.geteuid() == 0:  # root writes through permissions: a file in place of the folder stands in for read-only
+        r = arfx(*material.arguments("-o", "/proc/out.mp4"))
+    else:
+        folder.chmod(0o500)
+        r = arfx(*material.arguments("-o", str(folder / "out.mp4")))
+    assert r.code in (2, 5) and "Traceback" not in r.err and len(r.err.strip().splitlines()) <= 3
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
+def test_a_full_disk_leaves_nothing_half_written(material: Material, arfx: Run, tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(disk)], capture_output=True, check=False
+    ).returncode:
+        pytest.skip("cannot mount a tmpfs here")
+    try:
+        r = arfx(*material.arguments("-o", str(disk / "out.mkv"), "--set", "output.codec=ffv1"))
+        assert r.code == 5 and "space" in r.err and "Traceback" not in r.err, r.err
+        assert not (disk / "out.mkv").exists()
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
