@@ -93,8 +93,7 @@ def make_scene(
     stand = world_from_marker.get(anchor, Pose.identity())
     light = Light()
     lights = tuple(
-        DirectionalLight(tuple(stand.rotation @ li.unit), li.rgb, li.angular_size_deg, li.confidence_deg)  # type: ignore[arg-type]
-        for li in light.lights
+        DirectionalLight(tuple(stand.rotation @ li.unit), li.rgb, li.angular_size_deg, li.confidence_deg) for li in light.lights
     )
     world_from_model = stand.matrix @ placement(config).world_from_model(model, config.model.up)
     return Scene(

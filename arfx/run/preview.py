@@ -39,6 +39,7 @@ def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
     for path in sorted(folder.glob("*.in.png")):
         after = path.with_name(path.name.replace(".in.", ".out."))
         if after.exists():
-            pair = [cv2.imread(str(p))[..., ::-1] for p in (path, after)]
-            out.append((int(path.name.split(".")[0]), pair[0], pair[1]))
+            pair = [cv2.imread(str(p)) for p in (path, after)]
+            if pair[0] is not None and pair[1] is not None:
+                out.append((int(path.name.split(".")[0]), pair[0][..., ::-1], pair[1][..., ::-1]))
     return out

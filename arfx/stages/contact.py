@@ -173,7 +173,7 @@ def direction_grid(camera: Camera) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def _look_up(x0, y0, width, height, rotation, origin, grid, ratio, centre, half):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _look_up(x0, y0, width, height, rotation, origin, grid, ratio, centre, half):  # pragma: no cover - compiled
     out = np.ones((height, width, 3), np.float32)
     n = ratio.shape[0]
     for j in range(height):

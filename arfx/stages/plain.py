@@ -77,12 +77,17 @@ class Plain:
         directions, colours, ambient, up = prepared
         assert pose is not None
         eye = pose.inverse().translation_m
-        arrays = [now[k] for k in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE)]
-        return {Layer.VIRTUAL: _shade(*arrays, eye, directions, colours, ambient, up, self.params.sky)}
+        virtual = _shade(
+            now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION], now[Layer.ALBEDO], now[Layer.MATERIAL], now[Layer.EMISSIVE],
+            eye, directions, colours, ambient, up, self.params.sky,
+        )  # fmt: skip
+        return {Layer.VIRTUAL: virtual}
 
 
 @numba.njit(cache=True, nogil=True)
-def _shade(coverage, normal, position, albedo, material, emissive, eye, directions, colours, ambient, up, sky):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _shade(
+    coverage, normal, position, albedo, material, emissive, eye, directions, colours, ambient, up, sky
+):  # pragma: no cover - compiled
     out = np.zeros(albedo.shape, np.float32)
     for y in range(coverage.shape[0]):
         for x in range(coverage.shape[1]):

@@ -44,13 +44,9 @@ def command(folder: Path, overwrite: bool) -> None:
     previews = load_previews(folder / "job" / "previews")
     _save(previews[len(previews) // 2], folder / "picture.png")
     shutil.rmtree(folder / "job")
-    for what, path in (
-        ("picture", "picture.png"),
-        ("clip before", "clip/clip.mp4"),
-        ("clip after", "out.mp4"),
-        ("report", "report/report.html"),
-    ):
-        click.echo(f"{what + ':':12} {folder / path}")
+    written = {"picture": "picture.png", "clip before": "clip/clip.mp4", "clip after": "out.mp4", "report": "report/report.html"}
+    for what, name in written.items():
+        click.echo(f"{what + ':':12} {folder / name}")
 
 
 def _save(preview: tuple, path: Path) -> None:
