@@ -54,11 +54,15 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """All parts of a model. up : "x", "y" or "z", which file axis points up; source : path, for messages."""
+    """All parts of a model. up : "x", "y" or "z", which file axis points up; source : path, for messages.
+
+    notices : what was left out or repaired while reading, for the user
+    """
 
     parts: tuple[Part, ...]
     up: str = "y"
     source: str = ""
+    notices: tuple[str, ...] = ()
 
     @cached_property
     def bounds(self) -> np.ndarray:

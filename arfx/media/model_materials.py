@@ -1,0 +1,189 @@
+"""Materials of a trimesh mesh in arfx's terms: linear factors, 8-bit textures of a bounded size, alpha modes.
+
+glTF: metallic-roughness as written (glTF 2.0 section 3.9). MTL: Kd is a display colour (sRGB), Ns a Blinn-Phong exponent
+turned into roughness = sqrt(2 / (Ns + 2)) to the half (Karis 2013), d < 1 is BLEND. `Tr` is ignored: exporters disagree
+on whether 1 means clear or solid.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arfx.core.colour import SRGB
+from arfx.core.model import BLEND, MASK, OPAQUE, Material
+from arfx.errors import InputError
+
+MAX_TEXTURE_PX = 8192  # an 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse
+
+
+def material_of(mesh: Any, path: Path, two_sided: bool, factors: dict[str, Any], has_colours: bool) -> Material:
+    """The Material of a mesh. factors : from `precise_factors`;  has_colours : vertex colours multiply white."""
+    given = getattr(mesh.visual, "material", None)
+    kind = type(given).__name__
+    if given is None or _is_placeholder(given):
+        return Material(base_colour=(1.0, 1.0, 1.0, 1.0) if has_colours else (0.8, 0.8, 0.8, 1.0), double_sided=two_sided)
+    if kind == "PBRMaterial":
+        return _from_pbr(given, path, factors)
+    return _from_simple(given, path, two_sided)
+
+
+def _from_pbr(given: Any, path: Path, factors: dict[str, Any]) -> Material:
+    name = str(given.name or "default")
+    own = factors.get(name, {})
+    base = _quad(own.get("base"), given.baseColorFactor)
+    mode = str(given.alphaMode or OPAQUE).upper()
+    texture = _texture(given.baseColorTexture, "RGBA", path)
+    mr = _texture(given.metallicRoughnessTexture, "RGB", path)
+    emissive_texture = _texture(given.emissiveTexture, "RGB", path)
+    emissive = np.zeros(3) if given.emissiveFactor is None else np.asarray(given.emissiveFactor, float).ravel()[:3]
+    emissive = emissive * own.get("strength", 1.0)
+    cutoff = given.alphaCutoff
+    return Material(
+        name=name,
+        base_colour=base,
+        base_texture=texture,
+        metallic=_unit(given.metallicFactor, 1.0),
+        roughness=_unit(given.roughnessFactor, 1.0),
+        metallic_roughness_texture=None if mr is None else np.ascontiguousarray(mr[..., [2, 1]]),  # blue, green
+        emissive=(float(emissive[0]), float(emissive[1]), float(emissive[2])),
+        emissive_texture=emissive_texture if emissive.any() else None,
+        specular=own.get("specular", 0.5),
+        alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
+        alpha_cutoff=0.5 if cutoff is None else float(cutoff),
+        double_sided=bool(given.doubleSided),
+    )
+
+
+def _from_simple(given: Any, path: Path, two_sided: bool) -> Material:
+    kwargs = {str(k).lower(): v for k, v in (getattr(given, "kwargs", None) or {}).items()}
+    diffuse = getattr(given, "diffuse", None)
+    colour = np.ones(4) if diffuse is None else np.asarray(diffuse, float).ravel() / 255.0
+    rgb = SRGB.decode(colour[:3])
+    alpha = _first_number(kwargs.get("d"), 1.0)
+    shininess = _first_number(kwargs.get("ns"), 0.0)
+    texture = _texture(getattr(given, "image", None), "RGBA", path)
+    return Material(
+        name=str(getattr(given, "name", None) or "default"),
+        base_colour=(float(rgb[0]), float(rgb[1]), float(rgb[2]), min(max(alpha, 0.0), 1.0)),
+        base_texture=texture,
+        roughness=float(np.clip((2.0 / (max(shininess, 0.0) + 2.0)) ** 0.25, 0.05, 1.0)),
+        alpha_mode=BLEND if alpha < 1.0 else OPAQUE,
+        double_sided=two_sided,
+    )
+
+
+def vertex_colours(mesh: Any, keep: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Linear RGBA (n, 4) by vertex, or (m, 4) by kept face, or neither. keep : (faces,) bool
+
+    glTF colours are linear; PLY, OBJ and STL ones are display colours (sRGB).
+    """
+    visual = mesh.visual
+    if visual.kind == "vertex":
+        raw, linear = np.asarray(visual.vertex_colors), mesh.metadata.get("from_gltf_primitive") is not None
+    elif visual.kind == "face":
+        return None, _linear(np.asarray(visual.face_colors)[keep], False)
+    else:
+        attributes = getattr(visual, "vertex_attributes", {})
+        if "color" not in attributes:
+            return None, None
+        raw, linear = np.asarray(attributes["color"]), type(getattr(visual, "material", None)).__name__ == "PBRMaterial"
+    if len(raw) != len(mesh.vertices):
+        return None, None
+    return _linear(raw, linear), None
+
+
+def _linear(raw: np.ndarray, already: bool) -> np.ndarray:
+    c = raw.astype(float) / (np.iinfo(raw.dtype).max if raw.dtype.kind in "ui" else 1.0)
+    c = np.clip(np.where(np.isfinite(c), c, 1.0), 0.0, 1.0)  # a colour that is no number leaves the factor alone
+    if c.shape[1] == 3:
+        c = np.concatenate([c, np.ones((len(c), 1))], 1)
+    if not already:
+        c[:, :3] = SRGB.decode(c[:, :3])
+    return c
+
+
+def precise_factors(path: Path) -> dict[str, Any]:
+    """By material name, what trimesh rounds to 8 bits or leaves out of a glTF file: base colour, emissive strength.
+
+    Empty for other files, and for names that are not unique.
+    """
+    try:
+        header = _gltf_header(path)
+        materials = header.get("materials", []) if header else []
+        names = [m.get("name") for m in materials]
+        out: dict[str, Any] = {}
+        for m in materials:
+            if not isinstance(m.get("name"), str) or names.count(m["name"]) > 1:
+                continue
+            pbr, ext = m.get("pbrMetallicRoughness", {}), m.get("extensions", {})
+            own: dict[str, Any] = {"base": pbr.get("baseColorFactor", [1.0, 1.0, 1.0, 1.0])}
+            own["strength"] = float(ext.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0))
+            ior = float(ext.get("KHR_materials_ior", {}).get("ior", 1.5))
+            f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else 0.04
+            own["specular"] = float(ext.get("KHR_materials_specular", {}).get("specularFactor", 1.0)) * f0 / 0.08
+            out[m["name"]] = own
+        return out
+    except (OSError, ValueError, TypeError, AttributeError, KeyError, struct.error):
+        return {}  # only a refinement: trimesh has read the file, so its own values stand
+
+
+def _gltf_header(path: Path) -> dict[str, Any] | None:
+    if path.suffix.lower() == ".gltf":
+        return json.loads(path.read_text("utf-8"))
+    if path.suffix.lower() != ".glb":
+        return None
+    with path.open("rb") as f:
+        head = f.read(20)
+        if head[:4] != b"glTF":
+            return None
+        return json.loads(f.read(struct.unpack("<I", head[12:16])[0]))
+
+
+def _texture(image: Any, mode: str, path: Path) -> np.ndarray | None:
+    if image is None:
+        return None
+    width, height = image.size
+    if max(width, height) > MAX_TEXTURE_PX:
+        raise InputError(f"model {path}: a texture is {width}x{height} px", f"at most {MAX_TEXTURE_PX} px a side: scale it down")
+    try:
+        return np.ascontiguousarray(np.asarray(image.convert(mode), np.uint8))
+    except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
+        raise InputError(f"model {path}: cannot decode a texture ({e})", "the image is damaged or cut short") from e
+
+
+def _is_placeholder(given: Any) -> bool:
+    """trimesh puts a 2x2 grey picture where a file has texture coordinates and no texture."""
+    image = getattr(given, "image", None)
+    return (
+        type(given).__name__ == "SimpleMaterial"
+        and image is not None
+        and image.size == (2, 2)
+        and not getattr(given, "kwargs", None)
+    )
+
+
+def _quad(exact: Any, rounded: Any) -> tuple[float, float, float, float]:
+    if exact is not None:
+        c = np.asarray(exact, float).ravel()
+    else:
+        c = np.ones(4) if rounded is None else np.asarray(rounded).ravel().astype(float)
+        if rounded is not None and np.asarray(rounded).dtype.kind in "ui":
+            c = c / 255.0
+    c = np.concatenate([c, np.ones(4)])[:4] if len(c) == 3 else c[:4]
+    return float(c[0]), float(c[1]), float(c[2]), float(c[3])
+
+
+def _unit(value: Any, default: float) -> float:
+    return default if value is None else float(np.clip(float(value), 0.0, 1.0))
+
+
+def _first_number(value: Any, default: float) -> float:
+    try:
+        return float(np.ravel(value)[0]) if value is not None else default
+    except (ValueError, IndexError):
+        return default

@@ -1,0 +1,189 @@
+"""Virtual models from files, through trimesh: geometry with normals, materials and textures in arfx's own terms.
+
+glTF/GLB (scene graph applied), OBJ with MTL, PLY, STL, and what else trimesh reads here. Errors say what is wrong with
+the file and how many vertices or faces it concerns; what was repaired is in `Model.notices`.
+Leaves out: skins, animation, morph targets, normal and occlusion textures, texture transforms, lines and points.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arfx.core.model import Model, Part
+from arfx.core.numerics import normalise
+from arfx.errors import ConfigError, InputError
+from arfx.media.model_materials import material_of, precise_factors, vertex_colours
+from arfx.media.model_normals import smooth_by_angle
+
+# Up axis by file type: glTF says y (section 3.4), COLLADA and OBJ exporters default to it; scans and CAD use z.
+_UP = {".glb": "y", ".gltf": "y", ".obj": "y", ".dae": "y", ".ply": "z", ".stl": "z"}
+# Formats whose winding nobody promises: both sides are shown.
+_TWO_SIDED = (".ply", ".stl", ".obj", ".off", ".dae")
+# Beyond this float32 coordinates, which both renderers use, step by more than a thousandth of a unit times extent.
+MAX_EXTENT = 1e9
+# Squared double area below which a triangle has no plane, as a share of the model's extent to the fourth power:
+# float32 coordinates are exact to 6e-8 of the extent, so a height below that is rounding.
+_DEGENERATE = (6e-8) ** 4
+MAX_FACES = 20_000_000
+
+
+def load_model(path: Path | str | None, up: str | None = None) -> Model:
+    """Read a model file.
+
+    path : any format of trimesh; textures beside it, names with spaces included
+    up : "x", "y" or "z", the file axis that points up; None = by file type (y for glTF, OBJ and DAE, z for PLY and STL)
+
+    Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals unit.
+    Raises InputError: missing or unreadable file, no faces, vertices that are not finite, absurd extent, texture above
+    8192 px; ConfigError: no path, unknown up axis.
+    """
+    if path is None:
+        raise ConfigError("no model file is given", "--model duck.glb, or file = \"duck.glb\" under [model]")  # fmt: skip
+    if up not in (None, "x", "y", "z"):
+        raise ConfigError(f"unknown up axis {up!r}", "x, y or z")
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"model file {path} does not exist" if not path.exists() else f"model {path} is not a file")
+    scene = _read(path)
+    notices: list[str] = []
+    parts = _parts(scene, path, notices)
+    if not parts:
+        raise InputError(f"model {path} has no faces", "a mesh with triangles is needed; points and lines cannot be rendered")
+    model = Model(tuple(parts), up or _UP.get(path.suffix.lower(), "z"), str(path), tuple(notices))
+    low, high = model.bounds
+    extent = float((high - low).max())
+    if not extent > 0 or extent > MAX_EXTENT or np.abs(model.bounds).max() > MAX_EXTENT:
+        raise InputError(
+            f"model {path} spans {extent:g} units up to coordinate {np.abs(model.bounds).max():g}",
+            f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray vertices",
+        )
+    return model
+
+
+def _read(path: Path) -> Any:
+    import trimesh
+
+    if path.stat().st_size == 0:
+        raise InputError(f"model file {path} is empty")
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
+    try:
+        return trimesh.load_scene(path, process=False)
+    except ImportError as e:
+        raise InputError(f"cannot read model {path}: {e}", "convert it to GLB, OBJ, PLY or STL") from e
+    except Exception as e:  # trimesh's parsers raise whatever they stumble over
+        what = f"{type(e).__name__}: {e}".strip(": ")
+        known = path.suffix.lower() in _UP
+        raise InputError(
+            f"cannot read model {path} ({what})",
+            "the file is damaged or not what its name says" if known else "a GLB, glTF, OBJ, PLY or STL file",
+        ) from e
+    finally:
+        log.setLevel(level)
+
+
+def _parts(scene: Any, path: Path, notices: list[str]) -> list[Part]:
+    two_sided = path.suffix.lower() in _TWO_SIDED
+    factors = precise_factors(path)
+    materials: dict[int, Any] = {}  # parts of one file material share their textures
+    parts: list[Part] = []
+    dropped = skipped = 0
+    for node in scene.graph.nodes_geometry:
+        world_from_mesh, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if not hasattr(mesh, "faces"):
+            skipped += 1
+            continue
+        part, lost = _part(mesh, np.asarray(world_from_mesh, float), path, two_sided, factors, materials)
+        dropped += lost
+        if part is not None:
+            parts.append(part)
+    if dropped:
+        notices.append(f"model {path.name}: {dropped} faces without area left out")
+    if skipped:
+        notices.append(f"model {path.name}: {skipped} sets of points or lines left out")
+    return parts
+
+
+def _part(
+    mesh: Any, transform: np.ndarray, path: Path, two_sided: bool, factors: dict, materials: dict[int, Any]
+) -> tuple[Part | None, int]:
+    """One mesh under its node's transform, and the number of faces without area."""
+    given = np.asarray(mesh.vertices, float)
+    faces = np.asarray(mesh.faces)
+    if not len(faces):
+        return None, 0
+    if len(faces) > MAX_FACES:
+        raise InputError(f"model {path} has {len(faces)} faces in one mesh", f"at most {MAX_FACES}: simplify it first")
+    if faces.min() < 0 or faces.max() >= len(given):
+        raise InputError(f"model {path}: faces refer to vertex {faces.max()}, there are {len(given)}", "the file is damaged")
+    if not np.isfinite(transform).all():
+        raise InputError(f"model {path}: a node's transform is not finite")
+    bad = int((~np.isfinite(given)).any(1).sum())
+    if bad:
+        raise InputError(
+            f"model {path}: {bad} of {len(given)} vertices are not finite numbers", "export it again; look for NaN or inf"
+        )
+    normals = _file_normals(mesh, len(given))
+    vertices = given @ transform[:3, :3].T + transform[:3, 3]
+    if np.linalg.det(transform[:3, :3]) < 0:  # a mirror turns every triangle inside out
+        faces = faces[:, ::-1]
+    keep = _has_area(vertices, faces)
+    lost = int((~keep).sum())
+    faces = faces[keep]
+    if not len(faces):
+        return None, lost
+    uv, colours, corner_colours = _uv(mesh, len(given)), *vertex_colours(mesh, keep)
+    if corner_colours is not None:  # colours by face: no corner can be shared
+        vertices, uv = vertices[faces].reshape(-1, 3), None if uv is None else uv[faces].reshape(-1, 2)
+        normals = None if normals is None else normals[faces].reshape(-1, 3)
+        colours, faces = np.repeat(corner_colours, 3, 0), np.arange(3 * len(faces)).reshape(-1, 3)
+    if normals is not None:
+        normals = normalise(normals @ _cofactor(transform[:3, :3]).T)
+    if normals is None or not (np.abs(normals[faces]).sum(-1) > 0).all():
+        faces, source, normals = smooth_by_angle(vertices, faces, split=uv is not None or colours is not None)
+        vertices = vertices[source]
+        uv, colours = (None if a is None else a[source] for a in (uv, colours))
+    used, faces = np.unique(faces, return_inverse=True)
+    uv, colours = (None if a is None else a[used] for a in (uv, colours))
+    key = id(getattr(mesh.visual, "material", mesh))
+    if key not in materials:
+        materials[key] = material_of(mesh, path, two_sided, factors, has_colours=colours is not None)
+    return Part(vertices[used], faces.reshape(-1, 3).astype(np.int32), normals[used], materials[key], uv, colours), lost
+
+
+def _file_normals(mesh: Any, n: int) -> np.ndarray | None:
+    if "vertex_normals" not in mesh._cache:  # trimesh would make them up on access; only the file's own are wanted
+        return None
+    normals = np.array(mesh.vertex_normals, float)
+    return normals if normals.shape == (n, 3) and np.isfinite(normals).all() else None
+
+
+def _uv(mesh: Any, n: int) -> np.ndarray | None:
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is None or np.shape(uv)[:1] != (n,):
+        return None
+    uv = np.array(uv, float)[:, :2]
+    uv[~np.isfinite(uv).all(1)] = 0.0
+    return np.stack([uv[:, 0], 1.0 - uv[:, 1]], 1)  # trimesh counts v from the bottom
+
+
+def _has_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    cross = np.cross(b - a, c - a)
+    extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
+    return (cross**2).sum(1) > _DEGENERATE * extent**4
+
+
+def _cofactor(m: np.ndarray) -> np.ndarray:
+    """Inverse transpose times determinant: turns normals rightly under any matrix, singular ones included.
+
+    A mirror's sign is taken out again: normals keep to the outside while the winding is turned.
+    """
+    c = np.stack([np.cross(m[1], m[2]), np.cross(m[2], m[0]), np.cross(m[0], m[1])])
+    return c * (np.sign(np.linalg.det(m)) or 1.0)
