@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from arfx.analyse.visibility import corner_jitter_px
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
 
@@ -80,8 +81,11 @@ def _irregular(pts: np.ndarray) -> bool:
 def _pose(planned: Planned) -> dict[str, Any]:
     facts, summary = planned.facts, planned.meta["summary"]
     count = {k: sum(f.status == k for f in facts) for k in (MEASURED, INTERPOLATED, ABSENT)}
+    corners, camera = planned.scene.model_corners_m, planned.inputs.camera
     return {
         **summary,
+        "jitter_px": corner_jitter_px(facts, corners, camera, raw=False)["median"],
+        "jitter_raw_px": corner_jitter_px(facts, corners, camera, raw=True)["median"],
         "frames_measured": count[MEASURED],
         "frames_interpolated": count[INTERPOLATED],
         "frames_absent": count[ABSENT],

@@ -86,7 +86,7 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
     place = JobFolder(Path(folder))
     reach = max((s.reach for s in context.stages.values()), default=0)
     begin = max(first - reach, 0)
-    facts = {f.index: f for f in map(FrameFacts.from_json, read_lines(place.facts, begin, last))}
+    facts = {f.index: f for f in map(FrameFacts.from_json, read_lines(place.facts, begin + 1, last + 1))}  # line 0: header
     plans = {p.index: p for p in map(FramePlan.from_json, read_lines(place.plan, begin, last))}
     start = time.perf_counter()
     context.prepare({s.stage for p in plans.values() for s in p.steps})
