@@ -1,0 +1,1 @@
+"""Reads a clip once, in order, and folds it into one small FrameFacts per frame."""

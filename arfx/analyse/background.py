@@ -1,0 +1,148 @@
+"""Which of camera and marker stands still: told from picture corners outside the markers.
+
+A few times a second corners are followed (pyramidal Lucas-Kanade) over about a third of a second on a reduced image.
+* They rest: the camera stands still.
+* They move as points of the marker's world do, anywhere from just in front of the camera to infinity along the
+  epipolar line of the two camera poses: the marker stands still.
+* Neither: both move.
+Source: SYSTEMS.md S1, "Which frame are the lights fixed in?".
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+
+WIDTH_PX = 320  # of the reduced image
+INTERVAL_S = 0.33
+MAX_SAMPLES = 120  # older ones are thinned out evenly beyond that: memory does not grow with the clip
+POINTS = 40
+STILL_PX = 0.35  # in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
+_MIN_POINTS = 6
+
+
+class BackgroundFlow:
+    """Collects corner flow: pairs of frames with matched points, in full-resolution px."""
+
+    def __init__(self) -> None:
+        self._image: np.ndarray | None = None
+        self._points = np.zeros((0, 2), np.float32)
+        self._index, self._time_s = 0, -np.inf
+        self._count, self._stride = 0, 1
+        self.samples: list[dict] = []  # {"a": frame, "b": frame, "from": (n, 2), "to": (n, 2)}
+
+    def step(self, index: int, time_s: float, luma: np.ndarray, markers: Sequence[Rect], fresh: bool) -> None:
+        """markers : rectangles that hold configured or other markers;  fresh : a marker was measured in this frame."""
+        if time_s - self._time_s < INTERVAL_S:
+            return
+        factor = max(1, luma.shape[1] // WIDTH_PX)
+        small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        recent = time_s - self._time_s < 3 * INTERVAL_S
+        if self._image is not None and self._image.shape == small.shape and recent and len(self._points) >= _MIN_POINTS:
+            self._follow(index, small, factor)
+        if not fresh:
+            self._image, self._time_s = None, -np.inf
+            return
+        mask = np.full(small.shape, 255, np.uint8)
+        for r in markers:
+            grown = r.pad(max(r.width, r.height) // 3)
+            part = Rect(grown.x0 // factor, grown.y0 // factor, grown.x1 // factor + 1, grown.y1 // factor + 1)
+            mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
+        found = cv2.goodFeaturesToTrack(small, POINTS, 0.02, 8, mask=mask)
+        self._points = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+        self._image, self._index, self._time_s = small, index, time_s
+
+    def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
+        assert self._image is not None
+        self._count += 1
+        if self._count % self._stride:
+            return
+        options = {"winSize": (11, 11), "maxLevel": 3}
+        there, good, _ = cv2.calcOpticalFlowPyrLK(self._image, small, self._points, None, **options)  # type: ignore[call-overload]
+        back, good_back, _ = cv2.calcOpticalFlowPyrLK(small, self._image, there, None, **options)  # type: ignore[call-overload]
+        keep = (good.ravel() > 0) & (good_back.ravel() > 0) & (np.linalg.norm(back - self._points, axis=1) < 0.3)
+        if keep.sum() < _MIN_POINTS:
+            return
+        a, b = ((p[keep].astype(float) + 0.5) * factor - 0.5 for p in (self._points, there))
+        self.samples.append({"a": self._index, "b": index, "px": factor, "from": a.round(3), "to": b.round(3)})
+        if len(self.samples) > MAX_SAMPLES:
+            self.samples = self.samples[::2]
+            self._stride *= 2
+
+    def state(self) -> dict:
+        image = None
+        if self._image is not None:
+            image = [list(self._image.shape), base64.b64encode(zlib.compress(self._image.tobytes())).decode()]
+        return {
+            "image": image, "points": self._points.tolist(), "index": self._index,
+            "time_s": None if np.isinf(self._time_s) else self._time_s, "count": self._count, "stride": self._stride,
+            "samples": [{**s, "from": s["from"].tolist(), "to": s["to"].tolist()} for s in self.samples],
+        }  # fmt: skip
+
+    def restore(self, state: dict) -> None:
+        image = state["image"]
+        self._image = None
+        if image is not None:
+            data = zlib.decompress(base64.b64decode(image[1]))
+            self._image = np.frombuffer(data, np.uint8).reshape(image[0]).copy()
+        self._points = np.array(state["points"], np.float32).reshape(-1, 2)
+        self._index, self._count, self._stride = state["index"], state["count"], state["stride"]
+        self._time_s = -np.inf if state["time_s"] is None else state["time_s"]
+        self.samples = [{**s, "from": np.array(s["from"]), "to": np.array(s["to"])} for s in state["samples"]]
+
+
+def decide_static(
+    samples: Sequence[Mapping], camera_from_world: Mapping[int, Pose], camera: Camera
+) -> tuple[str, dict[str, float]]:
+    """("camera" | "marker" | "both", evidence).
+
+    samples : BackgroundFlow.samples;  camera_from_world : smoothed poses by frame
+    evidence : samples, share of background points at rest, share that move with the marker's world, marker_moves_px.
+    Without evidence the answer is "both": nothing is known to stand still.
+    """
+    rest, along, moves = [], [], []
+    for s in samples:
+        a, b = camera_from_world.get(s["a"]), camera_from_world.get(s["b"])
+        if a is None or b is None:
+            continue
+        still = STILL_PX * s["px"]
+        rest.append(float((np.linalg.norm(s["to"] - s["from"], axis=1) < still).mean()))
+        along.append(float((epipolar_distance(s["from"], s["to"], b @ a.inverse(), camera) < 2 * still).mean()))
+        moves.append(float(np.linalg.norm(camera.project(b.translation_m) - camera.project(a.translation_m))))
+    evidence = {
+        "samples": float(len(rest)),
+        "at_rest": float(np.mean(rest)) if rest else 0.0,
+        "with_marker": float(np.mean(along)) if along else 0.0,
+        "marker_moves_px": float(np.nanmedian(moves)) if moves and np.isfinite(moves).any() else 0.0,
+    }
+    if not rest:
+        return "both", evidence
+    if evidence["at_rest"] > 0.6:
+        return "camera", evidence
+    return ("marker" if evidence["with_marker"] > 0.6 else "both"), evidence
+
+
+def epipolar_distance(a_px: np.ndarray, b_px: np.ndarray, b_from_a: Pose, camera: Camera) -> np.ndarray:
+    """(n,) px from b to the segment on which a point seen at a lies in the second picture, nearest to infinite depth.
+
+    a_px, b_px : (n, 2);  b_from_a : motion of the camera frame. Distances are taken in ideal coordinates times fx.
+    """
+    rays = camera.directions(a_px)
+    far = rays @ b_from_a.rotation.T
+    # nearest depth: ten times the camera's own displacement, at least 10 cm (nothing filmed stands closer)
+    near = far + b_from_a.translation_m / max(10 * float(np.linalg.norm(b_from_a.translation_m)), 0.1)
+    p, q = (divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near))
+    x = camera.normalised(b_px)
+    d = q - p
+    t = np.clip(divide(((x - p) * d).sum(1), (d * d).sum(1)), 0, 1)
+    distance = np.linalg.norm(x - p - t[:, None] * d, axis=1) * camera.fx
+    return np.where(np.isfinite(distance), distance, np.inf)

@@ -1,0 +1,110 @@
+"""One world pose per frame from all mapped markers in it, the right planar solution chosen over the whole clip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.analyse.geometry import Observed, refine_poses, residuals, stack
+from arfx.analyse.mapping import View
+from arfx.analyse.path import choose_path
+from arfx.core.pose import Pose, rotation_angle_rad
+
+FLIP_RAD = np.radians(5.0)  # solutions farther apart than this are told apart as a flip
+GATE_SIGMA, GATE_PX = 12.0, 1.5  # a marker that misses the joint pose by more than both is inconsistent
+_STARTS = 2  # markers (the largest in the frame) whose solutions start a joint pose
+
+
+@dataclass(frozen=True)
+class WorldPath:
+    """rotation (n, 3, 3), translation (n, 3) of camera_from_world before smoothing, identity where not measured
+    measured : (n,);  observed : all corners that count;  flips : frames in which the best single-frame solution was not
+    the right one;  dropped : (frame, key) of inconsistent sightings"""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    measured: np.ndarray
+    observed: Observed
+    flips: int
+    dropped: tuple[tuple[int, str], ...]
+
+
+def observe(frames: Sequence[Sequence[View]], world_from_marker: Mapping[str, Pose], keys: Sequence[str]) -> Observed:
+    """All mapped corners, four places per key."""
+    slot = {k: i for i, k in enumerate(k for k in keys if k in world_from_marker)}
+    n, p = len(frames), 4 * max(len(slot), 1)
+    out = Observed(np.zeros((n, p, 3)), np.zeros((n, p, 2)), np.zeros((n, p, 2, 2)), np.zeros((n, p)))
+    for k, views in enumerate(frames):
+        for v in views:
+            if v.key in slot:
+                part = slice(4 * slot[v.key], 4 * slot[v.key] + 4)
+                out.points_m[k, part] = world_from_marker[v.key].apply(v.corners_m)
+                out.ideal[k, part], out.px_per_ideal[k, part] = v.ideal, v.px_per_ideal
+                out.weight[k, part] = v.sigma_px**-2.0
+    return out
+
+
+def world_path(
+    frames: Sequence[Sequence[View]], world_from_marker: Mapping[str, Pose], keys: Sequence[str],
+    shot: np.ndarray, times_s: np.ndarray,
+) -> WorldPath:  # fmt: skip
+    """frames : markers of each frame;  shot : number of each frame's shot: no path runs across a cut."""
+    mapped = [k for k in keys if k in world_from_marker]
+    seen = observe(frames, world_from_marker, keys)
+    owner, start = [], []
+    for k, views in enumerate(frames):
+        usable = sorted((v for v in views if v.key in world_from_marker and v.solutions), key=_extent)
+        for v in usable[-_STARTS:]:
+            for pose in v.solutions:
+                owner.append(k)
+                start.append(pose @ world_from_marker[v.key].inverse())
+    n = len(frames)
+    rotation, translation = np.broadcast_to(np.eye(3), (n, 3, 3)).copy(), np.zeros((n, 3))
+    index = np.array(owner, int)
+    measured = np.zeros(n, bool)
+    if not owner:
+        return WorldPath(rotation, translation, measured, seen, 0, ())
+    measured[index] = True
+    r, t = stack(start)
+    r, t, cost = refine_poses(r, t, seen.take(index))
+    flips = 0
+    for number in sorted(set(shot.tolist())):
+        at = [k for k in np.flatnonzero(measured & (shot == number))]
+        groups = [np.flatnonzero(index == k) for k in at]
+        poses = [[Pose(r[i], t[i]) for i in g] for g in groups]
+        costs = [[float(cost[i]) if t[i, 2] > 0 else 1e9 for i in g] for g in groups]
+        path = choose_path(poses, costs, [float(times_s[k]) for k in at])
+        for k, group, ways, misfit, pick in zip(at, groups, poses, costs, path, strict=True):
+            rotation[k], translation[k] = r[group[pick]], t[group[pick]]
+            alone = int(np.argmin(misfit))
+            flips += int(rotation_angle_rad(ways[alone], ways[pick]) > FLIP_RAD)
+    dropped = _drop_inconsistent(rotation, translation, seen, mapped, measured)
+    if dropped:
+        again = np.array(sorted({k for k, _ in dropped}))
+        rotation[again], translation[again], _ = refine_poses(rotation[again], translation[again], seen.take(again))
+    return WorldPath(rotation, translation, measured, seen, flips, tuple(dropped))
+
+
+def _extent(v: View) -> float:
+    return float(np.ptp(v.ideal[:, 0]) * np.ptp(v.ideal[:, 1]))
+
+
+def _drop_inconsistent(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed, keys: Sequence[str], measured: np.ndarray
+) -> list[tuple[int, str]]:
+    """Take the weight from markers that the frame's joint pose misses: a wrong print of the same id, a misread."""
+    r = residuals(rotation, translation, seen)
+    out = []
+    error = np.linalg.norm(r, axis=-1)
+    for i, key in enumerate(keys):
+        part = slice(4 * i, 4 * i + 4)
+        w = seen.weight[:, part]
+        miss = np.sqrt((error[:, part] ** 2).mean(1))
+        bad = measured & (w > 0).all(1) & (miss > GATE_PX) & (miss * np.sqrt(w.mean(1)) > GATE_SIGMA)
+        others = (np.delete(seen.weight, np.r_[part], axis=1) > 0).any(1)
+        for k in np.flatnonzero(bad & others):
+            seen.weight[k, part] = 0.0
+            out.append((int(k), key))
+    return out
