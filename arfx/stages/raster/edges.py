@@ -1,0 +1,101 @@
+"""Which pixels need more than one sample: those that an outline or a sharp edge of the model passes through.
+
+Outlines come from the geometry, so that features thinner than a pixel are not missed; what geometry does not tell
+(cut-outs, parts that pass through each other) comes from differences between neighbouring samples.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.numerics import EPS_DEPTH_M
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.stages.raster.mesh import Mesh
+
+_POINTS_PER_PX = 1.5
+_MAX_POINTS = 400_000  # along all edges of a frame: bounds time and memory where the camera is inside the model
+# An edge this much behind the surface that the centre sees, as a share of its depth, is hidden.
+_BEHIND = 2e-3
+
+
+def edge_pixels(mesh: Mesh, camera: Camera, camera_from_mesh: Pose, rect: Rect, depth: np.ndarray) -> np.ndarray:
+    """(h, w) bool, pixels of `rect` that a visible outline or sharp edge crosses.
+
+    camera_from_mesh : from mesh coordinates (world relative to its centre);  depth : (h, w) metres at the pixel centres
+    """
+    mask = np.zeros((rect.height, rect.width), bool)
+    points = camera_from_mesh.apply(mesh.vertices)
+    eye = camera_from_mesh.inverse().translation_m
+    front = ((eye - mesh.vertices[mesh.faces[:, 0]]) * mesh.face_normal).sum(1) > 0
+    e = mesh.edges
+    outline = mesh.sharp | (front[e[:, 2]] != front[e[:, 3]])
+    one_sided_back = (e[:, 3] >= 0) & ~front[e[:, 2]] & ~front[e[:, 3]]
+    e = e[outline & ~(one_sided_back & (mesh.ints[mesh.part[e[:, 2]], 4] == 0))]
+    e = e[(points[e[:, 0], 2] > EPS_DEPTH_M) & (points[e[:, 1], 2] > EPS_DEPTH_M)]
+    if not len(e):
+        return mask
+    a, b = points[e[:, 0]], points[e[:, 1]]
+    na, nb = a[:, :2] / a[:, 2:], b[:, :2] / b[:, 2:]
+    inside = _meets(camera, rect, na, nb)
+    a, b, na, nb = a[inside], b[inside], na[inside], nb[inside]
+    length = np.abs((nb - na) * [camera.fx, camera.fy]).max(1)
+    steps = np.minimum(np.ceil(length * _POINTS_PER_PX), 4.0 * (rect.width + rect.height)).astype(int) + 1
+    if steps.sum() > _MAX_POINTS:
+        steps = np.maximum((steps * (_MAX_POINTS / steps.sum())).astype(int), 1)
+    of = np.repeat(np.arange(len(steps)), steps)
+    t = (np.arange(len(of)) - np.repeat(np.cumsum(steps) - steps, steps) + 0.5) / np.repeat(steps, steps)
+    t = t[:, None]
+    xy = na[of] * (1 - t) + nb[of] * t  # straight in the ideal picture, bent by the lens after
+    z = 1 / ((1 - t[:, 0]) / a[of, 2] + t[:, 0] / b[of, 2])
+    fold = camera.max_radius
+    keep = (xy**2).sum(1) <= fold * fold
+    px = np.floor(camera.distort(xy[keep]) * [camera.fx, camera.fy] + [camera.cx + 0.5, camera.cy + 0.5])
+    z = z[keep]
+    ok = (px[:, 0] >= rect.x0) & (px[:, 0] < rect.x1) & (px[:, 1] >= rect.y0) & (px[:, 1] < rect.y1)
+    col, row, z = (px[ok, 0] - rect.x0).astype(int), (px[ok, 1] - rect.y0).astype(int), z[ok]
+    seen = z <= depth[row, col] * (1 + _BEHIND)
+    mask[row[seen], col[seen]] = True
+    return mask
+
+
+def _meets(camera: Camera, rect: Rect, na: np.ndarray, nb: np.ndarray) -> np.ndarray:
+    """Edges whose box in the ideal picture meets that of `rect`, generously."""
+    x, y = np.linspace(rect.x0 - 1, rect.x1, 9), np.linspace(rect.y0 - 1, rect.y1, 9)
+    border = np.concatenate(
+        [np.stack([x, np.full(9, v)], 1) for v in (y[0], y[-1])] + [np.stack([np.full(9, u), y], 1) for u in (x[0], x[-1])]
+    )
+    n = camera.normalised(border)
+    if not np.isfinite(n).all():
+        return np.ones(len(na), bool)
+    low, high = n.min(0), n.max(0)
+    slack = 0.05 * (high - low)
+    return ((np.maximum(na, nb) >= low - slack) & (np.minimum(na, nb) <= high + slack)).all(1)
+
+
+@numba.njit(cache=True, nogil=True)
+def add_differences(edge, acc, depth, ident, directions, height, width, pixel):  # pragma: no cover - compiled
+    """Mark both pixels of every neighbouring pair that differ in a way no marked edge between them explains."""
+    before = edge.copy()
+    for y in range(height):
+        for x in range(width):
+            k = y * width + x
+            for step in range(2):
+                if (step == 0 and x + 1 >= width) or (step == 1 and y + 1 >= height):
+                    continue
+                m = k + 1 if step == 0 else k + width
+                if before[k] or before[m] or (ident[k] == 0 and ident[m] == 0):
+                    continue
+                differ = ident[k] != ident[m] or abs(acc[k, 0] - acc[m, 0]) > 0.25
+                if not differ:
+                    # depth that the plane through k would have at m
+                    nk = acc[k, 4] * directions[k, 0] + acc[k, 5] * directions[k, 1] + acc[k, 6] * directions[k, 2]
+                    nm = acc[k, 4] * directions[m, 0] + acc[k, 5] * directions[m, 1] + acc[k, 6] * directions[m, 2]
+                    slope = abs(nk - nm) / max(abs(nm), 1e-3)
+                    differ = abs(depth[m] - depth[k]) > depth[k] * (3.0 * slope + 8.0 * pixel)
+                if differ:
+                    edge[k] = True
+                    edge[m] = True

@@ -1,0 +1,235 @@
+"""From ray hits to attributes, and from samples to pixels: the compiled inner loops of the `rays` back end.
+
+One row of `acc` gathers a sample's layers front to back, each weighted by its opacity times what is left of the light
+behind those before it: columns 0 transmittance, 1-3 albedo, 4-6 normal, 7 metallic, 8 roughness, 9 specular,
+10-12 emissive.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.raster.textures import lookup
+
+COLUMNS = 13
+# Transparency below half an 8-bit step of the opacity is none.
+_CLEAR = 1.0 / 512.0
+# Cosine below which the footprint on the surface stops growing: one texel row would blur away a whole texture.
+_GRAZING = 0.1
+
+
+@numba.njit(cache=True, nogil=True)
+def world_directions(lens, rows_start, cols_start, height, width, rotation):  # pragma: no cover - compiled
+    """Directions (h * w, 3) float32 in world axes from the table's (x/z, y/z); camera z of each is 1. And which are valid."""
+    out = np.empty((height * width, 3), np.float32)
+    valid = np.empty(height * width, np.bool_)
+    k = 0
+    for i in range(height):
+        for j in range(width):
+            x, y = lens[rows_start + i, cols_start + j, 0], lens[rows_start + i, cols_start + j, 1]
+            valid[k] = np.isfinite(x) and np.isfinite(y)
+            for c in range(3):
+                out[k, c] = rotation[0, c] * x + rotation[1, c] * y + rotation[2, c]
+            k += 1
+    return out, valid
+
+
+@numba.njit(cache=True, nogil=True)
+def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cover - compiled
+    """Directions (k * s, 3) of `offsets` (s, 2) px around `pixels` (k,), from a table with one pixel of margin."""
+    s = offsets.shape[0]
+    out = np.empty((pixels.shape[0] * s, 3), np.float32)
+    valid = np.empty(pixels.shape[0] * s, np.bool_)
+    for a in range(pixels.shape[0]):
+        i, j = pixels[a] // width + 1, pixels[a] % width + 1
+        for b in range(s):
+            dx, dy = offsets[b, 0], offsets[b, 1]
+            x = lens[i, j, 0] + 0.5 * dx * (lens[i, j + 1, 0] - lens[i, j - 1, 0])
+            x += 0.5 * dy * (lens[i + 1, j, 0] - lens[i - 1, j, 0])
+            y = lens[i, j, 1] + 0.5 * dx * (lens[i, j + 1, 1] - lens[i, j - 1, 1])
+            y += 0.5 * dy * (lens[i + 1, j, 1] - lens[i - 1, j, 1])
+            k = a * s + b
+            valid[k] = np.isfinite(x) and np.isfinite(y)
+            for c in range(3):
+                out[k, c] = rotation[0, c] * x + rotation[1, c] * y + rotation[2, c]
+    return out, valid
+
+
+@numba.njit(cache=True, nogil=True)
+def accumulate(
+    active, prim, bary_u, bary_v, distance, directions, start, pixel,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code, layered,
+    acc, depth, ident, onward,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `onward`.
+
+    start : (samples,) float32 depth from which each ray was sent, moved behind the hit where it goes on
+    pixel : side of a pixel at depth 1
+    """
+    going = 0
+    texel = np.empty(4, np.float32)
+    for a in range(active.shape[0]):
+        f = prim[a]
+        if f < 0:
+            continue
+        k = active[a]
+        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
+        p = part[f]
+        z = start[k] + distance[a]
+        if facing > 0 and ints[p, 4] == 0:
+            start[k] = z
+            onward[going] = k
+            going += 1
+            continue
+        i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        b1, b2 = bary_u[a], bary_v[a]
+        b0 = np.float32(1) - b1 - b2
+        r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
+        g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
+        b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
+        alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
+        metallic, rough = floats[p, 4], floats[p, 5]
+        er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
+        if ints[p, 0] >= 0 or ints[p, 1] >= 0 or ints[p, 2] >= 0:
+            tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
+            tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
+            # the pixel's footprint on the surface, as the side of a square of the same area
+            cosine = max(abs(facing) / length, np.float32(_GRAZING))
+            side = z * pixel * uv_per_m[f] / np.sqrt(cosine)
+            t = ints[p, 0]
+            if t >= 0:
+                lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
+                r, g, b, alpha = r * texel[0], g * texel[1], b * texel[2], alpha * texel[3]
+            t = ints[p, 1]
+            if t >= 0:
+                lookup(texels, table, code, t, 0, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
+                metallic, rough = metallic * texel[0], rough * texel[1]
+            t = ints[p, 2]
+            if t >= 0:
+                lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
+                er, eg, eb = er * texel[0], eg * texel[1], eb * texel[2]
+        mode = ints[p, 3]
+        if mode == 0:
+            alpha = np.float32(1)
+        elif mode == 1:
+            alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
+        if alpha > _CLEAR:
+            nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
+            ny = b0 * normals[i0, 1] + b1 * normals[i1, 1] + b2 * normals[i2, 1]
+            nz = b0 * normals[i0, 2] + b1 * normals[i1, 2] + b2 * normals[i2, 2]
+            if facing > 0:  # the back of a two-sided surface
+                nx, ny, nz = -nx, -ny, -nz
+            # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
+            away = (nx * dx + ny * dy + nz * dz) / (length * length)
+            if away > 0:
+                nx, ny, nz = nx - away * dx, ny - away * dy, nz - away * dz
+            n = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if n > 1e-6:
+                nx, ny, nz = nx / n, ny / n, nz / n
+            else:
+                s = np.float32(-1) if facing > 0 else np.float32(1)
+                nx, ny, nz = s * face_normal[f, 0], s * face_normal[f, 1], s * face_normal[f, 2]
+            w = acc[k, 0] * alpha
+            acc[k, 0] -= w
+            acc[k, 1] += w * r
+            acc[k, 2] += w * g
+            acc[k, 3] += w * b
+            acc[k, 4] += w * nx
+            acc[k, 5] += w * ny
+            acc[k, 6] += w * nz
+            acc[k, 7] += w * metallic
+            acc[k, 8] += w * rough
+            acc[k, 9] += w * floats[p, 6]
+            acc[k, 10] += w * er
+            acc[k, 11] += w * eg
+            acc[k, 12] += w * eb
+            if ident[k] == 0:
+                ident[k] = p + 1
+                depth[k] = z
+        if layered and acc[k, 0] > _CLEAR:
+            start[k] = z
+            onward[going] = k
+            going += 1
+    return going
+
+
+@numba.njit(cache=True, nogil=True)
+def write_pixel(
+    y, x, acc, first, count, chosen, depth, ident, direction, eye, coverage, depth_out, normal, position, albedo,
+    material, emissive, object_id,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Mean of samples first .. first + count over the covering ones; depth and number come from sample `chosen`."""
+    covered = np.float32(0)
+    hits = 0
+    for k in range(first, first + count):
+        covered += np.float32(1) - acc[k, 0]
+        if acc[k, 0] < 1:
+            hits += 1
+    if hits == 0:
+        return
+    coverage[y, x] = min(covered / count, np.float32(1))
+    inverse = np.float32(1) / covered
+    sums = np.zeros(12, np.float32)
+    for k in range(first, first + count):
+        for c in range(12):
+            sums[c] += acc[k, c + 1]
+    for c in range(3):
+        albedo[y, x, c] = sums[c] * inverse
+        emissive[y, x, c] = sums[9 + c] * inverse
+        material[y, x, c] = sums[6 + c] * inverse
+    material[y, x, 3] = covered / hits
+    n = np.sqrt(sums[3] * sums[3] + sums[4] * sums[4] + sums[5] * sums[5])
+    for c in range(3):
+        if n > 1e-6:
+            normal[y, x, c] = sums[3 + c] / n
+        else:  # opposite sides cancel in this pixel: straight towards the camera
+            normal[y, x, c] = -direction[c] / np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+    z = depth[chosen]
+    depth_out[y, x] = z
+    for c in range(3):
+        position[y, x, c] = eye[c] + z * direction[c]
+    object_id[y, x] = ident[chosen]
+
+
+@numba.njit(cache=True, nogil=True)
+def resolve_centres(
+    height, width, edge, acc, depth, ident, directions, eye, coverage, depth_out, normal, position, albedo, material,
+    emissive, object_id,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Pixels that need one sample only."""
+    for y in range(height):
+        for x in range(width):
+            k = y * width + x
+            if ident[k] > 0 and not edge[k]:
+                write_pixel(
+                    y, x, acc, k, 1, k, depth, ident, directions[k], eye, coverage, depth_out, normal, position, albedo,
+                    material, emissive, object_id,
+                )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def resolve_edges(
+    width, pixels, samples, order, acc, depth, ident, centre_depth, centre_ident, directions, eye, coverage, depth_out,
+    normal, position, albedo, material, emissive, object_id,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Pixels of many samples. order : (samples,) sample numbers from the pixel's centre outwards."""
+    one_depth, one_ident = np.empty(1, np.float32), np.empty(1, np.int32)
+    for a in range(pixels.shape[0]):
+        k = pixels[a]
+        y, x = k // width, k % width
+        one_ident[0] = centre_ident[k]
+        one_depth[0] = centre_depth[k]
+        if one_ident[0] == 0:
+            for b in range(samples):
+                s = a * samples + order[b]
+                if ident[s] > 0:
+                    one_ident[0], one_depth[0] = ident[s], depth[s]
+                    break
+        write_pixel(
+            y, x, acc, a * samples, samples, 0, one_depth, one_ident, directions[k], eye, coverage, depth_out, normal,
+            position, albedo, material, emissive, object_id,
+        )  # fmt: skip

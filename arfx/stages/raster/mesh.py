@@ -1,0 +1,131 @@
+"""The model in world coordinates as flat arrays that both back ends read: geometry, material tables, edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.model import BLEND, MASK, OPAQUE, Model
+from arfx.core.numerics import divide, normalise
+from arfx.core.scene import Scene
+from arfx.errors import InputError
+from arfx.stages.raster.textures import StackBuilder, TextureStack
+
+# Columns of the material tables, one row a part.
+RED, GREEN, BLUE, ALPHA, METALLIC, ROUGHNESS, SPECULAR, EMIT_R, EMIT_G, EMIT_B, CUTOFF = range(11)
+BASE_TEXTURE, MR_TEXTURE, EMISSIVE_TEXTURE, MODE, TWO_SIDED = range(5)
+MODES = {OPAQUE: 0, MASK: 1, BLEND: 2}
+# A model this large beside a hand-held marker is a file in millimetres read as metres.
+MAX_EXTENT_M = 100.0
+_CREASE_COS = np.cos(np.radians(20.0))  # edges sharper than this are visible inside the silhouette
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """All parts together; coordinates are world metres relative to `centre_m`, so that float32 is enough.
+
+    vertices (n, 3) float64; normals (n, 3), uv (n, 2), colours (n, 4) float32; faces (m, 3), part (m,) int32
+    face_normal (m, 3) float32; uv_per_m (m,) float32, side of the unit square of texture coordinates on a metre
+    floats (p, 11) float32, ints (p, 5) int32 : material tables;  edges (e, 4) int32 : vertex, vertex, face, face or -1
+    sharp (e,) bool : an edge that shows whatever side it is seen from
+    """
+
+    centre_m: np.ndarray
+    vertices: np.ndarray
+    normals: np.ndarray
+    uv: np.ndarray
+    colours: np.ndarray
+    faces: np.ndarray
+    part: np.ndarray
+    face_normal: np.ndarray
+    uv_per_m: np.ndarray
+    floats: np.ndarray
+    ints: np.ndarray
+    textures: TextureStack
+    edges: np.ndarray
+    sharp: np.ndarray
+
+    @property
+    def layered(self) -> bool:
+        """Can a ray pass through its first hit (transparency, cut-outs, faces seen from behind)?"""
+        return bool((self.ints[:, MODE] != 0).any() or (self.ints[:, TWO_SIDED] == 0).any())
+
+
+def build_mesh(scene: Scene) -> Mesh:
+    """Raises InputError where the model is larger than MAX_EXTENT_M in the scene."""
+    model: Model = scene.model
+    m = scene.world_from_model
+    corners = scene.model_corners_m
+    extent = float(np.ptp(corners, axis=0).max())
+    if not extent <= MAX_EXTENT_M:
+        raise InputError(
+            f"model {model.source} is {extent:.4g} m large in the scene",
+            "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit",
+        )
+    centre = corners.mean(0)
+    rotation = m[:3, :3] / np.cbrt(abs(np.linalg.det(m[:3, :3])))
+    textures = StackBuilder()
+    vertices, normals, uvs, colours, faces, parts, floats, ints = [], [], [], [], [], [], [], []
+    start = 0
+    for k, p in enumerate(model.parts):
+        n, mat = len(p.vertices), p.material
+        vertices.append(p.vertices @ m[:3, :3].T + m[:3, 3] - centre)
+        normals.append(p.normals @ rotation.T)
+        uvs.append(np.zeros((n, 2)) if p.uv is None else p.uv)
+        colours.append(np.ones((n, 4)) if p.colours is None else p.colours)
+        faces.append(p.faces + start)
+        parts.append(np.full(len(p.faces), k))
+        has_uv = p.uv is not None
+        floats.append([*mat.base_colour, mat.metallic, mat.roughness, mat.specular, *mat.emissive, mat.alpha_cutoff])
+        ints.append(
+            [
+                textures.add(mat.base_texture if has_uv else None, True),
+                textures.add(mat.metallic_roughness_texture if has_uv else None, False),
+                textures.add(mat.emissive_texture if has_uv else None, True),
+                MODES[mat.alpha_mode],
+                int(mat.double_sided),
+            ]
+        )
+        start += n
+    v, f, uv = np.concatenate(vertices), np.concatenate(faces).astype(np.int32), np.concatenate(uvs)
+    cross = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
+    part = np.concatenate(parts).astype(np.int32)
+    face_normal = normalise(cross)
+    edges, sharp = _edges(v, f, part, face_normal)
+    return Mesh(
+        centre, v, np.concatenate(normals).astype(np.float32), uv.astype(np.float32),
+        np.concatenate(colours).astype(np.float32), f, part, face_normal.astype(np.float32),
+        _uv_per_m(uv[f], cross), np.array(floats, np.float32), np.array(ints, np.int32), textures.build(), edges, sharp,
+    )  # fmt: skip
+
+
+def _uv_per_m(uv: np.ndarray, cross: np.ndarray) -> np.ndarray:
+    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return np.sqrt(divide(area, np.linalg.norm(cross, axis=1))).astype(np.float32)
+
+
+def _edges(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges between places, with their two faces. An edge of one face, or of more than two, is listed by face: always sharp."""
+    _, first, place = np.unique(vertices.astype(np.float32), axis=0, return_index=True, return_inverse=True)
+    at = place.ravel()[faces]
+    e = np.sort(np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(faces)), 3)
+    order = np.lexsort((e[:, 1], e[:, 0]))
+    e, owner = e[order], owner[order]
+    new = np.r_[True, (e[1:] != e[:-1]).any(1)]
+    start = np.flatnonzero(new)
+    count = np.diff(np.r_[start, len(e)])
+    pair = start[count == 2]
+    a, b = owner[pair], owner[pair + 1]
+    flat = (face_normal[a] * face_normal[b]).sum(1) > _CREASE_COS
+    other = start[count != 2]
+    edges = np.concatenate(
+        [
+            np.stack([first[e[pair, 0]], first[e[pair, 1]], a, b], 1),
+            np.stack([first[e[other, 0]], first[e[other, 1]], owner[other], np.full(len(other), -1)], 1),
+        ]
+    )
+    sharp = np.r_[~flat | (part[a] != part[b]), np.ones(len(other), bool)]
+    return edges.astype(np.int32), sharp

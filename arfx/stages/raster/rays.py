@@ -1,0 +1,134 @@
+"""The `rays` back end: primary visibility by embree, attributes by compiled loops. Needs no OpenGL.
+
+One ray through each pixel's centre; more only where an outline, a sharp edge or a cut-out passes through the pixel
+(edges.py). Directions are those of the distorted camera, so nothing is warped. Transparent layers are followed front to
+back, up to MAX_LAYERS. Cost: O(pixels of the rectangle) + O(edge pixels x samples); measured in `Raster.levels`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.layers import Layer, neutral
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.stages.raster import hits
+from arfx.stages.raster.edges import add_differences, edge_pixels
+from arfx.stages.raster.lens import LensTable
+from arfx.stages.raster.mesh import Mesh
+from arfx.stages.raster.textures import CODE
+
+MAX_LAYERS = 8
+OUTPUTS = (
+    Layer.COVERAGE, Layer.DEPTH, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE, Layer.OBJECT_ID,
+)  # fmt: skip
+# A ray goes on this far behind a hit, as a share of the depth: four steps of float32.
+_ONWARD = np.float32(4 * 1.2e-7)
+_TILE_RAYS = 1 << 20  # rays in flight: bounds memory to about 150 MB
+
+
+def hammersley(count: int) -> np.ndarray:
+    """(count, 2) offsets in px, -0.5..0.5: every column and every row of a count x count grid holds one."""
+    i = np.arange(count)
+    bits = max(int(np.ceil(np.log2(max(count, 2)))), 1)
+    reverse = np.zeros(count)
+    for b in range(bits):
+        reverse += ((i >> b) & 1) * 2.0 ** -(b + 1)
+    y = (np.argsort(np.argsort(reverse)) + 0.5) / count
+    return np.stack([(i + 0.5) / count - 0.5, y - 0.5], 1)
+
+
+class EmbreeScene:
+    """The triangles of a mesh in an embree scene, robust mode: no ray slips between two triangles that share an edge."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+
+        self._scene = rtcore_scene.EmbreeScene(robust=True)
+        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(mesh.vertices[mesh.faces].astype(np.float32)))
+
+    def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Mapping[str, np.ndarray]:
+        """primID (-1 = none), u, v, tfar of rays (n, 3) float32."""
+        return self._scene.run(origins, directions, query="INTERSECT", output=True)
+
+
+class RayRenderer:
+    """Renders rectangles of one mesh through one camera. samples : per edge pixel."""
+
+    def __init__(self, mesh: Mesh, camera: Camera, samples: int) -> None:
+        self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
+        self.scene = EmbreeScene(mesh)
+        self.offsets = hammersley(samples)
+        self.order = np.argsort((self.offsets**2).sum(1), kind="stable")
+        self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
+
+    def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
+        """All layers of OUTPUTS over `rect`, which lies in the frame."""
+        out = {name: neutral(name, rect) for name in OUTPUTS}
+        if rect.empty:
+            return out
+        height = max(_TILE_RAYS // rect.width, 1)
+        for top in range(rect.y0, rect.y1, height):
+            strip = Rect(rect.x0, top, rect.x1, min(top + height, rect.y1))
+            self._strip(strip, camera_from_world, {k: v[strip.slices_in(rect)] for k, v in out.items()})
+        return out
+
+    def _strip(self, rect: Rect, camera_from_world: Pose, out: dict[Layer, np.ndarray]) -> None:
+        # One pixel more on each side, so that a pixel's neighbours do not depend on the rectangle asked for.
+        wide = rect.pad(1)
+        h, w = wide.height, wide.width
+        lens = self.lens.directions(wide.pad(1))
+        rotation = np.ascontiguousarray(camera_from_world.rotation)
+        eye_world = camera_from_world.inverse().translation_m
+        directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
+        eye = eye_world - self.mesh.centre_m
+        acc, depth, ident = self._trace(eye, directions, valid)
+        pose = Pose(camera_from_world.rotation, camera_from_world.apply(self.mesh.centre_m))
+        edge = edge_pixels(self.mesh, self.camera, pose, wide, depth.reshape(h, w)).ravel()
+        add_differences(edge, acc, depth, ident, directions, h, w, self.pixel)
+        full = {name: neutral(name, wide) for name in OUTPUTS}
+        arrays = tuple(full[name] for name in OUTPUTS)
+        hits.resolve_centres(h, w, edge, acc, depth, ident, directions, eye_world, *arrays)
+        inner = np.zeros((h, w), bool)
+        inner[1:-1, 1:-1] = True
+        pixels = np.flatnonzero(edge & inner.ravel())
+        count = len(self.offsets)
+        for start in range(0, len(pixels), max(_TILE_RAYS // count, 1)):
+            some = pixels[start : start + max(_TILE_RAYS // count, 1)]
+            rays, ok = hits.sample_directions(lens, some, w, self.offsets, rotation)
+            s_acc, s_depth, s_ident = self._trace(eye, rays, ok)
+            hits.resolve_edges(w, some, count, self.order, s_acc, s_depth, s_ident, depth, ident, directions, eye_world, *arrays)
+        for name in OUTPUTS:
+            out[name][...] = full[name][1:-1, 1:-1]
+
+    def _trace(self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Samples along rays from `eye`: rows of hits.COLUMNS, depth (inf = none), 1 + part or 0."""
+        m, n = self.mesh, len(directions)
+        acc = np.zeros((n, hits.COLUMNS), np.float32)
+        acc[:, 0] = 1
+        depth, ident = np.full(n, np.inf, np.float32), np.zeros(n, np.int32)
+        start = np.zeros(n, np.float32)
+        active = np.arange(n) if valid.all() else np.flatnonzero(valid)
+        origin = eye.astype(np.float32)
+        for layer in range(MAX_LAYERS):
+            if not len(active):
+                break
+            rays = directions if len(active) == n else directions[active]
+            if layer:
+                start[active] *= 1 + _ONWARD
+                origins = origin + start[active, None] * rays
+            else:
+                origins = np.tile(origin, (len(active), 1))
+            hit = self.scene.first_hits(origins, rays)
+            onward = np.empty(len(active), active.dtype)
+            going = hits.accumulate(
+                active, hit["primID"], hit["u"], hit["v"], hit["tfar"], directions, start, np.float32(self.pixel), m.faces,
+                m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints, m.textures.texels, m.textures.table,
+                CODE, m.layered, acc, depth, ident, onward,
+            )  # fmt: skip
+            active = onward[:going]
+        return acc, depth, ident

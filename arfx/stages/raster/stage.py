@@ -1,0 +1,104 @@
+"""Raster: the virtual object's geometry and material, pixel by pixel, as seen by the real camera. No light here.
+
+Two back ends fill the same layers: `pyrender` (OpenGL) and `rays` (embree, no OpenGL). Edge pixels: COVERAGE is the
+fraction covered; colours, materials and normals are means over the covering samples only, never mixed with what is
+behind; DEPTH, POSITION and OBJECT_ID belong to the pixel's centre, or to the covering sample next to it. MASK materials
+are cut out; BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest layer's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, neutral
+from arfx.core.pose import Pose
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.errors import ConfigError
+from arfx.stages.raster.backends import BACKENDS, choose_backend
+from arfx.stages.raster.rays import OUTPUTS
+
+# Samples of an edge pixel by level; the reference takes its own everywhere.
+SAMPLES = {"draft": 4, "standard": 16, "high": 64}
+PAD_PX = 2
+
+
+@dataclass(frozen=True)
+class RasterParams:
+    """backend : auto (pyrender where an OpenGL context opens, else rays), pyrender or rays
+    samples : of a pixel that an edge crosses, 1..256; 0 = by level (draft 4, standard 16, high 64)
+    """
+
+    backend: str = "auto"
+    samples: int = 0
+
+    def __post_init__(self) -> None:
+        if self.backend not in ("auto", *BACKENDS):
+            raise ConfigError(f"raster.backend {self.backend!r} is unknown", "one of auto, " + ", ".join(BACKENDS))
+        if not 0 <= self.samples <= 256:
+            raise ConfigError(f"raster.samples must be between 0 and 256, is {self.samples}")
+
+
+class Renderer(Protocol):
+    """What a back end gives: all OUTPUTS over a rectangle inside the frame."""
+
+    def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]: ...
+
+
+class Raster:
+    name = "raster"
+    reads: frozenset[Layer] = frozenset()
+    writes = frozenset(OUTPUTS)
+    levels = (Level("draft", 0.10), Level("standard", 0.14), Level("high", 0.30), Level("reference", 40.0))
+    needs_facts = frozenset({"pose"})
+    reach = 0
+    Params = RasterParams
+
+    def __init__(self, params: RasterParams | None = None) -> None:
+        self.params = params or RasterParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        if facts.camera_from_world is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        rect = facts.model_box.pad(PAD_PX).clip(frame)
+        return Demand(rect, f"model covers up to {rect.area} px" if not rect.empty else "model out of view")
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        return out
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 17)
+
+    def prepare(self, scene: Scene, level: Level) -> Renderer:
+        """Raises InputError for a model too large for the scene, RenderError where the chosen back end cannot open."""
+        from arfx.stages.raster.mesh import build_mesh
+
+        mesh = build_mesh(scene)
+        if level.name == "reference":
+            from arfx.stages.raster.reference import ReferenceRenderer
+
+            return ReferenceRenderer(mesh, scene.camera)
+        samples = self.params.samples or SAMPLES[level.name]
+        return choose_backend(self.params.backend).renderer(mesh, scene.camera, samples)
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        rect, facts = window.now.rect, window.facts[-1]
+        drawn = facts.model_box.pad(PAD_PX).clip(scene.camera.rect).clip(rect)
+        out = {name: neutral(name, rect) for name in OUTPUTS}
+        if facts.camera_from_world is None or drawn.empty:
+            return out
+        made = prepared.render(drawn, facts.camera_from_world)
+        if drawn == rect:
+            return made
+        for name in OUTPUTS:
+            out[name][drawn.slices_in(rect)] = made[name]
+        return out

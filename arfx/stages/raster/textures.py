@@ -1,0 +1,122 @@
+"""Textures as 8-bit mip pyramids in one flat array, and their filtered lookup.
+
+Averages are taken in linear light (colour) and stored sRGB coded again, as SRGB8_ALPHA8 does in OpenGL.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+
+from arfx.core.colour import SRGB
+
+MAX_LEVELS = 15
+# Decode tables by row: 0 linear, 1 sRGB.
+CODE = np.stack([np.arange(256) / 255.0, SRGB.decode(np.arange(256) / 255.0)]).astype(np.float32)
+_ENCODE = np.round(SRGB.encode(np.arange(8193) / 8192.0) * 255).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class TextureStack:
+    """texels : (n, 4) uint8, all levels of all textures;  table : (k, 3 + MAX_LEVELS) int64 width, height, levels, offsets"""
+
+    texels: np.ndarray
+    table: np.ndarray
+
+
+class StackBuilder:
+    """Collects textures, each array once."""
+
+    def __init__(self) -> None:
+        self._index: dict[tuple[int, bool], int] = {}
+        self._keep: list[np.ndarray] = []  # ids stay unique only while the arrays live
+        self._rows: list[list[int]] = []
+        self._texels: list[np.ndarray] = []
+        self._size = 0
+
+    def add(self, image: np.ndarray | None, srgb: bool) -> int:
+        """Number of a texture (h, w, c) uint8; -1 for None."""
+        if image is None:
+            return -1
+        key = (id(image), srgb)
+        if key not in self._index:
+            self._index[key] = len(self._rows)
+            self._keep.append(image)
+            levels = pyramid(image, srgb)
+            offsets = []
+            for level in levels:
+                offsets.append(self._size)
+                self._texels.append(level.reshape(-1, 4))
+                self._size += level.shape[0] * level.shape[1]
+            offsets += [0] * (MAX_LEVELS - len(offsets))
+            self._rows.append([image.shape[1], image.shape[0], len(levels), *offsets])
+        return self._index[key]
+
+    def build(self) -> TextureStack:
+        texels = np.concatenate(self._texels) if self._texels else np.full((1, 4), 255, np.uint8)
+        table = np.array(self._rows, np.int64).reshape(-1, 3 + MAX_LEVELS)
+        return TextureStack(np.ascontiguousarray(texels), table)
+
+
+def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
+    """Levels (h, w, 4) uint8 down to one texel; missing channels are 255. First three channels coded if `srgb`."""
+    h, w, c = image.shape
+    full = np.full((h, w, 4), 255, np.uint8)
+    full[..., :c] = image
+    levels = [full]
+    linear = np.empty((h, w, 4), np.float32)
+    linear[..., :3] = np.take(CODE[int(srgb)], full[..., :3])
+    linear[..., 3] = np.take(CODE[0], full[..., 3])
+    while max(w, h) > 1 and len(levels) < MAX_LEVELS:
+        w, h = max(w // 2, 1), max(h // 2, 1)
+        smaller = cv2.resize(linear, (w, h), interpolation=cv2.INTER_AREA)
+        linear = np.asarray(smaller, np.float32).reshape(h, w, 4)
+        coded = np.empty((h, w, 4), np.uint8)
+        coded[..., 3] = np.round(linear[..., 3] * 255)
+        coded[..., :3] = (
+            np.take(_ENCODE, np.round(linear[..., :3] * 8192).astype(np.int32)) if srgb else np.round(linear[..., :3] * 255)
+        )
+        levels.append(coded)
+    return levels
+
+
+@numba.njit(cache=True, nogil=True, inline="never")
+def lookup(texels, table, code, index, srgb, u, v, texels_per_pixel, out):  # pragma: no cover - compiled
+    """Trilinear lookup with repeat wrapping into out (4,).
+
+    u, v : texture coordinates, v = 0 at the top;  texels_per_pixel : footprint side at level 0, chooses the level
+    """
+    levels = table[index, 2]
+    lod = np.log2(texels_per_pixel) if texels_per_pixel > 1.0 else 0.0
+    lod = min(lod, levels - 1.0)
+    first = int(lod)
+    mix = np.float32(lod - first)
+    u -= np.floor(u)
+    v -= np.floor(v)
+    for c in range(4):
+        out[c] = 0.0
+    for step in range(2):
+        share = np.float32(1.0) - mix if step == 0 else mix
+        if share <= 0.0:
+            continue
+        level = min(first + step, levels - 1)
+        w, h = max(table[index, 0] >> level, 1), max(table[index, 1] >> level, 1)
+        start = table[index, 3 + level]
+        x, y = u * w - 0.5, v * h - 0.5
+        x0, y0 = int(np.floor(x)), int(np.floor(y))
+        fx, fy = np.float32(x - x0), np.float32(y - y0)
+        x1, y1 = x0 + 1, y0 + 1
+        x0, x1 = x0 if x0 >= 0 else w - 1, x1 if x1 < w else 0
+        y0, y1 = y0 if y0 >= 0 else h - 1, y1 if y1 < h else 0
+        a, b = start + y0 * w + x0, start + y0 * w + x1
+        d, e = start + y1 * w + x0, start + y1 * w + x1
+        wa, wb = share * (1 - fx) * (1 - fy), share * fx * (1 - fy)
+        wd, we = share * (1 - fx) * fy, share * fx * fy
+        for c in range(4):
+            k = srgb if c < 3 else 0
+            out[c] += (
+                wa * code[k, texels[a, c]] + wb * code[k, texels[b, c]] + wd * code[k, texels[d, c]] + we * code[k, texels[e, c]]
+            )
