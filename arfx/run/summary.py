@@ -84,6 +84,7 @@ def _pose(planned: Planned) -> dict[str, Any]:
     corners, camera = planned.scene.model_corners_m, planned.inputs.camera
     return {
         **summary,
+        "reprojection_px": {**summary["reprojection_px"]["smoothed"], "before_smoothing": summary["reprojection_px"]["raw"]},
         "jitter_px": corner_jitter_px(facts, corners, camera, raw=False)["median"],
         "jitter_raw_px": corner_jitter_px(facts, corners, camera, raw=True)["median"],
         "frames_measured": count[MEASURED],
@@ -113,11 +114,21 @@ def _health(planned: Planned) -> list[dict[str, Any]]:
     camera, summary, meta = planned.inputs.camera, planned.meta["summary"], planned.meta
     known = "guessed" if camera.guessed else "given"
     rows = [_check("camera calibration", known, "given", not camera.guessed, "field of view assumed")]
-    reprojection = (summary.get("reprojection_px") or {}).get("median")
+    reprojection = summary["reprojection_px"]["smoothed"]["median"]
     if reprojection is not None:
         action = "check marker size, calibration and lens mode"
         rows.append(_check("reprojection median (px)", reprojection, 1.0, reprojection <= 1.0, action))
-    rows += summary.get("health", [])
+    ambiguous, sightings = summary["ambiguous_sightings"], sum(summary["markers_seen"].values())
+    action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
+    rows.append(_check("ambiguous sightings", ambiguous, sightings // 2, ambiguous <= sightings // 2, action))
+    condition = summary["pose_condition"]["median"]
+    if condition is not None:
+        rows.append(
+            _check("pose condition number", condition, 1e6, condition <= 1e6, "pose is weak: larger or more tilted marker")
+        )
+    if not summary["map"]["given"] and summary["map"].get("condition") is not None:
+        value = summary["map"]["condition"]
+        rows.append(_check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
     absent = sum(f.status == ABSENT for f in planned.facts)
     rows.append(_check("frames without a pose", absent, 0, absent == 0, "object left out there"))
     rows.append(_check("pixels that are not finite", 0, 0, True, "the job would have stopped"))

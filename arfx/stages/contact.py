@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
@@ -26,6 +27,8 @@ from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
 from arfx.stages.occlusion import Occluder, cone, hemisphere
 
+SHOWS = 0.04  # darkening of linear light by less than this is faded out: four grey levels of white, without an edge
+_EXTENTS: WeakKeyDictionary[Scene, tuple[np.ndarray, np.ndarray]] = WeakKeyDictionary()
 GRID_PX = 8  # pitch of the table of viewing directions; bilinear between: error below 1e-3 px for usual lenses
 
 
@@ -42,12 +45,12 @@ class ContactParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """ratio : (n, n, 3) light left on the plane;  centre_m (2,), half_m : the square it covers, anchor axes
+    """ratio : (n, n, 3) light left on the plane;  centre_m, half_m (2,) : the rectangle it covers, anchor axes
     grid : (gh, gw, 2) normalised viewing directions every GRID_PX pixels"""
 
     ratio: np.ndarray
     centre_m: np.ndarray
-    half_m: float
+    half_m: np.ndarray
     grid: np.ndarray
 
 
@@ -106,13 +109,16 @@ class Contact:
         return {Layer.SHADOW: shadow}
 
 
-def extent_m(scene: Scene) -> tuple[np.ndarray, float]:
-    """Centre (2,) and half side, metres, anchor axes, of the square that the shadow is computed in.
+def extent_m(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Centre (2,) and half sides (2,), metres, anchor axes, of the rectangle in which the shadow shows.
 
-    Holds the footprint, the shadow cast by every light that stands at least 20 degrees high, and a border of one
-    object height (half the height again beyond that, ambient occlusion is under (h / (h + d))^2 / 4 < 6 %, and is
-    faded out so that no edge shows).
+    Found on a coarse map of a generous region: that of the footprint, the shadow cast by every light at least 20 degrees
+    high, and a border of one object height (beyond it the ambient occlusion is under (h / 2h)^2 / 4). What darkens by
+    less than SHOWS is left out, and the border is faded, so that no edge shows.
     """
+    cached: tuple[np.ndarray, np.ndarray] | None = _EXTENTS.get(scene)
+    if cached is not None:
+        return cached
     points = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
     height = max(float(points[:, 2].max()), 0.0)
     ground = [points[:, :2]]
@@ -122,21 +128,30 @@ def extent_m(scene: Scene) -> tuple[np.ndarray, float]:
             ground.append(points[:, :2] - np.maximum(points[:, 2:], 0) * d[:2] / d[2])
     every = np.concatenate(ground)
     low, high = every.min(0) - height, every.max(0) + height
-    return (low + high) / 2, float(max((high - low).max() / 2, 1e-3))
+    centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-3)
+    coarse = light_left(scene, centre, half, 64, 64, fade=False).min(-1)
+    rows, columns = (np.flatnonzero((coarse < 1 - SHOWS).any(axis)) for axis in (1, 0))
+    if rows.size:
+        edges = np.array([[columns[0] - 1, rows[0] - 1], [columns[-1] + 2, rows[-1] + 2]]) / 64 * 2 - 1
+        low, high = centre + half * edges[0], centre + half * edges[1]
+        centre, half = (low + high) / 2, (high - low) / 2 * 1.15
+    _EXTENTS[scene] = centre, half
+    return centre, half
 
 
-def light_left(scene: Scene, centre: np.ndarray, half: float, texels: int, rays: int) -> np.ndarray:
+def light_left(scene: Scene, centre: np.ndarray, half: np.ndarray, texels: int, rays: int, fade: bool = True) -> np.ndarray:
     """(texels, texels, 3) float64 share of the default light that reaches the anchor's plane with the object there.
 
-    Row 0 is the lowest anchor y. Noise of the ray count is smoothed over a texel; 1 at the borders.
+    centre, half (2,) : the rectangle, metres, anchor axes.  Row 0 is the lowest y. Noise of the ray count is smoothed
+    over a texel;  fade : to exactly 1 at the borders
     """
     import cv2
 
     anchor_from_world = scene.world_from_anchor.inverse()
     occluder = Occluder(anchor_from_world.apply(scene.model_points_m), np.concatenate(_shifted_faces(scene)))
     t = (np.arange(texels) + 0.5) / texels * 2 - 1
-    x, y = np.meshgrid(centre[0] + half * t, centre[1] + half * t)
-    lift = 1e-4 * half  # off the plane, or a base that lies in it would hide every ray or none, by rounding
+    x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
+    lift = 1e-4 * float(half.max())  # off the plane, or a base that lies in it would hide every ray or none, by rounding
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, lift)], -1)
     light: Light = scene.light
     ambient = np.asarray(light.ambient_rgb, float)
@@ -151,10 +166,12 @@ def light_left(scene: Scene, centre: np.ndarray, half: float, texels: int, rays:
         whole = whole + np.asarray(li.rgb) * d[2]
     ratio = np.where(whole > 0, left / np.where(whole > 0, whole, 1), 1.0).reshape(texels, texels, 3)
     ratio = cv2.GaussianBlur(ratio, (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
+    ratio = np.clip(ratio, 0, 1)
+    if not fade:
+        return ratio
     r = np.maximum(np.abs(t)[:, None], np.abs(t)[None, :])
-    fade = np.clip((1 - r) / 0.25, 0, 1)
-    fade = (fade * fade * (3 - 2 * fade))[..., None]
-    return 1 + (np.clip(ratio, 0, 1) - 1) * fade
+    ramp = np.clip((1 - r) / 0.2, 0, 1)
+    return 1 + (ratio - 1) * (ramp * ramp * (3 - 2 * ramp))[..., None]
 
 
 def _shifted_faces(scene: Scene) -> list[np.ndarray]:
@@ -198,8 +215,8 @@ def _look_up(x0, y0, width, height, rotation, origin, grid, ratio, centre, half)
                 continue
             px = origin[0] + s * (rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2])
             py = origin[1] + s * (rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2])
-            u = ((px - centre[0]) / half + 1) * 0.5 * n - 0.5
-            v = ((py - centre[1]) / half + 1) * 0.5 * n - 0.5
+            u = ((px - centre[0]) / half[0] + 1) * 0.5 * n - 0.5
+            v = ((py - centre[1]) / half[1] + 1) * 0.5 * n - 0.5
             if not (u > -1 and v > -1 and u < n and v < n):
                 continue
             iu, iv = int(np.floor(u)), int(np.floor(v))

@@ -52,8 +52,8 @@ def test_a_directional_shadow_has_the_length_of_the_object_over_tan_elevation() 
     centre, half = extent_m(s)
     n = 256
     left = light_left(s, centre, half, n, 64)[..., 0]
-    x = centre[0] + half * ((np.arange(n) + 0.5) / n * 2 - 1)
-    row = left[n // 2]
+    x = centre[0] + half[0] * ((np.arange(n) + 0.5) / n * 2 - 1)
+    row = left[int((0 - centre[1]) / half[1] * n / 2 + n / 2)]
     dark = x[row < 0.5]
     # a 12 cm cube under light from +x at 45 degrees: dark from -6 - 12 cm to +6 cm
     assert dark.min() == pytest.approx(-0.18, abs=0.004) and dark.max() == pytest.approx(0.06, abs=0.004)
@@ -68,7 +68,8 @@ def test_a_hovering_object_detaches_its_shadow_and_a_standing_one_does_not() -> 
         t = Scene(s.camera, s.model, world_from_model, light=Light((0.5, 0.5, 0.5), ()))
         centre, half = extent_m(t)
         left = light_left(t, centre, half, 128, 256)[..., 0]
-        edge = left[64, int(64 + 64 * 0.066 / half)]  # 6 mm outside the cube's side
+        column, row = (int(64 + 64 * (at - c) / h) for at, c, h in zip((0.066, 0.0), centre, half, strict=True))
+        edge = left[row, column]  # 6 mm outside the cube's side
         assert (edge < 0.75) == touches
 
 
