@@ -12,7 +12,6 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
-from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.raster.mesh import Mesh
 
@@ -22,19 +21,14 @@ _MAX_POINTS = 400_000  # along all edges of a frame: bounds time and memory wher
 _BEHIND = 2e-3
 
 
-def edge_pixels(mesh: Mesh, camera: Camera, camera_from_mesh: Pose, rect: Rect, depth: np.ndarray) -> np.ndarray:
+def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarray, rect: Rect, depth: np.ndarray) -> np.ndarray:
     """(h, w) bool, pixels of `rect` that a visible outline or sharp edge crosses.
 
-    camera_from_mesh : from mesh coordinates (world relative to its centre);  depth : (h, w) metres at the pixel centres
+    points : (n, 3) vertices in camera coordinates;  front : (m,) bool, face seen from its front
+    depth : (h, w) metres at the pixel centres
     """
     mask = np.zeros((rect.height, rect.width), bool)
-    points = camera_from_mesh.apply(mesh.vertices)
-    eye = camera_from_mesh.inverse().translation_m
-    front = ((eye - mesh.vertices[mesh.faces[:, 0]]) * mesh.face_normal).sum(1) > 0
-    e = mesh.edges
-    outline = mesh.sharp | (front[e[:, 2]] != front[e[:, 3]])
-    one_sided_back = (e[:, 3] >= 0) & ~front[e[:, 2]] & ~front[e[:, 3]]
-    e = e[outline & ~(one_sided_back & (mesh.ints[mesh.part[e[:, 2]], 4] == 0))]
+    e = mesh.edges[_shown(mesh.edges, mesh.sharp, front, mesh.hidden)]
     e = e[(points[e[:, 0], 2] > EPS_DEPTH_M) & (points[e[:, 1], 2] > EPS_DEPTH_M)]
     if not len(e):
         return mask
@@ -77,6 +71,21 @@ def _meets(camera: Camera, rect: Rect, na: np.ndarray, nb: np.ndarray) -> np.nda
 
 
 @numba.njit(cache=True, nogil=True)
+def _shown(edges, sharp, front, hidden):  # pragma: no cover - compiled
+    """Edges that are an outline, or sharp with a side that is seen."""
+    out = np.empty(edges.shape[0], np.bool_)
+    for k in range(edges.shape[0]):
+        a, b = edges[k, 2], edges[k, 3]
+        if b < 0:
+            out[k] = front[a] or not hidden[a]
+        elif front[a] != front[b]:
+            out[k] = True
+        else:
+            out[k] = sharp[k] and (front[a] or not hidden[a] or not hidden[b])
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def add_differences(edge, acc, depth, ident, directions, height, width, pixel):  # pragma: no cover - compiled
     """Mark both pixels of every neighbouring pair that differ in a way no marked edge between them explains."""
     before = edge.copy()

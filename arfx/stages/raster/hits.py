@@ -38,8 +38,12 @@ def world_directions(lens, rows_start, cols_start, height, width, rotation):  # 
 
 @numba.njit(cache=True, nogil=True)
 def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cover - compiled
-    """Directions (k * s, 3) of `offsets` (s, 2) px around `pixels` (k,), from a table with one pixel of margin."""
+    """Directions of `offsets` (s, 2) px around `pixels` (k,), from a table with one pixel of margin.
+
+    Returns them in the camera (k, s, 2), in the world (k * s, 3), and which are valid (k * s,).
+    """
     s = offsets.shape[0]
+    inner = np.empty((pixels.shape[0], s, 2), np.float32)
     out = np.empty((pixels.shape[0] * s, 3), np.float32)
     valid = np.empty(pixels.shape[0] * s, np.bool_)
     for a in range(pixels.shape[0]):
@@ -50,14 +54,15 @@ def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cov
             x += 0.5 * dy * (lens[i + 1, j, 0] - lens[i - 1, j, 0])
             y = lens[i, j, 1] + 0.5 * dx * (lens[i, j + 1, 1] - lens[i, j - 1, 1])
             y += 0.5 * dy * (lens[i + 1, j, 1] - lens[i - 1, j, 1])
+            inner[a, b, 0], inner[a, b, 1] = x, y
             k = a * s + b
             valid[k] = np.isfinite(x) and np.isfinite(y)
             for c in range(3):
                 out[k, c] = rotation[0, c] * x + rotation[1, c] * y + rotation[2, c]
-    return out, valid
+    return inner, out, valid
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def accumulate(
     active, prim, bary_u, bary_v, distance, directions, start, pixel,
     faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code, layered,
@@ -71,21 +76,21 @@ def accumulate(
     going = 0
     texel = np.empty(4, np.float32)
     for a in range(active.shape[0]):
-        f = prim[a]
-        if f < 0:
+        if prim[a] < 0:
             continue
-        k = active[a]
+        # unsigned indices spare numba the test for negative ones, a third of this loop's time
+        f, k = np.uintp(prim[a]), np.uintp(active[a])
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
-        p = part[f]
+        p = np.uintp(part[f])
         z = start[k] + distance[a]
         if facing > 0 and ints[p, 4] == 0:
             start[k] = z
-            onward[going] = k
+            onward[going] = active[a]
             going += 1
             continue
-        i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        i0, i1, i2 = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
         b1, b2 = bary_u[a], bary_v[a]
         b0 = np.float32(1) - b1 - b2
         r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
@@ -148,18 +153,18 @@ def accumulate(
             acc[k, 11] += w * eg
             acc[k, 12] += w * eb
             if ident[k] == 0:
-                ident[k] = p + 1
+                ident[k] = part[f] + 1
                 depth[k] = z
         if layered and acc[k, 0] > _CLEAR:
             start[k] = z
-            onward[going] = k
+            onward[going] = active[a]
             going += 1
     return going
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def write_pixel(
-    y, x, acc, first, count, chosen, depth, ident, direction, eye, coverage, depth_out, normal, position, albedo,
+    sums, y, x, acc, first, count, chosen, depth, ident, direction, eye, coverage, depth_out, normal, position, albedo,
     material, emissive, object_id,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Mean of samples first .. first + count over the covering ones; depth and number come from sample `chosen`."""
@@ -173,7 +178,7 @@ def write_pixel(
         return
     coverage[y, x] = min(covered / count, np.float32(1))
     inverse = np.float32(1) / covered
-    sums = np.zeros(12, np.float32)
+    sums[:] = 0
     for k in range(first, first + count):
         for c in range(12):
             sums[c] += acc[k, c + 1]
@@ -195,7 +200,7 @@ def write_pixel(
     object_id[y, x] = ident[chosen]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_centres(
     height, width, edge, acc, depth, ident, directions, eye, coverage, depth_out, normal, position, albedo, material,
     emissive, object_id,
@@ -204,19 +209,32 @@ def resolve_centres(
     for y in range(height):
         for x in range(width):
             k = y * width + x
-            if ident[k] > 0 and not edge[k]:
-                write_pixel(
-                    y, x, acc, k, 1, k, depth, ident, directions[k], eye, coverage, depth_out, normal, position, albedo,
-                    material, emissive, object_id,
-                )  # fmt: skip
+            if ident[k] == 0 or edge[k]:
+                continue
+            share = np.float32(1) - acc[k, 0]
+            inverse = np.float32(1) / share
+            nx, ny, nz = acc[k, 4], acc[k, 5], acc[k, 6]
+            n = np.sqrt(nx * nx + ny * ny + nz * nz)
+            n = n if n > 1e-6 else np.float32(1)
+            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = nx / n, ny / n, nz / n
+            for c in range(3):
+                albedo[y, x, c] = acc[k, 1 + c] * inverse
+                material[y, x, c] = acc[k, 7 + c] * inverse
+                emissive[y, x, c] = acc[k, 10 + c] * inverse
+                position[y, x, c] = eye[c] + depth[k] * directions[k, c]
+            coverage[y, x] = share
+            material[y, x, 3] = share
+            depth_out[y, x] = depth[k]
+            object_id[y, x] = ident[k]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_edges(
     width, pixels, samples, order, acc, depth, ident, centre_depth, centre_ident, directions, eye, coverage, depth_out,
     normal, position, albedo, material, emissive, object_id,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Pixels of many samples. order : (samples,) sample numbers from the pixel's centre outwards."""
+    sums = np.zeros(12, np.float32)
     one_depth, one_ident = np.empty(1, np.float32), np.empty(1, np.int32)
     for a in range(pixels.shape[0]):
         k = pixels[a]
@@ -230,6 +248,6 @@ def resolve_edges(
                     one_ident[0], one_depth[0] = ident[s], depth[s]
                     break
         write_pixel(
-            y, x, acc, a * samples, samples, 0, one_depth, one_ident, directions[k], eye, coverage, depth_out, normal,
+            sums, y, x, acc, a * samples, samples, 0, one_depth, one_ident, directions[k], eye, coverage, depth_out, normal,
             position, albedo, material, emissive, object_id,
         )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,10 +47,15 @@ class Mesh:
     edges: np.ndarray
     sharp: np.ndarray
 
-    @property
+    @cached_property
     def layered(self) -> bool:
-        """Can a ray pass through its first hit (transparency, cut-outs, faces seen from behind)?"""
-        return bool((self.ints[:, MODE] != 0).any() or (self.ints[:, TWO_SIDED] == 0).any())
+        """Can a ray go on behind a hit (transparency, cut-outs)?"""
+        return bool((self.ints[:, MODE] != 0).any())
+
+    @cached_property
+    def hidden(self) -> np.ndarray:
+        """(m,) bool, faces that are not shown from behind."""
+        return self.ints[self.part, TWO_SIDED] == 0
 
 
 def build_mesh(scene: Scene) -> Mesh:

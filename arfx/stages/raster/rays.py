@@ -1,18 +1,20 @@
-"""The `rays` back end: primary visibility by embree, attributes by compiled loops. Needs no OpenGL.
+"""The `rays` back end: one ray per pixel, more along edges, attributes by compiled loops. Needs no OpenGL.
 
-One ray through each pixel's centre; more only where an outline, a sharp edge or a cut-out passes through the pixel
-(edges.py). Directions are those of the distorted camera, so nothing is warped. Transparent layers are followed front to
-back, up to MAX_LAYERS. Cost: O(pixels of the rectangle) + O(edge pixels x samples); measured in `Raster.levels`.
+First hits come from testing each ray against the faces near it (visibility.py), hits behind transparent ones from embree.
+More than one ray is sent only where an outline, a sharp edge or a cut-out passes through the pixel (edges.py). Directions
+are those of the distorted camera, so nothing is warped. Transparent layers are followed front to back, up to MAX_LAYERS.
+Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `Raster.levels`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.layers import Layer, neutral
+from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.raster import hits
@@ -20,6 +22,7 @@ from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import Mesh
 from arfx.stages.raster.textures import CODE
+from arfx.stages.raster.visibility import face_boxes, nearest_faces, nearest_faces_at
 
 MAX_LAYERS = 8
 OUTPUTS = (
@@ -86,9 +89,12 @@ class RayRenderer:
         eye_world = camera_from_world.inverse().translation_m
         directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
         eye = eye_world - self.mesh.centre_m
-        acc, depth, ident = self._trace(eye, directions, valid)
-        pose = Pose(camera_from_world.rotation, camera_from_world.apply(self.mesh.centre_m))
-        edge = edge_pixels(self.mesh, self.camera, pose, wide, depth.reshape(h, w)).ravel()
+        m = self.mesh
+        points = Pose(camera_from_world.rotation, camera_from_world.apply(m.centre_m)).apply(m.vertices)
+        box = face_boxes(points, self.camera.project(points), m.faces, self.camera, wide)
+        *seen, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
+        acc, depth, ident = self._trace(eye, directions, valid, seen)
+        edge = edge_pixels(m, self.camera, points, front, wide, depth.reshape(h, w)).ravel()
         add_differences(edge, acc, depth, ident, directions, h, w, self.pixel)
         full = {name: neutral(name, wide) for name in OUTPUTS}
         arrays = tuple(full[name] for name in OUTPUTS)
@@ -99,14 +105,22 @@ class RayRenderer:
         count = len(self.offsets)
         for start in range(0, len(pixels), max(_TILE_RAYS // count, 1)):
             some = pixels[start : start + max(_TILE_RAYS // count, 1)]
-            rays, ok = hits.sample_directions(lens, some, w, self.offsets, rotation)
-            s_acc, s_depth, s_ident = self._trace(eye, rays, ok)
+            inside, rays, ok = hits.sample_directions(lens, some, w, self.offsets, rotation)
+            slot = np.full(h * w, -1, np.int32)
+            slot[some] = np.arange(len(some))
+            found = nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
+            s_acc, s_depth, s_ident = self._trace(eye, rays, ok, found)
             hits.resolve_edges(w, some, count, self.order, s_acc, s_depth, s_ident, depth, ident, directions, eye_world, *arrays)
         for name in OUTPUTS:
             out[name][...] = full[name][1:-1, 1:-1]
 
-    def _trace(self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Samples along rays from `eye`: rows of hits.COLUMNS, depth (inf = none), 1 + part or 0."""
+    def _trace(
+        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, seen: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Samples along rays from `eye`: rows of hits.COLUMNS, depth (inf = none), 1 + part or 0.
+
+        seen : face, u, v and depth of the first hits
+        """
         m, n = self.mesh, len(directions)
         acc = np.zeros((n, hits.COLUMNS), np.float32)
         acc[:, 0] = 1
@@ -117,18 +131,18 @@ class RayRenderer:
         for layer in range(MAX_LAYERS):
             if not len(active):
                 break
-            rays = directions if len(active) == n else directions[active]
-            if layer:
-                start[active] *= 1 + _ONWARD
-                origins = origin + start[active, None] * rays
+            if layer == 0:
+                face, u, v, distance = seen if len(active) == n else (a[active] for a in seen)
             else:
-                origins = np.tile(origin, (len(active), 1))
-            hit = self.scene.first_hits(origins, rays)
+                rays = directions[active]
+                start[active] *= 1 + _ONWARD
+                hit = self.scene.first_hits(origin + start[active, None] * rays, rays)
+                face, u, v, distance = (hit[key] for key in ("primID", "u", "v", "tfar"))
             onward = np.empty(len(active), active.dtype)
             going = hits.accumulate(
-                active, hit["primID"], hit["u"], hit["v"], hit["tfar"], directions, start, np.float32(self.pixel), m.faces,
-                m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints, m.textures.texels, m.textures.table,
-                CODE, m.layered, acc, depth, ident, onward,
+                active, face, u, v, distance, directions, start, np.float32(self.pixel), m.faces, m.part, m.face_normal,
+                m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints, m.textures.texels, m.textures.table, CODE,
+                m.layered, acc, depth, ident, onward,
             )  # fmt: skip
             active = onward[:going]
         return acc, depth, ident

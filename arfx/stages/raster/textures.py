@@ -83,7 +83,7 @@ def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
     return levels
 
 
-@numba.njit(cache=True, nogil=True, inline="never")
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 def lookup(texels, table, code, index, srgb, u, v, texels_per_pixel, out):  # pragma: no cover - compiled
     """Trilinear lookup with repeat wrapping into out (4,).
 
@@ -111,8 +111,8 @@ def lookup(texels, table, code, index, srgb, u, v, texels_per_pixel, out):  # pr
         x1, y1 = x0 + 1, y0 + 1
         x0, x1 = x0 if x0 >= 0 else w - 1, x1 if x1 < w else 0
         y0, y1 = y0 if y0 >= 0 else h - 1, y1 if y1 < h else 0
-        a, b = start + y0 * w + x0, start + y0 * w + x1
-        d, e = start + y1 * w + x0, start + y1 * w + x1
+        a, b = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
+        d, e = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
         wa, wb = share * (1 - fx) * (1 - fy), share * fx * (1 - fy)
         wd, we = share * (1 - fx) * fy, share * fx * fy
         for c in range(4):

@@ -1,0 +1,151 @@
+"""The nearest face at every pixel centre, without a tree: each face asks the pixels of its own box.
+
+A ray d meets the triangle a, b, c where d lies on the inner side of the planes through the eye and each edge, so the test
+is three dot products with a x b, b x c, c x a (Olano and Greer 1997, with directions in place of a pinhole's pixels: any
+lens works). Neighbours compute the same plane with the sign turned, exactly, so no ray slips between them.
+Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for the coherent rays of a picture.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.numerics import EPS_DEPTH_M
+from arfx.core.rect import Rect
+
+# The picture of a straight edge bows by about length^2 / 8 x curvature of the lens; below this length that is less than
+# the padding for every lens of the test clips, above it the edges are followed.
+_SHORT_PX = 24.0
+_PAD_PX = 1.0
+_ALONG = 16
+
+
+def face_boxes(points: np.ndarray, pixels: np.ndarray, faces: np.ndarray, camera: Camera, rect: Rect) -> np.ndarray:
+    """(m, 4) int32 half-open x0 y0 x1 y1 within `rect` (relative to it) of the pixels that a face may cover.
+
+    points (n, 3) camera coordinates; pixels (n, 2) their projections, NaN behind the camera or beyond the lens
+    """
+    low, high = pixels[faces[:, 0]], pixels[faces[:, 0]]
+    for k in (1, 2):
+        low, high = np.minimum(low, pixels[faces[:, k]]), np.maximum(high, pixels[faces[:, k]])
+    whole = np.isnan(low).any(1)  # a corner has no picture: let the planes decide
+    if camera.distorted:
+        with np.errstate(invalid="ignore"):
+            long = np.flatnonzero(((high - low) > _SHORT_PX).any(1) & ~whole)
+        if len(long):
+            t = np.linspace(0, 1, _ALONG + 1)[:, None]
+            p = points[faces[long]]
+            around = np.concatenate([p[:, None, i] * (1 - t) + p[:, None, j] * t for i, j in ((0, 1), (1, 2), (2, 0))], 1)
+            followed = camera.project(around)
+            slack = 0.02 * (high[long] - low[long])  # bow between two points: at most 1/256 of the whole bow, times safety
+            low[long], high[long] = followed.min(1) - slack, followed.max(1) + slack
+            whole |= np.isnan(low).any(1)
+    box = np.empty((len(faces), 4))
+    box[:, :2] = np.ceil(low - _PAD_PX) - [rect.x0, rect.y0]
+    box[:, 2:] = np.floor(high + _PAD_PX) + 1 - [rect.x0, rect.y0]
+    box[whole] = [0, 0, rect.width, rect.height]
+    gone = (points[:, 2] <= EPS_DEPTH_M)[faces].all(1)
+    box[gone] = 0
+    box[:, [0, 2]] = np.clip(box[:, [0, 2]], 0, rect.width)
+    box[:, [1, 3]] = np.clip(box[:, [1, 3]], 0, rect.height)
+    return box.astype(np.int32)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pragma: no cover - compiled
+    """Per pixel the nearest face (-1 = none), barycentric u, v and depth; and per face whether its front is seen.
+
+    hidden : (m,) bool, faces that cannot be seen from behind;  lens : (h + 2, w + 2, 2) directions, one pixel of margin
+    """
+    prim = np.full(height * width, -1, np.int32)
+    u, v = np.zeros(height * width, np.float32), np.zeros(height * width, np.float32)
+    depth = np.full(height * width, np.inf, np.float32)
+    front = np.zeros(faces.shape[0], np.bool_)
+    for f in range(faces.shape[0]):
+        i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
+        bx, by, bz = points[j, 0], points[j, 1], points[j, 2]
+        cx, cy, cz = points[k, 0], points[k, 1], points[k, 2]
+        # planes of the edges opposite to a, b and c
+        pax, pay, paz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        pbx, pby, pbz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+        pcx, pcy, pcz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        volume = ax * pax + ay * pay + az * paz
+        front[f] = volume < 0
+        if volume == 0 or (volume > 0 and hidden[f]):
+            continue
+        sign = 1.0 if volume > 0 else -1.0
+        for y in range(box[f, 1], box[f, 3]):
+            for x in range(box[f, 0], box[f, 2]):
+                dx, dy = np.float64(lens[y + 1, x + 1, 0]), np.float64(lens[y + 1, x + 1, 1])
+                ea = sign * (pax * dx + pay * dy + paz)
+                if not ea >= 0:
+                    continue
+                eb = sign * (pbx * dx + pby * dy + pbz)
+                ec = sign * (pcx * dx + pcy * dy + pcz)
+                if not (eb >= 0 and ec >= 0):
+                    continue
+                total = ea + eb + ec
+                if total <= 0:
+                    continue
+                z = sign * volume / total
+                n = y * width + x
+                if near < z < depth[n]:
+                    depth[n], prim[n] = z, f
+                    u[n], v[n] = eb / total, ec / total
+    return prim, u, v, depth, front
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def nearest_faces_at(points, faces, hidden, box, slot, samples, width, near):  # pragma: no cover - compiled
+    """The same for several samples of some pixels.
+
+    slot : (h * w,) int32, number of the pixel among those sampled, -1 = not sampled
+    samples : (pixels, s, 2) float32 directions;  returns face, u, v, depth (pixels * s,)
+    """
+    per = samples.shape[1]
+    n = samples.shape[0] * per
+    prim = np.full(n, -1, np.int32)
+    u, v = np.zeros(n, np.float32), np.zeros(n, np.float32)
+    depth = np.full(n, np.inf, np.float32)
+    for f in range(faces.shape[0]):
+        if box[f, 0] >= box[f, 2] or box[f, 1] >= box[f, 3]:
+            continue
+        i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
+        bx, by, bz = points[j, 0], points[j, 1], points[j, 2]
+        cx, cy, cz = points[k, 0], points[k, 1], points[k, 2]
+        pax, pay, paz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        volume = ax * pax + ay * pay + az * paz
+        if volume == 0 or (volume > 0 and hidden[f]):
+            continue
+        pbx, pby, pbz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+        pcx, pcy, pcz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        sign = 1.0 if volume > 0 else -1.0
+        for y in range(box[f, 1], box[f, 3]):
+            for x in range(box[f, 0], box[f, 2]):
+                pixel = slot[np.uintp(y * width + x)]
+                if pixel < 0:
+                    continue
+                a = np.uintp(pixel)
+                for s in range(per):
+                    dx, dy = np.float64(samples[a, s, 0]), np.float64(samples[a, s, 1])
+                    ea = sign * (pax * dx + pay * dy + paz)
+                    if not ea >= 0:
+                        continue
+                    eb = sign * (pbx * dx + pby * dy + pbz)
+                    ec = sign * (pcx * dx + pcy * dy + pcz)
+                    if not (eb >= 0 and ec >= 0):
+                        continue
+                    total = ea + eb + ec
+                    if total <= 0:
+                        continue
+                    z = sign * volume / total
+                    m = np.uintp(pixel * per + s)
+                    if near < z < depth[m]:
+                        depth[m], prim[m] = z, f
+                        u[m], v[m] = eb / total, ec / total
+    return prim, u, v, depth
