@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from arfx.analyse.background import BackgroundFlow
-from arfx.analyse.corners import linear_table, refine_corners
-from arfx.analyse.detect import Candidate, cells_per_side
+from arfx.analyse.detect import Candidate
+from arfx.analyse.edge_domain import EdgeRefiner
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.records import Analysis, Record, Seen
 from arfx.analyse.shots import CutSignal
@@ -55,8 +56,7 @@ class Analyser:
         self.params = params or AnalyseParams()
         self.marker_map = dict(marker_map) if marker_map else None
         self._tracker = Tracker([m.key for m in markers], self.params)
-        self._cells = {m.key: cells_per_side(m.family) for m in markers}
-        self._table = linear_table(self.params.transfer)
+        self._refiner = EdgeRefiner(self.params.transfer)
         self._cut, self._flow, self._survey = CutSignal(), BackgroundFlow(), Survey()
         self._records: list[Record] = []
         self._others: Counter[str] = Counter()
@@ -84,29 +84,26 @@ class Analyser:
             boxes = [Rect.around(s.corners_px) for s in (*seen, *rivals)]
             self._flow.step(index, time_s, luma, boxes, bool(seen))
         self._records.append(Record(index, time_s, seen, rivals, found.whole, self._cut.step(luma)))
+        for k, replaced in self._refiner.corrections():
+            r = self._records[k]
+            n = len(r.seen)
+            self._records[k] = replace(r, seen=replaced[:n], rivals=replaced[n:])
 
     def _refined(self, luma: np.ndarray, found: Found) -> tuple[tuple[Seen, ...], tuple[Seen, ...]]:
         every: tuple[Candidate, ...] = (*found.sightings, *found.rivals)
-        if not every:
-            return (), ()
-        quads = np.stack([c.quad_px for c in every])
         if not self.params.refine:
-            out = [Seen(c.key, c.quad_px, 1.0, float("nan"), False) for c in every]
+            out = tuple(Seen(c.key, c.quad_px, 1.0, float("nan"), False) for c in every)
         else:
-            r = refine_corners(luma, quads, np.array([self._cells[c.key] for c in every]), self._table, self.camera)
-            out = [
-                Seen(c.key, r.corners_px[i], float(r.sigma_px[i]), float(r.blur_px[i]), bool(r.inverted[i]))
-                for i, c in enumerate(every)
-            ]
+            out = self._refiner.refine(len(self._records), luma, every, self.camera)
         n = len(found.sightings)
-        return tuple(out[:n]), tuple(out[n:])
+        return out[:n], out[n:]
 
     def state(self) -> dict:
         """JSON-able checkpoint; an Analyser made with the same arguments continues from it to the same facts."""
         return {
             "records": [r.to_json() for r in self._records], "tracker": self._tracker.state(), "cut": self._cut.state(),
             "flow": self._flow.state(), "survey": self._survey.state(), "others": dict(self._others),
-            "ever_seen": self._ever_seen, "camera": self.camera.to_json(),
+            "refiner": self._refiner.state(), "ever_seen": self._ever_seen, "camera": self.camera.to_json(),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -116,6 +113,7 @@ class Analyser:
         self._cut.restore(state["cut"])
         self._flow.restore(state["flow"])
         self._survey.restore(state["survey"])
+        self._refiner.restore(state["refiner"])
         self._others = Counter(state["others"])
         self._ever_seen = state["ever_seen"]
         self.camera = Camera.from_json(state["camera"])
@@ -126,7 +124,8 @@ class Analyser:
             raise NothingToDoError("the clip holds no frame", "is it empty, or does --start lie behind its end?")
         if not self._ever_seen:
             raise self._nothing()
-        return solve(self._records, self.markers, self.camera, self.params, self.marker_map, self._flow.samples)
+        analysis = solve(self._records, self.markers, self.camera, self.params, self.marker_map, self._flow.samples)
+        return replace(analysis, summary={**analysis.summary, "edge_transfer": self._refiner.transfer})
 
     def _nothing(self) -> NothingToDoError:
         wanted = ", ".join(m.key for m in self.markers)

@@ -23,7 +23,8 @@ class AnalyseParams:
     smoothing : factor on the motion's time scale; 1 = as the clip itself suggests, 0 = none, larger = smoother
     static : "auto" decides from the background which of camera and marker stands still; or "camera", "marker"
     detect_inverted : also find white-on-black prints
-    transfer : how luma relates to linear light ("srgb", "gamma:2.2", ...): blurred edges are located in linear light
+    transfer : how luma relates to light ("srgb", "gamma:2.2", ...): blurred edges are located in linear light. "auto"
+        takes sRGB unless the first sightings show edges symmetric in coded values (sharpened in the camera)
     refine : False keeps the detector's pixel-accurate corners (for comparisons)
     survey : look for other families while no configured marker was ever seen, for the error message
     """
@@ -38,7 +39,7 @@ class AnalyseParams:
     smoothing: float = 1.0
     static: str = "auto"
     detect_inverted: bool = True
-    transfer: str = "srgb"
+    transfer: str = "auto"
     refine: bool = True
     survey: bool = True
 

@@ -20,7 +20,7 @@ from arfx.analyse.chain import ChainSolution, Links, noise_moments, solve_chain
 from arfx.analyse.geometry import Observed, huber_cost, residuals, view_jacobian
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
-PASSES = 12
+LEARNING, FINAL = 12, 4  # passes that learn the motion's noise, and at most so many with it held
 WINDOW_S = 0.25  # standard deviation of the window in which the motion's noise is one
 WHOLE_CLIP_SHARE = 0.05  # weight of the whole clip's noise in each window: holds where a window has few frames
 # Axes whose noise is one number: turning about the picture's two axes, about the line of sight; sideways; distance.
@@ -55,24 +55,20 @@ def smooth_poses(
     centre = seen.points_m[on].mean(0)
     dt = np.maximum(np.diff(times_s), 1e-4)
     density = _first_guess(rotation, translation, seen, dt, centre)
-    velocity = np.zeros((n, 6))
-    best = np.inf
     solution: ChainSolution | None = None
-    for k in range(PASSES):
-        a, g = _measurement(rotation, translation, seen, centre)
-        links = _links(rotation, translation, centre, dt, np.clip(density / strength**3, _FLOOR, _CEILING))
-        solution = solve_chain(a, g, links)
-        step = solution.mean[:, :6].copy()
-        velocity = solution.mean[:, 6:]
-        size = np.abs(step).max()
-        limit = np.minimum(1.0, 0.3 / np.maximum(np.abs(step[:, :3]).max(), 1e-12))  # linearisation holds for that
+    for k in range(LEARNING + FINAL):
+        # the motion's noise is learned as it is; only then is it taken for smaller or larger than that
+        used = density if k < LEARNING else np.clip(density / strength**3, _FLOOR, _CEILING)
+        links = _links(rotation, translation, centre, dt, used)
+        solution = solve_chain(*_measurement(rotation, translation, seen, centre), links)
+        step = solution.mean[:, :6]
+        limit = min(1.0, 0.3 / max(float(np.abs(step[:, :3]).max()), 1e-12))  # so far linearisation holds
         rotation, translation = _moved(rotation, translation, step * limit, centre)
-        if k + 1 < PASSES:
+        if k < LEARNING - 1:
             density = _relearned(density, noise_moments(solution, links), times_s)
-        if size < 1e-7 and k > 6:
+        elif k >= LEARNING and np.abs(step).max() < 1e-8:
             break
-        best = min(best, size)
-    assert solution is not None and velocity is not None
+    assert solution is not None
     to_left = _left_from_axes(rotation, translation, centre)
     covariance = to_left @ solution.covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
     middle = np.array([np.median(density[:, list(group)]) for group in _GROUPS]) if n > 1 else np.zeros(len(_GROUPS))

@@ -40,7 +40,7 @@ class Views:
         good = np.isfinite(ideal).all((1, 2))
         points = [spec[s.key].corners_m for _, s in seen]
         ways = hypotheses(points, ideal, scale, np.maximum(sigma, _LEAST_SIGMA_PX)) if seen else []
-        self.sigma_factor = self._calibrate(ways, sigma)
+        self.sigma_factor = self._calibrate(seen, ways, sigma, ideal, scale, points)
         self.frames: list[list[View]] = [[] for _ in records]
         self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
         for i, (k, s) in enumerate(seen):
@@ -50,13 +50,30 @@ class Views:
                 self.frames[k].append(View(s.key, points[i], ideal[i], scale[i], px, poses))
             self.sightings[k].append(MarkerSighting(s.key, s.corners_px, px, ways[i], 0, s.inverted))
 
-    @staticmethod
-    def _calibrate(ways: Sequence[tuple[Hypothesis, ...]], sigma: np.ndarray) -> float:
-        """Factor on the predicted sigma from the clip's own residuals: 8 coordinates minus 6 unknowns leave 2."""
-        chi2 = [4 * (h[0].reprojection_px / s) ** 2 for h, s in zip(ways, sigma, strict=True) if h and s < 1.0]
+    def _calibrate(
+        self, seen: Sequence[tuple[int, Seen]], ways: Sequence[tuple[Hypothesis, ...]], sigma: np.ndarray,
+        ideal: np.ndarray, scale: np.ndarray, points: Sequence[np.ndarray],
+    ) -> float:  # fmt: skip
+        """Factor on the predicted sigma, from how residuals change from one sighting of a marker to its next.
+
+        What stays (a bent print, an imperfect lens model) is no noise: taken for noise it would let the smoother drag
+        the object away from a picture that shakes. 8 coordinates minus 6 unknowns leave 2 degrees of freedom.
+        """
+        last: dict[str, tuple[int, np.ndarray, float]] = {}
+        chi2 = []
+        for i, (k, s) in enumerate(seen):
+            if not ways[i] or sigma[i] >= 1.0:
+                continue
+            pose = ways[i][0].camera_from_marker
+            one = Observed(points[i][None], ideal[i : i + 1], scale[i : i + 1], np.ones((1, 4)))
+            r = residuals(pose.rotation[None], pose.translation_m[None], one)[0]
+            if s.key in last and last[s.key][0] == k - 1:
+                _, before, sigma_before = last[s.key]
+                chi2.append(float(((r - before) ** 2).sum() / (sigma[i] ** 2 + sigma_before**2)))
+            last[s.key] = (k, r, float(sigma[i]))
         if len(chi2) < 5:
             return 1.0
-        return float(np.clip(np.sqrt(np.median(chi2) / 1.386), 0.7, 20.0))  # median of chi squared with two degrees
+        return float(np.clip(np.sqrt(np.median(chi2) / 1.386), 0.5, 20.0))  # median of chi squared with two degrees
 
 
 def solve(

@@ -39,27 +39,34 @@ def corner_jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: 
     """Trembling of projected points: length of the second difference over three successive frames, px.
 
     points_m : (n, 3) world, for instance scene.model_corners_m;  raw : of the poses before smoothing
+    "relative" figures are of the place relative to the centre of the markers as they were measured: what is left of the
+    trembling once the footage's own motion, which the object has to follow, is taken out.
     Only unbroken triples of one shot in which raw and smoothed poses both exist and the frames are evenly spaced (to 20 %).
-    Returns {"median", "p95", "rms", "triples"}; zeros without a triple.
+    Returns {"median", "p95", "rms", "relative_median", "relative_rms", "triples"}; zeros without a triple.
     """
-    rows = []
-    for a, b, c in zip(facts, facts[1:], facts[2:], strict=False):
-        three = (a, b, c)
+    rows, relative = [], []
+    for three in zip(facts, facts[1:], facts[2:], strict=False):
+        a, b, c = three
         if any(f.camera_from_world is None or f.raw_camera_from_world is None or f.shot != a.shot for f in three):
             continue
         first, second = b.time_s - a.time_s, c.time_s - b.time_s
         if abs(first - second) > 0.2 * max(first, second):
             continue
-        u, v, w = (camera.project(_pose(f, raw).apply(points_m)) for f in three)
-        d = np.linalg.norm(u - 2 * v + w, axis=-1)
-        if np.isfinite(d).any():
-            rows.append(float(np.sqrt(np.nanmean(d * d))))
+        place = [camera.project(_pose(f, raw).apply(points_m)) for f in three]
+        d = np.linalg.norm(place[0] - 2 * place[1] + place[2], axis=-1)
+        keys = set.intersection(*({m.key for m in f.markers} for f in three))
+        if not np.isfinite(d).any() or not keys:
+            continue
+        rows.append(float(np.sqrt(np.nanmean(d * d))))
+        centre = [np.mean([m.corners_px for m in f.markers if m.key in keys], axis=(0, 1)) for f in three]
+        d = np.linalg.norm(place[0] - 2 * place[1] + place[2] - (centre[0] - 2 * centre[1] + centre[2]), axis=-1)
+        relative.append(float(np.sqrt(np.nanmean(d * d))))
     if not rows:
-        return {"median": 0.0, "p95": 0.0, "rms": 0.0, "triples": 0}
-    r = np.array(rows)
+        return {"median": 0.0, "p95": 0.0, "rms": 0.0, "relative_median": 0.0, "relative_rms": 0.0, "triples": 0}
+    r, s = np.array(rows), np.array(relative)
     return {
-        "median": float(np.median(r)), "p95": float(np.quantile(r, 0.95)),
-        "rms": float(np.sqrt((r * r).mean())), "triples": len(r),
+        "median": float(np.median(r)), "p95": float(np.quantile(r, 0.95)), "rms": float(np.sqrt((r * r).mean())),
+        "relative_median": float(np.median(s)), "relative_rms": float(np.sqrt((s * s).mean())), "triples": len(r),
     }  # fmt: skip
 
 

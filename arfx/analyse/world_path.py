@@ -71,7 +71,7 @@ def world_path(
     r, t, cost = refine_poses(r, t, seen.take(index))
     flips = 0
     for number in sorted(set(shot.tolist())):
-        at = [k for k in np.flatnonzero(measured & (shot == number))]
+        at = [int(k) for k in np.flatnonzero(measured & (shot == number))]
         groups = [np.flatnonzero(index == k) for k in at]
         poses = [[Pose(r[i], t[i]) for i in g] for g in groups]
         costs = [[float(cost[i]) if t[i, 2] > 0 else 1e9 for i in g] for g in groups]

@@ -21,13 +21,9 @@ HALF_GREY = 0.5 / 255.0
 
 def divide(a: np.ndarray | float, b: np.ndarray | float, where_zero: float = 0.0) -> np.ndarray:
     """a / b, with `where_zero` where b is zero or the quotient is not finite. Broadcasts."""
-    a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
-    out = np.full(a.shape, where_zero, float)
     with np.errstate(all="ignore"):
-        q = a / b
-    ok = np.isfinite(q) & (b != 0)
-    out[ok] = q[ok]
-    return out
+        q = np.asarray(a, float) / np.asarray(b, float)
+    return np.where(np.isfinite(q), q, where_zero)  # a quotient by zero is never finite
 
 
 def normalise(v: np.ndarray, axis: int = -1) -> np.ndarray:
