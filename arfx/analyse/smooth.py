@@ -5,8 +5,7 @@ unlikeliness of the motion: a direction that the corners hardly fix (the tilt of
 the neighbours, one that they fix well (its place in the picture) is left alone, so nothing swims. Gauss-Newton on
 SE(3), linearised anew in every pass; each pass is one RTS smoother (chain.py).
 
-The motion's noise is learned from the clip by expectation-maximisation, per axis and with a time window, so that a
-marker at rest stands rock-steady in the same clip in which it moves fast at another time.
+The motion's noise is learned from the clip (motion_noise.py).
 Axes: rotation about the camera's x, y, z; the place of the markers' centre as x/z, y/z and ln z.
 """
 
@@ -16,18 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.chain import ChainSolution, Links, noise_moments, solve_chain
+from arfx.analyse.chain import Links, evidence, link, smooth_chain
 from arfx.analyse.geometry import Observed, huber_cost, residuals, view_jacobian
+from arfx.analyse.motion_noise import GROUPS, LEAST, MOST, learn_density
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
-LEARNING, FINAL = 12, 4  # passes that learn the motion's noise, and at most so many with it held
-WINDOW_S = 0.25  # standard deviation of the window in which the motion's noise is one
-WHOLE_CLIP_SHARE = 0.05  # weight of the whole clip's noise in each window: holds where a window has few frames
-# Axes whose noise is one number: turning about the picture's two axes, about the line of sight; sideways; distance.
-_GROUPS = ((0, 1), (2,), (3, 4), (5,))
-# Least density of noise, (rad, 1)^2 / s^3: an hour's drift of 1e-4 rad; keeps a perfectly still clip regular.
-_FLOOR = 1e-15
-_CEILING = 1e4
+PASSES = 4  # linearisations between two estimates of the motion's noise
+_STIFF = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6])  # start of the second attempt: hardly any motion but sideways
+_UNSURE_RAD = 0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
 
 
 @dataclass(frozen=True)
@@ -49,30 +44,68 @@ def smooth_poses(
     rotation, translation : start, also in frames without corners (any sensible in-between)
     seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on the time scale, > 0
     """
-    rotation, translation = rotation.copy(), translation.copy()
-    n = len(rotation)
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
     dt = np.maximum(np.diff(times_s), 1e-4)
-    density = _first_guess(rotation, translation, seen, dt, centre)
-    solution: ChainSolution | None = None
-    for k in range(LEARNING + FINAL):
-        # the motion's noise is learned as it is; only then is it taken for smaller or larger than that
-        used = density if k < LEARNING else np.clip(density / strength**3, _FLOOR, _CEILING)
-        links = _links(rotation, translation, centre, dt, used)
-        solution = solve_chain(*_measurement(rotation, translation, seen, centre), links)
-        step = solution.mean[:, :6]
-        limit = min(1.0, 0.3 / max(float(np.abs(step[:, :3]).max()), 1e-12))  # so far linearisation holds
-        rotation, translation = _moved(rotation, translation, step * limit, centre)
-        if k < LEARNING - 1:
-            density = _relearned(density, noise_moments(solution, links), times_s)
-        elif k >= LEARNING and np.abs(step).max() < 1e-8:
-            break
-    assert solution is not None
-    to_left = _left_from_axes(rotation, translation, centre)
-    covariance = to_left @ solution.covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
-    middle = np.array([np.median(density[:, list(group)]) for group in _GROUPS]) if n > 1 else np.zeros(len(_GROUPS))
-    return Smoothed(rotation, translation, covariance, middle)
+    raw = _Chain(rotation, translation, seen, dt, centre)
+    # Twice: from the raw poses, and from a path that hardly moves. Where the corners do not fix a tilt (a frontal
+    # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff path finds the one between.
+    attempts = []
+    for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
+        chain, density = raw, None
+        if stiff:
+            chain = chain.settled(np.broadcast_to(_STIFF, (len(dt), 6)), 2 * PASSES)
+        for local in (False, True):
+            density = learn_density(*chain.measurement, chain.links, density, local)
+            chain = chain.settled(density, PASSES)
+        assert density is not None
+        attempts.append((chain.likelihood(density), chain, density))
+    _, chain, density = max(attempts, key=lambda a: a[0])
+    if strength != 1.0:
+        density = np.clip(density / strength**3, LEAST, MOST)
+    chain = chain.settled(density, PASSES)
+    _, covariance = smooth_chain(*chain.measurement, chain.links, density)
+    to_left = _left_from_axes(chain.rotation, chain.translation, centre)
+    covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
+    middle = np.array([np.median(density[:, list(group)]) for group in GROUPS]) if len(dt) else np.zeros(len(GROUPS))
+    return Smoothed(chain.rotation, chain.translation, covariance, middle)
+
+
+class _Chain:
+    """The problem linearised at one set of poses."""
+
+    def __init__(self, rotation: np.ndarray, translation: np.ndarray, seen: Observed, dt: np.ndarray, centre: np.ndarray) -> None:
+        self.rotation, self.translation, self.seen, self.dt, self.centre = rotation, translation, seen, dt, centre
+        self.measurement = _measurement(rotation, translation, seen, centre)
+        self.links = _links(rotation, translation, centre, dt)
+
+    def settled(self, density: np.ndarray, passes: int) -> _Chain:
+        """Smoothed and linearised anew, up to `passes` times."""
+        chain = self
+        for _ in range(passes):
+            mean, _ = smooth_chain(*chain.measurement, chain.links, density)
+            step = mean[:, :6]
+            # linearisation holds for about .3 rad: a frame that wants more gets there in several passes
+            size = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
+            step = step * np.minimum(1.0, 0.3 / np.maximum(size, 1e-12))
+            chain = _Chain(*_moved(chain.rotation, chain.translation, step, self.centre), self.seen, self.dt, self.centre)
+            if np.abs(step).max() < 1e-6:  # rad, or shares of the distance: a thousandth of a pixel
+                break
+        return chain
+
+    def typical_turn_error(self) -> float:
+        """Median over the frames seen of the largest standard deviation of a turn, radians."""
+        info = self.measurement[0]
+        info = info[np.einsum("nii->n", info) > 0]
+        scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
+        spread = np.linalg.pinv(info * scale[:, :, None] * scale[:, None], hermitian=True)
+        return float(np.sqrt(np.median((np.einsum("nii->ni", spread) * scale**2)[:, :3].max(1))))
+
+    def likelihood(self, density: np.ndarray) -> float:
+        """Log evidence with the true misfit at these poses in place of the linearised one's constant."""
+        r = residuals(self.rotation, self.translation, self.seen)
+        cost, _ = huber_cost(r, self.seen.weight)
+        return float(evidence(*self.measurement, self.links, density[None])[0] - cost.sum())
 
 
 def _place(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +156,7 @@ def _measurement(
     return np.einsum("npki,npkj->nij", jw, j), -np.einsum("npki,npk->ni", jw, r)
 
 
-def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt: np.ndarray, density: np.ndarray) -> Links:
+def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt: np.ndarray) -> Links:
     """Constant velocity between frames: Log(R_k+1 R_k^T) and the place's difference, minus dt times the velocity."""
     n = len(dt)
     _, place = _place(rotation, translation, centre)
@@ -140,45 +173,4 @@ def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt
     before[:, i + 6, i + 6] = -1
     offset = np.zeros((n, 12))
     offset[:, :3], offset[:, 3:6] = turn, np.diff(place, axis=0)
-    return Links(before, after, offset, dt, density)
-
-
-def _first_guess(rotation: np.ndarray, translation: np.ndarray, seen: Observed, dt: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """(n - 1, 6) noise density as if all second differences were motion: too large, EM brings it down."""
-    if len(dt) == 0:
-        return np.zeros((0, 6))
-    _, place = _place(rotation, translation, centre)
-    turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
-    rate = np.concatenate([turn, np.diff(place, axis=0)], -1) / dt[:, None]
-    out = np.full(6, 1e-4)
-    if len(dt) > 1:
-        gap = (dt[1:] + dt[:-1])[:, None] / 2
-        out = np.median(np.diff(rate, axis=0) ** 2 / gap, axis=0) / 0.45  # median of chi squared with one degree
-    out = _grouped(np.broadcast_to(np.clip(out, 1e-8, _CEILING), (len(dt), 6)).copy())
-    return out
-
-
-def _grouped(density: np.ndarray) -> np.ndarray:
-    out = density.copy()
-    for group in _GROUPS:
-        out[:, list(group)] = density[:, list(group)].mean(1, keepdims=True)
-    return out
-
-
-def _relearned(density: np.ndarray, moments: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """EM's new densities, averaged over a time window; steps taken further than EM would (it is slow downwards)."""
-    if not len(moments):
-        return density
-    moments = _grouped(moments)
-    at = (times_s[1:] + times_s[:-1]) / 2
-    clip = moments.mean(0)
-    out = np.empty_like(moments)
-    reach = 4 * WINDOW_S
-    first, last = np.searchsorted(at, at - reach), np.searchsorted(at, at + reach)
-    for k in range(len(at)):
-        part = slice(first[k], last[k])
-        w = np.exp(-0.5 * ((at[part] - at[k]) / WINDOW_S) ** 2)
-        out[k] = (w[:, None] * moments[part]).sum(0) / w.sum()
-    out = (1 - WHOLE_CLIP_SHARE) * out + WHOLE_CLIP_SHARE * np.minimum(clip, 10 * out)
-    ratio = np.clip(np.maximum(out, _FLOOR) / np.maximum(density, _FLOOR), 1e-3, 1e3)
-    return np.clip(density * ratio**1.6, _FLOOR, _CEILING)
+    return link(before, after, offset, dt)

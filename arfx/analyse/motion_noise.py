@@ -1,0 +1,77 @@
+"""How restless is the motion? Noise densities of the smoother's chain by maximum likelihood, changing with time.
+
+For each axis group candidates a factor of ten apart are compared by the evidence of the chain: first one value for
+the whole shot, then one per window of about a second, held near the shot's. A marker at rest thereby stands
+rock-steady in the same clip in which it moves fast at another time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arfx.analyse.chain import Links, evidence
+
+# Axes whose noise is one number: turning about the picture's two axes, about the line of sight; sideways; distance.
+GROUPS = ((0, 1), (2,), (3, 4), (5,))
+# (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4 turns a frame by 20 degrees.
+LEAST, MOST = 1e-12, 1e4
+_GRID = 10.0 ** np.arange(-12, 5)
+_BLOCK, _BLOCKS = 240, 3  # frames of a long shot from which its own value is taken
+_WINDOW, _CONTEXT = 24, 18  # frames
+# A window has little evidence on its own: each factor of ten away from the shot's value costs this much (nats).
+_HOLD = 1.0
+
+
+def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray | None, local: bool) -> np.ndarray:
+    """(n - 1, 6) densities.
+
+    measured, pull, links : as for smooth_chain;  density : what is taken so far, None at first
+    local : also let it change with time
+    """
+    n = len(measured)
+    if n < 3:
+        return np.full((max(n - 1, 0), 6), 1e-2)
+    shot = np.full(len(GROUPS), 1e-3) if density is None else np.exp([np.median(np.log(density[:, list(g)])) for g in GROUPS])
+    blocks = _blocks(n)
+    for reach in (np.inf, 2.0):
+        for i in range(len(GROUPS)):
+            near = _GRID[np.abs(np.log10(_GRID / shot[i])) <= reach]
+            trial = np.repeat(shot[None], len(near), 0)
+            trial[:, i] = near
+            total = np.sum([_evidence(measured, pull, links, a, b, trial) for a, b in blocks], axis=0)
+            shot[i] = near[int(total.argmax())]
+    if not local or n <= _WINDOW + _CONTEXT:
+        return _axes(np.repeat(shot[None], n - 1, 0))
+    centres = np.unique(np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW))))
+    values = np.repeat(shot[None], len(centres), 0)
+    for i in range(len(GROUPS)):
+        for w, centre in enumerate(centres):
+            a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
+            b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
+            near = _GRID[np.abs(np.log10(_GRID / shot[i])) <= 5.01]
+            trial = np.repeat(values[w : w + 1], len(near), 0)
+            trial[:, i] = near
+            total = _evidence(measured, pull, links, a, b, trial) - _HOLD * np.abs(np.log10(near / shot[i]))
+            values[w, i] = near[int(total.argmax())]
+    at = np.arange(n - 1) + 0.5
+    smooth = np.stack([np.interp(at, centres, np.log(values[:, i])) for i in range(len(GROUPS))], -1)
+    return _axes(np.exp(smooth))
+
+
+def _blocks(n: int) -> list[tuple[int, int]]:
+    if n <= _BLOCK * _BLOCKS:
+        return [(0, n)]
+    return [(int(a), int(a) + _BLOCK) for a in np.linspace(0, n - _BLOCK, _BLOCKS)]
+
+
+def _axes(groups: np.ndarray) -> np.ndarray:
+    """(..., groups) to (..., 6)."""
+    out = np.empty((*groups.shape[:-1], 6))
+    for i, g in enumerate(GROUPS):
+        out[..., list(g)] = groups[..., i : i + 1]
+    return out
+
+
+def _evidence(measured: np.ndarray, pull: np.ndarray, links: Links, a: int, b: int, trial: np.ndarray) -> np.ndarray:
+    density = np.broadcast_to(_axes(trial)[:, None], (len(trial), b - a - 1, 6))
+    return evidence(measured[a:b], pull[a:b], links.part(a, b), density)
