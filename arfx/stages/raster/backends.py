@@ -6,21 +6,29 @@ probed before it is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, RenderError
 
-BACKENDS = ("rays",)
+BACKENDS = ("pyrender", "rays")
+# Rays are added at edges only, OpenGL takes its samples in every pixel.
+RAY_SAMPLES = {"draft": 4, "standard": 16, "high": 64}
+GL_SAMPLES = {"draft": 4, "standard": 9, "high": 16}
 
 
 @dataclass(frozen=True)
 class Backend:
-    """name;  renderer(mesh, camera, samples) makes a Renderer;  notice : why it is not the one asked for, or empty"""
+    """name;  renderer(mesh, camera, samples) makes a Renderer;  samples : of a pixel, by level
+    notice : why auto did not take OpenGL, or empty
+    """
 
     name: str
     renderer: Callable[..., Any]
+    samples: Mapping[str, int]
     notice: str = ""
 
 
@@ -35,17 +43,56 @@ class BackendState:
 
 
 def choose_backend(wanted: str = "auto") -> Backend:
-    """The back end to use. Raises RenderError where the one asked for by name cannot open, ConfigError if unknown."""
+    """The back end to use. Raises RenderError where the one asked for by name cannot open, ConfigError if unknown.
+
+    auto : pyrender where OpenGL runs on a graphics card, else rays. OpenGL in software is never taken unasked: at the same
+    edge quality it takes two to three times as long as rays (measured with llvmpipe).
+    """
     if wanted not in ("auto", *BACKENDS):
         raise ConfigError(f"unknown raster back end {wanted!r}", "one of auto, " + ", ".join(BACKENDS))
     from arfx.stages.raster.rays import RayRenderer
 
-    return Backend("rays", RayRenderer)
+    if wanted == "rays":
+        return Backend("rays", RayRenderer, RAY_SAMPLES)
+    if wanted == "auto" and not _graphics_card():
+        return Backend("rays", RayRenderer, RAY_SAMPLES, "no graphics card here: the raster back end is rays")
+    from arfx.stages.raster.gl_context import open_context
+
+    try:
+        context = open_context()
+    except RenderError as e:
+        if wanted == "pyrender":
+            raise
+        return Backend("rays", RayRenderer, RAY_SAMPLES, f"{e.message}: the raster back end is rays")
+    if wanted == "auto" and context.software:
+        return Backend(
+            "rays", RayRenderer, RAY_SAMPLES, f"OpenGL runs in software ({context.detail}): the raster back end is rays"
+        )
+    from arfx.stages.raster.gl import GlRenderer
+
+    return Backend("pyrender", GlRenderer, GL_SAMPLES)
+
+
+def _graphics_card() -> bool:
+    """Is there a device that a driver could render on? Spares each worker a context that would be refused anyway."""
+    if not sys.platform.startswith("linux"):
+        return True
+    dev = Path("/dev")
+    return any(dev.glob("dri/renderD*")) or any(dev.glob("nvidia[0-9]*"))
 
 
 def backend_report() -> list[BackendState]:
     """State of every back end here, for `arfx doctor`."""
-    return [_rays_state()]
+    return [_pyrender_state(), _rays_state()]
+
+
+def _pyrender_state() -> BackendState:
+    from arfx.stages.raster.gl_context import open_context
+
+    try:
+        return BackendState("pyrender", True, open_context().detail)
+    except RenderError as e:
+        return BackendState("pyrender", False, e.message, e.hint)
 
 
 def _rays_state() -> BackendState:

@@ -25,15 +25,13 @@ from arfx.errors import ConfigError
 from arfx.stages.raster.backends import BACKENDS, choose_backend
 from arfx.stages.raster.rays import OUTPUTS
 
-# Samples of an edge pixel by level; the reference takes its own everywhere.
-SAMPLES = {"draft": 4, "standard": 16, "high": 64}
 PAD_PX = 2
 
 
 @dataclass(frozen=True)
 class RasterParams:
-    """backend : auto (pyrender where an OpenGL context opens, else rays), pyrender or rays
-    samples : of a pixel that an edge crosses, 1..256; 0 = by level (draft 4, standard 16, high 64)
+    """backend : auto (pyrender where OpenGL runs on a graphics card, else rays), pyrender or rays
+    samples : of a pixel that an edge crosses, 1..256; 0 = by level (rays 4, 16, 64; pyrender 4, 9, 16)
     """
 
     backend: str = "auto"
@@ -85,8 +83,8 @@ class Raster:
             from arfx.stages.raster.reference import ReferenceRenderer
 
             return ReferenceRenderer(mesh, scene.camera)
-        samples = self.params.samples or SAMPLES[level.name]
-        return choose_backend(self.params.backend).renderer(mesh, scene.camera, samples)
+        backend = choose_backend(self.params.backend)
+        return backend.renderer(mesh, scene.camera, self.params.samples or backend.samples[level.name])
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator

@@ -1,0 +1,129 @@
+"""The one OpenGL context of this process: EGL, else OSMesa, through pyrender's platforms.
+
+FINDINGS.md says why each odd line is here: PyOpenGL fixes its platform at import; pyrender's viewer would pull in pyglet and
+a display; OSMesa recompiles shaders every frame unless its context is an int; deleting one context kills the others, and
+none survives a fork. So the context is opened once, kept, and never deleted.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import types
+from dataclasses import dataclass
+from typing import Any
+
+from arfx.errors import RenderError
+
+FIX = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6), or use the rays back end, which needs no OpenGL"
+_LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
+
+
+@dataclass
+class GlContext:
+    """pyrender : the module;  platform : its EGL or OSMesa platform, current in this thread;  detail : for reports
+    software : rendered by the processor (llvmpipe and its kin)
+    """
+
+    pyrender: Any
+    platform: Any
+    detail: str
+    pid: int
+    software: bool = True
+
+    def make_current(self) -> None:
+        """Raises RenderError in a forked child: the driver would hang."""
+        if self.pid != os.getpid():
+            raise RenderError("an OpenGL context was carried into a forked process", "start workers with the spawn method")
+        self.platform.make_current()
+
+
+_context: GlContext | None = None
+_failure = ""
+
+
+def open_context() -> GlContext:
+    """The context of this process, opened on first use. Raises RenderError with what each platform answered."""
+    global _context, _failure
+    if _context is not None:
+        return _context
+    if _failure:
+        raise RenderError(_failure, FIX)
+    answers = []
+    # One thread per process: frames are spread over worker processes, and two llvmpipe pools fight for the same cores.
+    os.environ.setdefault("LP_NUM_THREADS", "1")
+    asked = os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    for name in (asked,) if asked in _LIBRARIES else tuple(_LIBRARIES):
+        missing = _missing(name)
+        if missing:
+            answers.append(f"{name}: {missing} is not installed")
+            continue
+        try:
+            _context = _open(name)
+            return _context
+        except Exception as e:  # drivers and PyOpenGL raise anything, down to AttributeError
+            answers.append(f"{name}: {type(e).__name__} {e}".rstrip().split("\n")[0])
+            _forget()
+    _failure = "no OpenGL context opens here (" + "; ".join(answers) + ")"
+    raise RenderError(_failure, FIX)
+
+
+def _missing(name: str) -> str:
+    for library in _LIBRARIES[name]:
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            return library
+    return ""
+
+
+def _open(name: str) -> GlContext:
+    os.environ["PYOPENGL_PLATFORM"] = name
+    if "pyrender.viewer" not in sys.modules:
+        stub = types.ModuleType("pyrender.viewer")
+        stub.Viewer = None  # type: ignore[attr-defined]
+        stub.__all__ = ["Viewer"]  # type: ignore[attr-defined]
+        sys.modules["pyrender.viewer"] = stub
+    import pyrender
+
+    platform: Any
+    if name == "egl":
+        from pyrender.platforms import egl
+
+        device = egl.get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0")))
+        platform = egl.EGLPlatform(64, 64, device=device)
+    else:
+        import OpenGL.contextdata as contextdata
+        from pyrender.platforms.osmesa import OSMesaPlatform
+
+        _plain_context_ids(contextdata)
+        platform = OSMesaPlatform(64, 64)
+    platform.init_context()
+    platform.make_current()
+    from OpenGL import GL
+
+    version = GL.glGetString(GL.GL_VERSION)
+    if not version:
+        raise RuntimeError("the context has no version")
+    renderer = GL.glGetString(GL.GL_RENDERER) or b""
+    software = any(word in renderer.decode().lower() for word in ("llvmpipe", "softpipe", "swrast", "software"))
+    detail = f"{name}, OpenGL {version.decode()}, {renderer.decode()}"
+    return GlContext(pyrender, platform, detail, os.getpid(), software)
+
+
+def _plain_context_ids(contextdata: Any) -> None:
+    given = contextdata.getContext
+
+    def as_int(context: Any = None) -> Any:
+        c = given(context)
+        return c if isinstance(c, int) else ctypes.cast(c, ctypes.c_void_p).value
+
+    contextdata.getContext = as_int
+
+
+def _forget() -> None:
+    """Drop half-initialised modules, so that the next platform can be tried."""
+    os.environ.pop("PYOPENGL_PLATFORM", None)
+    for name in [n for n in sys.modules if n.split(".")[0] in ("OpenGL", "pyrender")]:
+        del sys.modules[name]
