@@ -64,6 +64,7 @@ def refine_corners(
     bend = _bend(start, camera)
     quad, ok = start.copy(), np.ones(n, bool)
     half = np.clip(0.6 * _side(quad) / np.asarray(cells, float).reshape(n), 1.8, 8.0)
+    # first a wide window: OpenCV's corners of a large marker can be off by several pixels
     window, blur, spread, gain, skew = half / 2, np.full(n, np.nan), np.zeros(n), np.zeros(n), np.zeros(n)
     inverted = np.zeros(n, bool)
     at = np.arange(n)  # those still moving

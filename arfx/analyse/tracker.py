@@ -36,7 +36,7 @@ class Track:
     def rect(self, time_s: float) -> Rect:
         centre, was = self.predicted(time_s), self.quad_px.mean(0)
         side = float(np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).max())
-        spread = max(0.6 * side, 24.0) * (1 + 0.25 * min(self.missing, 4)) + 0.5 * float(np.abs(centre - was).max())
+        spread = max(0.4 * side, 20.0) * (1 + 0.25 * min(self.missing, 4)) + 0.5 * float(np.abs(centre - was).max())
         return Rect.around(self.quad_px + (centre - was), spread)
 
 
@@ -75,7 +75,9 @@ class Tracker:
         factor = max(1, math.ceil(math.sqrt(frame.area / self.params.reduced_px)))
         every: list[Candidate] = []
         searched, whole = 0, False
-        for part in _merged(t.rect(time_s).clip(frame) for t in self.tracks.values()):
+        # a small frame is searched whole at once: parts of it would save nothing
+        parts = [t.rect(time_s).clip(frame) for t in self.tracks.values()] if factor > 1 else []
+        for part in _merged(parts):
             every += self.detector.search(luma, part)
             searched += part.area
         missing = [k for k in self.keys if k not in {c.key for c in every}]
