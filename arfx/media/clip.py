@@ -1,0 +1,238 @@
+"""What a clip is, before its frames are read: size, times, colour, streams. `probe` decodes one frame to be sure."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+
+from arfx.core.colour import SRGB, Transfer
+from arfx.errors import InputError
+from arfx.media.frame import FrameFormat
+from arfx.media.orient import Orientation, matrix_from_side_data, orientation_of
+from arfx.media.planes import PixelLayout, working_layout
+
+UNSPECIFIED = 2
+_MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
+_HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # H.273 table 3
+_MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
+
+
+@dataclass(frozen=True)
+class StreamInfo:
+    """One stream of the file. used : the video stream that is processed;  picture : a cover, not a video."""
+
+    index: int
+    kind: str
+    codec: str
+    language: str = ""
+    used: bool = False
+    picture: bool = False
+
+    def __str__(self) -> str:
+        return f"#{self.index} {self.kind} {self.codec}" + (f" ({self.language})" if self.language else "")
+
+
+@dataclass(frozen=True)
+class ClipInfo:
+    """A clip's properties. width, height : upright px;  coded_* : as stored;  rotation_deg : counter-clockwise turn to upright.
+
+    full_range, matrix : as used; matrix_stated is False when the stream names none (bt709 from 720 lines up, else bt601)
+    *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;  start_pts : of the first frame
+    frame_count_stated : what the file says, often nothing;  notices : what a user should know
+    """
+
+    path: Path
+    width: int
+    height: int
+    coded_width: int
+    coded_height: int
+    rotation_deg: int
+    fps: float | None
+    codec: str
+    container: str
+    pixel_format: str
+    bit_depth: int
+    matrix: str
+    full_range: bool
+    time_base: Fraction
+    matrix_stated: bool = True
+    matrix_tag: int = UNSPECIFIED
+    range_tag: int = 0
+    transfer_tag: int = UNSPECIFIED
+    primaries_tag: int = UNSPECIFIED
+    chroma_location: str = "left"
+    transfer: Transfer = SRGB
+    display_matrix: tuple[int, ...] | None = None
+    sample_aspect: Fraction | None = None
+    start_pts: int = 0
+    frame_count_stated: int | None = None
+    duration_s: float | None = None
+    stream_index: int = 0
+    streams: tuple[StreamInfo, ...] = field(default_factory=tuple)
+    notices: tuple[str, ...] = ()
+
+    @property
+    def orientation(self) -> Orientation:
+        return orientation_of(self.display_matrix)[0]
+
+    @property
+    def layout(self) -> PixelLayout:
+        """The working format of its frames."""
+        return working_layout(self.pixel_format)[0]
+
+    @property
+    def audio(self) -> tuple[StreamInfo, ...]:
+        return tuple(s for s in self.streams if s.kind == "audio")
+
+    def frame_format(self) -> FrameFormat:
+        return FrameFormat(
+            self.layout, self.coded_width, self.coded_height, self.time_base, self.matrix, self.full_range,
+            self.transfer, self.chroma_location, self.orientation,
+        )  # fmt: skip
+
+    def to_json(self) -> dict[str, Any]:
+        d = {k: getattr(self, k) for k in self.__dataclass_fields__}
+        d.update(
+            path=str(self.path), time_base=str(self.time_base), transfer=self.transfer.name,
+            sample_aspect=None if self.sample_aspect is None else str(self.sample_aspect),
+            display_matrix=None if self.display_matrix is None else list(self.display_matrix),
+            streams=[asdict(s) for s in self.streams], notices=list(self.notices),
+        )  # fmt: skip
+        return d
+
+    @staticmethod
+    def from_json(d: dict[str, Any]) -> ClipInfo:
+        d = dict(d)
+        d.update(
+            path=Path(d["path"]), time_base=Fraction(d["time_base"]), transfer=Transfer(d["transfer"]),
+            sample_aspect=None if d["sample_aspect"] is None else Fraction(d["sample_aspect"]),
+            display_matrix=None if d["display_matrix"] is None else tuple(d["display_matrix"]),
+            streams=tuple(StreamInfo(**s) for s in d["streams"]), notices=tuple(d["notices"]),
+        )  # fmt: skip
+        return ClipInfo(**d)
+
+
+def open_clip(path: Path) -> Any:
+    """The opened container. Raises InputError: no such file, a folder, not a video."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file", "check the path")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder", "give a video file")
+    try:
+        return av.open(str(path), metadata_errors="replace")
+    except (av.error.FFmpegError, OSError) as e:
+        raise InputError(
+            f"{path} cannot be read as a video: {getattr(e, 'strerror', None) or e}",
+            "a file that FFmpeg can decode; a recording that was cut off before its index was written may be repairable",
+        ) from e
+
+
+def video_stream(container: Any, path: Path) -> Any:
+    """The first video stream that is not a cover picture. Raises InputError if there is none."""
+    for s in container.streams.video:
+        if not _is_cover(s):
+            return s
+    held = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
+    raise InputError(f"{path} has no video stream (it holds: {held})", "give a clip with pictures")
+
+
+def _is_cover(stream: Any) -> bool:
+    return bool(stream.disposition & av.stream.Disposition.attached_pic)
+
+
+def _describe(stream: Any, used: bool) -> StreamInfo:
+    codec = stream.codec_context.name if stream.codec_context is not None else str(stream.metadata.get("handler_name", "?"))
+    cover = stream.type == "video" and _is_cover(stream)
+    return StreamInfo(stream.index, stream.type, codec, stream.metadata.get("language", ""), used, cover)
+
+
+def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
+    """Reads a clip's properties and decodes its first frame.
+
+    transfer : how coded values become light; the stream's own tag is not used for SDR (see ARCHITECTURE.md, Numbers)
+    Raises InputError: missing, not a video, no video stream, HDR transfer, nothing decodable.
+    """
+    path = Path(path)
+    with open_clip(path) as container:
+        stream = video_stream(container, path)
+        if stream.codec_context is None:
+            raise InputError(f"{path}: no decoder for its video", "convert it to H.264 first")
+        first = _first_picture(container, stream, path)
+        return _info(container, stream, first, path, transfer)
+
+
+def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
+    stream.thread_type = "SLICE"  # frame threads would read many frames ahead for one
+    reason = "no frame in it"
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets, None)
+            if packet is None:
+                break
+            for picture in packet.decode():
+                return picture
+        except (av.error.FFmpegError, OSError) as e:
+            reason = getattr(e, "strerror", None) or str(e)
+            if isinstance(e, av.error.EOFError):
+                break
+    raise InputError(f"{path}: its video ({stream.codec_context.name}) cannot be decoded: {reason}", "is the file complete?")
+
+
+def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer) -> ClipInfo:
+    ctx, notices = stream.codec_context, []
+    trc = first.color_trc if first.color_trc not in (0, UNSPECIFIED) else ctx.color_trc
+    if int(trc) in _HDR:
+        raise InputError(
+            f"{path} is HDR video with transfer {_HDR[int(trc)]}; only SDR video is processed",
+            "convert it to SDR first, for example with FFmpeg's zscale and tonemap filters",
+        )
+    layout, notice = working_layout(first.format.name)
+    if notice:
+        notices.append(notice)
+    space = int(first.colorspace) if int(first.colorspace) not in (0, UNSPECIFIED) else int(ctx.colorspace)
+    matrix = _MATRIX.get(space)
+    stated = matrix is not None
+    if matrix is None:
+        matrix = "bt709" if first.height >= 720 else "bt601"
+        if layout.kind == "yuv":
+            said = "names no colour matrix" if space in (0, UNSPECIFIED) else f"has the unsupported colour matrix {space}"
+            notices.append(f"the stream {said}: {matrix} is used ({first.height} lines)")
+    range_tag = int(first.color_range) or int(ctx.color_range)
+    full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
+    if layout.kind == "gray" and range_tag == 0:
+        full = True
+    if layout.kind == "rgb" and space not in (0, UNSPECIFIED):
+        stated = False
+    sides = {s.type.name: s for s in first.side_data}
+    turn = matrix_from_side_data(bytes(sides["DISPLAYMATRIX"])) if "DISPLAYMATRIX" in sides else None
+    orientation, exact = orientation_of(turn)
+    if not exact:
+        notices.append("the display matrix is no multiple of 90 degrees; the nearest is used")
+    if first.interlaced_frame:
+        notices.append("the clip is interlaced; its fields are processed as one picture")
+    w, h = (first.height, first.width) if orientation.transpose else (first.width, first.height)
+    sample = stream.sample_aspect_ratio
+    duration = stream.duration * stream.time_base if stream.duration else None
+    if duration is None and container.duration:
+        duration = Fraction(container.duration, av.time_base)
+    rate = stream.average_rate or stream.guessed_rate
+    return ClipInfo(
+        path, w, h, first.width, first.height, orientation.rotation_deg, float(rate) if rate else None, ctx.name,
+        container.format.name, first.format.name, layout.depth, matrix, full, Fraction(stream.time_base), stated,
+        space, range_tag, int(trc), int(first.color_primaries or ctx.color_primaries),
+        "center" if ctx.name in _MIDDLE_SITED else "left", transfer, turn,
+        Fraction(sample) if sample and sample not in (0, 1) else None,
+        first.pts if first.pts is not None else (first.dts or 0), stream.frames or None,
+        None if duration is None else float(duration), stream.index,
+        tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices),
+    )  # fmt: skip
+
+
+def with_notice(info: ClipInfo, text: str) -> ClipInfo:
+    """The same clip with one more notice."""
+    return replace(info, notices=(*info.notices, text))

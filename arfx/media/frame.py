@@ -1,0 +1,190 @@
+"""One decoded picture: upright views of it, linear light of a rectangle, and edits written back into its planes.
+
+Untouched pixels stay untouched: an edit adds the converted difference to the stored samples of its rectangle, so
+every other sample, and every sample whose colour does not change, keeps its bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import av
+import numpy as np
+
+from arfx.core.colour import SRGB, Transfer, yuv_from_rgb
+from arfx.core.rect import Rect
+from arfx.errors import RenderError
+from arfx.media.orient import Orientation
+from arfx.media.planes import PixelLayout, chroma_size, copy_picture, planes_of
+
+_SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
+
+
+@dataclass(frozen=True)
+class FrameFormat:
+    """What all frames of a clip share. width, height : coded px; chroma_location : left | center | topleft."""
+
+    layout: PixelLayout
+    width: int
+    height: int
+    time_base: Fraction
+    matrix: str = "bt709"
+    full_range: bool = False
+    transfer: Transfer = SRGB
+    chroma_location: str = "left"
+    orientation: Orientation = field(default_factory=Orientation)
+
+    @property
+    def cosited(self) -> tuple[bool, bool]:
+        """Whether chroma lies on the left, and on the top, luma sample of its group (else in the middle)."""
+        return self.chroma_location in ("left", "topleft"), self.chroma_location == "topleft"
+
+    @property
+    def luma_steps(self) -> tuple[float, float]:
+        """(offset, steps from black to white) of stored luma, grey or RGB samples. Source: ITU-R BT.601/709/2020."""
+        up = 1 << (self.layout.depth - 8)
+        return (0.0, float(self.layout.peak)) if self.full_range else (16.0 * up, 219.0 * up)
+
+    @property
+    def chroma_steps(self) -> tuple[float, float]:
+        """(value of no chroma, steps from -0.5 to 0.5)."""
+        up = 1 << (self.layout.depth - 8)
+        return 128.0 * up, float(self.layout.peak) if self.full_range else 224.0 * up
+
+    @property
+    def legal(self) -> tuple[int, int, int, int]:
+        """Lowest and highest legal luma, lowest and highest legal chroma."""
+        up = 1 << (self.layout.depth - 8)
+        p = self.layout.peak
+        return (0, p, 0, p) if self.full_range else (16 * up, 235 * up, 16 * up, 240 * up)
+
+
+class Frame:
+    """One picture; never changes. index : number in the reader's order;  pts : in `time_base` units;  key : key frame."""
+
+    __slots__ = ("format", "index", "key", "picture", "pts")
+
+    def __init__(self, picture: av.VideoFrame, form: FrameFormat, index: int, pts: int, key: bool = False) -> None:
+        self.picture, self.format, self.index, self.pts, self.key = picture, form, index, pts, key
+
+    @property
+    def time_s(self) -> float:
+        """Presentation time, seconds."""
+        return float(self.pts * self.format.time_base)
+
+    @property
+    def rect(self) -> Rect:
+        """The whole upright picture."""
+        f = self.format
+        return Rect.of(f.height, f.width) if f.orientation.transpose else Rect.of(f.width, f.height)
+
+    def luma(self) -> np.ndarray:
+        """(h, w) uint8, upright, read-only; limited range stays as stored; a view for 8-bit YUV and grey."""
+        f = self.format
+        if f.layout.kind == "rgb":
+            y = self.picture.reformat(format="gray").to_ndarray()
+        else:
+            y = planes_of(self.picture, f.layout)[0][:, : f.width]
+            if f.layout.depth > 8:
+                y = (y >> (f.layout.depth - 8)).astype(np.uint8)
+        out = f.orientation.upright(y)
+        out.setflags(write=False)
+        return out
+
+    def rgb8(self) -> np.ndarray:
+        """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at."""
+        f = self.format
+        full = 2 if f.full_range else 1
+        shown = self.picture.reformat(
+            format="rgb24", src_colorspace=_SWS_MATRIX.get(f.matrix), src_color_range=full, dst_color_range=2,
+        )  # fmt: skip
+        return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
+
+    def _coded(self, rect: Rect) -> Rect:
+        if rect.empty or not self.rect.contains(rect):
+            raise RenderError(f"frame {self.index}: rectangle {rect.to_json()} is not inside the picture {self.rect.to_json()}")
+        return self.format.orientation.coded_rect(rect, self.rect.width, self.rect.height)
+
+    def linear(self, rect: Rect) -> np.ndarray:
+        """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly below 0 and above 1 occur.
+
+        Any two rectangles agree where they meet. Raises RenderError if rect is empty or leaves the picture.
+        """
+        f, r = self.format, self._coded(rect)
+        planes = planes_of(self.picture, f.layout)
+        if f.layout.kind != "yuv":
+            off, span = f.luma_steps
+            table = f.transfer.decode((np.arange(f.layout.peak + 1) - off) / span).astype(np.float32)
+            parts = [np.take(table, np.minimum(p[r.slices], f.layout.peak)) for p in planes[:3]]
+            coded = np.stack([parts[2], parts[0], parts[1]] if f.layout.kind == "rgb" else parts * 3, -1)  # gbrp: G, B, R
+            return np.ascontiguousarray(f.orientation.upright(coded))
+        from arfx.media import kernels
+
+        coded = np.empty((r.height, r.width, 3), np.float32)
+        to_rgb = np.linalg.inv(yuv_from_rgb(f.matrix))
+        (yo, yn), (co, cn) = f.luma_steps, f.chroma_steps
+        kernels.linear_from_yuv(
+            planes[0], planes[1], planes[2], (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited,
+            chroma_size(f.layout, f.width, f.height), tuple(np.float32(v) for v in (yo, 1 / yn, co, 1 / cn)),
+            tuple(np.float32(v) for v in (to_rgb[0, 2], -to_rgb[1, 1], -to_rgb[1, 2], to_rgb[2, 1])),
+            kernels.decode_table(f.transfer), coded,
+        )  # fmt: skip
+        return np.ascontiguousarray(f.orientation.upright(coded))
+
+    def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
+        """A new frame whose stored samples differ by convert(after) - convert(before) inside `rect`.
+
+        before, after : (h, w, 3) float32 linear RGB of the upright rectangle; equal pixels keep their bits.
+        New values are clipped to the legal range; samples that already lay beyond it may stay there.
+        Raises RenderError for a rectangle outside the picture, other shapes, or values that are not finite.
+        """
+        f, r = self.format, self._coded(rect)
+        shape = (rect.height, rect.width, 3)
+        if before.shape != shape or after.shape != shape:
+            raise RenderError(f"frame {self.index}: edit of {shape} pixels given {before.shape} before, {after.shape} after")
+        b = np.ascontiguousarray(f.orientation.coded(before), np.float32)
+        a = np.ascontiguousarray(f.orientation.coded(after), np.float32)
+        picture = copy_picture(self.picture, f.layout)
+        planes = planes_of(picture, f.layout)
+        bad = _edit_yuv(planes, f, r, b, a) if f.layout.kind == "yuv" else _edit_rgb(planes, f, r, b, a)
+        if bad:
+            raise RenderError(f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not finite numbers")
+        return Frame(picture, f, self.index, self.pts, self.key)
+
+
+def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:
+    from arfx.media import kernels
+
+    (_, yn), (_, cn) = f.luma_steps, f.chroma_steps
+    y_low, y_high, c_low, c_high = f.legal
+    d_cb, d_cr = np.empty((2, r.height, r.width), np.float32)
+    bad = kernels.edit_luma(
+        planes[0], r.x0, r.y0, before, after, before.view(np.int32), after.view(np.int32),
+        kernels.encode_table(f.transfer), yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, d_cb, d_cr,
+    )  # fmt: skip
+    for plane, diff in ((planes[1], d_cb), (planes[2], d_cr)):
+        kernels.edit_chroma(
+            plane, diff, (r.x0, r.y0, r.x1, r.y1), (f.width, f.height), (f.layout.sub_x, f.layout.sub_y), f.cosited,
+            np.float32(cn), c_low, c_high,
+        )  # fmt: skip
+    return int(bad)
+
+
+def _edit_rgb(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:
+    finite = np.isfinite(before).all(-1) & np.isfinite(after).all(-1)
+    if not finite.all():
+        return int((~finite).sum())
+    b = f.transfer.encode(before)
+    a = f.transfer.encode(after)
+    d = np.clip(a, np.minimum(b, 0), np.maximum(b, 1)) - b
+    if f.layout.kind == "gray":
+        d = d @ yuv_from_rgb(f.matrix)[0][:, None]
+    else:
+        d = d[..., [1, 2, 0]]  # gbrp: G, B, R
+    low, high = f.legal[:2]
+    for c in range(d.shape[-1]):
+        old = planes[c][r.slices].astype(np.int64)
+        new = old + np.rint(d[..., c] * f.luma_steps[1]).astype(np.int64)
+        planes[c][r.slices] = np.clip(new, np.minimum(old, low), np.maximum(old, high))
+    return 0
