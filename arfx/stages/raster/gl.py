@@ -100,7 +100,7 @@ class GlRenderer:
         peel = None
         for _ in range(MAX_LAYERS):
             buffers = self._draw(view, projection, columns_px, rows_px, peel)
-            if not gl_resolve.add_layer(texels, *buffers, self.glows, acc, depth, ident):
+            if not gl_resolve.add_layer(texels, *(*buffers, self.glows, acc, depth, ident)):
                 break
             # nothing drawn at a texel: everything there has been peeled
             peel = np.where(buffers[2][:, 3] > 0, buffers[0][:, 3], np.float32(3e38))

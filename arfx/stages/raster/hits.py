@@ -66,12 +66,12 @@ def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cov
 def accumulate(
     active, prim, bary_u, bary_v, distance, directions, start, pixel,
     faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code, layered,
-    acc, depth, ident, onward,
+    acc, depth, ident, masked, onward,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `onward`.
 
     start : (samples,) float32 depth from which each ray was sent, moved behind the hit where it goes on
-    pixel : side of a pixel at depth 1
+    pixel : side of a pixel at depth 1;  masked : (samples,) bool, set where a cut-out material is met
     """
     going = 0
     texel = np.empty(4, np.float32)
@@ -121,6 +121,7 @@ def accumulate(
         if mode == 0:
             alpha = np.float32(1)
         elif mode == 1:
+            masked[k] = True
             alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
         if alpha > _CLEAR:
             nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
