@@ -208,7 +208,7 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
         full = True
     if layout.kind == "rgb" and space not in (0, UNSPECIFIED):
         stated = False
-    sides = {s.type.name: s for s in first.side_data}
+    sides: dict[str, Any] = {s.type.name: s for s in list(first.side_data)}  # type: ignore[attr-defined]
     turn = matrix_from_side_data(bytes(sides["DISPLAYMATRIX"])) if "DISPLAYMATRIX" in sides else None
     orientation, exact = orientation_of(turn)
     if not exact:

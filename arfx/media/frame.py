@@ -18,7 +18,7 @@ from arfx.errors import RenderError
 from arfx.media.orient import Orientation
 from arfx.media.planes import PixelLayout, chroma_size, copy_picture, planes_of
 
-_SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
+SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Frame:
         """(h, w) uint8, upright, read-only; limited range stays as stored; a view for 8-bit YUV and grey."""
         f = self.format
         if f.layout.kind == "rgb":
-            y = self.picture.reformat(format="gray").to_ndarray()
+            y: np.ndarray = self.picture.reformat(format="gray").to_ndarray()
         else:
             y = planes_of(self.picture, f.layout)[0][:, : f.width]
             if f.layout.depth > 8:
@@ -97,7 +97,7 @@ class Frame:
         f = self.format
         full = 2 if f.full_range else 1
         shown = self.picture.reformat(
-            format="rgb24", src_colorspace=_SWS_MATRIX.get(f.matrix), src_color_range=full, dst_color_range=2,
+            format="rgb24", src_colorspace=SWS_MATRIX.get(f.matrix), src_color_range=full, dst_color_range=2,
         )  # fmt: skip
         return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
 
@@ -178,10 +178,7 @@ def _edit_rgb(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndar
     b = f.transfer.encode(before)
     a = f.transfer.encode(after)
     d = np.clip(a, np.minimum(b, 0), np.maximum(b, 1)) - b
-    if f.layout.kind == "gray":
-        d = d @ yuv_from_rgb(f.matrix)[0][:, None]
-    else:
-        d = d[..., [1, 2, 0]]  # gbrp: G, B, R
+    d = d @ yuv_from_rgb(f.matrix)[0][:, None] if f.layout.kind == "gray" else d[..., [1, 2, 0]]  # gbrp: G, B, R
     low, high = f.legal[:2]
     for c in range(d.shape[-1]):
         old = planes[c][r.slices].astype(np.int64)

@@ -1,0 +1,99 @@
+"""What the supported codecs and containers can hold."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+import av
+
+from arfx.media.planes import PixelLayout, layout_named
+
+SUFFIX_CONTAINER = {".mp4": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".mov": "mov", ".webm": "webm"}
+CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".webm"}
+
+
+@dataclass(frozen=True)
+class Codec:
+    """One output codec. encoder : FFmpeg's name;  containers : best first;  chunk : container of its chunks
+
+    options : fixed ones;  crf, preset : defaults, None where there is no such setting;  threads : given to the encoder
+    full_range : whether full-range samples can be told from limited ones in its files
+    """
+
+    name: str
+    encoder: str
+    containers: tuple[str, ...]
+    chunk: str = ".nut"
+    options: Mapping[str, str] = field(default_factory=dict)
+    crf: float | None = None
+    preset: str | None = None
+    full_range: bool = True
+    lossless: bool = False
+    sequence: bool = False
+
+    def formats(self) -> tuple[str, ...]:
+        """Working pixel formats that its encoder takes (planar YUV, grey, RGB; without transparency)."""
+        return _formats(self.encoder)
+
+
+# Threads are fixed: 1, 2 and 4 give three different streams, and bytes must not depend on the machine.
+CODECS = {
+    "h264": Codec("h264", "libx264", ("mp4", "matroska", "mov"), crf=18, preset="veryfast"),
+    "h265": Codec(
+        "h265", "libx265", ("mp4", "matroska", "mov"), crf=20, preset="veryfast",
+        options={"x265-params": "log-level=none:pools=2:frame-threads=1:info=0"},
+    ),
+    "av1": Codec(
+        "av1", "libsvtav1", ("mp4", "matroska", "webm"), crf=28, preset="8", options={"svtav1-params": "lp=2"},
+    ),
+    "prores": Codec(
+        "prores", "prores_ks", ("mov", "matroska"), chunk=".mkv", full_range=False, options={"profile": "4", "vendor": "apl0"},
+    ),
+    "ffv1": Codec(
+        "ffv1", "ffv1", ("matroska",), chunk=".mkv", lossless=True,
+        options={"level": "3", "slicecrc": "1", "slices": "4", "g": "1"},
+    ),
+    "png": Codec("png", "png", (), sequence=True),
+    "exr": Codec("exr", "exr", (), sequence=True),
+}  # fmt: skip
+
+
+@cache
+def _formats(encoder: str) -> tuple[str, ...]:
+    formats = av.Codec(encoder, "w").video_formats or []
+    known = [(f.name, layout_named(f.name)) for f in formats]
+    names = [n for n, lay in known if lay is not None and not lay.alpha and not n.startswith("yuvj")]
+    if encoder == "ffv1":
+        names.append("gbrp")  # its 8-bit RGB is bgr0: the same samples, interleaved
+    return tuple(names)
+
+
+@cache
+def holdable(container: str) -> frozenset[str]:
+    """Names of the codecs that a container can hold, decoders' and encoders' names alike."""
+    with av.open(os.devnull, "w", format=container) as out:
+        return frozenset(out.supported_codecs)
+
+
+def nearest_format(layout: PixelLayout, formats: tuple[str, ...], odd: tuple[bool, bool], refuses_odd: bool) -> str | None:
+    """The encoder's format that loses least of a source layout; None if none holds the picture's size.
+
+    odd : the coded width, height are odd;  refuses_odd : the codec cannot hold odd sizes with subsampled chroma
+    Least loss first: colour kept, chroma resolution kept, depth kept, then nothing added.
+    """
+
+    def price(name: str) -> tuple[int, ...] | None:
+        f = layout_named(name)
+        if f is None or (refuses_odd and ((odd[0] and f.sub_x) or (odd[1] and f.sub_y))):
+            return None
+        colour = layout.kind != "gray" and f.kind == "gray"
+        model = (layout.kind == "rgb") != (f.kind == "rgb")
+        chroma = max(f.sub_x - layout.sub_x, 0) + max(f.sub_y - layout.sub_y, 0) if f.kind != "gray" else 0
+        finer = max(layout.sub_x - f.sub_x, 0) + max(layout.sub_y - f.sub_y, 0) + (layout.kind == "gray" and f.kind != "gray")
+        return int(colour), max(layout.depth - f.depth, 0), chroma, int(model), finer, abs(f.depth - layout.depth)
+
+    priced = [(p, n) for n in formats if (p := price(n)) is not None]
+    return min(priced)[1] if priced else None

@@ -1,0 +1,75 @@
+"""Single images: PNG with 8 or 16 bits, EXR with 32-bit floats.
+
+OpenCV's wheels carry no OpenEXR, so EXR goes through FFmpeg's encoder and decoder, whose samples are exact.
+"""
+
+from __future__ import annotations
+
+import io
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+
+from arfx.core.colour import SRGB, Transfer
+from arfx.errors import InputError, RenderError
+
+
+def write_png(path: Path, rgb: np.ndarray) -> None:
+    """rgb : (h, w, 3) or (h, w) uint8 or uint16, R'G'B'. Raises RenderError when it cannot be written."""
+    import cv2
+
+    if rgb.dtype not in (np.uint8, np.uint16):
+        raise RenderError(f"{path}: PNG holds 8 or 16 bits, not {rgb.dtype}")
+    ok, data = cv2.imencode(".png", rgb[..., ::-1] if rgb.ndim == 3 else rgb)
+    if not ok:
+        raise RenderError(f"{path}: the image cannot be encoded as PNG")
+    _write(path, data.tobytes())
+
+
+def write_exr(path: Path, linear: np.ndarray) -> None:
+    """linear : (h, w, 3) or (h, w) float32, stored bit for bit. Raises RenderError when it cannot be written."""
+    a = np.ascontiguousarray(linear, np.float32)
+    fmt = "grayf32le" if a.ndim == 2 else "gbrpf32le"
+    ctx = av.CodecContext.create("exr", "w")
+    ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = a.shape[1], a.shape[0], fmt, Fraction(1, 25)
+    ctx.options = {"compression": "zip16", "format": "float"}
+    packets = ctx.encode(av.VideoFrame.from_ndarray(a, format=fmt)) + ctx.encode(None)
+    _write(path, b"".join(bytes(p) for p in packets))
+
+
+def load_image(path: Path, transfer: Transfer = SRGB) -> np.ndarray:
+    """Linear float32 RGB (h, w, 3) of an image: EXR and Radiance HDR as stored, others through `transfer`.
+
+    Raises InputError: missing, or not an image.
+    """
+    import cv2
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such image", "check the path")
+    if path.suffix.lower() == ".exr":
+        try:
+            with av.open(io.BytesIO(path.read_bytes()), "r", format="exr_pipe") as c:
+                a: np.ndarray = next(c.decode(video=0)).to_ndarray()
+        except (av.error.FFmpegError, StopIteration) as e:
+            raise InputError(f"{path} cannot be read as an EXR image: {e}") from e
+        return np.repeat(a[..., None], 3, -1) if a.ndim == 2 else np.ascontiguousarray(a[..., :3])
+    raw: np.ndarray | None = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    if raw is None:
+        raise InputError(f"{path} cannot be read as an image", "PNG, JPEG, TIFF, HDR or EXR")
+    rgb = np.repeat(raw[..., None], 3, -1) if raw.ndim == 2 else raw[..., 2::-1]
+    if rgb.dtype.kind == "f":
+        return np.ascontiguousarray(rgb, np.float32)
+    peak = (1 << 8 * rgb.dtype.itemsize) - 1
+    return np.take(transfer.decode(np.linspace(0, 1, peak + 1)).astype(np.float32), rgb)
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as e:
+        raise RenderError(
+            f"{path} cannot be written: {e.strerror or e}", "is there room, and may this folder be written to?"
+        ) from e

@@ -1,0 +1,234 @@
+"""Joining encoded chunks into the final file without encoding again: exact times, tags, rotation, further streams.
+
+The chunks' own times are not used, only their order: packet i of the clip, in decoding order, shows the frame whose
+rank among the chunk's presentation times it has. With all presentation times sorted into S and reorder depth d,
+decode times are given anew as S[i - d] (before that, S[0] minus small steps), so that they rise over chunk borders.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+
+from arfx.errors import RenderError
+from arfx.media.clip import ClipInfo, open_clip
+from arfx.media.copy_streams import add_copied_stream, copied_packets, plain_metadata
+from arfx.media.output import OutputPlan
+from arfx.media.writer import remove_output, write_failed
+
+_MAX_TIMESCALE = (1 << 31) - 1
+
+
+@dataclass(frozen=True)
+class _Order:
+    """ranks : for each packet in decoding order, the number of its frame in the clip;  depth : reorder depth d."""
+
+    ranks: list[int]
+    depth: int
+    extradata: bytes
+
+
+def join_chunks(
+    chunks: Sequence[Path], pts: Sequence[int], plan: OutputPlan, info: ClipInfo, out: Path,
+    start_s: float | None = None, end_s: float | None = None,
+) -> None:  # fmt: skip
+    """Writes `out` from chunks in order.
+
+    pts : presentation times of all their frames in info.time_base, rising; start_s, end_s : the cut that was made, in
+    seconds after the clip's first frame, for the streams that are copied.
+    Raises RenderError: chunks and times do not match, chunks of different settings, the file cannot be written. Then
+    nothing is left under the final name that was not there before.
+    """
+    out = Path(out)
+    if not chunks or not pts:
+        raise RenderError(f"{out}: nothing to join")
+    if any(b <= a for a, b in itertools.pairwise(pts)):
+        raise RenderError(f"{out}: frame times do not rise")
+    if plan.is_sequence:
+        _join_folders(chunks, len(pts), out)
+        return
+    part = out.with_name(out.name + ".part")
+    try:
+        remove_output(part)
+        order = _order_of(chunks, len(pts))
+        _remux(chunks, pts, order, plan, info, part, start_s, end_s)
+        part.replace(out)
+    except (av.error.FFmpegError, OSError, ValueError) as e:
+        _forget(part)
+        raise write_failed(out, e) from e
+    except BaseException:
+        _forget(part)
+        raise
+
+
+def _forget(part: Path) -> None:
+    with contextlib.suppress(OSError):  # what went wrong first is what the user must hear
+        remove_output(part)
+
+
+def _order_of(chunks: Sequence[Path], count: int) -> _Order:
+    ranks: list[int] = []
+    extradata: bytes | None = None
+    for chunk in chunks:
+        with av.open(str(chunk)) as c:
+            stream = c.streams.video[0]
+            own = bytes(stream.codec_context.extradata or b"")
+            if extradata is not None and own != extradata:
+                raise RenderError(f"{chunk}: encoded with other settings than the chunks before", "render the job again")
+            extradata = own
+            shown = [p.pts for p in c.demux(stream) if p.size]
+            first = len(ranks)
+            at = {k: r for r, k in enumerate(sorted(range(len(shown)), key=lambda k: (shown[k], k)))}
+            ranks += [first + at[k] for k in range(len(shown))]
+    if len(ranks) != count:
+        raise RenderError(f"the chunks hold {len(ranks)} frames, the clip has {count}", "render the job again")
+    return _Order(ranks, max(i - r for i, r in enumerate(ranks)), extradata or b"")
+
+
+def _video_packets(
+    chunks: Sequence[Path], pts: Sequence[int], order: _Order, time_base: Fraction, stream: Any
+) -> Iterator[tuple[Fraction, Any]]:
+    i, d = 0, order.depth
+    for chunk in chunks:
+        with av.open(str(chunk)) as c:
+            for p in c.demux(c.streams.video[0]):
+                if not p.size:
+                    continue
+                shown = order.ranks[i]
+                decoded = pts[i - d] if i >= d else pts[0] - (d - i)
+                p.time_base = time_base
+                p.pts, p.dts = pts[shown], decoded
+                p.duration = pts[shown + 1] - pts[shown] if shown + 1 < len(pts) else _last_duration(pts)
+                p.stream = stream
+                yield decoded * time_base, p
+                i += 1
+
+
+def _last_duration(pts: Sequence[int]) -> int:
+    return pts[-1] - pts[-2] if len(pts) > 1 else 0
+
+
+def _remux(
+    chunks: Sequence[Path], pts: Sequence[int], order: _Order, plan: OutputPlan, info: ClipInfo, part: Path,
+    start_s: float | None, end_s: float | None,
+) -> None:  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        source = stack.enter_context(open_clip(info.path))
+        first = stack.enter_context(av.open(str(chunks[0])))
+        options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
+        if plan.container in ("mp4", "mov"):
+            options |= {"movflags": "faststart", "movie_timescale": str(_timescale(info, source, plan))}
+        out = av.open(str(part), "w", format=plan.container, container_options=options)
+        try:
+            out.metadata.update(plain_metadata(source.metadata))
+            streams: dict[int, Any] = {}
+            for s in source.streams:  # the source's order of streams
+                if s.index == info.stream_index:
+                    streams[s.index] = _add_video(out, first.streams.video[0], s, plan, info)
+                elif s.index in plan.streams:
+                    streams[s.index] = add_copied_stream(out, s)
+            if start_s is None and end_s is None and source.chapters():
+                out.set_chapters(source.chapters())
+            video = _video_packets(chunks, pts, order, info.time_base, streams[info.stream_index])
+            further = copied_packets(source, info, plan, start_s, end_s) if plan.streams else iter(())
+            for packet in _merged(video, further, streams):
+                out.mux(packet)
+            out.close()
+        except BaseException:
+            with contextlib.suppress(av.error.FFmpegError, OSError):  # the first error is the one that counts
+                out.close()
+            raise
+
+
+def _merged(
+    video: Iterator[tuple[Fraction, Any]], further: Iterator[tuple[Fraction, Any]], streams: dict[int, Any]
+) -> Iterator[Any]:
+    """Both by decode time, so that the muxer never holds more than a moment of either."""
+    v, f = next(video, None), next(further, None)
+    while v is not None or f is not None:
+        if f is None or (v is not None and v[0] <= f[0]):
+            assert v is not None
+            yield v[1]
+            v = next(video, None)
+        else:
+            f[1].stream = streams[f[1].stream_index]
+            yield f[1]
+            f = next(further, None)
+
+
+def _add_video(out: Any, template: Any, source: Any, plan: OutputPlan, info: ClipInfo) -> Any:
+    stream = out.add_stream_from_template(template, opaque=True)
+    stream.time_base = info.time_base
+    stream.metadata.update(plain_metadata(source.metadata))
+    stream.disposition = source.disposition
+    ctx = stream.codec_context
+    ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
+    ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
+    if info.fps:
+        ctx.framerate = Fraction(info.fps).limit_denominator(1001)
+    if info.sample_aspect is not None:
+        ctx.sample_aspect_ratio = info.sample_aspect
+    if plan.codec == "h265" and plan.container in ("mp4", "mov"):
+        ctx.codec_tag = "hvc1"  # the tag that all players know; parameter sets are in the header
+    if info.display_matrix is not None:
+        stream.set_display_matrix(info.display_matrix)
+    return stream
+
+
+def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
+    """A movie clock in which a late start of any stream is a whole number: edit lists count in it."""
+    scale = info.time_base.denominator
+    while scale < 10000:
+        scale *= 2
+    for i in plan.streams:
+        both = math.lcm(scale, source.streams[i].time_base.denominator)
+        if both <= _MAX_TIMESCALE:
+            scale = both
+    return scale
+
+
+def _join_folders(chunks: Sequence[Path], count: int, out: Path) -> None:
+    """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
+    folder = out.parent
+    part = folder.with_name(folder.name + ".part")
+    try:
+        remove_output(part)
+        part.mkdir(parents=True)
+        times, images = [], 0
+        for chunk in chunks:
+            for f in sorted(chunk.iterdir()):
+                if f.name == "times.txt":
+                    times.append(f.read_text())
+                    continue
+                images += 1
+                try:
+                    os.link(f, part / f.name)
+                except OSError:  # another file system, or one without links
+                    shutil.copyfile(f, part / f.name)
+        if images != count:
+            raise RenderError(f"the chunks hold {images} images, the clip has {count} frames", "render the job again")
+        (part / "times.txt").write_text("".join(times))
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+        if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step
+            for f in part.iterdir():
+                f.replace(folder / f.name)
+            part.rmdir()
+        else:
+            part.replace(folder)
+    except OSError as e:
+        _forget(part)
+        raise write_failed(out, e) from e
+    except BaseException:
+        _forget(part)
+        raise

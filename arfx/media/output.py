@@ -1,0 +1,221 @@
+"""Everything about the output file that is decided before rendering: codec, container, pixel format, tags."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from arfx.errors import ConfigError
+from arfx.media.clip import UNSPECIFIED, ClipInfo
+from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, holdable, nearest_format
+from arfx.media.planes import layout_named
+
+_DEFAULT_CODEC = {"mp4": "h264", "mov": "h264", "matroska": "h264", "webm": "av1"}
+_PATTERN = re.compile(r"%0?\d*d")
+_ALIASES = {"hevc": "h265", "avc": "h264", "x264": "h264", "x265": "h265", "prores4444": "prores"}
+
+
+@dataclass(frozen=True)
+class OutputSettings:
+    """What the user asked for; None = from the file's extension and the clip."""
+
+    codec: str | None = None
+    crf: float | None = None
+    preset: str | None = None
+    pixel_format: str | None = None
+
+
+@dataclass(frozen=True)
+class OutputPlan:
+    """What will be written. container : FFmpeg's muxer, "" for an image sequence;  options : the encoder's, in order
+
+    matrix, full_range : of the written samples;  *_tag : as written into the file (ITU-T H.273)
+    streams : indices of the source's further streams that are copied
+    """
+
+    path: Path
+    codec: str
+    container: str
+    pixel_format: str
+    options: tuple[tuple[str, str], ...]
+    encoder_threads: int
+    matrix: str
+    full_range: bool
+    matrix_tag: int = UNSPECIFIED
+    range_tag: int = 0
+    transfer_tag: int = UNSPECIFIED
+    primaries_tag: int = UNSPECIFIED
+    streams: tuple[int, ...] = ()
+    notices: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def is_sequence(self) -> bool:
+        """Whether it is a folder of images."""
+        return self.container == ""
+
+    def to_json(self) -> dict[str, Any]:
+        d = {k: getattr(self, k) for k in self.__dataclass_fields__}
+        d.update(path=str(self.path), options=dict(self.options), streams=list(self.streams), notices=list(self.notices))
+        return d
+
+    @staticmethod
+    def from_json(d: dict[str, Any]) -> OutputPlan:
+        d = dict(d)
+        d.update(
+            path=Path(d["path"]), options=tuple(d["options"].items()), streams=tuple(d["streams"]), notices=tuple(d["notices"])
+        )
+        return OutputPlan(**d)
+
+
+def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = None) -> OutputPlan:
+    """Decides how a clip is written to `path`.
+
+    Raises ConfigError: unknown extension, codec or pixel format; a container that cannot hold the codec, or the clip's
+    audio (the message names the ones that can); a picture size that the codec has no pixel format for.
+    """
+    path, settings = Path(path), settings or OutputSettings()
+    container, codec = _choose(path, settings)
+    if codec.sequence:
+        return _plan_sequence(info, path, codec, settings)
+    if container not in codec.containers:
+        raise ConfigError(
+            f"{path}: a {path.suffix} file cannot hold {codec.name}",
+            "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers),
+        )
+    notices: list[str] = []
+    streams = _further_streams(info, container, codec, path, notices)
+    fmt = _pixel_format(info, codec, settings, notices)
+    target = layout_named(fmt)
+    assert target is not None
+    full = target.kind == "rgb" or (info.full_range and (info.layout.kind != "rgb") and codec.full_range)
+    if info.full_range and info.layout.kind != "rgb" and not full:
+        notices.append(f"{codec.name} files are limited range: the full-range source is converted")
+    matrix, matrix_tag, range_tag = info.matrix, info.matrix_tag, info.range_tag
+    if info.layout.kind == "rgb" and target.kind != "rgb":
+        matrix, matrix_tag, range_tag = "bt709", 1, 1
+        notices.append("the RGB source is converted to YUV (bt709, limited range)")
+    elif info.full_range != full:
+        range_tag = 1
+    elif full and target.kind == "yuv":
+        range_tag = 2
+    if container == "matroska":
+        notices.append("Matroska counts time in milliseconds: frame times are rounded to 1 ms")
+    elif container == "webm":
+        notices.append("WebM counts time in milliseconds: frame times are rounded to 1 ms")
+    return OutputPlan(
+        path, codec.name, container, fmt, _options(codec, settings), 2, matrix, full, matrix_tag, range_tag,
+        info.transfer_tag, info.primaries_tag, streams, tuple(notices),
+    )  # fmt: skip
+
+
+def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
+    suffix = path.suffix.lower()
+    name = settings.codec.lower() if settings.codec else None
+    name = _ALIASES.get(name, name) if name else None
+    if name is not None and name not in CODECS:
+        raise ConfigError(f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS))
+    if suffix in (".png", ".exr") or (name is not None and CODECS[name].sequence):
+        kind = name or suffix[1:]
+        if suffix != f".{kind}":
+            raise ConfigError(f"{path}: codec {kind} writes images named *.{kind}", f"for example frames/%06d.{kind}")
+        if not _PATTERN.search(path.name):
+            raise ConfigError(f"{path}: an image sequence needs a number in its name", f"for example frames/%06d{suffix}")
+        return "", CODECS[kind]
+    if suffix not in SUFFIX_CONTAINER:
+        raise ConfigError(
+            f"{path}: unknown output format {suffix or '(no extension)'!r}",
+            "one of .mp4, .mkv, .mov, .webm, or images as frames/%06d.png or frames/%06d.exr",
+        )
+    container = SUFFIX_CONTAINER[suffix]
+    return container, CODECS[name or _DEFAULT_CODEC[container]]
+
+
+def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], ...]:
+    options = dict(codec.options)
+    crf, preset = settings.crf, settings.preset
+    for what, asked, default in (("crf", crf, codec.crf), ("preset", preset, codec.preset)):
+        if default is None and asked is not None:
+            raise ConfigError(f"codec {codec.name} has no setting {what!r}", "leave it out")
+        if default is not None:
+            options[what] = (
+                f"{default if asked is None else asked:g}" if what == "crf" else str(default if asked is None else asked)
+            )
+    if crf is not None and not 0 <= crf <= 63:
+        raise ConfigError(f"crf must be within 0 and 63, is {crf:g}", "18 is nearly transparent, 28 is small")
+    return tuple(sorted(options.items()))
+
+
+def _pixel_format(info: ClipInfo, codec: Codec, settings: OutputSettings, notices: list[str]) -> str:
+    formats, source = codec.formats(), info.layout
+    odd = (info.coded_width % 2 == 1, info.coded_height % 2 == 1)
+    refuses_odd = not codec.lossless
+    if asked := settings.pixel_format:
+        held = layout_named(asked)
+        if held is None or held.plain_name not in formats:
+            raise ConfigError(f"codec {codec.name} cannot write pixel format {asked!r}", "one of " + ", ".join(formats))
+        if refuses_odd and ((odd[0] and held.sub_x) or (odd[1] and held.sub_y)):
+            raise ConfigError(
+                f"pixel format {asked} needs even sizes, the clip is {info.coded_width}x{info.coded_height}", "use yuv444p"
+            )
+        return held.plain_name
+    if source.alpha:
+        notices.append("the clip's transparency is not written")
+    fmt = nearest_format(source, formats, odd, refuses_odd)
+    if fmt is None:
+        able = ", ".join(
+            n for n, c in CODECS.items() if c.containers and nearest_format(source, c.formats(), odd, not c.lossless)
+        )
+        raise ConfigError(
+            f"codec {codec.name} cannot write the odd picture size {info.coded_width}x{info.coded_height}", f"one of {able}"
+        )
+    target = layout_named(fmt)
+    assert target is not None
+    if target.kind == "yuv" and source.kind == "yuv" and (target.sub_x, target.sub_y) != (source.sub_x, source.sub_y):
+        why = (
+            "the picture size is odd" if any(odd) and target.subsampling == "444" else f"{codec.name} has no {source.subsampling}"
+        )
+        notices.append(f"chroma is written as 4:{target.subsampling[1]}:{target.subsampling[2]}: {why}")
+    if target.depth < source.depth:
+        notices.append(f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name} has no more")
+    return fmt
+
+
+def _further_streams(info: ClipInfo, container: str, codec: Codec, path: Path, notices: list[str]) -> tuple[int, ...]:
+    kept = []
+    for s in info.streams:
+        if s.used:
+            continue
+        if s.codec in holdable(container) and s.kind in ("audio", "video", "subtitle") and not s.picture:
+            kept.append(s.index)
+        elif s.kind == "audio":
+            able = [CONTAINER_SUFFIX[c] for c in codec.containers if _all_audio(info, c)]
+            raise ConfigError(
+                f"{path}: a {path.suffix} file cannot hold the clip's audio ({s.codec})",
+                f"use {' or '.join(able)}" if able else f"no container of {codec.name} can; use another codec, or .mkv",
+            )
+        else:
+            notices.append(f"stream {s} is left out: {'a cover picture' if s.picture else path.suffix + ' files cannot hold it'}")
+    return tuple(kept)
+
+
+def _all_audio(info: ClipInfo, container: str) -> bool:
+    return all(s.codec in holdable(container) for s in info.audio)
+
+
+def _plan_sequence(info: ClipInfo, path: Path, codec: Codec, settings: OutputSettings) -> OutputPlan:
+    if settings.crf is not None or settings.preset is not None or settings.pixel_format is not None:
+        raise ConfigError(f"{codec.name} images take no crf, preset or pixel format", "leave them out")
+    deep = info.bit_depth > 8
+    fmt = "gbrpf32le" if codec.name == "exr" else ("rgb48be" if deep else "rgb24")
+    notices = ["frame times are written to times.txt beside the images"]
+    others = [str(s) for s in _others(info.streams)]
+    if others:
+        notices.append(f"images hold no further streams; left out: {', '.join(others)}")
+    return OutputPlan(path, codec.name, "", fmt, (), 1, info.matrix, True, notices=tuple(notices))
+
+
+def _others(streams: Sequence[Any]) -> list[Any]:
+    return [s for s in streams if not s.used]

@@ -1,0 +1,172 @@
+"""Encoding one chunk of a clip: a file of its own, starting on a key frame, written aside and renamed when whole."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from arfx.errors import RenderError
+from arfx.media.clip import ClipInfo
+from arfx.media.codecs import CODECS
+from arfx.media.frame import SWS_MATRIX, Frame
+from arfx.media.images import write_exr, write_png
+from arfx.media.output import OutputPlan
+from arfx.media.planes import copy_picture, layout_named
+
+
+def chunk_suffix(plan: OutputPlan) -> str:
+    """The extension of a chunk's file; "" for an image sequence, whose chunks are folders.
+
+    NUT keeps every time exactly; codecs that it cannot hold with their tags (FFV1, ProRes) go into Matroska, whose
+    rounded times do no harm: both are intra-only, and joining takes the times from the clip.
+    """
+    return "" if plan.is_sequence else CODECS[plan.codec].chunk
+
+
+def write_failed(path: Path, error: BaseException) -> RenderError:
+    """One clear message for a write that failed: full disk, read-only folder, file limit."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return RenderError(f"{path} cannot be written: {reason}", "is there room, and may this folder be written to?")
+
+
+class ChunkWriter:
+    """Context manager: frames in, a file (or a folder of images) out under `path`, or nothing after an error.
+
+    Raises RenderError: the file cannot be written, the encoder fails, frames out of order, no frame at all.
+    """
+
+    def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
+        self.plan, self.info, self.path = plan, info, Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        self._container: Any = None
+        self._stream: Any = None
+        self._last: int | None = None
+        self._times: list[tuple[int, float]] = []
+
+    def __enter__(self) -> ChunkWriter:
+        try:
+            remove_output(self.part)
+            if self.plan.is_sequence:
+                self.part.mkdir(parents=True)
+            else:
+                self._open()
+        except (av.error.FFmpegError, OSError, ValueError) as e:
+            self._abandon()
+            raise write_failed(self.path, e) from e
+        return self
+
+    def _open(self) -> None:
+        plan, info = self.plan, self.info
+        kind = {".nut": "nut", ".mkv": "matroska"}[chunk_suffix(plan)]
+        options = {"fflags": "+bitexact"}  # no random identifiers: same frames, same bytes
+        self._container = av.open(str(self.part), "w", format=kind, container_options=options)
+        rate = Fraction(info.fps or 25).limit_denominator(1001)
+        s = self._container.add_stream(CODECS[plan.codec].encoder, rate=rate, options=dict(plan.options))
+        ctx = s.codec_context
+        s.width, s.height = info.coded_width, info.coded_height
+        s.pix_fmt = "bgr0" if plan.codec == "ffv1" and plan.pixel_format == "gbrp" else plan.pixel_format
+        s.time_base = ctx.time_base = info.time_base
+        ctx.thread_count = plan.encoder_threads
+        ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
+        ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
+        if info.sample_aspect is not None:
+            ctx.sample_aspect_ratio = info.sample_aspect
+        self._stream = s
+
+    def write(self, frame: Frame) -> None:
+        """Encodes one frame; frames must come in order of presentation."""
+        if self._last is not None and frame.pts <= self._last:
+            raise RenderError(f"frame {frame.index}: its time {frame.pts} does not follow {self._last}")
+        self._last = frame.pts
+        if self.plan.is_sequence:
+            self._write_image(frame)
+            return
+        picture = self._stored(frame)
+        picture.pts, picture.time_base = frame.pts, self.info.time_base
+        picture.pict_type = 0  # the source's I/P/B would be forced on the encoder
+        try:
+            for packet in self._stream.encode(picture):
+                self._container.mux(packet)
+        except (av.error.FFmpegError, OSError, ValueError) as e:
+            raise write_failed(self.path, e) from e
+
+    def _stored(self, frame: Frame) -> av.VideoFrame:
+        """The frame's picture in the encoder's pixel format: the same planes where the formats agree."""
+        f, plan = frame.format, self.plan
+        picture, name = frame.picture, self._stream.pix_fmt
+        if picture.format.name == name:
+            return picture
+        layout = layout_named(picture.format.name)
+        if layout is not None and layout.plain_name == name:
+            return copy_picture(picture, layout)
+        out = picture.reformat(
+            format=name,
+            src_colorspace=SWS_MATRIX[f.matrix],
+            dst_colorspace=SWS_MATRIX[plan.matrix],
+            src_color_range=2 if f.full_range else 1,
+            dst_color_range=2 if plan.full_range else 1,
+            interpolation="BICUBIC",
+        )
+        return out
+
+    def _write_image(self, frame: Frame) -> None:
+        path = self.part / (Path(self.plan.path).name % frame.index)
+        if self.plan.codec == "exr":
+            write_exr(path, frame.linear(frame.rect))
+        elif self.plan.pixel_format == "rgb24":
+            write_png(path, np.rint(self._coded(frame) * 255).astype(np.uint8))
+        else:
+            write_png(path, np.rint(self._coded(frame) * 65535).astype(np.uint16))
+        self._times.append((frame.index, frame.time_s))
+
+    @staticmethod
+    def _coded(frame: Frame) -> np.ndarray:
+        return np.clip(frame.format.transfer.encode(frame.linear(frame.rect)), 0, 1)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            self._abandon()
+            return
+        try:
+            if self._last is None:
+                raise RenderError(f"{self.path}: a chunk without frames")
+            if self.plan.is_sequence:
+                lines = [f"{i} {t:.9f}\n" for i, t in self._times]
+                (self.part / "times.txt").write_text("".join(lines))
+            else:
+                for packet in self._stream.encode(None):
+                    self._container.mux(packet)
+                self._close()
+            remove_output(self.path)
+            self.part.replace(self.path)
+        except (av.error.FFmpegError, OSError) as e:
+            self._abandon()
+            raise write_failed(self.path, e) from e
+        except BaseException:
+            self._abandon()
+            raise
+
+    def _close(self) -> None:
+        if self._container is not None:
+            container, self._container = self._container, None
+            container.close()
+
+    def _abandon(self) -> None:
+        with contextlib.suppress(av.error.FFmpegError, OSError):  # thrown away; the user is told what went wrong first
+            self._close()
+        remove_output(self.part)
+
+
+def remove_output(path: Path) -> None:
+    """Removes a file or a folder of images, if there is one."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    elif os.path.lexists(path):
+        path.unlink()
