@@ -52,7 +52,7 @@ def build_report(planned: Planned, timings: list[dict[str, Any]]) -> dict[str, A
         "input": {
             "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
             "fps": info.fps, "vfr": _irregular(pts), "rotation": info.rotation_deg,
-            "audio": stream.get("audio"), "truncated": meta["truncated"],
+            "audio": [str(s) for s in info.audio], "truncated": meta["truncated"],
             "camera": planned.inputs.camera.source, "camera_guessed": planned.inputs.camera.guessed, "stream": stream,
         },
         "output": {
