@@ -92,7 +92,10 @@ class GlRenderer:
         view, projection = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix, self._projection(place, near, far)
         if not self.blends:
             buffers = self._draw(view, projection, columns_px, rows_px, None)
-            gl_resolve.resolve_opaque(texels, self.order, per, *(*buffers, self.glows, directions, eye, h, w, *outs))
+            bent = self.camera.distorted
+            grid = np.array([*scale, *shift, columns_px if bent else 0, rows_px], float)
+            rest = (*buffers, self.glows, grid, rotation, directions, eye, h, w, *outs)
+            gl_resolve.resolve_opaque(texels, self.order, per, *rest)
             return
         acc = np.zeros((h * w * per, hits.COLUMNS), np.float32)
         acc[:, 0] = 1

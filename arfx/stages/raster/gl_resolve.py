@@ -46,10 +46,13 @@ def texel_map(lens, height, width, k, scale, shift, rows, columns, exact):  # pr
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_opaque(
-    texels, order, per, geometry, colour, surface, glow, glows, directions, eye, height, width, coverage, depth, normal,
-    position, albedo, material, emissive, object_id,
+    texels, order, per, geometry, colour, surface, glow, glows, grid, rotation, directions, eye, height, width, coverage,
+    depth, normal, position, albedo, material, emissive, object_id,
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Means over the covering samples of each pixel; depth and number from the one next to the centre."""
+    """Means over the covering samples of each pixel; depth and number from the one next to the centre.
+
+    grid : (6,) scale x y, shift x y, columns, rows of the buffer; columns = 0 where texels lie on the samples
+    """
     unit = np.float32(1.0 / 65535.0)
     for y in range(height):
         for x in range(width):
@@ -85,6 +88,8 @@ def resolve_opaque(
             emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = e0 * inverse, e1 * inverse, e2 * inverse
             n = np.sqrt(nx * nx + ny * ny + nz * nz)
             z = geometry[nearest, 3]
+            if grid[4] > 0:
+                z = _moved(z, nearest, geometry, grid, rotation, directions[k])
             depth[y, x] = z
             object_id[y, x] = int(surface[nearest, 3])
             d0, d1, d2 = directions[k, 0], directions[k, 1], directions[k, 2]
@@ -94,6 +99,23 @@ def resolve_opaque(
                 n = -np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
                 normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = d0 / n, d1 / n, d2 / n
             position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * d0, eye[1] + z * d1, eye[2] + z * d2
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _moved(z, texel, geometry, grid, rotation, direction):  # pragma: no cover - compiled
+    """Depth of the texel's tangent plane in the pixel's own direction; z itself where the plane is seen edge-on."""
+    columns = int(grid[4])
+    row, col = int(grid[5]) - 1 - texel // columns, texel % columns
+    u, v = (col - grid[2]) / grid[0], (row - grid[3]) / grid[1]
+    here, there, length = 0.0, 0.0, 0.0
+    for c in range(3):
+        d = rotation[0, c] * u + rotation[1, c] * v + rotation[2, c]
+        here += geometry[texel, c] * d
+        there += geometry[texel, c] * direction[c]
+        length += direction[c] * direction[c]
+    if here >= 0 or there >= -0.1 * np.sqrt(length):
+        return z
+    return np.float32(z * here / there)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
