@@ -13,9 +13,10 @@ import numpy as np
 
 from arfx.analyse.geometry import Observed, refine_poses, residuals, rms_px
 from arfx.core.facts import Hypothesis
+from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose, rotation_angle_rad
 
-_SAME_RAD = 1e-3  # two minima closer than this are one (a frontal marker): below any tilt noise seen
+_SAME_RAD = 5e-3  # two minima closer than this are one (a frontal marker): below any tilt noise seen
 
 
 def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
@@ -29,7 +30,26 @@ def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
         np.ascontiguousarray(corners_m), np.ascontiguousarray(ideal)[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
     poses = [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
-    return [p for p in poses if np.isfinite(p.translation_m).all() and p.translation_m[2] > 0]
+    return [p for p in poses if _in_sight(p)]
+
+
+def frontal_pose(corners_m: np.ndarray, ideal: np.ndarray) -> Pose:
+    """The marker facing the camera, at the place, distance and roll of its picture. Arguments as for both_poses."""
+    side = corners_m[1, 0] - corners_m[0, 0]
+    ray = np.append(ideal.mean(0), 1.0)
+    across = (ideal[1] - ideal[0] + ideal[2] - ideal[3]) / 2
+    out_of_print = -normalise(ray)
+    right = np.append(across, 0.0)
+    right = normalise(right - out_of_print * (out_of_print @ right))
+    extent = np.linalg.norm(ideal - np.roll(ideal, -1, 0), axis=1).mean()
+    rotation = np.stack([right, np.cross(out_of_print, right), out_of_print], -1)
+    return Pose(rotation, ray * float(divide(side, extent, where_zero=1.0)))
+
+
+def _in_sight(pose: Pose) -> bool:
+    """In front of the camera, printed side towards it."""
+    t = pose.translation_m
+    return bool(np.isfinite(t).all() and t[2] > 0 and pose.rotation[:, 2] @ t < 0)
 
 
 def hypotheses(
@@ -42,7 +62,10 @@ def hypotheses(
     owner: list[int] = []
     start: list[Pose] = []
     for k, points in enumerate(corners_m):
-        for pose in both_poses(points, ideal[k]):
+        if not np.isfinite(ideal[k]).all():
+            continue
+        # IPPE returns rubbish for a marker that faces the camera exactly, so that view is a start of its own
+        for pose in (*both_poses(points, ideal[k]), frontal_pose(points, ideal[k])):
             owner.append(k)
             start.append(pose)
     out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)
@@ -55,14 +78,18 @@ def hypotheses(
     )  # fmt: skip
     rotation = np.stack([p.rotation for p in start])
     translation = np.stack([p.translation_m for p in start])
-    rotation, translation, _ = refine_poses(rotation, translation, seen)
+    rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=20)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     for k in range(len(corners_m)):
         mine = sorted(np.flatnonzero(index == k), key=lambda i: error[i])
         found: list[Hypothesis] = []
         for i in mine:
             pose = Pose(rotation[i], translation[i])
-            if translation[i, 2] > 0 and all(rotation_angle_rad(pose, h.camera_from_marker) > _SAME_RAD for h in found):
+            if (
+                len(found) < 2
+                and _in_sight(pose)
+                and all(rotation_angle_rad(pose, h.camera_from_marker) > _SAME_RAD for h in found)
+            ):
                 found.append(Hypothesis(pose, float(error[i])))
         out[k] = tuple(found)
     return out

@@ -150,8 +150,8 @@ def _shots(records: Sequence[Record]) -> tuple[np.ndarray, list[int]]:
 
 
 def _near(a: Seen, b: Seen) -> bool:
-    moved = float(np.linalg.norm(a.corners_px.mean(0) - b.corners_px.mean(0)))
-    return moved < 0.5 * a.side_px and abs(np.log(b.side_px / a.side_px)) < 0.2
+    """No corner moved by more than a quarter of the side: one marker, one shot."""
+    return float(np.linalg.norm(a.corners_px - b.corners_px, axis=1).max()) < 0.25 * a.side_px
 
 
 def _filled(path: WorldPath, present: Sequence[tuple[int, int]], times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

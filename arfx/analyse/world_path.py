@@ -80,7 +80,7 @@ def world_path(
             rotation[k], translation[k] = r[group[pick]], t[group[pick]]
             alone = int(np.argmin(misfit))
             flips += int(rotation_angle_rad(ways[alone], ways[pick]) > FLIP_RAD)
-    dropped = _drop_inconsistent(rotation, translation, seen, mapped, measured)
+    dropped = _drop_inconsistent(rotation, translation, seen, frames, world_from_marker, mapped, measured)
     if dropped:
         again = np.array(sorted({k for k, _ in dropped}))
         rotation[again], translation[again], _ = refine_poses(rotation[again], translation[again], seen.take(again))
@@ -92,19 +92,35 @@ def _extent(v: View) -> float:
 
 
 def _drop_inconsistent(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed, keys: Sequence[str], measured: np.ndarray
-) -> list[tuple[int, str]]:
-    """Take the weight from markers that the frame's joint pose misses: a wrong print of the same id, a misread."""
-    r = residuals(rotation, translation, seen)
-    out = []
-    error = np.linalg.norm(r, axis=-1)
-    for i, key in enumerate(keys):
-        part = slice(4 * i, 4 * i + 4)
-        w = seen.weight[:, part]
-        miss = np.sqrt((error[:, part] ** 2).mean(1))
-        bad = measured & (w > 0).all(1) & (miss > GATE_PX) & (miss * np.sqrt(w.mean(1)) > GATE_SIGMA)
-        others = (np.delete(seen.weight, np.r_[part], axis=1) > 0).any(1)
-        for k in np.flatnonzero(bad & others):
-            seen.weight[k, part] = 0.0
-            out.append((int(k), key))
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed, frames: Sequence[Sequence[View]],
+    world_from_marker: Mapping[str, Pose], keys: Sequence[str], measured: np.ndarray,
+) -> list[tuple[int, str]]:  # fmt: skip
+    """Take the weight from markers that contradict the others of their frame: another print of the id, a misread.
+
+    Where the joint pose misses a marker, the pose of each single marker is asked how many others agree with it; the
+    largest agreement stays, on a tie that of the larger print. Changes the frame's start in rotation and translation.
+    """
+    slots = {k: slice(4 * i, 4 * i + 4) for i, k in enumerate(keys)}
+
+    def missed(r: np.ndarray, t: np.ndarray, one: Observed) -> dict[str, float]:
+        error = np.linalg.norm(residuals(r[None], t[None], one)[0], axis=-1)
+        there = {k: p for k, p in slots.items() if one.weight[0, p].all()}
+        gate = {k: max(GATE_PX, GATE_SIGMA / float(np.sqrt(one.weight[0, p].mean()))) for k, p in there.items()}
+        return {k: float(np.sqrt((error[p] ** 2).mean())) / gate[k] for k, p in there.items()}
+
+    out: list[tuple[int, str]] = []
+    for k in map(int, np.flatnonzero(measured & ((seen.weight > 0).sum(1) > 4))):
+        one = seen.take(np.array([k]))
+        if max(missed(rotation[k], translation[k], one).values()) <= 1:
+            continue
+        views = sorted((v for v in frames[k] if v.key in slots and v.solutions), key=_extent, reverse=True)
+        ways = [p @ world_from_marker[v.key].inverse() for v in views for p in v.solutions]
+        # a single marker says less about its neighbours than all together: three times the gate
+        agree = [[key for key, m in missed(p.rotation, p.translation_m, one).items() if m <= 3] for p in ways]
+        best = max(range(len(ways)), key=lambda i: (len(agree[i]), -i))
+        rotation[k], translation[k] = ways[best].rotation, ways[best].translation_m
+        for key, part in slots.items():
+            if one.weight[0, part].any() and key not in agree[best]:
+                seen.weight[k, part] = 0.0
+                out.append((int(k), key))
     return out

@@ -1,0 +1,84 @@
+"""The smoother's chain against dense Gaussian algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.analyse.chain import DIM, evidence, link, noise, smooth_chain
+
+N = 6
+RNG = np.random.default_rng(2)
+DT = np.array([0.033, 0.033, 0.1, 0.02, 0.05])
+
+
+def problem() -> tuple:
+    i = np.arange(6)
+    after = np.tile(np.eye(DIM), (N - 1, 1, 1))
+    after[:, :3, :3] += RNG.normal(0, 0.05, (N - 1, 3, 3))
+    before = np.tile(-np.eye(DIM), (N - 1, 1, 1))
+    before[:, i, i + 6] = -DT[:, None]
+    offset = np.zeros((N - 1, DIM))
+    offset[:, :6] = RNG.normal(0, 0.02, (N - 1, 6))
+    root = RNG.normal(0, 20, (N, 6, 6))
+    measured = root @ np.swapaxes(root, 1, 2)
+    measured[2] = 0  # a frame without a marker
+    measured[3, :2] = measured[3, :, :2] = 0  # two directions not fixed
+    pull = np.einsum("nij,nj->ni", measured, RNG.normal(0, 0.1, (N, 6)))
+    density = 10.0 ** RNG.uniform(-3, 1, (N - 1, 6))
+    return measured, pull, before, after, offset, density
+
+
+def dense(measured: np.ndarray, pull: np.ndarray, before: np.ndarray, after: np.ndarray, offset: np.ndarray,
+          density: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
+    """Mean, covariance and log evidence of the whole trajectory at once."""
+    a, g = np.zeros((N * DIM, N * DIM)), np.zeros(N * DIM)
+    start = np.diag([1e-2] * 6 + [1e-4] * 6)
+    a[:DIM, :DIM] += start
+    log = 0.5 * np.linalg.slogdet(start)[1]
+    for k in range(N):
+        s = slice(k * DIM, k * DIM + 6)
+        a[s, s] += measured[k]
+        g[s] += pull[k]
+    for k in range(N - 1):
+        j = np.zeros((DIM, N * DIM))
+        j[:, k * DIM : (k + 1) * DIM], j[:, (k + 1) * DIM : (k + 2) * DIM] = before[k], after[k]
+        w = np.linalg.inv(noise(density[k], DT[k]))
+        a += j.T @ w @ j
+        g -= j.T @ w @ offset[k]
+        log += 0.5 * np.linalg.slogdet(after[k].T @ w @ after[k])[1] - 0.5 * offset[k] @ w @ offset[k]
+    cov = np.linalg.inv(a)
+    mean = cov @ g
+    return mean.reshape(N, DIM), cov, log + 0.5 * g @ mean - 0.5 * np.linalg.slogdet(a)[1]
+
+
+def test_smoother_and_evidence_are_those_of_the_whole_problem() -> None:
+    measured, pull, before, after, offset, density = problem()
+    links = link(before, after, offset, DT)
+    mean, cov = smooth_chain(measured, pull, links, density)
+    expected, dense_cov, log = dense(measured, pull, before, after, offset, density)
+    np.testing.assert_allclose(mean, expected, rtol=1e-5, atol=5e-6)
+    for k in range(N):
+        s = slice(k * DIM, (k + 1) * DIM)
+        np.testing.assert_allclose(cov[k], dense_cov[s, s], rtol=1e-4, atol=1e-6)
+    other = density * 3
+    _, _, log_other = dense(measured, pull, before, after, offset, other)
+    got = evidence(measured, pull, links, np.stack([density, other]))
+    assert got[0] - got[1] == pytest.approx(log - log_other, rel=1e-5, abs=1e-4)
+
+
+@pytest.mark.parametrize("q", [1e-12, 1e-6, 1.0, 1e4])
+def test_extreme_noise_stays_regular(q: float) -> None:
+    n = 300
+    dt = np.full(n - 1, 1 / 30)
+    i = np.arange(6)
+    before, after = np.tile(-np.eye(DIM), (n - 1, 1, 1)), np.tile(np.eye(DIM), (n - 1, 1, 1))
+    before[:, i, i + 6] = -dt[:, None]
+    links = link(before, after, np.zeros((n - 1, DIM)), dt)
+    measured = np.tile(np.diag([1e2, 1e4, 1e6, 1e9, 1e9, 1e6]), (n, 1, 1))
+    value = np.random.default_rng(0).normal(0, 1, (n, 6)) / np.sqrt(np.diag(measured[0]))
+    mean, cov = smooth_chain(measured, np.einsum("nij,nj->ni", measured, value), links, np.full((n - 1, 6), q))
+    assert np.isfinite(mean).all() and (np.linalg.eigvalsh(cov[:, :6, :6]) > 0).all()
+    spread = np.sqrt(np.einsum("nii->ni", cov)[:, :6])
+    assert (np.abs(mean[:, :6]) < 6 * spread + 1e-9).all()
+    assert (spread <= 1 / np.sqrt(np.diag(measured[0])) * 1.0001).all()  # never worse than a frame alone

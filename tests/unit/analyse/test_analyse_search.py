@@ -1,0 +1,143 @@
+"""Where the analysis looks, and that it finds what a whole-frame search of every frame finds."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from arfx.analyse.analyser import AnalyseParams, Analyser
+from arfx.analyse.detect import MarkerDetector
+from arfx.analyse.tracker import Tracker
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.errors import ArfxError, ConfigError, InputError, NothingToDoError
+from tests.unit.analyse.synthetic import background, camera, picture, tilted
+
+CAM = camera(960, 540, 900.0)
+BACK = background(960, 540)
+M, OTHER = MarkerSpec("36h11", 3, 0.1), MarkerSpec("36h11", 7, 0.1)
+Z = 900 * 0.1 / 70
+
+
+def at(x_px: float, y_px: float, turn: float = 0.2) -> Pose:
+    return tilted([turn, 0.1, 0], [(x_px - CAM.cx) / 900 * Z, (y_px - CAM.cy) / 900 * Z, Z])
+
+
+def frame(*markers: tuple[MarkerSpec, Pose], seed: int = 0, **how: object) -> np.ndarray:
+    return picture(CAM, markers, BACK, seed=seed, **how)  # type: ignore[arg-type]
+
+
+def test_part_gives_the_corners_of_the_whole() -> None:
+    image = frame((M, at(300, 200)), (OTHER, at(600, 350)))
+    whole = {c.key: c.quad_px for c in MarkerDetector(["36h11"]).search(image)}
+    part = MarkerDetector(["36h11"]).search(image, Rect(200, 120, 400, 300))
+    assert [c.key for c in part] == [M.key] and np.array_equal(part[0].quad_px, whole[M.key])
+    reduced = {c.key: c.quad_px for c in MarkerDetector(["36h11"]).search(image, None, 2)}
+    assert reduced.keys() == whole.keys() and np.abs(reduced[M.key] - whole[M.key]).max() < 5
+
+
+def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
+    tracker = Tracker([M.key], AnalyseParams())
+    whole = []
+    for k in range(12):
+        found = tracker.step(k / 30, frame((M, at(300 + 8 * k, 200)), seed=k))
+        assert [c.key for c in found.sightings] == [M.key]
+        whole.append(found.whole)
+        if k:
+            assert found.searched_px < 960 * 540 / 10
+    assert sum(whole) == 1
+    jump = tracker.step(12 / 30, frame((M, at(800, 430))))  # out of its part: the same frame is searched whole
+    assert jump.whole and len(jump.sightings) == 1
+    empty = [tracker.step((13 + k) / 30, frame(seed=k)) for k in range(60)]
+    assert sum(f.whole for f in empty) <= 5 + 3  # after the loss, then once a second
+    assert all(f.searched_px <= 960 * 540 / 3 for f in empty if not f.whole)
+    back = tracker.step(73 / 30, frame((M, at(500, 300))))
+    assert len(back.sightings) == 1 and not back.whole  # found on the reduced image
+    assert np.abs(back.sightings[0].quad_px - CAM.project(at(500, 300).apply(M.corners_m))).max() < 4
+
+
+def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
+    tracker = Tracker([M.key], AnalyseParams())
+    small = tilted([0.2, 0.1, 0], [0.2, 0.1, Z])
+    tracker.step(0.0, frame((M, small)))
+    big = tilted([0.1, 0, 0], [-0.15, -0.05, Z * 0.8])
+    found = tracker.step(1 / 30, frame((M, small), (M, big)))
+    assert len(found.sightings) == 1
+    tracker.tracks[M.key].time_s = -9.0
+    del tracker.tracks[M.key]
+    both = tracker.step(3.0, frame((M, small), (M, big)))  # found anew: the larger, and the rival is known
+    assert len(both.rivals) == 1 and both.sightings[0].side_px > both.rivals[0].side_px
+    tracker.tracks[M.key].quad_px = both.rivals[0].quad_px
+    tracker.last_whole_s = -9.0
+    again = tracker._choose(3.03, [*both.sightings, *both.rivals], True, 0)
+    assert np.array_equal(again.sightings[0].quad_px, both.rivals[0].quad_px)
+
+
+def run(analyser: Analyser, first: int, end: int) -> None:
+    for k in range(first, end):
+        markers = [(M, at(300 + 6 * k, 200, 0.2 + 0.02 * k))] if k not in (6, 7) else []
+        analyser.step(k, k / 15, frame(*markers, seed=k))
+
+
+def test_checkpoint_continues_to_the_same_facts() -> None:
+    whole, first = Analyser((M,), CAM), Analyser((M,), CAM)
+    run(whole, 0, 16)
+    run(first, 0, 9)
+    second = Analyser((M,), CAM)
+    second.restore(json.loads(json.dumps(first.state())))
+    run(second, 9, 16)
+    a, b = whole.finish(), second.finish()
+    assert [f.to_json() for f in a.facts] == [f.to_json() for f in b.facts]
+    assert (a.static, a.summary, a.notices) == (b.static, b.summary, b.notices)
+    assert a.summary["frames_interpolated"] == 2 and a.summary["frames_measured"] == 14
+    truth = at(300 + 6 * 12, 200, 0.2 + 0.02 * 12)
+    assert np.linalg.norm(a.facts[12].camera_from_world.translation_m - truth.translation_m) < 2e-3  # type: ignore[union-attr]
+    assert a.facts[12].reprojection_px is not None and a.facts[12].reprojection_px < 0.1
+
+
+def test_no_configured_marker_says_what_is_there_instead() -> None:
+    a = Analyser((OTHER,), CAM)
+    for k in range(4):
+        a.step(k, k / 30, frame((M, at(300, 200)), seed=k))
+    with pytest.raises(NothingToDoError, match=r"36h11:7.*36h11:3"):
+        a.finish()
+    b = Analyser((MarkerSpec("5X5_50", 2, 0.1),), CAM)
+    for k in range(4):
+        b.step(k, k / 30, frame((M, at(300, 200)), seed=k))
+    with pytest.raises(NothingToDoError, match=r"tried: 5X5_50; other dictionaries saw: 36h11:3"):
+        b.finish()
+    c = Analyser((M,), CAM)
+    c.step(0, 0.0, frame())
+    with pytest.raises(NothingToDoError, match="no marker of any dictionary") as e:
+        c.finish()
+    assert e.value.exit_code == 4
+
+
+def test_wrong_input_is_refused() -> None:
+    with pytest.raises(ConfigError, match="twice"):
+        Analyser((M, M), CAM)
+    with pytest.raises(ConfigError):
+        Analyser((), CAM)
+    with pytest.raises(ConfigError, match="map holds none"):
+        Analyser((M,), CAM, marker_map={"36h11:9": Pose.identity()})
+    with pytest.raises(ConfigError, match="static"):
+        AnalyseParams(static="both")
+    a = Analyser((M,), CAM)
+    with pytest.raises(InputError, match="uint8"):
+        a.step(0, 0.0, np.zeros((540, 960)))
+    with pytest.raises(ArfxError, match="aspect"):
+        a.step(0, 0.0, np.zeros((540, 540), np.uint8))
+    a.step(0, 0.0, frame())
+    with pytest.raises(InputError, match="comes after"):
+        a.step(1, 0.0, frame())
+    with pytest.raises(InputError, match="frames before"):
+        a.step(2, 0.1, np.zeros((270, 480), np.uint8))
+
+
+def test_camera_of_another_size_is_scaled() -> None:
+    a = Analyser((M,), camera(1920, 1080, 1800.0))
+    a.step(0, 0.0, frame((M, at(400, 300))))
+    assert (a.camera.width, a.camera.fx) == (960, 900.0)

@@ -1,0 +1,146 @@
+"""Whole-clip poses against the truth: no flips, no lag, rock-steady at rest, nothing across a cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from arfx.analyse.params import AnalyseParams
+from arfx.analyse.records import Analysis, Record
+from arfx.analyse.solve import solve
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose, rotation_angle_rad
+from tests.unit.analyse.synthetic import camera, records, tilted
+
+M = MarkerSpec("36h11", 3, 0.16)
+CAM = camera()
+N = 100
+T = np.arange(N) / 30
+
+
+def away(side_px: float) -> float:
+    return CAM.fx * M.size_m / side_px
+
+
+def analysed(rec: Sequence[Record], cam: Camera = CAM, **params: float) -> Analysis:
+    return solve(rec, [M], cam, AnalyseParams(static="camera", **params), None, [])  # type: ignore[arg-type]
+
+
+def pose_errors(facts: Sequence[FrameFacts], truth: Sequence[Pose], raw: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Degrees and millimetres per frame."""
+    got = [f.raw_camera_from_world if raw else f.camera_from_world for f in facts]
+    deg = [np.degrees(rotation_angle_rad(p, q)) for p, q in zip(got, truth, strict=True) if p is not None]
+    mm = [1e3 * np.linalg.norm(p.translation_m - q.translation_m) for p, q in zip(got, truth, strict=True) if p is not None]
+    return np.array(deg), np.array(mm)
+
+
+def rms(v: np.ndarray) -> float:
+    return float(np.sqrt((v * v).mean()))
+
+
+def swing(a: float, turn: float, side: float, up: float) -> Pose:
+    """A marker waved about, angles and places as sines of time; turn, side, up : rad/s."""
+    tilt = [0.4 + 0.3 * np.sin(turn * a), 0.3 * np.cos(turn * a), 0]
+    return tilted(tilt, [0.2 * np.sin(side * a), 0.1 * np.cos(up * a), away(80)])
+
+
+def start_late(a: float) -> Pose:
+    s = np.sin(9 * max(a - 1.7, 0))
+    return tilted([0.4 + 0.4 * s, 0.1, 0], [0.25 * s, 0, away(80)])
+
+
+MOVING = {
+    "swing": [swing(a, 6.3, 4, 5) for a in T],
+    "fast": [swing(a, 19, 12, 15) for a in T],
+    "roll": [tilted([0.5, 0.1, 1.5 * a], [-0.3 + 0.1 * a, 0, away(80)]) for a in T],
+    "rest, then fast": [start_late(a) for a in T],
+}
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_moving_markers_come_out_truer_than_single_frames_and_in_time(name: str) -> None:
+    truth = MOVING[name]
+    facts = analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.05)).facts
+    deg_raw, mm_raw = pose_errors(facts, truth, raw=True)
+    deg, mm = pose_errors(facts, truth, raw=False)
+    assert rms(deg) < rms(deg_raw) and rms(mm) < rms(mm_raw)
+    point = np.array([0.05, 0.05, 0.1])
+    want = np.array([p.apply(point) for p in truth])
+    got = np.array([f.camera_from_world.apply(point) for f in facts if f.camera_from_world is not None])
+    speed = np.gradient(want, axis=0)
+    lag_frames = -((got - want) * speed).sum() / (speed**2).sum()
+    assert abs(lag_frames) < 0.1
+    assert (np.abs(got - want).max(0) < 0.02 * np.ptp(want, axis=0).max()).all()  # peaks are not cut off
+
+
+@pytest.mark.parametrize("noise_px", [0.05, 0.3])
+def test_marker_at_rest_stands_still(noise_px: float) -> None:
+    truth = [tilted([0.5, 0.1, 0], [0.1, 0.05, away(80)])] * N
+    facts = analysed(records(CAM, truth, T, {M: Pose.identity()}, noise_px)).facts
+    deg_raw, mm_raw = pose_errors(facts, truth, raw=True)
+    deg, mm = pose_errors(facts, truth, raw=False)
+    assert rms(deg) < rms(deg_raw) / 4 and rms(mm) < rms(mm_raw) / 4
+    point = np.array([0.05, 0.05, 0.1])
+    trembling = [np.diff([CAM.project(p.apply(point)) for p in path], 2, axis=0).std() for path in (
+        [f.raw_camera_from_world for f in facts], [f.camera_from_world for f in facts])]  # type: ignore[union-attr]  # fmt: skip
+    assert trembling[1] < trembling[0] / 30
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.09])
+def test_frontal_40_px_marker_never_flips(tilt: float) -> None:
+    truth = [tilted([tilt, tilt / 3, 0], [0.1, 0.05, away(40)])] * N
+    a = analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.3))
+    best = [np.degrees(rotation_angle_rad(f.markers[0].hypotheses[0].camera_from_marker, truth[0])) for f in a.facts]
+    assert sum(b > 10 for b in best) > N / 10  # the clip is as hard as it is meant to be
+    deg, _ = pose_errors(a.facts, truth, raw=False)
+    assert deg.max() < 5.0
+    assert a.summary["flips_resolved"] > 0
+
+
+def test_covariance_tells_the_error() -> None:
+    truth = MOVING["swing"]
+    squares = []
+    for seed in range(3):
+        for f, p in zip(analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.1, seed)).facts, truth, strict=True):
+            assert f.camera_from_world is not None and f.pose_covariance is not None
+            error = f.camera_from_world @ p.inverse()
+            e = np.concatenate([error.rotvec, error.translation_m])
+            scale = 1 / np.sqrt(np.diag(f.pose_covariance))
+            c = f.pose_covariance * scale[:, None] * scale
+            squares.append(float((e * scale) @ np.linalg.solve(c, e * scale)))
+    assert 2.0 < np.median(squares) < 12.0  # chi squared with six degrees of freedom has median 5.3
+
+
+def test_cut_is_not_smoothed_over_and_times_may_be_uneven() -> None:
+    rng = np.random.default_rng(4)
+    times = np.cumsum(rng.uniform(0.01, 0.06, N))
+    truth = [tilted([0.5, 0, 0.3 * t], [0.1 * t - 0.1, 0, away(80)]) for t in times[:50]]
+    truth += [tilted([-0.4, 0.2, 1.0], [0.05, 0.1 * np.sin(t), away(60)]) for t in times[50:]]
+    rec = records(CAM, truth, times, {M: Pose.identity()}, 0.05)
+    for k, unlike in ((50, (1.0, 1.0)), (51, (0.0, 1.0))):
+        rec[k] = Record(k, rec[k].time_s, rec[k].seen, (), False, unlike)
+    a = analysed(rec)
+    assert a.summary["cuts"] == [50] and [f.shot for f in a.facts] == [0] * 50 + [1] * 50
+    deg, mm = pose_errors(a.facts, truth, raw=False)
+    assert deg.max() < 1.5 and mm.max() < 5 and min(f.opacity for f in a.facts) == 1.0
+
+
+def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -> None:
+    truth: list[Pose | None] = list(MOVING["swing"])
+    for k in (*range(30, 36), *range(60, 85)):
+        truth[k] = None
+    rec = records(CAM, truth, T, {M: Pose.identity()}, 0.05)
+    a = analysed(rec)
+    status = [f.status for f in a.facts]
+    assert status[29:37] == ["measured", *["interpolated"] * 6, "measured"] and set(status[60:85]) == {"absent"}
+    bridged = [np.degrees(rotation_angle_rad(a.facts[k].camera_from_world, MOVING["swing"][k])) for k in range(30, 36)]  # type: ignore[arg-type]
+    assert max(bridged) < 4.0
+    opacity = np.array([f.opacity for f in a.facts])
+    assert (opacity[:54] == 1).all() and (np.diff(opacity[54:61]) < 0).all() and (np.diff(opacity[84:91]) > 0).all()
+    assert opacity[90:].min() == 1 and all(f.camera_from_world is None for f in a.facts[60:85])
+    plain = analysed(rec, smoothing=0.0).facts
+    assert all(f.camera_from_world == f.raw_camera_from_world for f in plain if f.status == "measured")
