@@ -17,8 +17,9 @@ from arfx.stages.raster.mesh import Mesh
 
 _POINTS_PER_PX = 1.5
 _MAX_POINTS = 400_000  # along all edges of a frame: bounds time and memory where the camera is inside the model
-# An edge this much behind the surface that the centre sees, as a share of its depth, is hidden.
-_BEHIND = 2e-3
+# An edge this much behind the surface that the centre sees, as a share of its depth, is hidden. Outlines always lie
+# behind: the surface beside them is seen at a grazing angle.
+_BEHIND = 2e-2
 
 
 def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarray, rect: Rect, depth: np.ndarray) -> np.ndarray:

@@ -42,6 +42,8 @@ class GlRenderer:
     Raises RenderError where no OpenGL context opens, InputError for more than MAX_PARTS parts.
     """
 
+    any_rectangle = False  # the driver's fixed-point edges depend on the viewport's corner
+
     def __init__(self, mesh: Mesh, camera: Camera, samples: int) -> None:
         if len(mesh.ints) > MAX_PARTS:
             raise InputError(
@@ -90,10 +92,9 @@ class GlRenderer:
         texels = gl_resolve.texel_map(lens, h, w, self.k, scale, shift, rows_px, columns_px, not self.camera.distorted)
         self.context.make_current()
         view, projection = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix, self._projection(place, near, far)
+        grid = np.array([*scale, *shift, columns_px if self.camera.distorted else 0, rows_px], float)
         if not self.blends:
             buffers = self._draw(view, projection, columns_px, rows_px, None)
-            bent = self.camera.distorted
-            grid = np.array([*scale, *shift, columns_px if bent else 0, rows_px], float)
             rest = (*buffers, self.glows, grid, rotation, directions, eye, h, w, *outs)
             gl_resolve.resolve_opaque(texels, self.order, per, *rest)
             return
@@ -103,7 +104,7 @@ class GlRenderer:
         peel = None
         for _ in range(MAX_LAYERS):
             buffers = self._draw(view, projection, columns_px, rows_px, peel)
-            if not gl_resolve.add_layer(texels, *(*buffers, self.glows, acc, depth, ident)):
+            if not gl_resolve.add_layer(texels, per, *(*buffers, self.glows, grid, rotation, directions, acc, depth, ident)):
                 break
             # nothing drawn at a texel: everything there has been peeled
             peel = np.where(buffers[2][:, 3] > 0, buffers[0][:, 3], np.float32(3e38))

@@ -119,7 +119,9 @@ def _moved(z, texel, geometry, grid, rotation, direction):  # pragma: no cover -
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def add_layer(texels, geometry, colour, surface, glow, glows, acc, depth, ident):  # pragma: no cover - compiled
+def add_layer(
+    texels, per, geometry, colour, surface, glow, glows, grid, rotation, directions, acc, depth, ident
+):  # fmt: skip  # pragma: no cover - compiled
     """Put one peeled layer behind those in `acc` (columns: hits.py); returns whether any light is left behind it."""
     unit = np.float32(1.0 / 65535.0)
     left = False
@@ -137,6 +139,8 @@ def add_layer(texels, geometry, colour, surface, glow, glows, acc, depth, ident)
                 acc[k, 10 + c] += w * glow[t, c]
         if ident[k] == 0:
             ident[k], depth[k] = int(surface[t, 3]), geometry[t, 3]
+            if grid[4] > 0:
+                depth[k] = _moved(depth[k], t, geometry, grid, rotation, directions[k // per])
         if acc[k, 0] > 0.002:
             left = True
     return left

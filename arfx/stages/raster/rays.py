@@ -65,6 +65,8 @@ class EmbreeScene:
 class RayRenderer:
     """Renders rectangles of one mesh through one camera. samples : per edge pixel."""
 
+    any_rectangle = True
+
     def __init__(self, mesh: Mesh, camera: Camera, samples: int) -> None:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
         self.scene = EmbreeScene(mesh)

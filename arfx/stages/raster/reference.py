@@ -31,6 +31,8 @@ def r2_sequence(count: int) -> np.ndarray:
 
 
 class ReferenceRenderer:
+    any_rectangle = True
+
     def __init__(self, mesh: Mesh, camera: Camera, samples: int = SAMPLES) -> None:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
         self.scene = EmbreeScene(mesh)

@@ -45,7 +45,12 @@ class RasterParams:
 
 
 class Renderer(Protocol):
-    """What a back end gives: all OUTPUTS over a rectangle inside the frame."""
+    """What a back end gives: all OUTPUTS over a rectangle inside the frame.
+
+    any_rectangle : a pixel comes out the same whatever rectangle it is rendered in
+    """
+
+    any_rectangle: bool
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]: ...
 
@@ -90,13 +95,15 @@ class Raster:
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         rect, facts = window.now.rect, window.facts[-1]
-        drawn = facts.model_box.pad(PAD_PX).clip(scene.camera.rect).clip(rect)
+        box = facts.model_box.pad(PAD_PX).clip(scene.camera.rect)
+        shown = box.clip(rect)
         out = {name: neutral(name, rect) for name in OUTPUTS}
-        if facts.camera_from_world is None or drawn.empty:
+        if facts.camera_from_world is None or shown.empty:
             return out
+        drawn = shown if prepared.any_rectangle else box
         made = prepared.render(drawn, facts.camera_from_world)
         if drawn == rect:
             return made
         for name in OUTPUTS:
-            out[name][drawn.slices_in(rect)] = made[name]
+            out[name][shown.slices_in(rect)] = made[name][shown.slices_in(drawn)]
         return out
