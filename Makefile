@@ -1,34 +1,50 @@
-# `make demo` and `make test` are all that a newcomer needs. Everything runs in .venv, which is made on first use.
+# make demo | test | check | bench | golden | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
 PYTHON ?= python3
 BIN := .venv/bin
-DEMO := demo
-# two processes: the suite is bound by compute, and more would fight over two cores
+# Test processes: the suite is bound by compute, and more would fight over two cores.
 JOBS ?= 2
+TESTS ?= tests
+# -v undoes the -q of pyproject.toml, so that the closing line is pytest's full one; -rs gives the reason of every skip.
+PYTEST = $(BIN)/python -m pytest -v -rs -n $(JOBS) --dist worksteal --durations 10
 
-.PHONY: demo test check lint bench golden clean
+.PHONY: help demo test check lint bench golden clean distclean venv
 
-.venv/arfx-installed.json: pyproject.toml setup.py constraints.txt tools/make_venv.py
-	$(PYTHON) tools/make_venv.py
+help:
+	@echo "make demo    makes a sample clip, puts a model on its marker, writes demo/"
+	@echo "make test    all tests (TESTS=tests/unit for some)"
+	@echo "make check   formatting, lint, types, then all tests: what CI runs"
+	@echo "make bench   cost of whole jobs against a plain decode and encode, in one run"
+	@echo "make golden  renders the expected pictures of sample_scenes/ anew; look at them before committing"
+	@echo "make clean   removes what was built or made; make distclean also .venv"
 
-demo: .venv/arfx-installed.json
-	$(BIN)/arfx demo -o $(DEMO) --overwrite
+# Decides by the contents of pyproject.toml and constraints.txt whether there is anything to do; quick and offline if not.
+venv:
+	@$(PYTHON) tools/make_venv.py
 
-test: .venv/arfx-installed.json
-	$(BIN)/python -m pytest -n $(JOBS) -rs
+demo: venv
+	$(BIN)/arfx demo -o demo --overwrite
 
-lint: .venv/arfx-installed.json
+test: venv
+	$(PYTEST) $(TESTS)
+
+lint: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-check: lint test
+check: lint
+	$(PYTEST) $(TESTS)
 
-bench: .venv/arfx-installed.json
+bench: venv
 	$(BIN)/arfx bench
 	$(BIN)/python tools/bench_job.py
 
-golden: .venv/arfx-installed.json
+golden: venv
 	$(BIN)/python -m tests.golden.regenerate
 
 clean:
-	rm -rf .venv build dist *.egg-info $(DEMO) .mypy_cache .ruff_cache .pytest_cache
+	rm -rf build dist out demo .pytest_cache .mypy_cache .ruff_cache .hypothesis tests/golden/failed
+	find arfx cli tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf .venv *.egg-info

@@ -7,16 +7,17 @@ network: a stamp in .venv holds the hash of everything that decides what is inst
 The first lines must be readable by any Python 3, so that an old one gets a message and not a syntax error.
 """
 
+# ruff: noqa: E402  (the version is looked at before anything that an old Python lacks)
 import sys
 
 OLDEST = (3, 11)
-if sys.version_info < OLDEST:  # noqa: UP036  (an older Python is what this line is for)
+if sys.version_info < OLDEST:
     import shutil
 
     found = [name for name in ("python3.13", "python3.12", "python3.11") if shutil.which(name)]
     sys.stderr.write(
         "arfx needs Python 3.11 or newer; %s is %s\n" % (sys.executable, sys.version.split()[0])  # noqa: UP031
-        + "help: %s\n" % ("make PYTHON=" + found[0] if found else "install python3.11, then make PYTHON=python3.11")  # noqa: UP031
+        + "help: %s\n" % ("make PYTHON=" + found[0] if found else "install python3.11, then make PYTHON=python3.11")
     )
     sys.exit(2)
 
@@ -151,7 +152,9 @@ def bootstrap_pip() -> None:
     accept = "application/vnd.pypi.simple.v1+json, application/vnd.pypi.simple.v1+html;q=0.2, text/html;q=0.1"
     wheels = wheels_on(open_url(index, accept), index)
     if not wheels:
-        raise fail(f"no pip wheel for Python {platform.python_version()} on {index}", "apt-get install python3-venv, then make again")
+        raise fail(
+            f"no pip wheel for Python {platform.python_version()} on {index}", "apt-get install python3-venv, then make again"
+        )
     _, address, name = wheels[-1]
     address, _, fragment = address.partition("#")
     body = open_url(address)
@@ -187,7 +190,7 @@ def pip_install(*more: str) -> "tuple[int, str]":
     lines = []
     for line in process.stdout:
         lines.append(line)
-        if line.startswith(("Collecting", "Successfully", "ERROR", "WARNING", "error")):
+        if line.startswith(("Collecting", "Successfully", "ERROR", "error")):
             print("  " + line.rstrip()[:160], flush=True)
     return process.wait(), "".join(lines)
 
@@ -204,7 +207,9 @@ def install() -> None:
         status, said = pip_install("-e", ".[dev]")
     if status:
         sys.stderr.write(said[-3000:])
-        raise fail("pip could not install arfx (its last lines are above)", "check the network and the free disk, then run it again")
+        raise fail(
+            "pip could not install arfx (its last lines are above)", "check the network and the free disk, then run it again"
+        )
 
 
 def main() -> int:
