@@ -59,7 +59,7 @@ def hold_against(model: Model, pose_name: str, lens: str) -> None:
     assert abs((a - b).sum()) < 0.04 * rim + 1, "one silhouette is larger than the other"
     assert np.abs(a - b).max() < 0.6
     same = (gl[Layer.OBJECT_ID] == rays[Layer.OBJECT_ID]) & (rays[Layer.OBJECT_ID] > 0)
-    assert same.sum() > 0.98 * (rays[Layer.OBJECT_ID] > 0).sum()
+    assert (rays[Layer.OBJECT_ID] > 0).sum() - same.sum() < 0.15 * rim + 1
     inner = cv2.erode((same & (a > 0) & (b > 0)).astype(np.uint8), np.ones((3, 3))) > 0
     z, w = gl[Layer.DEPTH][inner], rays[Layer.DEPTH][inner]
     assert np.median(np.abs(z - w) / w) < 2e-5 and np.percentile(np.abs(z - w) / w, 98) < 3e-3
