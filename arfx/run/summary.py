@@ -82,11 +82,15 @@ def _pose(planned: Planned) -> dict[str, Any]:
     facts, summary = planned.facts, planned.meta["summary"]
     count = {k: sum(f.status == k for f in facts) for k in (MEASURED, INTERPOLATED, ABSENT)}
     corners, camera = planned.scene.model_corners_m, planned.inputs.camera
+    raw, smooth = (corner_jitter_px(facts, corners, camera, raw=r) for r in (True, False))
     return {
         **summary,
         "reprojection_px": {**summary["reprojection_px"]["smoothed"], "before_smoothing": summary["reprojection_px"]["raw"]},
-        "jitter_px": corner_jitter_px(facts, corners, camera, raw=False)["median"],
-        "jitter_raw_px": corner_jitter_px(facts, corners, camera, raw=True)["median"],
+        # trembling of the object against its marker; the camera's own shake moves both and is meant to stay
+        "jitter_px": smooth["relative_median"],
+        "jitter_before_smoothing_px": raw["relative_median"],
+        "jitter_with_camera_px": smooth["median"],
+        "jitter_with_camera_before_smoothing_px": raw["median"],
         "frames_measured": count[MEASURED],
         "frames_interpolated": count[INTERPOLATED],
         "frames_absent": count[ABSENT],
