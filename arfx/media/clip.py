@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -42,7 +43,8 @@ class ClipInfo:
 
     full_range, matrix : as used; matrix_stated is False when the stream names none (bt709 from 720 lines up, else bt601)
     *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;  start_pts : of the first frame
-    frame_count_stated : what the file says, often nothing;  notices : what a user should know
+    frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s is this stream's, not the file's;
+    notices : what a user should know
     """
 
     path: Path
@@ -71,6 +73,7 @@ class ClipInfo:
     start_pts: int = 0
     frame_count_stated: int | None = None
     duration_s: float | None = None
+    duration_of_video: bool = False
     stream_index: int = 0
     streams: tuple[StreamInfo, ...] = field(default_factory=tuple)
     notices: tuple[str, ...] = ()
@@ -217,7 +220,8 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
         notices.append("the clip is interlaced; its fields are processed as one picture")
     w, h = (first.height, first.width) if orientation.transpose else (first.width, first.height)
     sample = stream.sample_aspect_ratio
-    duration = stream.duration * stream.time_base if stream.duration else None
+    duration = stream.duration * stream.time_base if stream.duration else _tagged_duration(stream.metadata)
+    of_video = duration is not None or len(container.streams) == 1
     if duration is None and container.duration:
         duration = Fraction(container.duration, av.time_base)
     rate = stream.average_rate or stream.guessed_rate
@@ -228,9 +232,15 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
         "center" if ctx.name in _MIDDLE_SITED else "left", transfer, turn,
         Fraction(sample) if sample and sample not in (0, 1) else None,
         first.pts if first.pts is not None else (first.dts or 0), stream.frames or None,
-        None if duration is None else float(duration), stream.index,
+        None if duration is None else float(duration), of_video, stream.index,
         tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices),
     )  # fmt: skip
+
+
+def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
+    """Matroska's per-stream DURATION tag, "00:00:05.005000000"."""
+    m = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", metadata.get("DURATION", ""))
+    return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
 
 
 def with_notice(info: ClipInfo, text: str) -> ClipInfo:

@@ -28,6 +28,7 @@ class Codec:
     containers: tuple[str, ...]
     chunk: str = ".nut"
     options: Mapping[str, str] = field(default_factory=dict)
+    threads: int = 2
     crf: float | None = None
     preset: str | None = None
     full_range: bool = True
@@ -54,7 +55,7 @@ CODECS = {
     ),
     "ffv1": Codec(
         "ffv1", "ffv1", ("matroska",), chunk=".mkv", lossless=True,
-        options={"level": "3", "slicecrc": "1", "slices": "4", "g": "1"},
+        options={"level": "3", "slicecrc": "1", "g": "1"},
     ),
     "png": Codec("png", "png", (), sequence=True),
     "exr": Codec("exr", "exr", (), sequence=True),
@@ -65,6 +66,8 @@ CODECS = {
 def _formats(encoder: str) -> tuple[str, ...]:
     formats = av.Codec(encoder, "w").video_formats or []
     known = [(f.name, layout_named(f.name)) for f in formats]
+    if encoder == "prores_ks":
+        return ("yuv444p10le",)  # profile 4 is ProRes 4444
     names = [n for n, lay in known if lay is not None and not lay.alpha and not n.startswith("yuvj")]
     if encoder == "ffv1":
         names.append("gbrp")  # its 8-bit RGB is bgr0: the same samples, interleaved

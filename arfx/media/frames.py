@@ -35,6 +35,7 @@ class ClipReader:
         self.exact_seek = True
         self._stopped = ""
         self._packets = 0
+        self._end = info.start_pts
 
     def __enter__(self) -> ClipReader:
         return self
@@ -54,7 +55,7 @@ class ClipReader:
         stream.thread_type = "AUTO"
         if self._threads:
             stream.codec_context.thread_count = self._threads
-        self._stopped, self._packets = "", 0
+        self._stopped, self._packets, self._end = "", 0, self.info.start_pts
         return stream
 
     def frames(self, first_pts: int | None = None, last_pts: int | None = None, first_index: int = 0) -> Iterator[Frame]:
@@ -149,6 +150,8 @@ class ClipReader:
                 ended = True
             else:
                 self._packets += 1
+                if packet.pts is not None:
+                    self._end = max(self._end, packet.pts + (packet.duration or 0))
             try:
                 yield from stream.codec_context.decode(None if ended else packet)
                 failures = 0
@@ -177,7 +180,10 @@ class ClipReader:
         stated = self.info.frame_count_stated
         if self._stopped:
             return f"{self.info.path}: {self._stopped}; processed to the last good frame"
+        length_s = float((self._end - self.info.start_pts) * self.info.time_base)
+        if self.info.duration_of_video and self.info.duration_s and length_s < self.info.duration_s - _SHORT_S:
+            return f"{self.info.path}: the file ends after {length_s:.2f} s of {self.info.duration_s:.2f} s; processed to the last good frame"
         counted = any(n in self.info.container for n in ("mp4", "mov"))
-        if counted and stated and self._packets and self.exact_seek is False and self._packets < stated:
-            return f"{self.info.path}: {self._packets} of {stated} frames are in the file; processed to the last good one"
+        if counted and stated and self._packets and self._packets < stated:
+            return f"{self.info.path}: {self._packets} of {stated} frames are in the file; processed to the last good frame"
         return None

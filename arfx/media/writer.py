@@ -20,6 +20,8 @@ from arfx.media.images import write_exr, write_png
 from arfx.media.output import OutputPlan
 from arfx.media.planes import copy_picture, layout_named
 
+_DEEPEST_REORDER = 16  # H.264 and H.265 allow at most 16 frames of reordering
+
 
 def chunk_suffix(plan: OutputPlan) -> str:
     """The extension of a chunk's file; "" for an image sequence, whose chunks are folders.
@@ -48,6 +50,9 @@ class ChunkWriter:
         self._container: Any = None
         self._stream: Any = None
         self._last: int | None = None
+        self._shown: list[int] = []
+        self._shift = 0
+        self._muxed = 0
         self._times: list[tuple[int, float]] = []
 
     def __enter__(self) -> ChunkWriter:
@@ -65,7 +70,7 @@ class ChunkWriter:
     def _open(self) -> None:
         plan, info = self.plan, self.info
         kind = {".nut": "nut", ".mkv": "matroska"}[chunk_suffix(plan)]
-        options = {"fflags": "+bitexact"}  # no random identifiers: same frames, same bytes
+        options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}  # no random identifiers: same frames, same bytes
         self._container = av.open(str(self.part), "w", format=kind, container_options=options)
         rate = Fraction(info.fps or 25).limit_denominator(1001)
         s = self._container.add_stream(CODECS[plan.codec].encoder, rate=rate, options=dict(plan.options))
@@ -73,7 +78,7 @@ class ChunkWriter:
         s.width, s.height = info.coded_width, info.coded_height
         s.pix_fmt = "bgr0" if plan.codec == "ffv1" and plan.pixel_format == "gbrp" else plan.pixel_format
         s.time_base = ctx.time_base = info.time_base
-        ctx.thread_count = plan.encoder_threads
+        ctx.thread_count, ctx.thread_type = plan.encoder_threads, "FRAME"  # slice threads cost x264 half its speed
         ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
         ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
         if info.sample_aspect is not None:
@@ -89,13 +94,23 @@ class ChunkWriter:
             self._write_image(frame)
             return
         picture = self._stored(frame)
-        picture.pts, picture.time_base = frame.pts, self.info.time_base
+        if not self._shown:
+            self._shift = max(-frame.pts, 0)  # no chunk container holds times below 0; joining only needs their order
+        self._shown.append(frame.pts + self._shift)
+        picture.pts, picture.time_base = self._shown[-1], self.info.time_base
         picture.pict_type = 0  # the source's I/P/B would be forced on the encoder
         try:
-            for packet in self._stream.encode(picture):
-                self._container.mux(packet)
+            self._mux(self._stream.encode(picture))
         except (av.error.FFmpegError, OSError, ValueError) as e:
             raise write_failed(self.path, e) from e
+
+    def _mux(self, packets: list[av.Packet]) -> None:
+        """Writes packets with decode times of our own: x265 leaves those of chunks shorter than its delay undefined."""
+        for p in packets:
+            k = self._muxed - _DEEPEST_REORDER
+            p.dts = self._shown[k] if k >= 0 else self._shown[0] + k
+            self._container.mux(p)
+            self._muxed += 1
 
     def _stored(self, frame: Frame) -> av.VideoFrame:
         """The frame's picture in the encoder's pixel format: the same planes where the formats agree."""
@@ -141,8 +156,7 @@ class ChunkWriter:
                 lines = [f"{i} {t:.9f}\n" for i, t in self._times]
                 (self.part / "times.txt").write_text("".join(lines))
             else:
-                for packet in self._stream.encode(None):
-                    self._container.mux(packet)
+                self._mux(self._stream.encode(None))
                 self._close()
             remove_output(self.path)
             self.part.replace(self.path)
