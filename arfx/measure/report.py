@@ -1,0 +1,130 @@
+"""The report of a job: report.json and a self-contained report.html, from a report document or from a job folder.
+
+Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview and 1 s for the plots.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse.files import read_facts
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose
+from arfx.errors import ConfigError, InputError, RenderError
+from arfx.run.folder import JobFolder, disk_error, write_text
+from arfx.run.preview import load_previews
+
+REPORT_FILES = ("report.json", "report.html")
+Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
+
+
+def check_report_folder(folder: Path, overwrite: bool) -> None:
+    """Refuse, before any work, a folder that holds a report already or is a file. Raises ConfigError."""
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"report folder {folder} is a file", "name a folder")
+    held = [name for name in REPORT_FILES if (folder / name).exists()]
+    if held and not overwrite:
+        raise ConfigError(f"{folder / held[0]} exists", "--overwrite replaces it; or name another folder")
+
+
+def write_report(
+    folder: Path,
+    report: Mapping[str, Any],
+    facts: Sequence[FrameFacts],
+    before_after: Pictures,
+    camera: Camera | None = None,
+    points_m: np.ndarray | None = None,
+) -> Path:
+    """Write report.json and report.html into `folder`, which is made; both appear whole or not at all.
+
+    before_after : (frame number, input, output), RGB uint8 (h, w, 3), in order of frames
+    camera, points_m : with both, (n, 3) world points whose place in the picture is plotted before and after smoothing
+
+    Returns the path of report.html. Raises RenderError where the folder cannot be written.
+    """
+    from arfx.measure.report_html import page
+    from arfx.measure.report_plots import pose_plot, timing_plot
+
+    document = finite(report)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise RenderError(f"report folder {folder} cannot be made: {e.strerror}", "name another place") from None
+    plots = {"pose": pose_plot(facts, camera, points_m), "timing": timing_plot(document)}
+    html = page(document, facts, before_after, plots)
+    write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "report.html", html)
+    return folder / "report.html"
+
+
+def report_of_job(job: Path, folder: Path) -> Path:
+    """The report of a finished job, from its folder. Returns the path of report.html.
+
+    Raises InputError where `job` is no job folder, or the job is not finished.
+    """
+    files = JobFolder(job)
+    report = read_report(job)
+    try:
+        facts = list(read_facts(files.facts))
+        camera, points_m = _what_stands(files, report)
+        pictures = load_previews(files.previews) if files.previews.is_dir() else []
+    except (OSError, ValueError, KeyError, TypeError) as e:
+        raise InputError(f"job folder {job} is damaged: {e}", "process the clip again") from e
+    try:
+        return write_report(folder, report, facts, pictures, camera, points_m)
+    except OSError as e:
+        raise disk_error(e, folder) from None
+
+
+def read_report(job: Path) -> dict[str, Any]:
+    """report.json of a finished job. Raises InputError."""
+    files = JobFolder(job)
+    if not job.is_dir():
+        raise InputError(f"there is no job folder {job}", "`arfx process ... --job DIR` keeps one")
+    if not files.job.exists():
+        raise InputError(f"{job} is not a job folder: it holds no job.toml", "`arfx process ... --job DIR` keeps one")
+    if not files.report.exists():
+        raise InputError(f"the job in {job} is not finished", "run the same `arfx process` command again with --resume")
+    try:
+        report = json.loads(files.report.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as e:
+        raise InputError(f"{files.report} cannot be read: {e}", "process the clip again") from None
+    if not isinstance(report, dict) or not {"input", "output", "pose", "stages", "timing"} <= report.keys():
+        raise InputError(f"{files.report} is not the report of a job", "process the clip again")
+    return report
+
+
+def _what_stands(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, np.ndarray | None]:
+    """The job's camera, and world points to plot: the corners of a cube standing on each marker that has a place."""
+    camera = Camera.from_json(json.loads(files.inputs.read_text(encoding="utf-8"))["camera"])
+    rows = tomllib.loads(files.job.read_text(encoding="utf-8")).get("marker", [])
+    specs = [MarkerSpec.parse(row["spec"]) for row in rows]
+    places = {k: Pose.from_json(v) for k, v in report["pose"].get("world_from_marker", {}).items()}
+    cubes = []
+    for spec in specs:
+        if spec.key in places:
+            base = spec.corners_m
+            cubes.append(places[spec.key].apply(np.concatenate([base, base + np.array([0.0, 0.0, spec.size_m])])))
+    return camera, np.concatenate(cubes) if cubes else None
+
+
+def finite(value: Any) -> Any:
+    """The same document in plain types, with non-finite numbers as null: JSON has no NaN."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(v) for v in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

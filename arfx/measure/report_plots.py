@@ -1,0 +1,113 @@
+"""Plots of the report, as PNG bytes on a transparent ground that reads on light and dark pages."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
+from arfx.core.pose import Pose
+
+INK = "#7d8590"  # readable on white and on nearly black
+RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
+STATUS_COLOUR = {MEASURED: "#2da44e", INTERPOLATED: "#d4a72c", ABSENT: "#cf5b56"}
+
+
+def second_difference_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> np.ndarray:
+    """(frames,) rms over the points of |p(t-1) - 2 p(t) + p(t+1)| in px; NaN where one of the three has no pose or a cut lies.
+
+    points_m : (n, 3) world;  raw : of the poses before smoothing
+    """
+    poses = [f.raw_camera_from_world if raw else f.camera_from_world for f in facts]
+    out = np.full(len(facts), np.nan)
+    places = [None if p is None else _project(p, points_m, camera) for p in poses]
+    for i in range(1, len(facts) - 1):
+        a, b, c = places[i - 1 : i + 2]
+        if a is None or b is None or c is None or facts[i - 1].shot != facts[i + 1].shot:
+            continue
+        d = np.linalg.norm(a - 2 * b + c, axis=-1)
+        d = d[np.isfinite(d)]
+        if d.size:
+            out[i] = np.sqrt((d * d).mean())
+    return out
+
+
+def _project(pose: Pose, points_m: np.ndarray, camera: Camera) -> np.ndarray:
+    return np.asarray(camera.project(pose.apply(points_m)), float)
+
+
+def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.ndarray | None) -> bytes:
+    """Trembling before and after smoothing, reprojection error, and each frame's status as a coloured strip."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+
+    times = np.array([f.time_s for f in facts], float)
+    fig = Figure(figsize=(9.0, 4.6), layout="constrained")
+    trembling, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
+    if camera is not None and points_m is not None and len(facts) > 2:
+        for raw, colour, label in ((True, RAW, "before smoothing"), (False, SMOOTH, "after smoothing")):
+            d = second_difference_px(facts, points_m, camera, raw)
+            label += f", median {np.nanmedian(d):.3g} px" if np.isfinite(d).any() else ", no three frames in a row"
+            trembling.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
+        trembling.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
+    trembling.set_ylabel("second difference, px", fontsize=8)
+    trembling.set_title("Trembling in the picture of a cube on the marker", fontsize=9, loc="left")
+    px = np.array([np.nan if f.reprojection_px is None else f.reprojection_px for f in facts], float)
+    error.plot(times, px, ".", ms=2.5, color=SMOOTH)
+    error.set_ylabel("reprojection, px", fontsize=8)
+    for axis in (trembling, error):
+        axis.set_ylim(bottom=0)
+    order = (MEASURED, INTERPOLATED, ABSENT)
+    codes = np.array([[order.index(f.status) if f.status in order else 2 for f in facts]])
+    if len(facts):
+        end = times[-1] + (float(np.median(np.diff(times))) if len(facts) > 1 else 1.0)
+        colours = ListedColormap([STATUS_COLOUR[s] for s in order])
+        strip.pcolormesh(np.append(times, end), [0, 1], codes, cmap=colours, vmin=-0.5, vmax=2.5)
+    strip.set_yticks([])
+    strip.set_xlabel("time, s", fontsize=8)
+    return _png(fig)
+
+
+def timing_plot(report: Mapping[str, Any]) -> bytes:
+    """Predicted and measured seconds of each stage, and the phases of the job."""
+    from matplotlib.figure import Figure
+
+    stages = [s for s in report["stages"] if s["frames_run"]]
+    phases = [(k.removesuffix("_s"), v) for k, v in report["timing"].items() if k.endswith("_s") and k != "wall_s"]
+    phases = [(k, v) for k, v in phases if k != "frames_per" and isinstance(v, (int, float))]
+    rows = max(len(stages), len(phases), 1)
+    fig = Figure(figsize=(9.0, 0.9 + 0.36 * rows), layout="constrained")
+    left, right = fig.subplots(1, 2)
+    y = np.arange(len(stages))
+    left.barh(y - 0.19, [s["predicted_s"] or 0.0 for s in stages], 0.36, color=PREDICTED, label="predicted")
+    left.barh(y + 0.19, [s["measured_s"] or 0.0 for s in stages], 0.36, color=SMOOTH, label="measured")
+    left.set_yticks(y, [s["name"] for s in stages])
+    left.set_title("Stages, s (summed over workers)", fontsize=9, loc="left")
+    if stages:
+        left.legend(frameon=False, labelcolor=INK, fontsize=8)
+    y = np.arange(len(phases))
+    right.barh(y, [v for _, v in phases], 0.6, color=SMOOTH)
+    right.set_yticks(y, [k for k, _ in phases])
+    right.set_title("Phases, s", fontsize=9, loc="left")
+    for axis in (left, right):
+        axis.invert_yaxis()
+    return _png(fig)
+
+
+def _png(fig: Any) -> bytes:
+    for axis in fig.axes:
+        axis.set_facecolor("none")
+        axis.tick_params(colors=INK, labelsize=8)
+        axis.title.set_color(INK)
+        axis.xaxis.label.set_color(INK)
+        axis.yaxis.label.set_color(INK)
+        for side, spine in axis.spines.items():
+            spine.set_color(INK)
+            spine.set_visible(side in ("left", "bottom"))
+    out = io.BytesIO()
+    fig.savefig(out, format="png", dpi=130, transparent=True)
+    return out.getvalue()

@@ -1,0 +1,43 @@
+"""`arfx report`: the report of a finished job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from arfx_cli.console import emit_json, json_option, overwrite_option, say
+
+
+@click.command()
+@click.argument("job_dir", metavar="JOBDIR", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), help="Folder of the report; default: beside JOBDIR."
+)
+@overwrite_option
+@json_option
+def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) -> None:
+    """Write report.json and report.html (one file, no outside links) of a finished job.
+
+    JOBDIR is the folder that `arfx process --job JOBDIR` kept.
+
+    \b
+    Example:
+      arfx report out.job -o report
+    """
+    from arfx.measure.report import read_report, report_of_job
+
+    report = read_report(job_dir)
+    folder = output or job_dir.absolute().with_name(job_dir.absolute().name.removesuffix(".job") + ".report")
+    check_report_folder(folder, overwrite)
+    page = report_of_job(job_dir, folder)
+    say(f"report: {page}")
+    if as_json:
+        emit_json(report)
+
+
+def check_report_folder(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds a report already, before any work. Raises ConfigError."""
+    from arfx.measure.report import check_report_folder as check
+
+    check(folder, overwrite)
