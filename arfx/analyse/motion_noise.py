@@ -16,7 +16,7 @@ GROUPS = ((0, 1), (2,), (3, 4), (5,))
 # (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4 turns a frame by 20 degrees.
 LEAST, MOST = 1e-12, 1e4
 _GRID = 10.0 ** np.arange(-12, 5)
-_BLOCK, _BLOCKS = 240, 3  # frames of a long shot from which its own value is taken
+_BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
 # A window has little evidence on its own: each factor of ten away from the shot's value costs this much (nats).
 _HOLD = 1.0
@@ -25,7 +25,7 @@ _HOLD = 1.0
 def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray | None, local: bool) -> np.ndarray:
     """(n - 1, 6) densities.
 
-    measured, pull, links : as for smooth_chain;  density : what is taken so far, None at first
+    measured, pull, links : as for smooth_chain;  density : what was learned for the shot, None at first
     local : also let it change with time
     """
     n = len(measured)
@@ -33,7 +33,7 @@ def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density:
         return np.full((max(n - 1, 0), 6), 1e-2)
     shot = np.full(len(GROUPS), 1e-3) if density is None else np.exp([np.median(np.log(density[:, list(g)])) for g in GROUPS])
     blocks = _blocks(n)
-    for reach in (np.inf, 2.0):
+    for reach in (np.inf, 2.0) if density is None else ():
         for i in range(len(GROUPS)):
             near = _GRID[np.abs(np.log10(_GRID / shot[i])) <= reach]
             trial = np.repeat(shot[None], len(near), 0)

@@ -8,6 +8,8 @@ import numpy as np
 
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 
+MIN_FRAMES = 3
+
 
 def stretches(measured: np.ndarray, shot: np.ndarray, times_s: np.ndarray, max_gap_s: float) -> list[tuple[int, int]]:
     """Half-open ranges of frames in which the object is present: from one measured frame to another of the same shot,
@@ -22,6 +24,21 @@ def stretches(measured: np.ndarray, shot: np.ndarray, times_s: np.ndarray, max_g
             out.append((int(k), int(k) + 1))
         last = int(k)
     return out
+
+
+def lasting(present: Sequence[tuple[int, int]], measured: np.ndarray, shot: np.ndarray) -> list[tuple[int, int]]:
+    """The stretches without flickers: fewer than MIN_FRAMES measured frames with absence of the same shot on both sides.
+
+    A square of texture that is misread as a marker lasts for a frame or two; an object that appears for as long would
+    only flash.
+    """
+    n = len(measured)
+
+    def flicker(first: int, end: int) -> bool:
+        alone = first > 0 and end < n and shot[first - 1] == shot[first] and shot[end] == shot[end - 1]
+        return alone and int(measured[first:end].sum()) < MIN_FRAMES
+
+    return [p for p in present if not flicker(*p)]
 
 
 def statuses(measured: np.ndarray, present: Sequence[tuple[int, int]]) -> list[str]:

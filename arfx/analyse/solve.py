@@ -13,7 +13,7 @@ from arfx.analyse.geometry import Observed, information, lens_scale, residuals, 
 from arfx.analyse.hypotheses import hypotheses
 from arfx.analyse.mapping import MarkerMap, View, map_markers
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.presence import opacities, statuses, stretches
+from arfx.analyse.presence import lasting, opacities, statuses, stretches
 from arfx.analyse.records import Analysis, Record, Seen
 from arfx.analyse.shots import find_cuts
 from arfx.analyse.smooth import smooth_poses
@@ -90,7 +90,10 @@ def solve(
     if layout.unmapped:
         notices.append(f"never seen together with a mapped marker, so not used: {', '.join(layout.unmapped)}")
     path = world_path(views.frames, layout.world_from_marker, keys, shot, times)
-    present = stretches(path.measured, shot, times, params.max_gap_s)
+    every = stretches(path.measured, shot, times, params.max_gap_s)
+    present = lasting(every, path.measured, shot)
+    if len(present) < len(every):
+        notices.append(f"{len(every) - len(present)} sightings of one or two frames amid long absence are not shown")
     status = statuses(path.measured, present)
     opacity = opacities(present, shot, params.fade_frames)
     rotation, translation = _filled(path, present, times)

@@ -13,7 +13,7 @@ from arfx.analyse.background import BackgroundFlow, decide_static, epipolar_dist
 from arfx.analyse.files import read_analysis, read_facts, write_facts
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.path import choose_path, move_costs
-from arfx.analyse.presence import opacities, stretches
+from arfx.analyse.presence import lasting, opacities, stretches
 from arfx.analyse.records import Record, Seen
 from arfx.analyse.shots import CutSignal, find_cuts, unlikeness
 from arfx.analyse.solve import solve
@@ -105,6 +105,16 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
     assert cuts([*shift[:4], white, *shift[5:]]) == []
     assert cuts([np.roll(one, 60 * k, 1) for k in range(12)]) == []  # a whip pan
     assert unlikeness(one, np.clip(one * 0.5 + 30, 0, 255).astype(np.uint8)) < 0.02
+
+
+def test_a_flicker_is_no_presence() -> None:
+    measured = np.zeros(40, bool)
+    measured[[0, 12, 13, 25, 26, 27, 39]] = True
+    shot = np.zeros(40, int)
+    every = stretches(measured, shot, np.arange(40) / 10, 0.3)
+    assert lasting(every, measured, shot) == [(0, 1), (25, 28), (39, 40)]
+    shot[12:] = 1  # now it begins a shot: what came before is unknown
+    assert (12, 14) in lasting(stretches(measured, shot, np.arange(40) / 10, 0.3), measured, shot)
 
 
 def test_presence_and_fades() -> None:
