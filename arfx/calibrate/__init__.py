@@ -1,0 +1,1 @@
+"""Boards in pictures to camera intrinsics, with their uncertainty and a verdict."""

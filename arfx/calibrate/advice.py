@@ -1,0 +1,152 @@
+"""The verdict good | usable | poor with its reasons, and the next picture that would help most.
+
+The next picture is looked for, not guessed: of 45 ways to hold the board, the one after which the projection would be
+least uncertain over the picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from arfx.calibrate.board import BoardSpec
+from arfx.calibrate.corners import View
+from arfx.calibrate.coverage import TILTED_DEG, Coverage, projection_jacobian
+from arfx.calibrate.solve import Fit, Uncertainty, information, jacobians, without_pose
+
+GOOD, USABLE, POOR = "good", "usable", "poor"
+NEXT_TILT_DEG, NEXT_SHARE = 35.0, 0.45  # how steeply, and how large in the picture, the next board is proposed
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A figure of the calibration and what it must reach. Where `more` the value must be at least the limit, else at most.
+
+    text : the reason when it does not, with {value} and {limit}
+    """
+
+    name: str
+    good: float
+    poor: float
+    more: bool
+    text: str
+
+
+# `poor`: a virtual object drawn with it is visibly wrong (1 % of focal length is 1 % of every distance); `good`: the camera's
+# error stays below what marker corners add in each frame (.3 % and about a pixel).
+LIMITS = (
+    Limit("views", 10, 5, True, "only {value:.0f} different views take part (good: {limit:.0f})"),
+    Limit("focal_sd_percent", 0.3, 1.0, False, "the focal length is known to ±{value:.2g} % only (good: {limit:g} %)"),
+    Limit("tilt_max_deg", 25, 15, True, "the board is seen nearly from the front: its steepest tilt is {value:.0f}° (good: {limit:.0f}°)"),
+    Limit("tilt_directions", 3, 1, True, "the board tilts by more than 15° towards {value:.0f} of 4 sides only (good: {limit:.0f})"),
+    Limit("cells_percent", 60, 30, True, "corners cover {value:.0f} % of the picture (good: {limit:.0f} %)"),
+    Limit("radius_percent", 70, 45, True, "corners reach {value:.0f} % of the way to the picture's corners (good: {limit:.0f} %)"),
+    Limit("held_out_permille", 0.8, 3.0, False, "views miss their prediction by {value:.2g} thousandths of the picture's width (good: {limit:g})"),
+    Limit("projection_sd_permille", 2.0, 10.0, False, "towards the border the projection is uncertain by {value:.2g} thousandths of the picture's width (good: {limit:g})"),
+    Limit("rejected_percent", 25, 50, False, "{value:.0f} % of the views disagree with the others (good: {limit:.0f} %): two boards or cameras, or a bent board?"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """word : good, usable or poor; reasons : what keeps it from being good, worst first, empty for good; next_picture : how
+    to hold the board"""
+
+    word: str
+    reasons: tuple[str, ...]
+    next_picture: str
+
+
+def judge(figures: dict[str, float]) -> tuple[str, tuple[str, ...]]:
+    """The word and the reasons for the figures that LIMITS names. A figure that is not a number counts as poor."""
+    poor, usable = [], []
+    for limit in LIMITS:
+        value = figures[limit.name]
+        text = limit.text.format(value=value, limit=limit.good)
+        if not np.isfinite(value) or (value < limit.poor if limit.more else value > limit.poor):
+            poor.append(text)
+        elif value < limit.good if limit.more else value > limit.good:
+            usable.append(text)
+    return (POOR if poor else USABLE if usable else GOOD), (*poor, *usable)
+
+
+def figures(
+    fitted: Fit, seen: Coverage, focal_sd_px: float, projection_sd_px: np.ndarray, held_out_px: float, rejected: int
+) -> dict[str, float]:
+    """What LIMITS judges. The projection's is that of nine tenths of the picture: its very corners are nearly always
+    extrapolated, and are reported apart."""
+    width = fitted.camera.width
+    return {
+        "views": float(len(fitted.views)),
+        "focal_sd_percent": 100 * focal_sd_px / fitted.camera.fx,
+        "tilt_max_deg": float(seen.tilt_deg.max()),
+        "tilt_directions": float(seen.directions),
+        "cells_percent": 100 * seen.cells,
+        "radius_percent": 100 * seen.radius,
+        "held_out_permille": 1000 * held_out_px / width,
+        "projection_sd_permille": 1000 * float(np.quantile(projection_sd_px, 0.9)) / width
+        if projection_sd_px.size
+        else float("inf"),
+        "rejected_percent": 100 * rejected / (rejected + len(fitted.views)),
+    }
+
+
+def next_picture(fitted: Fit, known: Uncertainty, spec: BoardSpec) -> str:
+    """In words, where to hold the board and how to tilt it, so that the next view teaches most."""
+    noise = max(known.sigma_px, 0.05)
+    normal = sum(j.T @ j for j in information(fitted))
+    where = projection_jacobian(fitted)
+    best, best_score = "", float("inf")
+    for text, view, rvec, tvec in _candidates(fitted, spec):
+        j = without_pose(*jacobians(view, rvec, tvec, fitted.camera, fitted.model))
+        covariance = noise**2 * np.linalg.pinv(normal + j.T @ j, hermitian=True)
+        score = float(np.einsum("np,pq,nq->", where, covariance, where))
+        if score < best_score:
+            best, best_score = text, score
+    return best or f"hold the board so that it fills {NEXT_SHARE:.0%} of the picture's width, tilted by {NEXT_TILT_DEG:.0f}°"
+
+
+def _candidates(fitted: Fit, spec: BoardSpec) -> Sequence[tuple[str, View, np.ndarray, np.ndarray]]:
+    """Ways to hold the board so that all of it is in the picture."""
+    camera, out = fitted.camera, []
+    board = spec.corners_m - spec.corners_m.mean(0)
+    distance = camera.fx * float(np.ptp(board[:, 0])) / (NEXT_SHARE * camera.width)
+    a = np.radians(NEXT_TILT_DEG)
+    tilts = {
+        "facing the camera": (0.0, 0.0), "its right edge nearer": (0.0, a), "its left edge nearer": (0.0, -a),
+        "its upper edge nearer": (a, 0.0), "its lower edge nearer": (-a, 0.0),
+    }  # fmt: skip
+    columns = {"left": 0.27, "": 0.5, "right": 0.73}
+    rows = {"upper": 0.3, "": 0.5, "lower": 0.7}
+    for down, y in rows.items():
+        for across, x in columns.items():
+            ray = camera.directions(np.array([x * (camera.width - 1), y * (camera.height - 1)]))
+            for how, tilt in tilts.items():
+                rvec = np.array([*tilt, 0.0])
+                # turn about the board's middle; corners_m starts at the first corner
+                tvec = ray * distance - cv2.Rodrigues(rvec)[0] @ spec.corners_m.mean(0)
+                points = camera.project(spec.corners_m @ cv2.Rodrigues(rvec)[0].T + tvec)
+                inside = np.isfinite(points).all() and (points > 0).all() and (points < [camera.width, camera.height]).all()
+                if not inside:
+                    continue
+                place = " ".join(w for w in (down, across or ("middle" if down else "")) if w) or "middle"
+                tilted = how if "facing" in how else f"tilted by about {NEXT_TILT_DEG:.0f}° with {how}"
+                text = f"hold the board in the {place} of the picture, about {NEXT_SHARE:.0%} of its width, {tilted}"
+                out.append(
+                    (
+                        text,
+                        View("", (camera.width, camera.height), np.arange(len(points)), spec.corners_m, points, ""),
+                        rvec,
+                        tvec,
+                    )
+                )
+    return out
+
+
+def tilt_words(seen: Coverage) -> str:
+    """One line on the tilts seen."""
+    steep = int((seen.tilt_deg > TILTED_DEG).sum())
+    return f"tilt {seen.tilt_deg.min():.0f} to {seen.tilt_deg.max():.0f}°, {steep} of {len(seen.tilt_deg)} views above {TILTED_DEG:.0f}°"

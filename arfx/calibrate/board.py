@@ -1,0 +1,114 @@
+"""What board was printed: chessboard or ChArUco, its size, its corners in metres."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from arfx.core.marker import FAMILIES, canonical_family
+from arfx.core.units import length_m
+from arfx.errors import ConfigError
+
+CHESSBOARD = "chessboard"
+CHARUCO = "charuco"
+EXAMPLES = "chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100 (squares), with :legacy for the old pattern"
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSpec:
+    """A flat calibration board.
+
+    kind : "chessboard" or "charuco"
+    columns, rows : inner corners of a chessboard, squares of a ChArUco board (each as its users count them)
+    square_m : side of a square
+    marker_m, family, legacy : ChArUco only. `legacy` is the pattern of OpenCV before 4.6, whose first square is a marker
+        also where the number of rows is even
+    """
+
+    kind: str
+    columns: int
+    rows: int
+    square_m: float
+    marker_m: float = 0.0
+    family: str = ""
+    legacy: bool = False
+
+    @property
+    def inner(self) -> tuple[int, int]:
+        """Inner corners (across, down)."""
+        return (self.columns, self.rows) if self.kind == CHESSBOARD else (self.columns - 1, self.rows - 1)
+
+    @property
+    def squares(self) -> tuple[int, int]:
+        return self.inner[0] + 1, self.inner[1] + 1
+
+    @property
+    def corners_m(self) -> np.ndarray:
+        """(n, 3) inner corners row by row, metres, in the board's plane z = 0; x along a row, y down the rows."""
+        across, down = self.inner
+        x, y = np.meshgrid(np.arange(across), np.arange(down))
+        return np.stack([x.ravel(), y.ravel(), np.zeros(across * down)], -1) * self.square_m
+
+    @property
+    def turn_is_ambiguous(self) -> bool:
+        """Whether the board turned by half a turn looks the same (a chessboard with both counts odd, or both even)."""
+        return self.kind == CHESSBOARD and self.columns % 2 == self.rows % 2
+
+    def with_legacy(self, legacy: bool) -> BoardSpec:
+        return replace(self, legacy=legacy)
+
+    def __str__(self) -> str:
+        size = f"{self.kind}:{self.columns}x{self.rows}:{self.square_m * 1e3:.12g}mm"
+        if self.kind == CHESSBOARD:
+            return size
+        return f"{size}:{self.marker_m * 1e3:.12g}mm:{self.family}{':legacy' if self.legacy else ''}"
+
+    @staticmethod
+    def parse(text: str) -> BoardSpec:
+        """The board of `chessboard:9x6:25mm` or `charuco:12x8:18mm:14mm:5X5_100[:legacy]`. Raises ConfigError."""
+        kind, *parts = text.strip().split(":")
+        kind = kind.lower()
+        legacy = bool(parts) and parts[-1].lower() == "legacy"
+        parts = parts[:-1] if legacy else parts
+        wanted = {CHESSBOARD: 2, CHARUCO: 4}
+        if kind not in wanted or len(parts) != wanted[kind] or (legacy and kind != CHARUCO):
+            raise ConfigError(f"board {text!r} is not understood", EXAMPLES)
+        counts = re.fullmatch(r"(\d+)[xX](\d+)", parts[0])
+        if not counts:
+            raise ConfigError(f"board {text!r}: {parts[0]!r} is not COLUMNSxROWS", EXAMPLES)
+        columns, rows = int(counts[1]), int(counts[2])
+        least = 3
+        if not (least <= columns <= 100 and least <= rows <= 100):
+            raise ConfigError(f"board {text!r}: {columns}x{rows} is too small or too large", "3 to 100 each way")
+        square = length_m(parts[1], what=f"square of board {text!r}")
+        if square <= 0:
+            raise ConfigError(f"board {text!r}: the square must be larger than 0")
+        if kind == CHESSBOARD:
+            return BoardSpec(kind, columns, rows, square)
+        marker, family = length_m(parts[2], what=f"marker of board {text!r}"), canonical_family(parts[3])
+        if not 0 < marker < square:
+            raise ConfigError(f"board {text!r}: the marker must be smaller than its square", EXAMPLES)
+        if (columns * rows) // 2 > FAMILIES[family]:
+            raise ConfigError(f"board {text!r} needs {columns * rows // 2} markers, {family} has {FAMILIES[family]}")
+        return BoardSpec(kind, columns, rows, square, marker, family, legacy)
+
+
+@lru_cache(maxsize=64)
+def opencv_dictionary(family: str) -> cv2.aruco.Dictionary:
+    """OpenCV's predefined dictionary of a FAMILIES name."""
+    name = {"ORIGINAL": "DICT_ARUCO_ORIGINAL", "MIP_36h12": "DICT_ARUCO_MIP_36h12"}.get(family, f"DICT_{family}")
+    name = f"DICT_APRILTAG_{family}" if re.fullmatch(r"(16h5|25h9|36h10|36h11)", family) else name
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
+    """OpenCV's board object of a ChArUco spec."""
+    board = cv2.aruco.CharucoBoard(
+        (spec.columns, spec.rows), float(spec.square_m), float(spec.marker_m), opencv_dictionary(spec.family)
+    )
+    board.setLegacyPattern(spec.legacy)
+    return board

@@ -1,0 +1,192 @@
+"""Pictures of a board in, a camera with its uncertainty and a verdict out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arfx.calibrate.advice import Verdict, figures, judge, next_picture
+from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec
+from arfx.calibrate.corners import View, find_view
+from arfx.calibrate.coverage import Coverage, coverage, projection_uncertainty_px
+from arfx.calibrate.evidence import Evidence, choose_model
+from arfx.calibrate.other_boards import other_pattern, seen_instead
+from arfx.calibrate.screen import Rejected, drop_copies, reject_views
+from arfx.calibrate.select import varied
+from arfx.calibrate.solve import Fit, Uncertainty, fit, uncertainty
+from arfx.errors import InputError, NothingToDoError
+
+KEEP_VIEWS = 40  # more add little (errors fall with the root) and cost linearly
+SECOND_OPINIONS = 60  # pictures searched with both chessboard finders; of a video's frames the first ones
+LOOKED_AT = 4  # pictures without the board that are searched for other boards
+LEAST_VIEWS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Detection's result. spec : the board, its pattern corrected where the pictures say so; searched : pictures looked at;
+    empty : names of those without the board, with what was seen there; notices : for the user"""
+
+    spec: BoardSpec
+    views: tuple[View, ...]
+    searched: int
+    empty: tuple[str, ...]
+    instead: tuple[str, ...]
+    notices: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """fitted, known, seen : solution, uncertainty from the views alone, coverage. finder_sd : (p,) what the choice of corner
+    finder adds, 0 where there is only one; standard_deviations : (p,) both together. evidence : every lens model's showing"""
+
+    spec: BoardSpec
+    fitted: Fit
+    known: Uncertainty
+    finder_sd: np.ndarray
+    seen: Coverage
+    projection_sd_px: np.ndarray
+    chosen: Evidence
+    evidence: tuple[Evidence, ...]
+    verdict: Verdict
+    figures: dict[str, float]
+    found: Found
+    copies: tuple[Rejected, ...]
+    rejected: tuple[Rejected, ...]
+    upside_down: tuple[str, ...]
+    notices: tuple[str, ...]
+
+    @property
+    def standard_deviations(self) -> np.ndarray:
+        return np.hypot(self.known.standard_deviations, self.finder_sd)
+
+
+def find_board(
+    pictures: Iterable[tuple[str, np.ndarray]], spec: BoardSpec, progress: Callable[[int, int], None] | None = None
+) -> Found:
+    """Search pictures (name, (h, w) uint8 upright) for the board.
+
+    progress : called with pictures searched and boards found
+
+    Raises InputError for pictures of different sizes, NothingToDoError, saying what is seen instead, if no board is found.
+    """
+    views: list[View] = []
+    empty: list[str] = []
+    samples: list[tuple[str, np.ndarray]] = []
+    notices: list[str] = []
+    first: tuple[str, tuple[int, int]] | None = None
+    searched = 0
+    for name, gray in pictures:
+        size = (gray.shape[1], gray.shape[0])
+        first = first or (name, size)
+        if size != first[1]:
+            raise InputError(
+                f"pictures of different sizes: {first[0]} is {first[1][0]}x{first[1][1]}, {name} is {size[0]}x{size[1]}",
+                "a calibration belongs to one size and orientation; give those of one camera mode",
+            )
+        searched += 1
+        view = find_view(gray, spec, name, second_opinion=searched <= SECOND_OPINIONS)
+        if view is None and spec.kind == CHARUCO and not views:
+            view = find_view(gray, other_pattern(spec), name)
+            if view is not None:
+                was, spec = spec, other_pattern(spec)
+                notices.append(f"the board has the {'legacy' if spec.legacy else 'new'} pattern: {spec}, not {was}")
+        if view is None:
+            empty.append(name)
+            if len(samples) < LOOKED_AT:
+                samples.append((name, gray))
+        else:
+            views.append(view)
+        if progress:
+            progress(searched, len(views))
+    instead = tuple(f"{name}: {what}" for name, gray in samples if (what := seen_instead(gray, spec)))
+    if not views:
+        if first is None:
+            raise NothingToDoError("no pictures to search", "give images or a video of the board")
+        saw = f"; instead {'; '.join(instead)}" if instead else "; no other board or marker either"
+        raise NothingToDoError(
+            f"board {spec} is in none of {searched} pictures{saw}",
+            "give the --board that was printed; a chessboard must be wholly in the picture, with a white margin",
+        )
+    if instead and len(views) > 0:
+        notices.append("mixed boards: " + "; ".join(instead) + " (not used)")
+    return Found(spec, tuple(views), searched, tuple(empty), instead, tuple(notices))
+
+
+def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
+    """Intrinsics from the views found. Raises NothingToDoError if fewer than three different views agree."""
+    notices = list(found.notices)
+    unique, copies = drop_copies(varied(found.views, keep) if len(found.views) > keep else found.views)
+    if len(unique) < LEAST_VIEWS:
+        raise NothingToDoError(
+            f"board {found.spec} is seen in {len(found.views)} of {found.searched} pictures, {len(unique)} of them different",
+            f"at least {LEAST_VIEWS} different views are needed, 15 are good",
+        )
+    # twice: with a rich model the views' errors are smaller, and a bad view stands out that hid behind the lens's distortion
+    first_fit, rejected = reject_views(unique)
+    chosen, _ = choose_model(first_fit.views)
+    again, rejected = reject_views(unique, chosen.model)
+    chosen, table = choose_model(again.views)
+    fitted = chosen.fitted or again
+    known = uncertainty(fitted)
+    between = _finder_difference(fitted)
+    seen = coverage(fitted)
+    # the difference between finders is one direction of the parameters, not p independent ones
+    total = replace(known, covariance=known.covariance + np.outer(between, between))
+    sd = total.standard_deviations
+    projection = projection_uncertainty_px(fitted, total)
+    measured = figures(fitted, seen, float(max(sd[:2])), projection, chosen.held_out_rms_px, len(rejected))
+    word, reasons = judge(measured)
+    turned = _upside_down(fitted.views)
+    notices += _remarks(found, copies, rejected, turned)
+    verdict = Verdict(word, reasons, next_picture(fitted, known, found.spec))
+    return Calibration(
+        found.spec, fitted, known, np.abs(between), seen, projection, chosen, tuple(table), verdict, measured, found,
+        tuple(copies), tuple(rejected), turned, tuple(notices),
+    )  # fmt: skip
+
+
+def _finder_difference(fitted: Fit) -> np.ndarray:
+    """(p,) what the parameters move by when the other corner finder is taken, over sqrt(2): the standard deviation of two
+    equally careful measurements. On the views that have both; 0 where fewer than half of them, or fewer than 5, do.
+    """
+    both = [v for v in fitted.views if v.alternative is not None]
+    nothing = np.zeros(len(fitted.model.parameters))
+    if len(both) < max(5, len(fitted.views) / 2):
+        return nothing
+    try:
+        other = fit([replace(v, pixels=v.alternative) for v in both], fitted.model)
+        own = fit(both, fitted.model)
+    except NothingToDoError:
+        return nothing
+    return (other.values - own.values) / np.sqrt(2)
+
+
+def _upside_down(views: Sequence[View]) -> tuple[str, ...]:
+    """The views turned the other way than most."""
+    told = [v for v in views if v.upside_down is not None]
+    most = sum(bool(v.upside_down) for v in told) * 2 > len(told)
+    return tuple(v.name for v in told if v.upside_down != most)
+
+
+def _remarks(found: Found, copies: Sequence[Rejected], rejected: Sequence[Rejected], turned: Sequence[str]) -> list[str]:
+    out = []
+    if copies:
+        out.append(f"{len(copies)} views are copies of others and count once: {_few([c.name for c in copies])}")
+    out += [f"{r.name} is left out: {r.reason}" for r in rejected]
+    if turned:
+        out.append(f"{len(turned)} views show the board upside down (corners renumbered): {_few(turned)}")
+    if found.spec.turn_is_ambiguous and found.spec.kind == CHESSBOARD:
+        out.append(
+            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half a turn: views upside down cannot be "
+            "told (the intrinsics do not suffer; one odd and one even count avoids it)"
+        )
+    if found.empty:
+        out.append(f"no board in {len(found.empty)} of {found.searched} pictures: {_few(found.empty)}")
+    return out
+
+
+def _few(names: Sequence[str], most: int = 5) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

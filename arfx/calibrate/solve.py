@@ -1,0 +1,190 @@
+"""Least squares intrinsics from views of a board, for a given lens model, with covariance.
+
+Source: Zhang 2000 through cv2.calibrateCamera; covariance: delete-one-view jackknife, linearised at the solution
+(Efron and Stein 1981; Bell and McCaffrey 2002), because the errors of corners in one picture are not independent (blur,
+light, a bent board) and sigma^2 (J^T J)^-1, which assumes that they are, is then too small.
+Cost: 10 ms for 14 views of 54 corners, .1-.3 s for 40 views of 77.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from arfx.calibrate.corners import View
+from arfx.core.camera import Camera
+from arfx.core.numerics import condition, divide
+from arfx.errors import ArfxError, NothingToDoError
+
+NO_K = cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9)
+
+
+@dataclass(frozen=True, slots=True)
+class LensModel:
+    """A nested lens model. free : indices into OpenCV's coefficients that are estimated; the others are zero."""
+
+    name: str
+    flags: int
+    free: tuple[int, ...]
+    size: int = 5
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return ("fx", "fy", "cx", "cy", *(COEFFICIENTS[i] for i in self.free))
+
+
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+# Each model holds the one before it.
+MODELS = (
+    LensModel("pinhole", NO_K | cv2.CALIB_ZERO_TANGENT_DIST, ()),
+    LensModel("k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0,)),
+    LensModel("k1 k2", cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0, 1)),
+    LensModel("k1 k2 p1 p2", cv2.CALIB_FIX_K3, (0, 1, 2, 3)),
+    LensModel("k1 k2 p1 p2 k3", 0, (0, 1, 2, 3, 4)),
+    LensModel("rational", cv2.CALIB_RATIONAL_MODEL, (0, 1, 2, 3, 4, 5, 6, 7), 8),
+)
+FIRST_MODEL = MODELS[2]  # for telling good views from bad ones, before a model is chosen
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A least squares solution.
+
+    views : the V views it rests on; rotations, translations : (V, 3) board to camera, Rodrigues vectors and metres
+    residuals : per view (n, 2) px, found minus predicted; rms_px over both coordinates together (as OpenCV counts)
+    """
+
+    model: LensModel
+    camera: Camera
+    views: tuple[View, ...]
+    rotations: np.ndarray
+    translations: np.ndarray
+    residuals: tuple[np.ndarray, ...]
+
+    @property
+    def rms_px(self) -> float:
+        return rms(np.concatenate(self.residuals))
+
+    @property
+    def view_rms_px(self) -> np.ndarray:
+        return np.array([rms(r) for r in self.residuals])
+
+    @property
+    def values(self) -> np.ndarray:
+        c = self.camera
+        return np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion[list(self.model.free)]])
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """covariance : (p, p) of `model.parameters`, the jackknife's, or that of independent errors where it is larger;
+    independent, jackknife : (p,) standard deviations of each; sigma_px : noise of one coordinate of one corner;
+    condition : of the normal matrix with unit diagonal (poses eliminated); inf = something cannot be told at all"""
+
+    covariance: np.ndarray
+    independent: np.ndarray
+    jackknife: np.ndarray
+    sigma_px: float
+    condition: float
+
+    @property
+    def standard_deviations(self) -> np.ndarray:
+        return np.sqrt(np.diag(self.covariance))
+
+
+def rms(residuals: np.ndarray) -> float:
+    """Root mean square length of residuals (n, 2), px; 0 for none."""
+    return float(np.sqrt(divide((residuals**2).sum(), len(residuals))))
+
+
+def fit(views: Sequence[View], model: LensModel) -> Fit:
+    """Intrinsics and one pose per view. Raises NothingToDoError if they do not determine a camera at all."""
+    if len(views) < 3:
+        raise NothingToDoError(f"{len(views)} different views of the board", "at least 3 are needed, 15 are good")
+    boards = [v.board_m.astype(np.float32) for v in views]
+    pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in views]
+    try:
+        _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
+            boards, pixels, views[0].size, np.eye(3), np.zeros(model.size), flags=model.flags, criteria=STOP
+        )
+        if not (np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.isfinite(distortion).all()):
+            raise ArfxError("not finite")
+    except (cv2.error, ArfxError):
+        raise NothingToDoError(
+            f"{len(views)} views of the board do not determine a camera",
+            "take pictures with the board tilted by 20 to 45 degrees in different directions",
+        ) from None
+    camera = Camera(*views[0].size, matrix, np.ravel(distortion)[: model.size])
+    r, t = np.reshape(rvecs, (-1, 3)), np.reshape(tvecs, (-1, 3))
+    residuals = tuple(v.pixels - _projected(v, r[i], t[i], camera) for i, v in enumerate(views))
+    return Fit(model, camera, tuple(views), r, t, residuals)
+
+
+def _projected(view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera) -> np.ndarray:
+    return cv2.projectPoints(view.board_m, rvec, tvec, camera.matrix, camera.distortion)[0].reshape(-1, 2)
+
+
+def pose_residual(view: View, camera: Camera) -> np.ndarray:
+    """Residuals (n, 2) px of a view that the camera was not fitted to: only its pose is. Infinite where there is no pose."""
+    try:
+        ok, rvec, tvec = cv2.solvePnP(view.board_m, view.pixels, camera.matrix, camera.distortion)
+    except cv2.error:
+        ok = False
+    if not ok:
+        return np.full(view.pixels.shape, np.inf)
+    out = view.pixels - _projected(view, rvec, tvec, camera)
+    return np.where(np.isfinite(out), out, np.inf)
+
+
+def jacobians(view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera, model: LensModel) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the projected corners (2n, .): by the intrinsics of the model (2n, p), and by the pose (2n, 6)."""
+    j = cv2.projectPoints(view.board_m, rvec, tvec, camera.matrix, camera.distortion)[1]
+    return np.hstack([j[:, 6:10], j[:, [10 + i for i in model.free]]]), j[:, :6]
+
+
+def without_pose(by_intrinsics: np.ndarray, by_pose: np.ndarray) -> np.ndarray:
+    """What of the intrinsics' derivatives (2n, p) no motion of the board can imitate: the projection off `by_pose` (2n, 6)."""
+    scale = np.linalg.norm(by_pose, axis=0)
+    q, r = np.linalg.qr(divide(by_pose, scale[None]))
+    firm = np.abs(np.diag(r)) > 1e-10  # below that a pose direction does not move the corners at all
+    q = q[:, firm]
+    return by_intrinsics - q @ (q.T @ by_intrinsics)
+
+
+def information(fitted: Fit) -> list[np.ndarray]:
+    """Per view, J (2n, p): sum of J^T J is the normal matrix of the intrinsics with all poses eliminated."""
+    parts = (
+        jacobians(v, fitted.rotations[i], fitted.translations[i], fitted.camera, fitted.model) for i, v in enumerate(fitted.views)
+    )
+    return [without_pose(a, b) for a, b in parts]
+
+
+def uncertainty(fitted: Fit) -> Uncertainty:
+    """How far the intrinsics can be off, from the residuals and the geometry. See the header for the method."""
+    js = information(fitted)
+    p, n = len(fitted.model.parameters), len(js)
+    # unit diagonal, so that pixels, and distortion coefficients of 1e-3, weigh alike in the inverses
+    total = np.zeros((p, p)) + sum(j.T @ j for j in js)
+    scale = divide(1.0, np.sqrt(np.diag(total)), where_zero=1.0)
+    js = [j * scale for j in js]
+    normal = total * np.outer(scale, scale)
+    points = sum(len(r) for r in fitted.residuals)
+    degrees = max(1, 2 * points - p - 6 * n)
+    sigma = float(np.sqrt(sum((r**2).sum() for r in fitted.residuals) / degrees))
+    independent = sigma**2 * np.linalg.pinv(normal, hermitian=True)
+    steps = np.array(
+        [np.linalg.pinv(normal - j.T @ j, hermitian=True) @ (j.T @ r.ravel()) for j, r in zip(js, fitted.residuals, strict=True)]
+    )
+    steps -= steps.mean(0)
+    jack = (n - 1) / n * steps.T @ steps
+    a, b = np.sqrt(np.diag(independent)), np.sqrt(np.diag(jack))
+    # The jackknife's matrix holds the true correlations, but with few views it is singular, and so blind to some directions:
+    # then the correlations of the other one. Either way each parameter gets the larger of its two standard deviations.
+    shape, size = (jack, b) if n >= 2 * p else (independent, a)
+    correlation = shape * divide(1.0, np.outer(size, size))
+    larger = np.maximum(a, b) * scale
+    return Uncertainty(correlation * np.outer(larger, larger), a * scale, b * scale, sigma, condition(normal))
