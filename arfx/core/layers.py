@@ -52,7 +52,8 @@ def neutral(name: Layer, rect: Rect) -> np.ndarray:
     """A new array over `rect` as if nothing virtual were there. PLATE and IMAGE have no neutral value: KeyError."""
     channels, dtype, value = _NEUTRAL[name]
     shape = (rect.height, rect.width, channels) if channels else (rect.height, rect.width)
-    return np.full(shape, value, dtype)
+    # zeros come from fresh pages that cost nothing until they are written
+    return np.zeros(shape, dtype) if value == 0 else np.full(shape, value, dtype)
 
 
 @dataclass(frozen=True)

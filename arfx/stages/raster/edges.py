@@ -87,8 +87,11 @@ def _shown(edges, sharp, front, hidden):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def add_differences(edge, acc, depth, ident, directions, height, width, pixel):  # pragma: no cover - compiled
-    """Mark both pixels of every neighbouring pair that differ in a way no marked edge between them explains."""
+def add_differences(edge, prim, depth, part, face_normal, lens, height, width, rotation, pixel):  # pragma: no cover - compiled
+    """Mark both pixels of every neighbouring pair whose first hits differ in a way no marked edge between them explains.
+
+    lens : directions with one pixel of margin;  pixel : side of a pixel at depth 1
+    """
     before = edge.copy()
     for y in range(height):
         for x in range(width):
@@ -97,14 +100,20 @@ def add_differences(edge, acc, depth, ident, directions, height, width, pixel): 
                 if (step == 0 and x + 1 >= width) or (step == 1 and y + 1 >= height):
                     continue
                 m = k + 1 if step == 0 else k + width
-                if before[k] or before[m] or (ident[k] == 0 and ident[m] == 0):
+                if prim[k] == prim[m] or before[k] or before[m]:
                     continue
-                differ = ident[k] != ident[m] or abs(acc[k, 0] - acc[m, 0]) > 0.25
+                differ = prim[k] < 0 or prim[m] < 0 or part[prim[k]] != part[prim[m]]
                 if not differ:
-                    # depth that the plane through k would have at m
-                    nk = acc[k, 4] * directions[k, 0] + acc[k, 5] * directions[k, 1] + acc[k, 6] * directions[k, 2]
-                    nm = acc[k, 4] * directions[m, 0] + acc[k, 5] * directions[m, 1] + acc[k, 6] * directions[m, 2]
-                    slope = abs(nk - nm) / max(abs(nm), 1e-3)
+                    # depth that the plane of k's face has at m
+                    f = prim[k]
+                    here, there = 0.0, 0.0
+                    for c in range(3):
+                        base = rotation[2, c]
+                        near_x, near_y = lens[y + 1, x + 1, 0], lens[y + 1, x + 1, 1]
+                        here += face_normal[f, c] * (rotation[0, c] * near_x + rotation[1, c] * near_y + base)
+                        i, j = y + 1 + step, x + 2 - step
+                        there += face_normal[f, c] * (rotation[0, c] * lens[i, j, 0] + rotation[1, c] * lens[i, j, 1] + base)
+                    slope = abs(here - there) / max(abs(there), 1e-3)
                     differ = abs(depth[m] - depth[k]) > depth[k] * (3.0 * slope + 8.0 * pixel)
                 if differ:
                     edge[k] = True

@@ -108,10 +108,12 @@ class GlRenderer:
                 break
             # nothing drawn at a texel: everything there has been peeled
             peel = np.where(buffers[2][:, 3] > 0, buffers[0][:, 3], np.float32(3e38))
-        none = np.zeros(h * w, np.int32)
-        hits.resolve_edges(
-            w, np.arange(h * w), per, self.order, acc, depth, ident, none.astype(np.float32), none, *(directions, eye, *outs)
-        )
+        # pixels are numbered with a margin of one, the lens table has two
+        ys, xs = np.divmod(np.arange(h * w), w)
+        numbers = (ys + 1) * (w + 2) + xs + 1
+        none = np.zeros((h + 2) * (w + 2), np.int32)
+        rest = (self.lens.directions(rect.pad(2)), rotation, eye, *outs)
+        hits.resolve_edges(w + 2, numbers, per, self.order, acc, depth, ident, none.astype(np.float32), none, *rest)
 
     def _place(self, rect: Rect, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, int] | None:
         """Ideal camera of the buffer: position = direction * scale + shift; its size. None where nothing is seen."""

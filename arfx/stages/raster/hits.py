@@ -62,10 +62,76 @@ def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cov
     return inner, out, valid
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+# Inlined: two dozen arrays as arguments cost more than the work itself.
+@numba.njit(inline="always")
+def surface_at(
+    f, b1, b2, z, dx, dy, dz, pixel, faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table,
+    code, texel, values,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Attributes of face `f` at barycentric b1, b2 into values: 0 opacity, the rest as in `acc`.
+
+    z : depth;  dx, dy, dz : direction with camera z = 1;  pixel : footprint at depth 1;  texel : (4,) scratch
+    """
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
+    p = np.uintp(part[f])
+    # unsigned indices spare numba the test for negative ones
+    i0, i1, i2 = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+    b0 = np.float32(1) - b1 - b2
+    r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
+    g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
+    b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
+    alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
+    metallic, rough = floats[p, 4], floats[p, 5]
+    er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
+    if ints[p, 0] >= 0 or ints[p, 1] >= 0 or ints[p, 2] >= 0:
+        tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
+        tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
+        # the pixel's footprint on the surface, as the side of a square of the same area
+        cosine = max(abs(facing) / length, np.float32(_GRAZING))
+        side = z * pixel * uv_per_m[f] / np.sqrt(cosine)
+        t = ints[p, 0]
+        if t >= 0:
+            lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
+            r, g, b, alpha = r * texel[0], g * texel[1], b * texel[2], alpha * texel[3]
+        t = ints[p, 1]
+        if t >= 0:
+            lookup(texels, table, code, t, 0, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
+            metallic, rough = metallic * texel[0], rough * texel[1]
+        t = ints[p, 2]
+        if t >= 0:
+            lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
+            er, eg, eb = er * texel[0], eg * texel[1], eb * texel[2]
+    mode = ints[p, 3]
+    if mode == 0:
+        alpha = np.float32(1)
+    elif mode == 1:
+        alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
+    nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
+    ny = b0 * normals[i0, 1] + b1 * normals[i1, 1] + b2 * normals[i2, 1]
+    nz = b0 * normals[i0, 2] + b1 * normals[i1, 2] + b2 * normals[i2, 2]
+    if facing > 0:  # the back of a two-sided surface
+        nx, ny, nz = -nx, -ny, -nz
+    # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
+    away = (nx * dx + ny * dy + nz * dz) / (length * length)
+    if away > 0:
+        nx, ny, nz = nx - away * dx, ny - away * dy, nz - away * dz
+    n = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if n > 1e-6:
+        nx, ny, nz = nx / n, ny / n, nz / n
+    else:
+        s = np.float32(-1) if facing > 0 else np.float32(1)
+        nx, ny, nz = s * face_normal[f, 0], s * face_normal[f, 1], s * face_normal[f, 2]
+    values[0], values[1], values[2], values[3] = alpha, r, g, b
+    values[4], values[5], values[6] = nx, ny, nz
+    values[7], values[8], values[9] = metallic, rough, floats[p, 6]
+    values[10], values[11], values[12] = er, eg, eb
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def accumulate(
-    active, prim, bary_u, bary_v, distance, directions, start, pixel,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code, layered,
+    active, prim, bary_u, bary_v, distance, directions, start, pixel, hidden, layered,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code,
     acc, depth, ident, masked, onward,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `onward`.
@@ -74,85 +140,29 @@ def accumulate(
     pixel : side of a pixel at depth 1;  masked : (samples,) bool, set where a cut-out material is met
     """
     going = 0
-    texel = np.empty(4, np.float32)
+    texel, values = np.empty(4, np.float32), np.empty(COLUMNS, np.float32)
     for a in range(active.shape[0]):
         if prim[a] < 0:
             continue
-        # unsigned indices spare numba the test for negative ones, a third of this loop's time
         f, k = np.uintp(prim[a]), np.uintp(active[a])
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
-        length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
-        p = np.uintp(part[f])
         z = start[k] + distance[a]
-        if facing > 0 and ints[p, 4] == 0:
+        if hidden[f] and face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz > 0:
             start[k] = z
             onward[going] = active[a]
             going += 1
             continue
-        i0, i1, i2 = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        b1, b2 = bary_u[a], bary_v[a]
-        b0 = np.float32(1) - b1 - b2
-        r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
-        g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
-        b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
-        alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
-        metallic, rough = floats[p, 4], floats[p, 5]
-        er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
-        if ints[p, 0] >= 0 or ints[p, 1] >= 0 or ints[p, 2] >= 0:
-            tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
-            tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
-            # the pixel's footprint on the surface, as the side of a square of the same area
-            cosine = max(abs(facing) / length, np.float32(_GRAZING))
-            side = z * pixel * uv_per_m[f] / np.sqrt(cosine)
-            t = ints[p, 0]
-            if t >= 0:
-                lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
-                r, g, b, alpha = r * texel[0], g * texel[1], b * texel[2], alpha * texel[3]
-            t = ints[p, 1]
-            if t >= 0:
-                lookup(texels, table, code, t, 0, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
-                metallic, rough = metallic * texel[0], rough * texel[1]
-            t = ints[p, 2]
-            if t >= 0:
-                lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
-                er, eg, eb = er * texel[0], eg * texel[1], eb * texel[2]
-        mode = ints[p, 3]
-        if mode == 0:
-            alpha = np.float32(1)
-        elif mode == 1:
+        surface_at(
+            f, bary_u[a], bary_v[a], z, dx, dy, dz, pixel, faces, part, face_normal, normals, uv, colours, uv_per_m,
+            floats, ints, texels, table, code, texel, values,
+        )  # fmt: skip
+        if ints[part[f], 3] == 1:
             masked[k] = True
-            alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
-        if alpha > _CLEAR:
-            nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
-            ny = b0 * normals[i0, 1] + b1 * normals[i1, 1] + b2 * normals[i2, 1]
-            nz = b0 * normals[i0, 2] + b1 * normals[i1, 2] + b2 * normals[i2, 2]
-            if facing > 0:  # the back of a two-sided surface
-                nx, ny, nz = -nx, -ny, -nz
-            # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
-            away = (nx * dx + ny * dy + nz * dz) / (length * length)
-            if away > 0:
-                nx, ny, nz = nx - away * dx, ny - away * dy, nz - away * dz
-            n = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if n > 1e-6:
-                nx, ny, nz = nx / n, ny / n, nz / n
-            else:
-                s = np.float32(-1) if facing > 0 else np.float32(1)
-                nx, ny, nz = s * face_normal[f, 0], s * face_normal[f, 1], s * face_normal[f, 2]
-            w = acc[k, 0] * alpha
+        if values[0] > _CLEAR:
+            w = acc[k, 0] * values[0]
             acc[k, 0] -= w
-            acc[k, 1] += w * r
-            acc[k, 2] += w * g
-            acc[k, 3] += w * b
-            acc[k, 4] += w * nx
-            acc[k, 5] += w * ny
-            acc[k, 6] += w * nz
-            acc[k, 7] += w * metallic
-            acc[k, 8] += w * rough
-            acc[k, 9] += w * floats[p, 6]
-            acc[k, 10] += w * er
-            acc[k, 11] += w * eg
-            acc[k, 12] += w * eb
+            for c in range(1, COLUMNS):
+                acc[k, c] += w * values[c]
             if ident[k] == 0:
                 ident[k] = part[f] + 1
                 depth[k] = z
@@ -161,6 +171,47 @@ def accumulate(
             onward[going] = active[a]
             going += 1
     return going
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def shade_centres(
+    prim, bary_u, bary_v, depth, edge, lens, height, width, rotation, pixel, eye,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code,
+    coverage, depth_out, normal, position, albedo, material, emissive, object_id,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Pixels of an opaque mesh that need one sample only, straight from first hits to the layers.
+
+    The hits cover one pixel more on each side than the layers do, and the lens table one more again.
+    """
+    texel, values = np.empty(4, np.float32), np.empty(COLUMNS, np.float32)
+    glows = False
+    for p in range(floats.shape[0]):
+        glows = glows or floats[p, 7] != 0 or floats[p, 8] != 0 or floats[p, 9] != 0
+    for i in range(1, height - 1):
+        for j in range(1, width - 1):
+            k = np.uintp(i * width + j)
+            if prim[k] < 0 or edge[k]:
+                continue
+            f = np.uintp(prim[k])
+            u, v, z = lens[i + 1, j + 1, 0], lens[i + 1, j + 1, 1], depth[k]
+            dx = np.float32(rotation[0, 0] * u + rotation[1, 0] * v + rotation[2, 0])
+            dy = np.float32(rotation[0, 1] * u + rotation[1, 1] * v + rotation[2, 1])
+            dz = np.float32(rotation[0, 2] * u + rotation[1, 2] * v + rotation[2, 2])
+            surface_at(
+                f, bary_u[k], bary_v[k], z, dx, dy, dz, pixel, faces, part, face_normal, normals, uv, colours, uv_per_m,
+                floats, ints, texels, table, code, texel, values,
+            )  # fmt: skip
+            y, x = np.uintp(i - 1), np.uintp(j - 1)
+            coverage[y, x] = 1
+            depth_out[y, x] = z
+            object_id[y, x] = part[f] + 1
+            albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = values[1], values[2], values[3]
+            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = values[4], values[5], values[6]
+            material[y, x, 0], material[y, x, 1], material[y, x, 2] = values[7], values[8], values[9]
+            material[y, x, 3] = 1
+            position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * dx, eye[1] + z * dy, eye[2] + z * dz
+            if glows:  # else the layer stays the untouched zeros that it is
+                emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = values[10], values[11], values[12]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -206,10 +257,10 @@ def resolve_centres(
     height, width, edge, acc, depth, ident, directions, eye, coverage, depth_out, normal, position, albedo, material,
     emissive, object_id,
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Pixels that need one sample only."""
-    for y in range(height):
-        for x in range(width):
-            k = y * width + x
+    """Pixels that need one sample only; samples cover one pixel more on each side than the layers."""
+    for y in range(height - 2):
+        for x in range(width - 2):
+            k = (y + 1) * width + x + 1
             if ident[k] == 0 or edge[k]:
                 continue
             share = np.float32(1) - acc[k, 0]
@@ -231,15 +282,21 @@ def resolve_centres(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_edges(
-    width, pixels, samples, order, acc, depth, ident, centre_depth, centre_ident, directions, eye, coverage, depth_out,
+    width, pixels, samples, order, acc, depth, ident, centre_depth, centre_ident, lens, rotation, eye, coverage, depth_out,
     normal, position, albedo, material, emissive, object_id,
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Pixels of many samples. order : (samples,) sample numbers from the pixel's centre outwards."""
-    sums = np.zeros(12, np.float32)
+    """Pixels of many samples; numbered with one pixel of margin, two in the lens table.
+
+    order : (samples,) sample numbers from the pixel's centre outwards
+    """
+    sums, direction = np.zeros(12, np.float32), np.empty(3, np.float32)
     one_depth, one_ident = np.empty(1, np.float32), np.empty(1, np.int32)
     for a in range(pixels.shape[0]):
         k = pixels[a]
-        y, x = k // width, k % width
+        y, x = k // width - 1, k % width - 1
+        u, v = lens[y + 2, x + 2, 0], lens[y + 2, x + 2, 1]
+        for c in range(3):
+            direction[c] = rotation[0, c] * u + rotation[1, c] * v + rotation[2, c]
         one_ident[0] = centre_ident[k]
         one_depth[0] = centre_depth[k]
         if one_ident[0] == 0:
@@ -249,6 +306,6 @@ def resolve_edges(
                     one_ident[0], one_depth[0] = ident[s], depth[s]
                     break
         write_pixel(
-            sums, y, x, acc, a * samples, samples, 0, one_depth, one_ident, directions[k], eye, coverage, depth_out, normal,
+            sums, y, x, acc, a * samples, samples, 0, one_depth, one_ident, direction, eye, coverage, depth_out, normal,
             position, albedo, material, emissive, object_id,
         )  # fmt: skip

@@ -73,6 +73,11 @@ class RayRenderer:
         self.offsets = hammersley(samples)
         self.order = np.argsort((self.offsets**2).sum(1), kind="stable")
         self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
+        m = mesh
+        self._surfaces = (
+            m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints,
+            m.textures.texels, m.textures.table, CODE,
+        )  # fmt: skip
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame."""
@@ -88,26 +93,31 @@ class RayRenderer:
     def _strip(self, rect: Rect, camera_from_world: Pose, out: dict[Layer, np.ndarray]) -> None:
         # One pixel more on each side, so that a pixel's neighbours do not depend on the rectangle asked for.
         wide = rect.pad(1)
-        h, w = wide.height, wide.width
+        h, w, m = wide.height, wide.width, self.mesh
         lens = self.lens.directions(wide.pad(1))
         rotation = np.ascontiguousarray(camera_from_world.rotation)
         eye_world = camera_from_world.inverse().translation_m
-        directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
-        eye = eye_world - self.mesh.centre_m
-        m = self.mesh
+        eye = eye_world - m.centre_m
         points = Pose(camera_from_world.rotation, camera_from_world.apply(m.centre_m)).apply(m.vertices)
         box = face_boxes(points, self.camera.project(points), m.faces, self.camera, wide)
         *seen, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
-        acc, depth, ident, masked = self._trace(eye, directions, valid, seen, self.pixel * _SHARPER)
+        prim, depth = seen[0], seen[3]
         edge = edge_pixels(m, self.camera, points, front, wide, depth.reshape(h, w)).ravel()
-        edge |= masked  # a mean of opacities says little about where a cut-out ends: sampled instead
-        add_differences(edge, acc, depth, ident, directions, h, w, self.pixel)
-        full = {name: neutral(name, wide) for name in OUTPUTS}
-        arrays = tuple(full[name] for name in OUTPUTS)
-        hits.resolve_centres(h, w, edge, acc, depth, ident, directions, eye_world, *arrays)
-        inner = np.zeros((h, w), bool)
-        inner[1:-1, 1:-1] = True
-        pixels = np.flatnonzero(edge & inner.ravel())
+        add_differences(edge, prim, depth, m.part, m.face_normal, lens, h, w, rotation, self.pixel)
+        arrays = tuple(out[name] for name in OUTPUTS)
+        pixel = np.float32(self.pixel * _SHARPER)
+        ident = np.where(prim >= 0, m.part[prim] + 1, 0).astype(np.int32) if not m.layered else None
+        if ident is not None:
+            surfaces_and_layers = (*self._surfaces, *arrays)
+            hits.shade_centres(*seen, edge, lens, h, w, rotation, pixel, eye_world, *surfaces_and_layers)
+        else:
+            directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
+            acc, depth, ident, masked = self._trace(eye, directions, valid, seen, pixel)
+            edge |= masked  # a mean of opacities says little about where a cut-out ends: sampled instead
+            hits.resolve_centres(h, w, edge, acc, depth, ident, directions, eye_world, *arrays)
+        inner = edge.reshape(h, w).copy()
+        inner[[0, -1]], inner[:, [0, -1]] = False, False
+        pixels = np.flatnonzero(inner)
         count = len(self.offsets)
         for start in range(0, len(pixels), max(_TILE_RAYS // count, 1)):
             some = pixels[start : start + max(_TILE_RAYS // count, 1)]
@@ -115,13 +125,13 @@ class RayRenderer:
             slot = np.full(h * w, -1, np.int32)
             slot[some] = np.arange(len(some))
             found = nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
-            s_acc, s_depth, s_ident, _ = self._trace(eye, rays, ok, found, self.pixel / np.sqrt(count))
-            hits.resolve_edges(w, some, count, self.order, s_acc, s_depth, s_ident, depth, ident, directions, eye_world, *arrays)
-        for name in OUTPUTS:
-            out[name][...] = full[name][1:-1, 1:-1]
+            s_acc, s_depth, s_ident, _ = self._trace(eye, rays, ok, found, np.float32(self.pixel / np.sqrt(count)))
+            hits.resolve_edges(
+                w, some, count, self.order, s_acc, s_depth, s_ident, depth, ident, lens, rotation, eye_world, *arrays
+            )
 
     def _trace(
-        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, seen: Sequence[np.ndarray], pixel: float
+        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, seen: Sequence[np.ndarray], pixel: np.float32
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Samples along rays from `eye`: rows of hits.COLUMNS, depth (inf = none), 1 + part or 0, met a cut-out.
 
@@ -146,9 +156,8 @@ class RayRenderer:
                 face, u, v, distance = (hit[key] for key in ("primID", "u", "v", "tfar"))
             onward = np.empty(len(active), active.dtype)
             going = hits.accumulate(
-                active, face, u, v, distance, directions, start, np.float32(pixel), m.faces, m.part, m.face_normal,
-                m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints, m.textures.texels, m.textures.table, CODE,
-                m.layered, acc, depth, ident, masked, onward,
+                active, face, u, v, distance, directions, start, pixel, m.hidden, m.layered, *self._surfaces,
+                acc, depth, ident, masked, onward,
             )  # fmt: skip
             active = onward[:going]
         return acc, depth, ident, masked
