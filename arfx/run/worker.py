@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,19 @@ class Context:
             self.prepared[name] = self.stages[name].prepare(self.scene, self.levels[name])
 
 
+@cache
+def keep_memory() -> None:
+    """Let the C library keep freed blocks instead of giving each back: a frame's arrays are made anew every frame, and
+    faulting their pages in again costs more than the work on them. Without glibc nothing is changed."""
+    import ctypes
+
+    trim_threshold, mmap_threshold = -1, -3  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(mmap_threshold, 1 << 30)
+        mallopt(trim_threshold, 1 << 30)
+
+
 @lru_cache(maxsize=1)
 def open_context(folder: str, job_key: str) -> Context:
     """The context of a job. job_key only keeps two jobs that reuse a folder apart."""
@@ -82,6 +95,7 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
     Returns seconds by stage, decode and encode seconds, and counts.
     Raises RenderError (frames missing in the source, a full disk, a stage that failed).
     """
+    keep_memory()
     context = open_context(folder, job_key)
     place = JobFolder(Path(folder))
     reach = max((s.reach for s in context.stages.values()), default=0)

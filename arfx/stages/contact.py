@@ -18,7 +18,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
+from arfx.core.layers import Layer, neutral
 from arfx.core.light import Light
 from arfx.core.numerics import HALF_GREY
 from arfx.core.rect import EMPTY, Rect
@@ -27,7 +27,7 @@ from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
 from arfx.stages.occlusion import Occluder, cone, hemisphere
 
-SHOWS = 0.04  # darkening of linear light by less than this is faded out: four grey levels of white, without an edge
+SHOWS = 0.08  # darkening of linear light by less than this is faded out, without an edge
 _EXTENTS: WeakKeyDictionary[Scene, tuple[np.ndarray, np.ndarray]] = WeakKeyDictionary()
 GRID_PX = 8  # pitch of the table of viewing directions; bilinear between: error below 1e-3 px for usual lenses
 
@@ -46,7 +46,7 @@ class ContactParams:
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """ratio : (n, n, 3) light left on the plane;  centre_m, half_m (2,) : the rectangle it covers, anchor axes
-    grid : (gh, gw, 2) normalised viewing directions every GRID_PX pixels"""
+    grid : (gh, gw, 3) viewing directions every GRID_PX pixels"""
 
     ratio: np.ndarray
     centre_m: np.ndarray
@@ -93,7 +93,8 @@ class Contact:
         texels, rays = {"draft": (96, 48), "standard": (160, 96), "high": (256, 144), "reference": (384, 400)}[level.name]
         centre, half = extent_m(scene)
         ratio = light_left(scene, centre, half, texels, rays)
-        return Prepared(1 + (ratio - 1) * self.params.strength, centre, half, direction_grid(scene.camera))
+        ratio = (1 + (ratio - 1) * self.params.strength).astype(np.float32)
+        return Prepared(ratio, centre, half, direction_grid(scene.camera))
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
@@ -102,10 +103,24 @@ class Contact:
         assert pose is not None
         rect = window.now.rect
         anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
+        origin = anchor_from_camera.translation_m.astype(np.float32)
+        if origin[2] <= 0:  # the plane is seen from behind
+            return {Layer.SHADOW: neutral(Layer.SHADOW, rect)}
+        scale = prepared.ratio.shape[0] / (2 * prepared.half_m)
+        low = prepared.centre_m - prepared.half_m
+        # within a float32 of the exact place: 1e-7 of the distance, far below a texel
+        nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(np.float32)
         shadow = _look_up(
-            rect.x0, rect.y0, rect.width, rect.height, anchor_from_camera.rotation, anchor_from_camera.translation_m,
-            prepared.grid, prepared.ratio.astype(np.float32), prepared.centre_m, prepared.half_m,
-        )  # fmt: skip
+            rect.x0,
+            rect.y0,
+            rect.width,
+            rect.height,
+            nodes,
+            origin,
+            prepared.ratio,
+            low.astype(np.float32),
+            scale.astype(np.float32),
+        )
         return {Layer.SHADOW: shadow}
 
 
@@ -183,48 +198,52 @@ def _shifted_faces(scene: Scene) -> list[np.ndarray]:
 
 
 def direction_grid(camera: Camera) -> np.ndarray:
-    """(gh, gw, 2) float64 ideal normalised coordinates at every GRID_PX-th pixel, one step beyond the picture."""
+    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step beyond the picture."""
     x = np.arange(0, camera.width + GRID_PX, GRID_PX)
     y = np.arange(0, camera.height + GRID_PX, GRID_PX)
-    return camera.normalised(np.stack(np.meshgrid(x, y), -1).astype(float))
+    return camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
 
 
-@numba.njit(cache=True, nogil=True)
-def _look_up(x0, y0, width, height, rotation, origin, grid, ratio, centre, half):  # pragma: no cover - compiled
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def _look_up(x0, y0, width, height, nodes, origin, ratio, low, scale):  # pragma: no cover - compiled
+    """SHADOW over a rectangle.
+
+    nodes : (gh, gw, 3) float32 viewing directions in anchor axes at every GRID_PX-th pixel, linear between
+    origin : (3,) the camera in anchor axes;  ratio : (n, n, 3);  low, scale : (2,) metres to texels
+    """
     out = np.ones((height, width, 3), np.float32)
     n = ratio.shape[0]
+    far = np.float32(n)
+    step = np.float32(1.0 / GRID_PX)
     for j in range(height):
-        gy = (y0 + j) / GRID_PX
-        iy = int(gy)
-        fy = gy - iy
-        for i in range(width):
-            gx = (x0 + i) / GRID_PX
-            ix = int(gx)
-            fx = gx - ix
-            nx = (grid[iy, ix, 0] * (1 - fx) + grid[iy, ix + 1, 0] * fx) * (1 - fy) + (
-                grid[iy + 1, ix, 0] * (1 - fx) + grid[iy + 1, ix + 1, 0] * fx
-            ) * fy
-            ny = (grid[iy, ix, 1] * (1 - fx) + grid[iy, ix + 1, 1] * fx) * (1 - fy) + (
-                grid[iy + 1, ix, 1] * (1 - fx) + grid[iy + 1, ix + 1, 1] * fx
-            ) * fy
-            dz = rotation[2, 0] * nx + rotation[2, 1] * ny + rotation[2, 2]
-            if not dz < 0:  # away from the plane, or no direction maps to this pixel (NaN)
-                continue
-            s = -origin[2] / dz
-            if s <= 0:
-                continue
-            px = origin[0] + s * (rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2])
-            py = origin[1] + s * (rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2])
-            u = ((px - centre[0]) / half[0] + 1) * 0.5 * n - 0.5
-            v = ((py - centre[1]) / half[1] + 1) * 0.5 * n - 0.5
-            if not (u > -1 and v > -1 and u < n and v < n):
-                continue
-            iu, iv = int(np.floor(u)), int(np.floor(v))
-            fu, fv = u - iu, v - iv
-            a, b = max(iu, 0), min(iu + 1, n - 1)
-            c, d = max(iv, 0), min(iv + 1, n - 1)
-            for k in range(3):
-                out[j, i, k] = (ratio[c, a, k] * (1 - fu) + ratio[c, b, k] * fu) * (1 - fv) + (
-                    ratio[d, a, k] * (1 - fu) + ratio[d, b, k] * fu
-                ) * fv
+        iy = (y0 + j) // GRID_PX
+        fy = np.float32((y0 + j) % GRID_PX) * step
+        gx = (x0 + width - 1) // GRID_PX
+        for ix in range(x0 // GRID_PX, gx + 1):
+            # both ends of a run of GRID_PX pixels on this line
+            ax = nodes[iy, ix, 0] + fy * (nodes[iy + 1, ix, 0] - nodes[iy, ix, 0])
+            ay = nodes[iy, ix, 1] + fy * (nodes[iy + 1, ix, 1] - nodes[iy, ix, 1])
+            az = nodes[iy, ix, 2] + fy * (nodes[iy + 1, ix, 2] - nodes[iy, ix, 2])
+            bx = nodes[iy, ix + 1, 0] + fy * (nodes[iy + 1, ix + 1, 0] - nodes[iy, ix + 1, 0])
+            by = nodes[iy, ix + 1, 1] + fy * (nodes[iy + 1, ix + 1, 1] - nodes[iy, ix + 1, 1])
+            bz = nodes[iy, ix + 1, 2] + fy * (nodes[iy + 1, ix + 1, 2] - nodes[iy, ix + 1, 2])
+            dx, dy, dz = (bx - ax) * step, (by - ay) * step, (bz - az) * step
+            for i in range(max(ix * GRID_PX, x0), min((ix + 1) * GRID_PX, x0 + width)):
+                t = np.float32(i - ix * GRID_PX)
+                vz = az + t * dz
+                if not vz < 0:  # away from the plane, or no direction maps to this pixel (NaN)
+                    continue
+                s = -origin[2] / vz
+                u = (origin[0] + s * (ax + t * dx) - low[0]) * scale[0] - np.float32(0.5)
+                v = (origin[1] + s * (ay + t * dy) - low[1]) * scale[1] - np.float32(0.5)
+                if not (u > -1 and v > -1 and u < far and v < far):
+                    continue
+                iu, iv = int(u + 1) - 1, int(v + 1) - 1
+                fu, fv = u - np.float32(iu), v - np.float32(iv)
+                a, b = max(iu, 0), min(iu + 1, n - 1)
+                c, d = max(iv, 0), min(iv + 1, n - 1)
+                for k in range(3):
+                    e = ratio[c, a, k] + fu * (ratio[c, b, k] - ratio[c, a, k])
+                    f = ratio[d, a, k] + fu * (ratio[d, b, k] - ratio[d, a, k])
+                    out[j, i - x0, k] = e + fv * (f - e)
     return out

@@ -68,7 +68,9 @@ class Plain:
         directions = np.array([li.unit for li in light.lights], float).reshape(-1, 3)
         colours = np.array([li.rgb for li in light.lights], float).reshape(-1, 3) * g
         up = scene.world_from_anchor.rotation[:, 2]
-        return directions, colours, np.asarray(light.ambient_rgb, float) * g, up
+        ambient = np.asarray(light.ambient_rgb, float) * g
+        f32 = np.float32
+        return directions.astype(f32), colours.astype(f32), ambient.astype(f32), up.astype(f32)
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
@@ -78,17 +80,19 @@ class Plain:
         assert pose is not None
         eye = pose.inverse().translation_m
         virtual = _shade(
-            now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION], now[Layer.ALBEDO], now[Layer.MATERIAL], now[Layer.EMISSIVE],
-            eye, directions, colours, ambient, up, self.params.sky,
+            now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION],
+            now[Layer.ALBEDO], now[Layer.MATERIAL], now[Layer.EMISSIVE],
+            eye.astype(np.float32), directions, colours, ambient, up, np.float32(self.params.sky),
         )  # fmt: skip
         return {Layer.VIRTUAL: virtual}
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
 def _shade(
     coverage, normal, position, albedo, material, emissive, eye, directions, colours, ambient, up, sky
 ):  # pragma: no cover - compiled
     out = np.zeros(albedo.shape, np.float32)
+    one, zero = np.float32(1), np.float32(0)
     for y in range(coverage.shape[0]):
         for x in range(coverage.shape[1]):
             cov = coverage[y, x]
@@ -96,31 +100,36 @@ def _shade(
                 continue
             nx, ny, nz = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
             vx, vy, vz = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1], eye[2] - position[y, x, 2]
-            vl = np.sqrt(vx * vx + vy * vy + vz * vz)
-            if vl > 0:
-                vx, vy, vz = vx / vl, vy / vl, vz / vl
-            metallic, rough, specular = material[y, x, 0], max(material[y, x, 1], 0.05), material[y, x, 2]
-            shininess = 2.0 / (rough * rough * rough * rough) - 2.0  # Blinn exponent of the GGX width roughness^2
-            shininess = min(max(shininess, 1.0), 2000.0)
-            high = 1.0 + sky * (nx * up[0] + ny * up[1] + nz * up[2])
+            length = np.sqrt(vx * vx + vy * vy + vz * vz)
+            if length > 0:
+                vx, vy, vz = vx / length, vy / length, vz / length
+            metallic, rough, specular = material[y, x, 0], max(material[y, x, 1], np.float32(0.05)), material[y, x, 2]
+            r2 = rough * rough
+            # Blinn exponent of the GGX width roughness^2
+            shininess = min(max(np.float32(2) / (r2 * r2) - np.float32(2), one), np.float32(2000))
+            high = one + sky * (nx * up[0] + ny * up[1] + nz * up[2])
+            base, matt = np.float32(0.08) * specular * (one - metallic), one - metallic
             for c in range(3):
                 a = albedo[y, x, c]
-                f0 = 0.08 * specular * (1 - metallic) + a * metallic
-                diffuse = ambient[c] * high
                 # without a picture of the surroundings a metal reflects the ambient light only
-                shine = f0 * ambient[c] * high
-                for k in range(directions.shape[0]):
-                    lx, ly, lz = directions[k, 0], directions[k, 1], directions[k, 2]
-                    nl = nx * lx + ny * ly + nz * lz
-                    if nl <= 0:
-                        continue
-                    diffuse += colours[k, c] * nl
-                    hx, hy, hz = lx + vx, ly + vy, lz + vz
-                    hl = np.sqrt(hx * hx + hy * hy + hz * hz)
-                    if hl > 0:
-                        nh = max((nx * hx + ny * hy + nz * hz) / hl, 0.0)
-                        vh = max((vx * hx + vy * hy + vz * hz) / hl, 0.0)
-                        fresnel = f0 + (1 - f0) * (1 - vh) ** 5
-                        shine += fresnel * colours[k, c] * nl * (shininess + 8) / 8.0 * nh**shininess
-                out[y, x, c] = cov * (a * (1 - metallic) * diffuse + shine + emissive[y, x, c])
+                out[y, x, c] = (a * matt + base + a * metallic) * ambient[c] * high + emissive[y, x, c]
+            for k in range(directions.shape[0]):
+                lx, ly, lz = directions[k, 0], directions[k, 1], directions[k, 2]
+                nl = nx * lx + ny * ly + nz * lz
+                if nl <= 0:
+                    continue
+                hx, hy, hz = lx + vx, ly + vy, lz + vz
+                hl = np.sqrt(hx * hx + hy * hy + hz * hz)
+                lobe, grazing = zero, zero
+                if hl > 0:
+                    nh = max((nx * hx + ny * hy + nz * hz) / hl, zero)
+                    vh = one - min(max((vx * hx + vy * hy + vz * hz) / hl, zero), one)
+                    lobe = (shininess + np.float32(8)) / np.float32(8) * nh**shininess
+                    grazing = vh * vh * vh * vh * vh
+                for c in range(3):
+                    a = albedo[y, x, c]
+                    f0 = base + a * metallic
+                    out[y, x, c] += (a * matt + (f0 + (one - f0) * grazing) * lobe) * colours[k, c] * nl
+            for c in range(3):
+                out[y, x, c] *= cov
     return out
