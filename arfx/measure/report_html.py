@@ -88,8 +88,8 @@ def _tiles(report: Mapping[str, Any]) -> str:
     present = pose["frames_measured"] + pose["frames_interpolated"]
     reprojection = (pose.get("reprojection_px") or {}).get("median")
     jitter = number(pose.get("jitter_px"))
-    if pose.get("jitter_raw_px") is not None:
-        jitter = f"{number(pose['jitter_raw_px'])} → {jitter}"
+    if pose.get("jitter_before_smoothing_px") is not None:
+        jitter = f"{number(pose['jitter_before_smoothing_px'])} → {jitter}"
     tiles = [
         (f"{frames}", f"frames, {number(out['seconds'])} s"),
         (f"{present} of {frames}", f"frames with the object ({pose['frames_interpolated']} bridged)"),
@@ -155,7 +155,8 @@ def _facts_table(values: Mapping[str, Any]) -> str:
 
 
 def _pose_table(pose: Mapping[str, Any]) -> str:
-    keys = ("frames_measured", "frames_interpolated", "frames_absent", "reprojection_px", "jitter_px", "jitter_raw_px",
+    keys = ("frames_measured", "frames_interpolated", "frames_absent", "reprojection_px", "jitter_px",
+            "jitter_before_smoothing_px", "jitter_with_camera_px",
             "flips_resolved", "ambiguous_sightings", "whole_frame_searches", "static", "cuts", "markers_seen")  # fmt: skip
     return _facts_table({k: pose[k] for k in keys if k in pose})
 

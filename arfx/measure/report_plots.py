@@ -17,19 +17,23 @@ RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
 STATUS_COLOUR = {MEASURED: "#2da44e", INTERPOLATED: "#d4a72c", ABSENT: "#cf5b56"}
 
 
-def second_difference_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> np.ndarray:
-    """(frames,) rms over the points of |p(t-1) - 2 p(t) + p(t+1)| in px; NaN where one of the three has no pose or a cut lies.
+def trembling_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> np.ndarray:
+    """(frames,) rms over the points of the second difference over three frames of their place in the picture, px.
 
     points_m : (n, 3) world;  raw : of the poses before smoothing
+    The place is relative to the centre of the markers as measured: the footage's own motion, which the object has to
+    follow, is taken out. NaN where one of the three frames has no pose, no common marker, or a cut lies between them.
     """
     poses = [f.raw_camera_from_world if raw else f.camera_from_world for f in facts]
     out = np.full(len(facts), np.nan)
     places = [None if p is None else _project(p, points_m, camera) for p in poses]
     for i in range(1, len(facts) - 1):
-        a, b, c = places[i - 1 : i + 2]
-        if a is None or b is None or c is None or facts[i - 1].shot != facts[i + 1].shot:
+        three, (a, b, c) = facts[i - 1 : i + 2], places[i - 1 : i + 2]
+        keys = set.intersection(*({m.key for m in f.markers} for f in three))
+        if a is None or b is None or c is None or three[0].shot != three[2].shot or not keys:
             continue
-        d = np.linalg.norm(a - 2 * b + c, axis=-1)
+        p, q, r = (np.mean([m.corners_px for m in f.markers if m.key in keys], axis=(0, 1)) for f in three)
+        d = np.linalg.norm(a - 2 * b + c - (p - 2 * q + r), axis=-1)
         d = d[np.isfinite(d)]
         if d.size:
             out[i] = np.sqrt((d * d).mean())
@@ -50,12 +54,12 @@ def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.n
     trembling, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
     if camera is not None and points_m is not None and len(facts) > 2:
         for raw, colour, label in ((True, RAW, "before smoothing"), (False, SMOOTH, "after smoothing")):
-            d = second_difference_px(facts, points_m, camera, raw)
+            d = trembling_px(facts, points_m, camera, raw)
             label += f", median {np.nanmedian(d):.3g} px" if np.isfinite(d).any() else ", no three frames in a row"
             trembling.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
         trembling.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
     trembling.set_ylabel("second difference, px", fontsize=8)
-    trembling.set_title("Trembling in the picture of a cube on the marker", fontsize=9, loc="left")
+    trembling.set_title("Trembling of a cube on the marker against the footage", fontsize=9, loc="left", color=INK)
     px = np.array([np.nan if f.reprojection_px is None else f.reprojection_px for f in facts], float)
     error.plot(times, px, ".", ms=2.5, color=SMOOTH)
     error.set_ylabel("reprojection, px", fontsize=8)
@@ -86,13 +90,13 @@ def timing_plot(report: Mapping[str, Any]) -> bytes:
     left.barh(y - 0.19, [s["predicted_s"] or 0.0 for s in stages], 0.36, color=PREDICTED, label="predicted")
     left.barh(y + 0.19, [s["measured_s"] or 0.0 for s in stages], 0.36, color=SMOOTH, label="measured")
     left.set_yticks(y, [s["name"] for s in stages])
-    left.set_title("Stages, s (summed over workers)", fontsize=9, loc="left")
+    left.set_title("Stages, s (summed over workers)", fontsize=9, loc="left", color=INK)
     if stages:
         left.legend(frameon=False, labelcolor=INK, fontsize=8)
     y = np.arange(len(phases))
     right.barh(y, [v for _, v in phases], 0.6, color=SMOOTH)
     right.set_yticks(y, [k for k, _ in phases])
-    right.set_title("Phases, s", fontsize=9, loc="left")
+    right.set_title("Phases, s", fontsize=9, loc="left", color=INK)
     for axis in (left, right):
         axis.invert_yaxis()
     return _png(fig)
@@ -102,7 +106,6 @@ def _png(fig: Any) -> bytes:
     for axis in fig.axes:
         axis.set_facecolor("none")
         axis.tick_params(colors=INK, labelsize=8)
-        axis.title.set_color(INK)
         axis.xaxis.label.set_color(INK)
         axis.yaxis.label.set_color(INK)
         for side, spine in axis.spines.items():

@@ -1,0 +1,178 @@
+"""What works on this machine: Python and packages, renderer back ends, codecs (each tried), cores, memory, disk.
+
+Every check is made, not looked up: a back end is opened, a codec encodes four frames and they are read back.
+Cost: about 1 s.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import platform
+import shutil
+import sys
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import arfx
+from arfx.errors import ArfxError
+
+PACKAGES = (
+    "numpy", "opencv-contrib-python-headless", "av", "scipy", "numba", "scikit-image", "trimesh", "embreex",
+    "pyrender-maintained", "pyopengl", "matplotlib", "pydantic", "click", "rich", "pillow", "pyyaml",
+)  # fmt: skip
+LOW_MEMORY_MB, LOW_DISK_MB = 1500, 2000  # a 1080p job peaks near 700 MB a worker; an hour of 1080p H.264 takes a few GB
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the doctor. essential : arfx cannot do its main job without it;  fix : empty when ok"""
+
+    group: str
+    name: str
+    ok: bool
+    detail: str
+    fix: str = ""
+    essential: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def examine(folder: Path) -> list[Check]:
+    """All checks; `folder` is where outputs would be written (its free space is looked at)."""
+    return [*_python(), *_packages(), *_renderers(), *_codecs(), *_resources(folder)]
+
+
+def sound(checks: list[Check]) -> bool:
+    """Whether everything essential works: the essential checks, and at least one renderer."""
+    renderers = [c.ok for c in checks if c.group == "renderer"]
+    return all(c.ok for c in checks if c.essential) and any(renderers)
+
+
+def _python() -> list[Check]:
+    return [
+        Check("python", "python", sys.version_info >= (3, 11), f"{platform.python_version()}, {platform.platform()}",
+              "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer", essential=True),
+        Check("python", "arfx", True, arfx.__version__),
+    ]  # fmt: skip
+
+
+def _packages() -> list[Check]:
+    out = []
+    for name in PACKAGES:
+        try:
+            out.append(Check("package", name, True, metadata.version(name), essential=True))
+        except metadata.PackageNotFoundError:
+            out.append(Check("package", name, False, "not installed", f"pip install {name}", essential=True))
+    rivals = [n for n in ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender") if _installed(n)]
+    for name in rivals:
+        fix = f"pip uninstall {name}, then install its counterpart above again"
+        out.append(Check("package", name, False, "installs over the same folder as a package that arfx needs", fix))
+    return out
+
+
+def _installed(name: str) -> bool:
+    try:
+        metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def _renderers() -> list[Check]:
+    from arfx.stages.raster import backend_report
+
+    return [Check("renderer", b.name, b.opens, b.detail, b.fix) for b in backend_report()]
+
+
+def _codecs() -> list[Check]:
+    from arfx.media.codecs import CODECS
+
+    out = []
+    for name, codec in CODECS.items():
+        if codec.sequence:
+            out.append(_picture_format(name))
+            continue
+        why = _encode_fails(codec.encoder, codec.formats()[0], codec.chunk, dict(codec.options))
+        fix = "" if not why else "pip install --force-reinstall av (its wheels hold this encoder)"
+        out.append(Check("codec", name, not why, why or f"{codec.encoder}, wrote and read back", fix, essential=name == "h264"))
+    return out
+
+
+def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str, str]) -> str:
+    """Why four frames cannot be encoded and read back; empty where they can."""
+    import av
+
+    held = io.BytesIO()
+    container = {".nut": "nut", ".mkv": "matroska"}.get(chunk, "matroska")
+    try:
+        with av.open(held, "w", format=container) as out:
+            stream: Any = out.add_stream(encoder, rate=25, options=options)
+            stream.width, stream.height, stream.pix_fmt = 128, 96, pixel_format
+            for i in range(4):
+                picture = np.full((96, 128, 3), 40 * i + 20, np.uint8)
+                frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=pixel_format)
+                out.mux(stream.encode(frame))
+            out.mux(stream.encode(None))
+        held.seek(0)
+        with av.open(held) as back:
+            got = sum(1 for _ in back.decode(video=0))
+    except (av.error.FFmpegError, OSError, ValueError) as e:
+        return f"{encoder}: {e}"
+    return "" if got == 4 else f"{encoder}: {got} of 4 frames came back"
+
+
+def _picture_format(name: str) -> Check:
+    import tempfile
+
+    from arfx.media import images
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"probe.{name}"
+        picture = np.linspace(0, 1, 16 * 8 * 3, dtype=np.float32).reshape(8, 16, 3)
+        try:
+            if name == "exr":
+                images.write_exr(path, picture)
+            else:
+                images.write_png(path, (picture * 255).astype(np.uint8))
+        except (ArfxError, OSError, ValueError) as e:
+            return Check(
+                "codec", name, False, str(e).splitlines()[0], "pip install --force-reinstall opencv-contrib-python-headless"
+            )
+        return Check("codec", name, path.stat().st_size > 0, "written")
+
+
+def _resources(folder: Path) -> list[Check]:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    out = [Check("machine", "cores", True, f"{cores} usable of {os.cpu_count()}")]
+    free = _free_memory_mb()
+    if free is not None:
+        ok = free >= LOW_MEMORY_MB
+        out.append(Check("machine", "memory", ok, f"{free:.0f} MB free", "" if ok else "close programs, or --workers 1"))
+    try:
+        disk = shutil.disk_usage(folder).free / 1e6
+    except OSError as e:
+        out.append(Check("machine", "disk", False, f"{folder}: {e.strerror}", "run it in a folder that exists"))
+        return out
+    ok = disk >= LOW_DISK_MB
+    out.append(Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", "" if ok else "free space for outputs"))
+    return out
+
+
+def _free_memory_mb() -> float | None:
+    """Memory that can be had without swapping, the container's limit included; None where the system does not say."""
+    try:
+        rows = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
+        free = float(rows["MemAvailable"].split()[0]) / 1024
+    except (OSError, KeyError, ValueError):
+        return None
+    try:
+        limit, used = (Path(f"/sys/fs/cgroup/memory.{n}").read_text().strip() for n in ("max", "current"))
+        return free if limit == "max" else min(free, (float(limit) - float(used)) / 2**20)
+    except (OSError, ValueError):
+        return free
