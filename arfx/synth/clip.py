@@ -1,0 +1,168 @@
+"""A whole synthetic clip: frames, camera.yaml, job.toml, model.glb and truth, in a folder that appears when it is complete."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.pose import Pose
+from arfx.errors import ConfigError, RenderError
+from arfx.media.cameras import save_camera
+from arfx.synth.description import Marker, SceneFile
+from arfx.synth.encode import ClipFile
+from arfx.synth.picture import Picture
+from arfx.synth.sensor import develop, gain_at
+from arfx.synth.shapes import write_model
+from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, FrameTruth, MarkerTruth, Truth, write_depth, write_flow, write_truth
+from arfx.synth.world import World, marker_points
+
+Progress = Callable[[str, int, int | None], None]
+
+
+def make_clip(
+    scene: SceneFile,
+    folder: Path,
+    scene_folder: Path | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    truth_pictures: bool = True,
+) -> Truth:
+    """Render a scene into a new folder.
+
+    folder : made anew; it appears by rename when everything in it is complete
+    scene_folder : where picture files that the scene names are
+    truth_pictures : False leaves out depth, masks and flow
+    Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written.
+    """
+    if folder.exists() and not overwrite:
+        raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
+    aside = folder.parent / f".{folder.name}.{os.getpid()}.part"
+    try:
+        aside.mkdir(parents=True)
+    except OSError as e:
+        raise RenderError(f"cannot write into {folder.parent}: {e.strerror}", "name another place with -o") from None
+    try:
+        truth = _fill(scene, aside, scene_folder, progress or (lambda *_: None), truth_pictures)
+        if folder.exists():
+            shutil.rmtree(folder)
+        aside.rename(folder)
+    except OSError as e:
+        raise RenderError(f"cannot write {folder}: {e.strerror or e}", "name another place with -o") from None
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return truth
+
+
+def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: Progress, truth_pictures: bool) -> Truth:
+    world = World(scene, scene_folder)
+    picture = Picture(world)
+    kinds = scene.truth if truth_pictures else ()
+    for kind in kinds:
+        (folder / "truth" / kind).mkdir(parents=True)
+    frames = []
+    total = scene.frames
+    with ClipFile(folder / scene.clip.file, scene) as clip:
+        for n in range(total):
+            time_s = float(world.frame_times_s[n])
+            clip.write(develop(scene, picture.radiance(n), n, time_s), time_s)
+            frames.append(frame_truth(world, picture, n))
+            _write_pictures(folder / "truth", kinds, picture, n)
+            progress("synth", n + 1, total)
+    stated = stated_camera(scene, world.camera)
+    save_camera(folder / "camera.yaml", stated)
+    write_model(scene.model.shape, folder / "model.glb")
+    (folder / "job.toml").write_text(job_toml(scene), encoding="utf-8")
+    truth = Truth(_header(scene, world, stated), tuple(frames))
+    write_truth(folder / "truth.jsonl", truth)
+    return truth
+
+
+def _write_pictures(folder: Path, kinds: tuple[str, ...], picture: Picture, n: int) -> None:
+    if not kinds:
+        return
+    depth, owner = picture.surfaces(n)
+    if "depth" in kinds:
+        write_depth(folder / "depth" / f"{n:06d}.png", depth)
+    if "mask" in kinds:
+        cv2.imwrite(str(folder / "mask" / f"{n:06d}.png"), owner)
+    if "flow" in kinds:
+        write_flow(folder / "flow" / f"{n:06d}.png", picture.flow(n, depth, owner))
+
+
+def frame_truth(world: World, picture: Picture, n: int) -> FrameTruth:
+    """Everything that is known of a frame beside its pixels."""
+    scene, time_s = world.scene, float(world.frame_times_s[n])
+    moment, camera_from_room = world.at(time_s), world.camera_at(n, time_s)
+    room_from_camera = camera_from_room.inverse()
+    room_from_marker: dict[str, Pose] = {}
+    markers: dict[str, MarkerTruth] = {}
+    for placed, pose in zip(scene.placed, moment.room_from_object, strict=True):
+        if not isinstance(placed, Marker):
+            continue
+        camera_from_marker = camera_from_room @ pose
+        corners = world.camera.project(camera_from_marker.apply(placed.spec.corners_m))
+        points = pose.apply(marker_points(placed))
+        pixels = world.camera.project(camera_from_room.apply(points))
+        inside = (pixels >= -0.5).all(-1) & (pixels < [world.camera.width - 0.5, world.camera.height - 0.5]).all(-1)
+        towards = -camera_from_marker.translation_m / max(float(np.linalg.norm(camera_from_marker.translation_m)), 1e-9)
+        facing = float(camera_from_marker.rotation[:, 2] @ towards)
+        seen = inside & picture.unhidden(n, points, moment, room_from_camera) if facing > 0 else np.zeros(len(points), bool)
+        side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
+        key = placed.spec.key
+        if key in markers:  # two prints of one marker: the truth is the first one's
+            continue
+        room_from_marker[key] = pose
+        markers[key] = MarkerTruth(camera_from_marker, corners, float(seen.mean()), side, facing)
+    return FrameTruth(
+        n, time_s + scene.clip.start_s, int(world.shots[n]), camera_from_room, room_from_marker, markers, gain_at(scene, time_s),
+        scene.exposure.bias, _lights(world, camera_from_room, room_from_marker),
+    )  # fmt: skip
+
+
+def _lights(world: World, camera_from_room: Pose, room_from_marker: dict[str, Pose]) -> dict:
+    lights = []
+    if not world.scene.light.environment:
+        for row in world.lamps:
+            by_marker = {k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()}
+            lights.append({
+                "room": row[:3].tolist(), "camera": (camera_from_room.rotation @ row[:3]).tolist(), "marker": by_marker,
+                "rgb": row[3:6].tolist(), "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
+            })  # fmt: skip
+    return {"ambient_rgb": world.ambient.tolist(), "lights": lights}
+
+
+def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
+    """The camera that the job is told of."""
+    matrix = camera.matrix.copy()
+    matrix[0, 0] *= 1 + scene.hidden.focal_error_percent / 100
+    matrix[1, 1] *= 1 + scene.hidden.focal_error_percent / 100
+    return Camera(camera.width, camera.height, matrix, camera.distortion, camera.model, "synth")
+
+
+def job_toml(scene: SceneFile) -> str:
+    """The job file beside the clip, with paths relative to it."""
+    lines = ["[input]", f"clip = {json.dumps(scene.clip.file)}", 'camera = "camera.yaml"', ""]
+    for marker in scene.configured:
+        lines += ["[[marker]]", f"spec = {json.dumps(str(marker.spec))}", ""]
+    lines += ["[model]", 'file = "model.glb"', f"fit = {json.dumps(scene.model.fit)}", ""]
+    lines += ["[pipeline]", f"stages = {json.dumps(list(scene.job.stages))}", f"quality = {json.dumps(scene.job.quality)}", ""]
+    lines += ["[output]", f"codec = {json.dumps(scene.job.codec)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _header(scene: SceneFile, world: World, stated: Camera) -> dict:
+    configured = scene.configured
+    return {
+        "arfx_truth": 1, "description": scene.description, "world": configured[0].spec.key if configured else None,
+        "markers": {m.spec.key: m.spec.size_m for m in configured}, "camera": world.camera.to_json(),
+        "stated_camera": stated.to_json(), "depth_unit_m": DEPTH_UNIT_M, "flow_unit_px": FLOW_UNIT_PX,
+        "objects": {i: p.name or getattr(getattr(p, "spec", None), "key", "") for i, p in enumerate(scene.placed, 1)},
+        "hidden": scene.hidden.model_dump(),
+    }  # fmt: skip

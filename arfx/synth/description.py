@@ -1,0 +1,307 @@
+"""What a scene file may say: typed, frozen, every key documented. `arfx synth` reads it from TOML.
+
+Room axes: metres, z up. A marker or object without a pose stands at the room's origin, facing up. Angles in degrees;
+lengths carry a unit when written as text ("120mm") and are metres when written as a number.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from arfx.core.colour import Transfer
+from arfx.core.marker import MarkerSpec
+from arfx.core.units import length_m
+from arfx.errors import ArfxError, ConfigError, InputError
+
+
+def _length(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    try:
+        return length_m(value)
+    except ArfxError as e:
+        raise ValueError(e.message) from None
+
+
+def _marker(value: Any) -> Any:
+    if isinstance(value, MarkerSpec):
+        return value
+    try:
+        return MarkerSpec.parse(str(value))
+    except ArfxError as e:
+        raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+
+
+def _transfer(value: Any) -> Any:
+    try:
+        return Transfer(str(value)).name
+    except ArfxError as e:
+        raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+
+
+Length = Annotated[float, BeforeValidator(_length)]
+Vector = tuple[Length, Length, Length]
+Angles = tuple[float, float, float]
+Colour = tuple[float, float, float]
+TransferName = Annotated[str, BeforeValidator(_transfer)]
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
+
+
+class Clip(Part):
+    file: str = Field(default="clip.mp4", pattern=r"^[\w.-]+\.(mp4|mkv)$", description=".mp4 = H.264, .mkv = lossless FFV1")
+    width: int = Field(default=640, ge=16, le=8192)
+    height: int = Field(default=360, ge=16, le=8192)
+    fps: float = Field(default=24.0, gt=0, le=1000)
+    crf: float = Field(default=12.0, ge=0, le=51, description="H.264 quality")
+    frame_times: Literal["constant", "variable"] = Field(
+        default="constant", description="variable: ±35 % of a frame, from the seed"
+    )
+    start_s: float = Field(default=0.0, ge=0, description="presentation time of the first frame")
+    rotation_deg: Literal[0, 90, 180, 270] = Field(default=0, description="stored turned, with a display rotation that undoes it")
+    tone_hz: float | None = Field(default=None, gt=0, description="adds an audio stream with this tone")
+
+
+class Key(Part):
+    """One key frame of a motion; between keys position and rotation follow a smooth (Catmull-Rom) curve."""
+
+    time_s: float
+    position_m: Vector = (0.0, 0.0, 0.0)
+    rotate_deg: Angles = (0.0, 0.0, 0.0)
+    target_m: Vector = (0.0, 0.0, 0.0)
+
+
+class Motion(Part):
+    """How an object moves; added to its pose. turn and sway act in the object's own axes, keys replace the pose."""
+
+    kind: Literal["still", "turn", "sway", "keys"] = "still"
+    axis: Angles = Field(default=(1.0, 0.0, 0.0), description="turn: axis")
+    angle_deg: tuple[float, float] = Field(default=(0.0, 0.0), description="turn: from, to over the clip")
+    tilt_deg: float = Field(default=0.0, description="sway: largest tilt about x and y, in two incommensurate periods")
+    travel_m: Length = Field(default=0.0, description="sway: largest displacement")
+    period_s: float = Field(default=2.0, gt=0)
+    tremor_deg: float = Field(default=0.0, ge=0, description="rms of a hand's tremor, smooth noise")
+    tremor_m: Length = Field(default=0.0, ge=0)
+    keys: tuple[Key, ...] = ()
+
+
+class CameraPath(Part):
+    """How the camera moves in one shot. It looks at `target_m` with the room's z up, unless keys turn it."""
+
+    kind: Literal["static", "orbit", "dolly", "keys"] = "static"
+    target_m: Vector = (0.0, 0.0, 0.0)
+    position_m: Vector = Field(default=(0.0, -0.4, 0.4), description="static, and where a dolly starts")
+    end_m: Vector = Field(default=(0.0, -0.4, 0.4), description="where a dolly ends")
+    end_target_m: Vector | None = Field(default=None, description="dolly: what it looks at when it ends")
+    radius_m: Length = Field(default=0.5, gt=0)
+    azimuth_deg: tuple[float, float] = (-120.0, -60.0)
+    elevation_deg: tuple[float, float] = (45.0, 45.0)
+    roll_deg: float = 0.0
+    hand_deg: float = Field(default=0.0, ge=0, description="rms of hand-held shake, smooth noise about 4 Hz")
+    hand_m: Length = Field(default=0.0, ge=0)
+    keys: tuple[Key, ...] = Field(default=(), description="position_m and target_m are used")
+
+
+class Shot(Part):
+    """A cut-free stretch. Its path's time runs from 0 at its first frame."""
+
+    frames: int = Field(default=48, ge=1, le=100_000)
+    path: CameraPath = CameraPath()
+
+
+class Lens(Part):
+    fov_deg: float = Field(default=60.0, gt=5, lt=160, description="horizontal field of view of the undistorted picture")
+    centre_offset_px: tuple[float, float] = (0.0, 0.0)
+    model: Literal["brown", "fisheye"] = "brown"
+    distortion: tuple[float, ...] = ()
+    aperture_m: Length = Field(default=0.0, ge=0, description="diameter of the lens's opening; 0 = pinhole")
+    focus_m: Length | None = Field(
+        default=None, gt=0, description="distance of sharp focus along the axis; needed with an aperture"
+    )
+    shutter_s: float = Field(default=0.0, ge=0, description="time the shutter is open, centred on the frame's time")
+
+
+class Texture(Part):
+    kind: Literal["plain", "wood", "carpet", "noise", "checker", "poster", "image"] = "plain"
+    colour: Colour = Field(default=(0.5, 0.5, 0.5), description="linear albedo 0..1, or the darker of two")
+    second: Colour = (0.7, 0.7, 0.7)
+    feature_m: Length = Field(default=0.02, gt=0, description="size of the pattern's features")
+    file: Path | None = Field(default=None, description="image: an sRGB picture, beside the scene file")
+
+
+class Placed(Part):
+    name: str = ""
+    position_m: Vector = (0.0, 0.0, 0.0)
+    rotate_deg: Angles = Field(default=(0.0, 0.0, 0.0), description="about x, then y, then z (fixed axes)")
+    motion: Motion = Motion()
+    attached_to: str = Field(default="", description="marker spec key or name whose axes and motion it follows")
+
+
+class Plane(Placed):
+    size_m: tuple[Length, Length] = (2.0, 2.0)
+    texture: Texture = Texture()
+
+
+class Box(Placed):
+    """A box; its pose is the middle of its base."""
+
+    size_m: Vector = (0.1, 0.1, 0.1)
+    texture: Texture = Texture()
+
+
+class Sphere(Placed):
+    """A sphere; its pose is its centre."""
+
+    radius_m: Length = Field(default=0.05, gt=0)
+    colour: Colour = (0.5, 0.5, 0.5)
+
+
+class Marker(Placed):
+    """A printed marker on a sheet of paper: exact cells, one ink, one paper."""
+
+    spec: Annotated[MarkerSpec, BeforeValidator(_marker)]
+    margin_cells: float = Field(default=1.5, ge=0, description="white border of the sheet, in cells")
+    ink: float = Field(default=0.05, ge=0, le=1, description="linear albedo")
+    paper: float = Field(default=0.88, ge=0, le=1)
+    inverted: bool = False
+    configured: bool = Field(default=True, description="listed in job.toml; false: a distractor")
+
+
+class Lamp(Part):
+    """Directional light. rgb: radiance of a white diffuse surface that faces it."""
+
+    azimuth_deg: float = Field(default=40.0, description="from the room's x towards y")
+    elevation_deg: float = Field(default=55.0, ge=-90, le=90)
+    rgb: Colour = (0.5, 0.5, 0.5)
+    angular_size_deg: float = Field(default=2.0, ge=0, le=90)
+
+
+class Light(Part):
+    ambient_rgb: Colour = Field(default=(0.3, 0.3, 0.3), description="radiance of a white surface without the lamps")
+    lamps: tuple[Lamp, ...] = (Lamp(),)
+    environment: Literal["", "studio", "sunset"] | Path = Field(
+        default="",
+        description="HDR picture (equirectangular, z up) or a built-in one; lights with true shadows, replaces ambient",
+    )
+    environment_scale: float = Field(default=1.0, gt=0)
+    environment_lights: int = Field(default=48, ge=1, le=1024, description="directional lights it is divided into")
+
+
+class Exposure(Part):
+    """Sensor value = gain × radiance + bias, linear light, then clipped to 0..1."""
+
+    gain: float = Field(default=1.0, gt=0)
+    bias: float = Field(default=0.0, ge=-0.5, le=0.5)
+    drift_stops: float = Field(default=0.0, description="amplitude of an automatic exposure's wandering")
+    drift_period_s: float = Field(default=2.0, gt=0)
+
+
+class Noise(Part):
+    """Variance = read² + shot × signal, linear light."""
+
+    read: float = Field(default=0.002, ge=0)
+    shot: float = Field(default=0.00005, ge=0)
+    correlation_px: float = Field(default=0.0, ge=0, le=8, description="Gaussian sigma of its spatial correlation; 0 = white")
+
+
+class Hidden(Part):
+    """What the job is not told: each entry breaks an assumption of the models that are tested."""
+
+    transfer: TransferName = Field(default="srgb", description="curve that the camera really applies")
+    noise_correlation_px: float = Field(default=0.0, ge=0, le=8)
+    drift_stops: float = 0.0
+    rolling_shutter_s: float = Field(default=0.0, ge=0, description="time from the first row's to the last row's exposure")
+    focal_error_percent: float = Field(default=0.0, description="camera.yaml states a focal length that much too large")
+    gloss: float = Field(default=0.0, ge=0, le=1, description="strength of a highlight on the prints")
+    worn_ink: float | None = Field(
+        default=None, ge=0, le=1, description="ink albedo at the sheet's right edge; grows from the left"
+    )
+
+
+class ModelPart(Part):
+    shape: str = "robot"
+    fit: str = "12cm"
+
+
+class Job(Part):
+    stages: tuple[str, ...] = ()
+    quality: Literal["draft", "standard", "high", "reference"] = "standard"
+    codec: str = "h264"
+
+
+class SceneFile(Part):
+    """A whole scene. See the classes of this module for every key."""
+
+    description: str = ""
+    seed: int = Field(default=0, ge=0)
+    samples: int = Field(default=2, ge=1, le=16, description="n × n picture samples per pixel")
+    truth: tuple[Literal["depth", "mask", "flow"], ...] = ("depth", "mask", "flow")
+    clip: Clip = Clip()
+    lens: Lens = Lens()
+    shot: tuple[Shot, ...] = (Shot(),)
+    marker: tuple[Marker, ...] = Field(default=(), description="the first configured one is the world of arfx")
+    plane: tuple[Plane, ...] = ()
+    box: tuple[Box, ...] = ()
+    sphere: tuple[Sphere, ...] = ()
+    light: Light = Light()
+    exposure: Exposure = Exposure()
+    noise: Noise = Noise()
+    hidden: Hidden = Hidden()
+    model: ModelPart = ModelPart()
+    job: Job = Job()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SceneFile:
+        if self.lens.aperture_m > 0 and self.lens.focus_m is None:
+            raise ValueError("lens.focus_m is needed with an aperture")
+        names = {p.name for p in self.placed if p.name} | {m.spec.key for m in self.marker}
+        for p in self.placed:
+            if p.attached_to and p.attached_to not in names:
+                raise ValueError(f"attached_to = {p.attached_to!r} names nothing; there is {', '.join(sorted(names))}")
+        return self
+
+    @property
+    def placed(self) -> tuple[Placed, ...]:
+        """Every object, in the order of its number in the masks (1, 2, …)."""
+        return (*self.plane, *self.box, *self.sphere, *self.marker)
+
+    @property
+    def frames(self) -> int:
+        return sum(s.frames for s in self.shot)
+
+    @property
+    def configured(self) -> tuple[Marker, ...]:
+        return tuple(m for m in self.marker if m.configured)
+
+
+def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
+    """A scene from TOML text. Raises ConfigError listing every wrong key with its line."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise ConfigError(f"{where} is not TOML: {e}") from None
+    try:
+        return SceneFile.model_validate(tree)
+    except ValidationError as e:
+        lines = []
+        for problem in e.errors():
+            key = ".".join(str(k) for k in problem["loc"] if k != "function-after[_consistent(), SceneFile]")
+            last = next((str(k) for k in reversed(problem["loc"]) if isinstance(k, str)), "")
+            at = next((f":{n}" for n, raw in enumerate(text.splitlines(), 1) if last and raw.strip().startswith(last)), "")
+            lines.append(f"{where}{at}: {key or 'scene'}: {problem['msg'].removeprefix('Value error, ')}")
+        raise ConfigError("\n".join(lines), "arfx/synth/description.py documents every key") from None
+
+
+def load_scene(path: Path) -> SceneFile:
+    """A scene file; picture files in it are found beside it. Raises InputError, ConfigError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as e:
+        raise InputError(f"cannot read scene {path}: {e}", "a scene.toml; see sample_scenes/") from None
+    return parse_scene(text, str(path))

@@ -1,0 +1,106 @@
+"""Writes a synthetic clip: H.264 in MP4 or lossless FFV1 in Matroska, with exact times, tags, rotation and tone.
+
+Written apart from arfx.media, so that a mistake there cannot cancel out. BT.709, limited range, sRGB curve; the chroma
+of 4:2:0 is sited left (MPEG-2), as H.264 players expect.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import av
+import cv2
+import numpy as np
+
+from arfx.core.colour import yuv_from_rgb
+from arfx.errors import RenderError
+from arfx.synth.description import SceneFile
+
+CLOCK_HZ = 90_000
+
+
+class ClipFile:
+    """A clip being written; use as a context manager. `size` is that of the upright picture."""
+
+    def __init__(self, path: Path, scene: SceneFile) -> None:
+        self._scene = scene
+        clip = scene.clip
+        turned = clip.rotation_deg in (90, 270)
+        w, h = (clip.height, clip.width) if turned else (clip.width, clip.height)
+        lossless = path.name.endswith(".mkv")
+        self._subsampled = not lossless and w % 2 == 0 and h % 2 == 0
+        try:
+            self._out = av.open(str(path), "w", options={} if lossless else {"movie_timescale": str(CLOCK_HZ)})
+        except OSError as e:
+            raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
+        rate = Fraction(clip.fps).limit_denominator(1001)
+        stream = self._out.add_stream("ffv1" if lossless else "libx264", rate=rate)
+        stream.width, stream.height = w, h
+        stream.pix_fmt = "yuv420p" if self._subsampled else "yuv444p"
+        stream.time_base = stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
+        context = stream.codec_context
+        context.color_range, context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1, 13  # 13: sRGB
+        if not lossless:
+            context.options = {"crf": f"{clip.crf:g}", "preset": "fast"}
+            context.thread_count = 1  # another number of threads gives another stream
+        if clip.rotation_deg:
+            stream.set_display_rotation(clip.rotation_deg)
+        self._stream = stream
+        self._tone = self._out.add_stream("aac" if not lossless else "flac", rate=48_000) if clip.tone_hz else None
+
+    def __enter__(self) -> ClipFile:
+        return self
+
+    def write(self, coded: np.ndarray, time_s: float) -> None:
+        """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
+        if self._scene.clip.rotation_deg:
+            coded = np.ascontiguousarray(np.rot90(coded, -self._scene.clip.rotation_deg // 90))
+        frame = self._frame(coded)
+        frame.pts, frame.time_base = round((self._scene.clip.start_s + time_s) * CLOCK_HZ), Fraction(1, CLOCK_HZ)
+        for packet in self._stream.encode(frame):
+            self._out.mux(packet)
+
+    def _frame(self, coded: np.ndarray) -> av.VideoFrame:
+        yuv = cv2.transform(coded, yuv_from_rgb("bt709").astype(np.float32))
+        y = np.rint(16 + 219 * yuv[..., 0])
+        chroma = 128 + 224 * yuv[..., 1:]
+        if self._subsampled:
+            across = np.float32([0.25, 0.5, 0.25])
+            wide = cv2.sepFilter2D(chroma, -1, across, np.float32([1.0]), borderType=cv2.BORDER_REPLICATE)[:, ::2]
+            chroma = (wide[::2] + wide[1::2]) / 2
+        planes = [np.clip(p, 0, 255).astype(np.uint8) for p in (y, np.rint(chroma[..., 0]), np.rint(chroma[..., 1]))]
+        frame = av.VideoFrame(coded.shape[1], coded.shape[0], "yuv420p" if self._subsampled else "yuv444p")
+        for plane, values in zip(frame.planes, planes, strict=True):
+            rows = np.zeros((plane.height, plane.line_size), np.uint8)
+            rows[:, : plane.width] = values
+            plane.update(rows.tobytes())
+        frame.color_range, frame.colorspace, frame.color_primaries, frame.color_trc = 1, 1, 1, 13
+        return frame
+
+    def _write_tone(self) -> None:
+        if self._tone is None:
+            return
+        scene = self._scene
+        n = int(48_000 * scene.frames / scene.clip.fps)
+        wave = (0.2 * np.sin(2 * np.pi * (scene.clip.tone_hz or 0) * np.arange(n) / 48_000)).astype(np.float32)
+        kind = self._tone.codec_context.codec.audio_formats[0].name
+        for i in range(0, n, 1024):
+            part = wave[i : i + 1024][None]
+            frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(part), "fltp", "mono")
+            frame.sample_rate, frame.pts = 48_000, i + round(scene.clip.start_s * 48_000)
+            frame.time_base = Fraction(1, 48_000)
+            resampled = [frame] if kind == "fltp" else av.AudioResampler(kind, "mono", 48_000).resample(frame)
+            for piece in resampled:
+                for packet in self._tone.encode(piece):
+                    self._out.mux(packet)
+        for packet in self._tone.encode(None):
+            self._out.mux(packet)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is None:
+            for packet in self._stream.encode(None):
+                self._out.mux(packet)
+            self._write_tone()
+        self._out.close()

@@ -1,0 +1,112 @@
+"""One frame's exact radiance and its per-pixel truth: samples over pixel, shutter and lens, averaged in linear light."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from arfx.core.pose import Pose
+from arfx.synth.tracer import probe, render_rows, unhidden
+from arfx.synth.world import Moment, World
+
+_BAND_ROWS = 24  # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
+_KEEP_BYTES = 400e6  # rays kept from frame to frame
+
+
+class Picture:
+    """Renders frames of a world. One instance per clip; it keeps the rays of every sample position."""
+
+    def __init__(self, world: World, samples: int | None = None) -> None:
+        scene = world.scene
+        self.world = world
+        self.side = samples or scene.samples
+        if samples is None and (scene.lens.aperture_m > 0 or scene.lens.shutter_s > 0):
+            self.side = max(self.side, 4)  # fewer than 16 moments or lens points leave separate copies of an edge
+        self._rays: dict[tuple[float, float], np.ndarray] = {}
+        self._pool = ThreadPoolExecutor(max(min(os.cpu_count() or 1, 8), 1))
+
+    def rays(self, dx: float, dy: float) -> np.ndarray:
+        """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where the lens maps nothing."""
+        key = (dx, dy)
+        if key in self._rays:
+            return self._rays[key]
+        camera = self.world.camera
+        y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
+        made = camera.normalised(np.stack([x + dx, y + dy], -1))
+        if made.nbytes * (len(self._rays) + 1) < _KEEP_BYTES:
+            self._rays[key] = made
+        return made
+
+    def radiance(self, frame: int) -> np.ndarray:
+        """(h, w, 3) float64 linear radiance of a frame, before exposure."""
+        world, scene = self.world, self.world.scene
+        out = np.zeros((world.camera.height, world.camera.width, 3))
+        n = self.side
+        order = np.random.default_rng([scene.seed, 11]).permutation(n * n)  # which moment of the shutter a position gets
+        time_s = float(world.frame_times_s[frame])
+        for k in range(n * n):
+            dx, dy = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
+            moment = time_s + scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
+            self._sample(frame, moment, self.rays(dx, dy), 1 / n, frame * 4096 + k, 1 / (n * n), out)
+        return out
+
+    def _sample(
+        self, frame: int, time_s: float, rays: np.ndarray, footprint: float, seed: int, weight: float, out: np.ndarray
+    ) -> None:
+        world = self.world
+        rows, lens = world.camera.height, world.scene.lens
+        roll = world.scene.hidden.rolling_shutter_s
+        bands = [(y, min(y + _BAND_ROWS, rows)) for y in range(0, rows, _BAND_ROWS)]
+        shared = None if roll else (world.at(time_s), world.camera_at(frame, time_s).inverse())
+
+        def one(band: tuple[int, int]) -> None:
+            if shared:
+                moment, pose = shared
+            else:
+                when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
+                moment, pose = world.at(when), world.camera_at(frame, when).inverse()
+            render_rows(
+                band[0], band[1], rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m,
+                lens.focus_m or 1.0, footprint, moment.rects, moment.spheres, world.lamps, world.ambient, world.textures,
+                world.table, world.sky, seed, weight, out,
+            )  # fmt: skip
+
+        list(self._pool.map(one, bands))
+
+    def surfaces(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and the frame's own time; 0 = nothing."""
+        time_s = float(self.world.frame_times_s[frame])
+        moment, pose = self.world.at(time_s), self.world.camera_at(frame, time_s).inverse()
+        rays = self.rays(0.0, 0.0)
+        depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)
+        probe(rays, np.ascontiguousarray(pose.rotation), pose.translation_m, moment.rects, moment.spheres, depth, owner)
+        return depth, owner
+
+    def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
+
+        NaN where there is nothing, at the last frame, across a cut, and where the point leaves the lens's field.
+        """
+        out = np.full((*depth.shape, 2), np.nan)
+        world = self.world
+        if frame + 1 >= world.scene.frames or world.shots[frame + 1] != world.shots[frame]:
+            return out
+        t0, t1 = (float(world.frame_times_s[i]) for i in (frame, frame + 1))
+        rays = self.rays(0.0, 0.0)
+        points = np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
+        room_from_camera, next_camera = world.camera_at(frame, t0).inverse(), world.camera_at(frame + 1, t1)
+        before, after = world.poses(t0), world.poses(t1)
+        y, x = np.indices(depth.shape)
+        for number in np.unique(owner[owner > 0]):
+            here = owner == number
+            move = next_camera @ after[number - 1] @ before[number - 1].inverse() @ room_from_camera
+            out[here] = world.camera.project(move.apply(points[here])) - np.stack([x[here], y[here]], -1)
+        return out
+
+    def unhidden(self, frame: int, points_room: np.ndarray, moment: Moment, room_from_camera: Pose) -> np.ndarray:
+        """(n,) bool: nothing stands between the camera and each room point."""
+        out = np.zeros(len(points_room), bool)
+        unhidden(np.ascontiguousarray(points_room), room_from_camera.translation_m, moment.rects, moment.spheres, out)
+        return out

@@ -1,0 +1,301 @@
+"""Compiled rays: rectangles and spheres, lit directly with true shadows, textures averaged exactly over a footprint.
+
+A texture is a summed-area table. Its bilinear interpolation integrates a picture of constant cells exactly, so the
+edges of a print are anti-aliased without sampling error (Crow 1984, "Summed-area tables for texture mapping").
+Radiance follows arfx.core.light: ambient + sum of rgb * max(n·d, 0) * visible, times albedo.
+
+Row layouts (float64):
+rectangle  0-2 centre, 3-5 u, 6-8 v, 9-11 normal, 12 half width, 13 half height, 14 texture, 15 object, 16 gloss
+sphere     0-2 centre, 3 radius, 4-6 albedo, 7 object
+lamp       0-2 unit vector towards it, 3-5 rgb, 6 tangent of half its angular size
+texture    0 offset into the table, 1 columns, 2 rows, 3 smallest box in texels (0: cells stay hard-edged)
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_FAR = 1e30
+_LIFT_M = 2e-5  # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie 2e-4 m apart
+_DISC_SAMPLES = 16
+_GOLDEN_ANGLE = 2.399963229728653
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):  # type: ignore[no-untyped-def]
+    """(distance in units of d, kind 0 none 1 rectangle 2 sphere, index) of the first surface along a ray."""
+    best, kind, index = _FAR, 0, -1
+    for i in range(rects.shape[0]):
+        dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
+        if dn == 0.0:
+            continue
+        px, py, pz = rects[i, 0] - ox, rects[i, 1] - oy, rects[i, 2] - oz
+        t = (px * rects[i, 9] + py * rects[i, 10] + pz * rects[i, 11]) / dn
+        if t <= 1e-9 or t >= best:
+            continue
+        qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
+        if (
+            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12]
+            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13]
+        ):
+            best, kind, index = t, 1, i
+    for i in range(spheres.shape[0]):
+        px, py, pz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
+        a = dx * dx + dy * dy + dz * dz
+        b = (px * dx + py * dy + pz * dz) / a
+        cx, cy, cz = px - b * dx, py - b * dy, pz - b * dz
+        h = spheres[i, 3] * spheres[i, 3] - (cx * cx + cy * cy + cz * cz)
+        if h <= 0.0:
+            continue
+        half = math.sqrt(h / a)
+        t = b - half if b - half > 1e-9 else b + half
+        if 1e-9 < t < best:
+            best, kind, index = t, 2, i
+    return best, kind, index
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):  # type: ignore[no-untyped-def]
+    """True if any surface lies on the ray before `limit`."""
+    for i in range(rects.shape[0]):
+        dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
+        if dn == 0.0:
+            continue
+        px, py, pz = rects[i, 0] - ox, rects[i, 1] - oy, rects[i, 2] - oz
+        t = (px * rects[i, 9] + py * rects[i, 10] + pz * rects[i, 11]) / dn
+        if t <= 1e-9 or t >= limit:
+            continue
+        qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
+        if (
+            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12]
+            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13]
+        ):
+            return True
+    for i in range(spheres.shape[0]):
+        px, py, pz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
+        a = dx * dx + dy * dy + dz * dz
+        b = (px * dx + py * dy + pz * dz) / a
+        cx, cy, cz = px - b * dx, py - b * dy, pz - b * dz
+        h = spheres[i, 3] * spheres[i, 3] - (cx * cx + cy * cy + cz * cz)
+        if h > 0.0:
+            half = math.sqrt(h / a)
+            if b + half > 1e-9 and b - half < limit:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _noise(seed, n):  # type: ignore[no-untyped-def]
+    """0..1 from two integers: the finaliser of MurmurHash3."""
+    h = (np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(n) * np.uint64(0xC2B2AE3D27D4EB4F))
+    h ^= h >> np.uint64(33)
+    h *= np.uint64(0xFF51AFD7ED558CCD)
+    h ^= h >> np.uint64(33)
+    h *= np.uint64(0xC4CEB9FE1A85EC53)
+    h ^= h >> np.uint64(33)
+    return float(h >> np.uint64(11)) / 9007199254740992.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _visible(px, py, pz, lx, ly, lz, disc, rects, spheres, turn):  # type: ignore[no-untyped-def]
+    """Fraction 0..1 of a lamp's disc that a point sees: five rays, and sixteen more where these disagree."""
+    if disc == 0.0:
+        return 0.0 if hidden_by(px, py, pz, lx, ly, lz, _FAR, rects, spheres) else 1.0
+    if abs(lx) < 0.6:
+        ax, ay, az = 0.0, lz, -ly
+    else:
+        ax, ay, az = -lz, 0.0, lx
+    n = math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / n, ay / n, az / n
+    bx, by, bz = ly * az - lz * ay, lz * ax - lx * az, lx * ay - ly * ax
+    seen = 0
+    for k in range(5):
+        radius = 0.0 if k == 4 else disc
+        c, s = math.cos(k * math.pi / 2) * radius, math.sin(k * math.pi / 2) * radius
+        if not hidden_by(px, py, pz, lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz, _FAR, rects, spheres):
+            seen += 1
+    if seen == 0 or seen == 5:
+        return seen / 5.0
+    seen = 0
+    for k in range(_DISC_SAMPLES):
+        radius = disc * math.sqrt((k + 0.5) / _DISC_SAMPLES)
+        angle = turn + k * _GOLDEN_ANGLE
+        c, s = math.cos(angle) * radius, math.sin(angle) * radius
+        if not hidden_by(px, py, pz, lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz, _FAR, rects, spheres):
+            seen += 1
+    return seen / _DISC_SAMPLES
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _integral(table, offset, columns, x, y, c):  # type: ignore[no-untyped-def]
+    ix, iy = int(x), int(y)
+    fx, fy = x - ix, y - iy
+    row = columns + 1
+    base = offset + (iy * row + ix) * 3 + c
+    value = table[base] * (1 - fx) * (1 - fy)
+    if fx > 0.0:
+        value += table[base + 3] * fx * (1 - fy)
+    if fy > 0.0:
+        value += table[base + 3 * row] * (1 - fx) * fy
+        if fx > 0.0:
+            value += table[base + 3 * row + 3] * fx * fy
+    return value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _span(centre, half, size):  # type: ignore[no-untyped-def]
+    """A box of the texture along one axis, kept inside it without becoming empty."""
+    half = max(half, 1e-4)
+    low, high = max(centre - half, 0.0), min(centre + half, float(size))
+    if high - low < 1e-6:
+        low, high = (0.0, min(1e-4, size)) if centre <= 0 else (size - 1e-4, float(size))
+    return low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def render_rows(
+    y0, y1, rays, rotation, origin, lens_m, focus_m, footprint, rects, spheres, lamps, ambient, textures, table,
+    sky, seed, weight, out,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Add `weight` times one sample per pixel of rows y0..y1 to `out` (h, w, 3).
+
+    rays (h, w, 2) float: camera directions, z = 1 left out; NaN = the lens maps nothing there, stays black
+    rotation (3, 3), origin (3,): room_from_camera;  lens_m: diameter of the aperture;  focus_m: distance of focus
+    footprint: width in pixels that a sample stands for;  sky (h, w, 3): radiance by direction, (0, …) = black
+    """
+    width = rays.shape[1]
+    for y in range(y0, y1):
+        for x in range(width):
+            cx, cy = rays[y, x, 0], rays[y, x, 1]
+            if not (math.isfinite(cx) and math.isfinite(cy)):
+                continue
+            x2 = x + 1 if x + 1 < width else x - 1
+            y2 = y + 1 if y + 1 < rays.shape[0] else y - 1
+            ux, uy = (rays[y, x2, 0] - cx) * footprint, (rays[y, x2, 1] - cy) * footprint
+            vx, vy = (rays[y2, x, 0] - cx) * footprint, (rays[y2, x, 1] - cy) * footprint
+            ex, ey = 0.0, 0.0
+            number = y * width + x
+            if lens_m > 0.0:
+                radius = 0.5 * lens_m * math.sqrt(_noise(seed, 2 * number))
+                angle = 2 * math.pi * _noise(seed, 2 * number + 1)
+                ex, ey = radius * math.cos(angle), radius * math.sin(angle)
+                cx, cy = cx - ex / focus_m, cy - ey / focus_m
+            ox = origin[0] + rotation[0, 0] * ex + rotation[0, 1] * ey
+            oy = origin[1] + rotation[1, 0] * ex + rotation[1, 1] * ey
+            oz = origin[2] + rotation[2, 0] * ex + rotation[2, 1] * ey
+            dx = rotation[0, 0] * cx + rotation[0, 1] * cy + rotation[0, 2]
+            dy = rotation[1, 0] * cx + rotation[1, 1] * cy + rotation[1, 2]
+            dz = rotation[2, 0] * cx + rotation[2, 1] * cy + rotation[2, 2]
+            t, kind, index = nearest(ox, oy, oz, dx, dy, dz, rects, spheres)
+            if kind == 0:
+                if sky.shape[0] > 0:
+                    size = math.sqrt(dx * dx + dy * dy + dz * dz)
+                    sx = int((0.5 - math.atan2(dy, dx) / (2 * math.pi)) * sky.shape[1]) % sky.shape[1]
+                    sy = min(int((0.5 - math.asin(dz / size) / math.pi) * sky.shape[0]), sky.shape[0] - 1)
+                    for c in range(3):
+                        out[y, x, c] += weight * sky[sy, sx, c]
+                continue
+            hx, hy, hz = ox + t * dx, oy + t * dy, oz + t * dz
+            gloss = 0.0
+            if kind == 1:
+                nx, ny, nz = rects[index, 9], rects[index, 10], rects[index, 11]
+                dn = dx * nx + dy * ny + dz * nz
+                wide, high = 0.0, 0.0  # half extents of the footprint on the surface, along u and v
+                for k in range(2):
+                    fx, fy = (ux, uy) if k == 0 else (vx, vy)
+                    gx = rotation[0, 0] * fx + rotation[0, 1] * fy
+                    gy = rotation[1, 0] * fx + rotation[1, 1] * fy
+                    gz = rotation[2, 0] * fx + rotation[2, 1] * fy
+                    slide = (gx * nx + gy * ny + gz * nz) / dn
+                    gx, gy, gz = t * (gx - slide * dx), t * (gy - slide * dy), t * (gz - slide * dz)
+                    a, b = (
+                        gx * rects[index, 3] + gy * rects[index, 4] + gz * rects[index, 5],
+                        gx * rects[index, 6] + gy * rects[index, 7] + gz * rects[index, 8],
+                    )
+                    wide += a * a
+                    high += b * b
+                tex = int(rects[index, 14])
+                offset, columns, rows = int(textures[tex, 0]), int(textures[tex, 1]), int(textures[tex, 2])
+                per_u, per_v = columns / (2 * rects[index, 12]), rows / (2 * rects[index, 13])
+                qx, qy, qz = hx - rects[index, 0], hy - rects[index, 1], hz - rects[index, 2]
+                tx = (qx * rects[index, 3] + qy * rects[index, 4] + qz * rects[index, 5] + rects[index, 12]) * per_u
+                ty = (rects[index, 13] - (qx * rects[index, 6] + qy * rects[index, 7] + qz * rects[index, 8])) * per_v
+                left, right = _span(tx, max(0.5 * math.sqrt(wide) * per_u, 0.5 * textures[tex, 3]), columns)
+                top, bottom = _span(ty, max(0.5 * math.sqrt(high) * per_v, 0.5 * textures[tex, 3]), rows)
+                area = (right - left) * (bottom - top)
+                colour = (
+                    _mean(table, offset, columns, left, right, top, bottom, area, 0),
+                    _mean(table, offset, columns, left, right, top, bottom, area, 1),
+                    _mean(table, offset, columns, left, right, top, bottom, area, 2),
+                )
+                gloss = rects[index, 16]
+                if dn > 0.0:
+                    nx, ny, nz = -nx, -ny, -nz
+            else:
+                nx, ny, nz = (
+                    (hx - spheres[index, 0]) / spheres[index, 3],
+                    (hy - spheres[index, 1]) / spheres[index, 3],
+                    (hz - spheres[index, 2]) / spheres[index, 3],
+                )
+                colour = (spheres[index, 4], spheres[index, 5], spheres[index, 6])
+            light0, light1, light2 = ambient[0], ambient[1], ambient[2]
+            shine0, shine1, shine2 = 0.0, 0.0, 0.0
+            px, py, pz = hx + _LIFT_M * nx, hy + _LIFT_M * ny, hz + _LIFT_M * nz
+            turn = 2 * math.pi * _noise(seed + 7, number)
+            for k in range(lamps.shape[0]):
+                facing = nx * lamps[k, 0] + ny * lamps[k, 1] + nz * lamps[k, 2]
+                if facing <= 0.0:
+                    continue
+                seen = _visible(px, py, pz, lamps[k, 0], lamps[k, 1], lamps[k, 2], lamps[k, 6], rects, spheres, turn)
+                if seen == 0.0:
+                    continue
+                light0 += seen * facing * lamps[k, 3]
+                light1 += seen * facing * lamps[k, 4]
+                light2 += seen * facing * lamps[k, 5]
+                if gloss > 0.0:
+                    size = math.sqrt(dx * dx + dy * dy + dz * dz)
+                    bx, by, bz = lamps[k, 0] - dx / size, lamps[k, 1] - dy / size, lamps[k, 2] - dz / size
+                    half = (nx * bx + ny * by + nz * bz) / math.sqrt(bx * bx + by * by + bz * bz)
+                    peak = seen * gloss * max(half, 0.0) ** 40
+                    shine0, shine1, shine2 = shine0 + peak * lamps[k, 3], shine1 + peak * lamps[k, 4], shine2 + peak * lamps[k, 5]
+            out[y, x, 0] += weight * (colour[0] * light0 + shine0)
+            out[y, x, 1] += weight * (colour[1] * light1 + shine1)
+            out[y, x, 2] += weight * (colour[2] * light2 + shine2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean(table, offset, columns, left, right, top, bottom, area, c):  # type: ignore[no-untyped-def]
+    whole = _integral(table, offset, columns, right, bottom, c) - _integral(table, offset, columns, left, bottom, c)
+    whole += _integral(table, offset, columns, left, top, c) - _integral(table, offset, columns, right, top, c)
+    return whole / area
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def probe(rays, rotation, origin, rects, spheres, depth, owner):  # type: ignore[no-untyped-def]
+    """Depth along the axis (0 = nothing) and object number (0 = nothing) at the rays (h, w, 2) of pixel centres."""
+    for y in range(rays.shape[0]):
+        for x in range(rays.shape[1]):
+            cx, cy = rays[y, x, 0], rays[y, x, 1]
+            depth[y, x], owner[y, x] = 0.0, 0
+            if not (math.isfinite(cx) and math.isfinite(cy)):
+                continue
+            dx = rotation[0, 0] * cx + rotation[0, 1] * cy + rotation[0, 2]
+            dy = rotation[1, 0] * cx + rotation[1, 1] * cy + rotation[1, 2]
+            dz = rotation[2, 0] * cx + rotation[2, 1] * cy + rotation[2, 2]
+            t, kind, index = nearest(origin[0], origin[1], origin[2], dx, dy, dz, rects, spheres)
+            if kind == 1:
+                depth[y, x], owner[y, x] = t, int(rects[index, 15])
+            elif kind == 2:
+                depth[y, x], owner[y, x] = t, int(spheres[index, 7])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def unhidden(points, origin, rects, spheres, out):  # type: ignore[no-untyped-def]
+    """out[i] = nothing stands between the origin and room point i (n, 3)."""
+    for i in range(points.shape[0]):
+        dx, dy, dz = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
+        size = math.sqrt(dx * dx + dy * dy + dz * dz)
+        out[i] = not hidden_by(origin[0], origin[1], origin[2], dx, dy, dz, 1.0 - _LIFT_M / size, rects, spheres)

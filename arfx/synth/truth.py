@@ -1,0 +1,159 @@
+"""The truth of a synthetic clip: one JSON line per frame after a header line, and pictures per pixel.
+
+Header: {"arfx_truth": 1, "world": key of the marker that arfx takes as world or null, "markers": {key: size_m},
+  "camera": the true camera, "stated_camera": what camera.yaml says, "depth_unit_m", "flow_unit_px", "objects": {number: name}}
+Frame: see FrameTruth. Depth: 16-bit PNG times depth_unit_m, along the axis, 0 = nothing. Mask: 8-bit PNG of object
+numbers. Flow to the next frame: KITTI's 16-bit PNG, u = (R - 2^15) / 64 px, v from G, B = 1 where known.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from arfx.core.pose import Pose
+from arfx.errors import InputError
+
+DEPTH_UNIT_M = 2e-4  # 16 bits reach 13 m in steps of a fifth of a millimetre
+FLOW_UNIT_PX = 1 / 64
+
+
+@dataclass(frozen=True)
+class MarkerTruth:
+    """One marker in one frame.
+
+    corners_px : (4, 2) projected with the true camera, NaN behind it;  visible : fraction 0..1 of its black square that is
+    in the picture and not hidden;  side_px : mean length of its sides;  facing : cosine of the angle at which it is seen
+    """
+
+    camera_from_marker: Pose
+    corners_px: np.ndarray
+    visible: float
+    side_px: float
+    facing: float
+
+
+@dataclass(frozen=True)
+class FrameTruth:
+    """One frame. camera_from_room, room_from_marker and markers are exact; gain and bias act on linear light.
+
+    lights : {"ambient_rgb", "lights": [{"room", "camera", "marker": unit vectors towards it, "rgb", "angular_size_deg"}]}
+    """
+
+    index: int
+    time_s: float
+    shot: int
+    camera_from_room: Pose
+    room_from_marker: dict[str, Pose]
+    markers: dict[str, MarkerTruth]
+    gain: float
+    bias: float
+    lights: dict[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "index": self.index, "time_s": self.time_s, "shot": self.shot,
+            "camera_from_room": self.camera_from_room.to_json(),
+            "room_from_marker": {k: p.to_json() for k, p in self.room_from_marker.items()},
+            "markers": {
+                k: {
+                    "camera_from_marker": m.camera_from_marker.to_json(), "visible": m.visible, "facing": m.facing,
+                    "side_px": m.side_px if np.isfinite(m.side_px) else None,
+                    "corners_px": [[float(x) if np.isfinite(x) else None for x in c] for c in m.corners_px],
+                }
+                for k, m in self.markers.items()
+            },
+            "gain": self.gain, "bias": self.bias, **self.lights,
+        }  # fmt: skip
+
+    @staticmethod
+    def from_json(d: dict[str, Any]) -> FrameTruth:
+        def number(x: float | None) -> float:
+            return float("nan") if x is None else float(x)
+
+        markers = {
+            k: MarkerTruth(
+                Pose.from_json(m["camera_from_marker"]),
+                np.array([[number(x) for x in c] for c in m["corners_px"]]),
+                m["visible"],
+                number(m["side_px"]),
+                m["facing"],
+            )
+            for k, m in d["markers"].items()
+        }
+        room = {k: Pose.from_json(p) for k, p in d["room_from_marker"].items()}
+        lights = {"ambient_rgb": d["ambient_rgb"], "lights": d["lights"]}
+        return FrameTruth(
+            d["index"], d["time_s"], d["shot"], Pose.from_json(d["camera_from_room"]), room, markers, d["gain"], d["bias"], lights
+        )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The whole file: its header and its frames."""
+
+    header: dict[str, Any]
+    frames: tuple[FrameTruth, ...]
+
+    @property
+    def world(self) -> str | None:
+        """Key of the first configured marker."""
+        return self.header["world"]
+
+
+def write_truth(path: Path, truth: Truth) -> None:
+    lines = [json.dumps(truth.header), *(json.dumps(f.to_json()) for f in truth.frames)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_truth(path: Path) -> Truth:
+    """Raises InputError if there is no such file or it is not a truth file."""
+    try:
+        header, *frames = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        if header.get("arfx_truth") != 1:
+            raise ValueError("no header of version 1")
+        return Truth(header, tuple(FrameTruth.from_json(f) for f in frames))
+    except OSError as e:
+        raise InputError(f"cannot read {path}: {e.strerror}", "a folder made by `arfx synth`") from None
+    except (ValueError, KeyError, TypeError) as e:
+        raise InputError(f"{path} is not a truth file: {e!r}", "made by `arfx synth`") from None
+
+
+def write_depth(path: Path, depth_m: np.ndarray) -> None:
+    """Farther than 13.1 m counts as nothing."""
+    steps = np.rint(depth_m / DEPTH_UNIT_M)
+    cv2.imwrite(str(path), np.where(steps <= 65535, steps, 0).astype(np.uint16))
+
+
+def read_depth(path: Path) -> np.ndarray:
+    """(h, w) float64 metres, 0 = nothing."""
+    return _read(path).astype(float) * DEPTH_UNIT_M
+
+
+def write_flow(path: Path, flow_px: np.ndarray) -> None:
+    """(h, w, 2) px, NaN = unknown; beyond ±511 px counts as unknown."""
+    steps = np.rint(np.nan_to_num(flow_px, nan=1e9) / FLOW_UNIT_PX) + 2**15  # 1e9 px is out of range below: unknown
+    known = ((steps >= 0) & (steps <= 65535)).all(-1)
+    rgb = np.zeros((*flow_px.shape[:2], 3), np.uint16)
+    rgb[known, 2], rgb[known, 1], rgb[..., 0] = steps[known, 0], steps[known, 1], known
+    cv2.imwrite(str(path), rgb)
+
+
+def read_flow(path: Path) -> np.ndarray:
+    """(h, w, 2) float64 px, NaN = unknown."""
+    raw = _read(path).astype(float)
+    flow = (raw[..., [2, 1]] - 2**15) * FLOW_UNIT_PX
+    flow[raw[..., 0] == 0] = np.nan
+    return flow
+
+
+def _read(path: Path) -> np.ndarray:
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise InputError(f"cannot read {path}")
+    return picture
