@@ -84,7 +84,7 @@ class ClipReader:
                 return
             if first_pts is None or pts >= first_pts:
                 yield picture, pts
-        self.truncated = self._verdict()
+        self.truncated = self._verdict(whole=True)
 
     def _from_key_frame(self, first_pts: int) -> Iterator[tuple[av.VideoFrame, int]]:
         """Frames from first_pts on, or nothing at all when the key frame before it cannot be found for sure."""
@@ -111,7 +111,7 @@ class ClipReader:
                 key_pts = picture.pts
             if picture.pts >= first_pts:
                 yield picture, picture.pts
-        self.truncated = self._verdict()
+        self.truncated = self._verdict(whole=False)
 
     def _decode(self, stream: Any) -> Iterator[av.VideoFrame]:
         """Pictures until the end or the first damage that ends the file; concealed ones only if a good one follows."""
@@ -176,14 +176,15 @@ class ClipReader:
             last = pts
             yield picture, pts
 
-    def _verdict(self) -> str | None:
+    def _verdict(self, whole: bool) -> str | None:
         stated = self.info.frame_count_stated
         if self._stopped:
             return f"{self.info.path}: {self._stopped}; processed to the last good frame"
         length_s = float((self._end - self.info.start_pts) * self.info.time_base)
         if self.info.duration_of_video and self.info.duration_s and length_s < self.info.duration_s - _SHORT_S:
-            return f"{self.info.path}: the file ends after {length_s:.2f} s of {self.info.duration_s:.2f} s; processed to the last good frame"
+            ends = f"the file ends after {length_s:.2f} s of {self.info.duration_s:.2f} s"
+            return f"{self.info.path}: {ends}; processed to the last good frame"
         counted = any(n in self.info.container for n in ("mp4", "mov"))
-        if counted and stated and self._packets and self._packets < stated:
+        if whole and counted and stated and self._packets and self._packets < stated:
             return f"{self.info.path}: {self._packets} of {stated} frames are in the file; processed to the last good frame"
         return None

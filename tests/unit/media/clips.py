@@ -23,7 +23,7 @@ def make_clip(
     audio: bool = False, options: dict[str, str] | None = None, container: dict[str, str] | None = None,
 ) -> Path:  # fmt: skip
     """Writes a clip with the given presentation times; `audio` adds an AAC tone as long as the clip."""
-    options = {"crf": "12", "bf": "3", "g": "12"} if options is None and codec == "libx264" else options or {}
+    options = {"crf": "12", "bf": "3", "g": "12", "mbtree": "0"} if options is None and codec == "libx264" else options or {}
     held = {"movie_timescale": "15360", "movflags": "faststart"} if path.suffix in (".mp4", ".mov") else {}
     with av.open(str(path), "w", container_options={**held, **(container or {})}) as out:
         s = out.add_stream(codec, rate=30, options=options)
