@@ -40,13 +40,15 @@ class Limit:
 LIMITS = (
     Limit("views", 10, 5, True, "only {value:.0f} different views take part (good: {limit:.0f})"),
     Limit("focal_sd_percent", 0.3, 1.0, False, "the focal length is known to ±{value:.2g} % only (good: {limit:g} %)"),
-    Limit("tilt_max_deg", 25, 15, True, "the board is seen nearly from the front: its steepest tilt is {value:.0f}° (good: {limit:.0f}°)"),
-    Limit("tilt_directions", 3, 1, True, "the board tilts by more than 15° towards {value:.0f} of 4 sides only (good: {limit:.0f})"),
+    Limit("tilt_max_deg", 25, 15, True, "the board is seen nearly frontally: steepest tilt {value:.0f}° (good: {limit:.0f}°)"),
+    Limit("tilt_directions", 3, 1, True, "the board tilts over 15° to {value:.0f} of 4 sides only (good: {limit:.0f})"),
     Limit("cells_percent", 60, 30, True, "corners cover {value:.0f} % of the picture (good: {limit:.0f} %)"),
-    Limit("radius_percent", 70, 45, True, "corners reach {value:.0f} % of the way to the picture's corners (good: {limit:.0f} %)"),
-    Limit("held_out_permille", 0.8, 3.0, False, "views miss their prediction by {value:.2g} thousandths of the picture's width (good: {limit:g})"),
-    Limit("projection_sd_permille", 2.0, 10.0, False, "towards the border the projection is uncertain by {value:.2g} thousandths of the picture's width (good: {limit:g})"),
-    Limit("rejected_percent", 25, 50, False, "{value:.0f} % of the views disagree with the others (good: {limit:.0f} %): two boards or cameras, or a bent board?"),
+    Limit("radius_percent", 70, 45, True, "corners reach {value:.0f} % of the way into the picture's corners (good: {limit:.0f} %)"),
+    Limit("held_out_permille", 0.8, 3.0, False, "views miss their prediction by {value:.2g} ‰ of the width (good: {limit:g} ‰)"),
+    Limit("projection_sd_permille", 2.0, 10.0, False,
+          "towards the border the projection is uncertain by {value:.2g} ‰ of the width (good: {limit:g} ‰)"),
+    Limit("rejected_percent", 25, 50, False,
+          "{value:.0f} % of the views disagree with the others (good: {limit:.0f} %): two boards or cameras, or a bent board?"),
 )  # fmt: skip
 
 
@@ -149,4 +151,5 @@ def _candidates(fitted: Fit, spec: BoardSpec) -> Sequence[tuple[str, View, np.nd
 def tilt_words(seen: Coverage) -> str:
     """One line on the tilts seen."""
     steep = int((seen.tilt_deg > TILTED_DEG).sum())
-    return f"tilt {seen.tilt_deg.min():.0f} to {seen.tilt_deg.max():.0f}°, {steep} of {len(seen.tilt_deg)} views above {TILTED_DEG:.0f}°"
+    low, high = seen.tilt_deg.min(), seen.tilt_deg.max()
+    return f"tilt {low:.0f} to {high:.0f}°, {steep} of {len(seen.tilt_deg)} views above {TILTED_DEG:.0f}°"

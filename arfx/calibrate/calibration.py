@@ -157,7 +157,7 @@ def _finder_difference(fitted: Fit) -> np.ndarray:
     if len(both) < max(5, len(fitted.views) / 2):
         return nothing
     try:
-        other = fit([replace(v, pixels=v.alternative) for v in both], fitted.model)
+        other = fit([replace(v, pixels=v.alternative) for v in both if v.alternative is not None], fitted.model)
         own = fit(both, fitted.model)
     except NothingToDoError:
         return nothing

@@ -1,0 +1,141 @@
+"""`arfx calibrate`: intrinsics from pictures or video of a board, with a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from arfx.errors import ConfigError, InputError
+from arfx_cli.console import emit_json, json_option, overwrite_option, say, verbose_option
+
+if TYPE_CHECKING:
+    import numpy as np
+
+STILLS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2"}
+VIDEO_SEARCHED = 120  # frames of a video that are searched for the board; the sharpest of equal stretches
+
+
+@click.command()
+@click.argument("inputs", metavar="IMAGES|VIDEO...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--board",
+    required=True,
+    metavar="SPEC",
+    help="chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100[:legacy].",
+)
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Camera file to write (YAML)."
+)
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for residuals.png and coverage.png; default: beside -o.",
+)
+@overwrite_option
+@verbose_option
+@json_option
+def command(
+    inputs: tuple[Path, ...], board: str, output: Path, report: Path | None, overwrite: bool, verbose: bool, as_json: bool
+) -> None:
+    """Camera intrinsics from pictures or videos of a printed board, with a verdict: good, usable or poor.
+
+    Of a video, sharp and varied frames are taken. `arfx target` prints boards. The file is OpenCV YAML with ROS's names.
+
+    \b
+    Example:
+      arfx calibrate left*.jpg --board chessboard:9x6:25mm -o camera.yaml
+    """
+    from arfx.calibrate.board import BoardSpec
+
+    spec = BoardSpec.parse(board)
+    folder, stem = (report, "") if report else (output.absolute().parent, f"{output.stem}-")
+    pictures = [folder / f"{stem}{name}" for name in ("residuals.png", "coverage.png")]
+    for path in inputs:
+        if not path.exists():
+            raise InputError(f"{path} does not exist", "give images or videos of the board")
+    for path in (output, *pictures):
+        if path.exists() and not overwrite:
+            raise ConfigError(f"{path} exists", "--overwrite replaces it, or give another -o")
+    if not output.absolute().parent.is_dir():
+        raise ConfigError(f"folder {output.absolute().parent} does not exist", "make it, or give another -o")
+
+    from arfx.calibrate.calibration import calibrate, find_board
+    from arfx.calibrate.document import document, file_extras, summary
+    from arfx.calibrate.plots import write_plots
+    from arfx.media.cameras import save_camera
+
+    def progress(searched: int, found: int) -> None:
+        if searched % 20 == 0:
+            say(f"searched {searched} pictures, the board is in {found}")
+
+    result = calibrate(find_board(_pictures(_flatten(inputs)), spec, progress))
+    folder.mkdir(parents=True, exist_ok=True)
+    written = write_plots(result, folder, stem)
+    save_camera(output, result.fitted.camera, **file_extras(result))
+    for line in summary(result):
+        say(line)
+    if verbose:
+        for row in document(result)["models"]:
+            say(f"  {'*' if row['chosen'] else ' '} {row['model']}: held out {row['held_out_rms_px']:.4f} px {row['rejected']}")
+    say(f"wrote {output}, {written[0]}, {written[1]}")
+    if as_json:
+        emit_json(document(result) | {"output": str(output), "plots": [str(p) for p in written]})
+
+
+def _flatten(inputs: tuple[Path, ...]) -> list[Path]:
+    """Folders stand for the pictures in them, by name."""
+    out: list[Path] = []
+    for path in inputs:
+        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in STILLS) if path.is_dir() else [path]
+        if not inside:
+            raise InputError(f"folder {path} holds no pictures", "supported: " + " ".join(sorted(STILLS)))
+        out += inside
+    return out
+
+
+def _pictures(paths: list[Path]) -> Iterator[tuple[str, np.ndarray]]:
+    """(name, (h, w) uint8 upright) of every still, and of sharp frames of every video."""
+    names = [p.name for p in paths]
+    for path in paths:
+        name = path.name if names.count(path.name) == 1 else str(path)
+        if path.suffix.lower() in STILLS:
+            yield name, _still(path)
+        else:
+            yield from _video(path, name)
+
+
+def _still(path: Path) -> np.ndarray:
+    """Grey picture, turned upright as EXIF says."""
+    import cv2
+    import numpy as np
+
+    # decoded from memory: OpenCV's own file reading fails on some paths and prints to standard error
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+        gray = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    except OSError as e:
+        raise InputError(f"{path} cannot be read: {e.strerror or e}") from None
+    except cv2.error:
+        gray = None
+    if gray is None:
+        raise InputError(f"{path} is not a picture that can be read", "supported: " + " ".join(sorted(STILLS)))
+    return gray
+
+
+def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:
+    import numpy as np
+
+    from arfx.calibrate.select import sharpest_of_each
+    from arfx.media.clip import probe
+    from arfx.media.frames import ClipReader
+
+    info = probe(path)
+    for notice in info.notices:
+        say(f"{path}: {notice}")
+    expected = info.frame_count_stated or int((info.duration_s or 0) * (info.fps or 30)) or 1000
+    with ClipReader(info) as reader:
+        frames = ((f"{name}@{f.time_s:.3f}s", np.ascontiguousarray(f.luma())) for f in reader.frames())
+        yield from sharpest_of_each(frames, max(1, -(-expected // VIDEO_SEARCHED)))
