@@ -78,6 +78,13 @@ def test_every_time_survives_chunks_with_reordered_frames(tmp_path: Path, codec:
         assert np.abs(a.luma().astype(int) - b.luma()).mean() < 6
 
 
+def test_key_frames_are_the_chunks_own_not_the_sources(tmp_path: Path) -> None:
+    source = make_clip(tmp_path / "in.mp4", STEADY, options={"g": "2", "mbtree": "0"})
+    before, _ = through(source, tmp_path / "out.mp4", [0, 8])
+    assert sum(f.key for f in before) == 10
+    assert [i for i, f in enumerate(read(probe(tmp_path / "out.mp4"))) if f.key] == [0, 8]
+
+
 def test_one_frame(tmp_path: Path) -> None:
     source = make_clip(tmp_path / "in.mp4", [4000])
     for codec in ("h264", "h265"):

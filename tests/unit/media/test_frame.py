@@ -194,8 +194,9 @@ def test_display_matrices() -> None:
 
 @pytest.mark.parametrize(
     ("name", "working"),
-    [("nv12", "yuv420p"), ("yuyv422", "yuv422p"), ("p010le", "yuv420p10le"), ("rgb24", "gbrp"), ("bgra", "gbrp"), 
-     ("pal8", "gbrp"), ("rgb48le", "gbrp16le"), ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p")],
+    [("nv12", "yuv420p"), ("yuyv422", "yuv422p"), ("p010le", "yuv420p10le"), ("rgb24", "gbrp"), ("bgra", "gbrp"),
+     ("pal8", "gbrp"), ("rgb48le", "gbrp16le"),
+     ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p")],
 )  # fmt: skip
 def test_unusual_formats_get_a_working_one_with_a_notice(name: str, working: str) -> None:
     layout, notice = working_layout(name)
