@@ -93,6 +93,7 @@ def _renderers() -> list[Check]:
 def _codecs() -> list[Check]:
     from arfx.media.codecs import CODECS
 
+    os.environ.setdefault("SVT_LOG", "1")  # errors only: the encoder prints its settings otherwise
     out = []
     for name, codec in CODECS.items():
         if codec.sequence:
@@ -120,8 +121,8 @@ def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str
                 out.mux(stream.encode(frame))
             out.mux(stream.encode(None))
         held.seek(0)
-        with av.open(held) as back:
-            got = sum(1 for _ in back.decode(video=0))
+        with av.open(held, "r") as back:
+            got = len(list(back.decode(video=0)))
     except (av.error.FFmpegError, OSError, ValueError) as e:
         return f"{encoder}: {e}"
     return "" if got == 4 else f"{encoder}: {got} of 4 frames came back"

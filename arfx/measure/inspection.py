@@ -1,0 +1,210 @@
+"""What is in a clip: stream, times, light, and the markers of every family, from a sample of its frames.
+
+Markers are looked for with every dictionary in whole frames, so it costs about .2 s a sampled frame at 1080p; the
+number of samples is fixed, and so is the cost for a long clip. Nested dictionaries (4X4_50 is the beginning of
+4X4_1000) are named by the smallest one that holds the ids seen.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from arfx.analyse.detect import SURVEY_FAMILIES, Candidate, MarkerDetector
+from arfx.analyse.shots import CutSignal, find_cuts
+from arfx.core.camera import Camera
+from arfx.core.marker import FAMILIES
+from arfx.core.numerics import divide
+from arfx.measure.sharpness import edge_blur_px, tilt_deg
+from arfx.media.clip import ClipInfo
+from arfx.media.frames import ClipReader, Frame
+
+MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
+READ_WHOLE = 900  # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
+# Codes of few cells turn up in texture: such a marker must be in this many samples. AprilTag 36h11 and the like need one.
+_WEAK = {"16h5": 4, "4X4_1000": 3, "ORIGINAL": 3, "25h9": 2, "5X5_1000": 2}
+
+
+@dataclass
+class Found:
+    """One marker over the samples. sides_px, blurs_px, tilts_deg : one each per sighting (blur and tilt where measurable)"""
+
+    family: str
+    id: int
+    frames: list[int] = field(default_factory=list)
+    sides_px: list[float] = field(default_factory=list)
+    blurs_px: list[float] = field(default_factory=list)
+    tilts_deg: list[float] = field(default_factory=list)
+    quads: dict[int, np.ndarray] = field(default_factory=dict)
+    twice: int = 0
+
+    def to_json(self, looked: int) -> dict[str, Any]:
+        return {
+            "marker": f"{self.family}:{self.id}", "family": self.family, "id": self.id, "frames": len(self.frames),
+            "looked": looked, "side_px": _spread(self.sides_px), "blur_px": _spread(self.blurs_px),
+            "tilt_deg": _spread(self.tilts_deg), "twice_in_a_frame": self.twice,
+        }  # fmt: skip
+
+
+def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> dict[str, Any]:
+    """Everything `arfx inspect` says, as one JSON-able document.
+
+    camera : of the clip's picture size; with it the markers' tilt is told;  samples : frames that are searched, >= 1
+    Raises InputError where no frame can be decoded.
+    """
+    pts = presentation_times(info)
+    at = sorted({round(i) for i in np.linspace(0, max(len(pts) - 1, 0), max(min(samples, len(pts)), 1))})
+    whole = len(pts) <= READ_WHOLE
+    detector = MarkerDetector(SURVEY_FAMILIES, MIN_SIDE_PX)
+    found: dict[str, Found] = {}
+    levels, clipped, dark, cuts = [], [], [], CutSignal()
+    signal: list[tuple[float, float]] = []
+    lowest, highest = (0, 255) if info.full_range else (16, 235)
+    looked, read = [], 0
+    with ClipReader(info) as reader:
+        for frame in _all(reader) if whole else _some(reader, pts, at):
+            read += 1
+            luma = frame.luma()
+            if whole:
+                signal.append(cuts.step(luma))
+                if frame.index not in at:
+                    continue
+            looked.append(frame.index)
+            levels.append(float(divide(float(luma.mean()) - lowest, highest - lowest)))
+            clipped.append(float((luma >= highest).mean()))
+            dark.append(float((luma <= lowest).mean()))
+            _note(found, detector.search(luma), frame.index, luma, camera)
+        truncated = reader.truncated
+    markers = settle(found, len(looked))
+    seen = {i for m in markers for i in m.frames}
+    return {
+        "clip": {**info.to_json(), "frames": read if whole else len(pts), **_times(pts, info), "truncated": truncated},
+        "samples": looked,
+        "markers": [m.to_json(len(looked)) for m in markers],
+        "marker_coverage": float(divide(len(seen), len(looked))),
+        "light": {
+            "mean_level": _spread(levels),
+            "clipped_fraction": max(clipped, default=0.0), "black_fraction": max(dark, default=0.0),
+            "level_change": max(levels, default=0.0) - min(levels, default=0.0),
+        },
+        "cuts": find_cuts([a for a, _ in signal], [b for _, b in signal], [False] * len(signal)) if whole else None,
+        "camera": None if camera is None else camera.source,
+    }  # fmt: skip
+
+
+def presentation_times(info: ClipInfo) -> list[int]:
+    """Presentation times of the packets in stream ticks, sorted; reads the index, decodes nothing."""
+    with av.open(str(info.path), metadata_errors="replace") as container:
+        stream = container.streams[info.stream_index]
+        times = []
+        try:
+            for packet in container.demux(stream):
+                t = packet.pts if packet.pts is not None else packet.dts
+                if t is not None and packet.size and t >= info.start_pts:
+                    times.append(int(t))
+        except av.error.FFmpegError:
+            pass  # damage at the end: the reader says so in `truncated`
+    return sorted(set(times)) or [info.start_pts]
+
+
+def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:
+    steps = np.diff(np.array(pts, float)) * float(info.time_base)
+    typical = float(np.median(steps)) if len(steps) else None
+    uneven = bool(typical and (steps.max() - steps.min()) > 0.1 * typical)
+    gaps = int((steps > 1.5 * typical).sum()) if typical else 0
+    length = float((pts[-1] - pts[0]) * info.time_base) + (typical or 0.0)
+    return {"seconds": length, "start_s": float(pts[0] * info.time_base), "vfr": uneven, "gaps": gaps,
+            "longest_gap_s": float(steps.max()) if gaps else 0.0}  # fmt: skip
+
+
+def _all(reader: ClipReader) -> Iterator[Frame]:
+    yield from reader.frames()
+
+
+def _some(reader: ClipReader, pts: Sequence[int], at: Sequence[int]) -> Iterator[Frame]:
+    for i in at:
+        for frame in reader.frames(pts[i], pts[i], first_index=i):
+            yield frame
+            break
+
+
+def _note(found: dict[str, Found], seen: list[Candidate], index: int, luma: np.ndarray, camera: Camera | None) -> None:
+    for c in seen:
+        m = found.setdefault(c.key, Found(c.family, c.id))
+        if index in m.quads:
+            m.twice += 1
+            continue
+        m.frames.append(index)
+        m.quads[index] = c.quad_px
+        m.sides_px.append(c.side_px)
+        blur = edge_blur_px(luma, c.quad_px)
+        if blur is not None:
+            m.blurs_px.append(blur)
+        tilt = None if camera is None else tilt_deg(c.quad_px, camera)
+        if tilt is not None:
+            m.tilts_deg.append(tilt)
+
+
+def settle(found: dict[str, Found], looked: int) -> list[Found]:
+    """The markers that are believed, most often seen first, under the smallest dictionary that holds them.
+
+    Left out: weak codes in too few samples, and a code read where a better supported one was read.
+    """
+    kept: list[Found] = []
+    for m in sorted(found.values(), key=lambda m: (-len(m.frames), m.family, m.id)):
+        if len(m.frames) < min(_WEAK.get(m.family, 1), looked):
+            continue
+        if any(_same_place(m, better) for better in kept):
+            continue
+        kept.append(m)
+    most: dict[str, int] = defaultdict(int)
+    for m in kept:
+        most[m.family] = max(most[m.family], m.id)
+    for m in kept:
+        m.family = smallest_family(m.family, most[m.family])
+    return kept
+
+
+def _same_place(m: Found, better: Found) -> bool:
+    """Whether most sightings of `m` lie on one of `better`: two dictionaries read one print."""
+    common = [i for i in m.frames if i in better.quads]
+    on = sum(
+        float(np.linalg.norm(m.quads[i].mean(0) - better.quads[i].mean(0)))
+        < 0.3 * float(np.linalg.norm(np.ptp(m.quads[i], axis=0)))
+        for i in common
+    )
+    return 2 * on > len(m.frames)
+
+
+def smallest_family(family: str, highest_id: int) -> str:
+    """The smallest of a family's nested dictionaries that holds ids up to `highest_id`: 4X4_1000 -> 4X4_50."""
+    root, _, size = family.partition("_")
+    if family.startswith("MIP") or not size:
+        return family
+    sizes = sorted(n for name, n in FAMILIES.items() if name.partition("_")[0] == root)
+    return f"{root}_{next(n for n in sizes if n > highest_id)}"
+
+
+def _spread(values: Sequence[float]) -> dict[str, float] | None:
+    """Smallest, median and largest; None for nothing."""
+    if not values:
+        return None
+    return {"min": float(min(values)), "median": float(np.median(values)), "max": float(max(values))}
+
+
+def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str:
+    """The `arfx process` command for the markers found; empty without one. SIZE is to be measured on the print."""
+    keys = [m["marker"] for m in document["markers"]][:8]
+    if not keys:
+        return ""
+    import shlex
+
+    markers = " ".join(f"--marker {k}:SIZE" for k in keys)
+    camera_text = f"--camera {shlex.quote(str(camera))}" if camera else "--camera camera.yaml"
+    return f"arfx process {shlex.quote(str(clip))} {camera_text} {markers} --model MODEL.glb --fit 15cm -o out.mp4"

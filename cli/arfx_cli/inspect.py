@@ -1,0 +1,100 @@
+"""`arfx inspect`: what is in a clip, and the `process` command for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from arfx_cli.console import emit_json, json_option, say
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command()
+@click.argument("clip", type=FILE)
+@click.option("--camera", type=FILE, help="Calibration file; with it the markers' tilt is told too.")
+@click.option("--samples", type=click.IntRange(1, 1000), default=24, show_default=True, help="Frames that are searched.")
+@json_option
+def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> None:
+    """Stream properties of CLIP, the markers in it, blur and light, and the `process` command that fits.
+
+    \b
+    Example:
+      arfx inspect clip.mp4 --camera camera.yaml
+    """
+    from arfx.measure.inspection import inspect, suggestion
+    from arfx.media.cameras import load_camera
+    from arfx.media.clip import probe
+
+    info = probe(clip)
+    lens = None if camera is None else load_camera(camera).scaled_to(info.width, info.height)
+    document = inspect(info, lens, samples)
+    document["suggestion"] = suggestion(document, clip, camera)
+    if as_json:
+        emit_json(document)
+        return
+    _print(document)
+
+
+def _print(document: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from arfx.analyse.detect import SURVEY_FAMILIES
+
+    console, c, light = Console(highlight=False), document["clip"], document["light"]
+    pixels = f"{c['pixel_format']}, {'full' if c['full_range'] else 'limited'} range, {c['matrix']}"
+    rate = "unknown rate" if c["fps"] is None else f"{c['fps']:.3f} frames/s"
+    times = f"{c['frames']} frames, {c['seconds']:.2f} s from {c['start_s']:.3f} s, {rate}"
+    times += ", variable" if c["vfr"] else ", even"
+    if c["gaps"]:
+        times += f"; {c['gaps']} gaps, the longest {c['longest_gap_s']:.3f} s"
+    cuts = (
+        "not looked for (long clip)" if document["cuts"] is None else ", ".join(f"frame {i}" for i in document["cuts"]) or "none"
+    )
+    others = ", ".join(str(s["kind"]) + " " + str(s["codec"]) for s in c["streams"] if not s["used"]) or "none"
+    level = light["mean_level"]
+    brightness = "no frame" if level is None else (
+        f"mean level {level['median']:.0%} (from {level['min']:.0%} to {level['max']:.0%}), "
+        f"clipped up to {light['clipped_fraction']:.1%}, black up to {light['black_fraction']:.1%}"
+    )  # fmt: skip
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_column()
+    table.add_column(overflow="fold")
+    for name, value in (
+        ("clip", c["path"]),
+        ("picture", f"{c['width']}x{c['height']}, {c['codec']}, {pixels}, rotation {c['rotation_deg']}°"),
+        ("time", times),
+        ("other streams", others),
+        ("light", brightness),
+        ("cuts", cuts),
+        *(("damage", text) for text in [c["truncated"]] if text),
+        *(("note", text) for text in c["notices"]),
+    ):
+        table.add_row(name, str(value))
+    console.print(table)
+    looked = len(document["samples"])
+    if not document["markers"]:
+        console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SURVEY_FAMILIES)}).")
+        say("help: a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames")
+        return
+    table = Table(title=f"\nmarkers in {looked} sampled frames", title_justify="left")
+    for name in ("marker", "seen", "side, px", "edge blur, px", "tilt, °"):
+        table.add_column(name, justify="left" if name == "marker" else "right")
+    for m in document["markers"]:
+        twice = " (twice in a frame)" if m["twice_in_a_frame"] else ""
+        table.add_row(m["marker"] + twice, f"{m['frames']}", *(_range(m[k]) for k in ("side_px", "blur_px", "tilt_deg")))
+    console.print(table)
+    console.print(f"A marker is in {document['marker_coverage']:.0%} of the sampled frames.")
+    if document["camera"] is None:
+        console.print("Calibrate the camera with `arfx calibrate`; without --camera the field of view is guessed.")
+    console.print("\nNext, with SIZE = the measured side of the black square (such as 165mm):")
+    click.echo("  " + document["suggestion"])
+
+
+def _range(spread: dict[str, float] | None) -> str:
+    if spread is None:
+        return "–"
+    return f"{spread['median']:.3g} ({spread['min']:.3g} … {spread['max']:.3g})"
