@@ -138,8 +138,11 @@ def _toml_layout(document: dict) -> dict[str, Pose]:
 
 
 def _wpilib_layout(document: dict) -> dict[str, Pose]:
-    """WPILib: x out of the tag, z up; here x right, y up, z out, so marker axes are its (y, z, x)."""
-    swap = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    """WPILib: x out of the tag, z up the official print; here z out, and x, y those of OpenCV's AprilTag images.
+
+    OpenCV's images of the AprilTag families are the official ones turned by 180 degrees, so marker axes are its (-y, -z, x).
+    """
+    swap = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     out = {}
     for tag in document["tags"]:
         t, q = tag["pose"]["translation"], tag["pose"]["rotation"]["quaternion"]

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arfx.config.load import load
+from arfx.core.pose import Pose
+from arfx.errors import ConfigError, InputError
+from arfx.run.inputs import anchor_key, marker_map, placement
+from arfx.run.parameters import parameters, pipeline
+
+
+def job(tmp_path: Path, layout: Path) -> object:
+    over = {"input": {"marker_map": str(layout)}, "marker": [{"spec": "36h11:3:165mm"}, {"spec": "36h11:4:165mm"}]}
+    return load(None, over, parameters())
+
+
+def test_a_toml_layout(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(
+        '[[marker]]\nspec = "36h11:3"\nposition = ["0m","0m","0m"]\n\n'
+        '[[marker]]\nspec = "36h11:4:165mm"\nposition = ["53cm","0m","-1cm"]\nrotate_deg = [0, 90, 0]\n'
+    )
+    poses = marker_map(job(tmp_path, path))  # type: ignore[arg-type]
+    assert poses is not None
+    np.testing.assert_allclose(poses["36h11:4"].apply(np.array([0, 0, 1.0])), [1.53, 0, -0.01], atol=1e-12)
+
+
+def test_a_wpilib_layout_has_z_out_and_is_turned_like_opencv(tmp_path: Path) -> None:
+    path = tmp_path / "field.json"
+    pose = {"translation": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": {"quaternion": {"W": 1.0, "X": 0.0, "Y": 0.0, "Z": 0.0}}}
+    path.write_text(json.dumps({"tags": [{"ID": 3, "pose": pose}, {"ID": 4, "pose": pose}]}))
+    poses = marker_map(job(tmp_path, path))  # type: ignore[arg-type]
+    assert poses is not None and np.linalg.det(poses["36h11:3"].rotation) == pytest.approx(1)
+    np.testing.assert_allclose(poses["36h11:3"].apply(np.eye(3)), [[1, 1, 3], [1, 2, 2], [2, 2, 3]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ['[[marker]]\nspec = "36h11:3"\n', "x = 1\n", "not toml", '[[marker]]\nspec = "36h11:3"\nposition=["0m","0m","0m"]\n']
+)
+def test_layouts_that_do_not_serve_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"map\.toml"):
+        marker_map(job(tmp_path, path))  # type: ignore[arg-type]
+
+
+def test_the_anchor_is_the_first_configured_marker_with_a_place(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text("")
+    config = job(tmp_path, path)
+    assert anchor_key(config.markers, {"36h11:4": Pose.identity()}) == "36h11:4"  # type: ignore[attr-defined]
+
+
+def test_pipelines_name_existing_effects_in_order() -> None:
+    config = load(None, {"pipeline": {"stages": ["watercolour"]}}, parameters())
+    with pytest.raises(ConfigError, match="watercolour"):
+        pipeline(config)
+    assert pipeline(load(None, {}, parameters())) == ("raster", "plain", "contact", "composite")
+
+
+@pytest.mark.parametrize(("up", "tip"), [("z", (0, 0, 1)), ("y", (0, 1, 0)), ("x", (1, 0, 0))])
+def test_the_middle_of_the_base_stands_on_the_marker_whichever_axis_is_up(up: str, tip: tuple) -> None:
+    from arfx.core.model import Model, Part
+
+    t = np.array(tip, float)
+    side = np.roll(t, 1)
+    vertices = np.array([5 * t * 0 + 3, 3 + side, 3 + np.roll(t, 2), 3 + 4 * t])
+    model = Model((Part(vertices, np.array([[0, 1, 3], [1, 2, 3]], np.int32), np.tile(t, (4, 1))),), up=up)
+    config = load(None, {"model": {"fit": "8cm", "offset": ["1cm", "0m", "0m"]}}, parameters())
+    m = placement(config).world_from_model(model)
+    world = vertices @ m[:3, :3].T + m[:3, 3]
+    assert world[:, 2].min() == pytest.approx(0) and world[3, 2] == pytest.approx(0.08) and np.linalg.det(m[:3, :3]) > 0
+    np.testing.assert_allclose((world.min(0) + world.max(0))[:2] / 2, [0.01, 0], atol=1e-12)
