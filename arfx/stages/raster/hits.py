@@ -11,8 +11,6 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.raster.textures import lookup
-
 COLUMNS = 13
 # Transparency below half an 8-bit step of the opacity is none.
 _CLEAR = 1.0 / 512.0
@@ -62,156 +60,169 @@ def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cov
     return inner, out, valid
 
 
-# Inlined: two dozen arrays as arguments cost more than the work itself.
-@numba.njit(inline="always")
-def surface_at(
-    f, b1, b2, z, dx, dy, dz, pixel, faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table,
-    code, texel, values,
-):  # fmt: skip  # pragma: no cover - compiled
-    """Attributes of face `f` at barycentric b1, b2 into values: 0 opacity, the rest as in `acc`.
-
-    z : depth;  dx, dy, dz : direction with camera z = 1;  pixel : footprint at depth 1;  texel : (4,) scratch
-    """
-    length = np.sqrt(dx * dx + dy * dy + dz * dz)
-    facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
-    p = np.uintp(part[f])
-    # unsigned indices spare numba the test for negative ones
-    i0, i1, i2 = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-    b0 = np.float32(1) - b1 - b2
-    r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
-    g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
-    b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
-    alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
-    metallic, rough = floats[p, 4], floats[p, 5]
-    er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
-    if ints[p, 0] >= 0 or ints[p, 1] >= 0 or ints[p, 2] >= 0:
-        tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
-        tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
-        # the pixel's footprint on the surface, as the side of a square of the same area
-        cosine = max(abs(facing) / length, np.float32(_GRAZING))
-        side = z * pixel * uv_per_m[f] / np.sqrt(cosine)
-        t = ints[p, 0]
-        if t >= 0:
-            lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
-            r, g, b, alpha = r * texel[0], g * texel[1], b * texel[2], alpha * texel[3]
-        t = ints[p, 1]
-        if t >= 0:
-            lookup(texels, table, code, t, 0, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
-            metallic, rough = metallic * texel[0], rough * texel[1]
-        t = ints[p, 2]
-        if t >= 0:
-            lookup(texels, table, code, t, 1, tu, tv, side * np.sqrt(np.float32(table[t, 0] * table[t, 1])), texel)
-            er, eg, eb = er * texel[0], eg * texel[1], eb * texel[2]
-    mode = ints[p, 3]
-    if mode == 0:
-        alpha = np.float32(1)
-    elif mode == 1:
-        alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
-    nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
-    ny = b0 * normals[i0, 1] + b1 * normals[i1, 1] + b2 * normals[i2, 1]
-    nz = b0 * normals[i0, 2] + b1 * normals[i1, 2] + b2 * normals[i2, 2]
-    if facing > 0:  # the back of a two-sided surface
-        nx, ny, nz = -nx, -ny, -nz
-    # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
-    away = (nx * dx + ny * dy + nz * dz) / (length * length)
-    if away > 0:
-        nx, ny, nz = nx - away * dx, ny - away * dy, nz - away * dz
-    n = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if n > 1e-6:
-        nx, ny, nz = nx / n, ny / n, nz / n
-    else:
-        s = np.float32(-1) if facing > 0 else np.float32(1)
-        nx, ny, nz = s * face_normal[f, 0], s * face_normal[f, 1], s * face_normal[f, 2]
-    values[0], values[1], values[2], values[3] = alpha, r, g, b
-    values[4], values[5], values[6] = nx, ny, nz
-    values[7], values[8], values[9] = metallic, rough, floats[p, 6]
-    values[10], values[11], values[12] = er, eg, eb
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def surfaces(
+    prim, bary_u, bary_v, depth, skip, directions, pixel,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code, values,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Attributes of hits into values (n, 13): 0 opacity, the rest as in `acc`. Rows of misses and of `skip` stay as they are.
+
+    depth : (n,) of the hits;  directions : (n, 3) with camera z = 1;  pixel : footprint of a sample at depth 1
+
+    Textures: trilinear in the pyramids of textures.py, repeated. One body without calls: passing two dozen arrays to a function once per hit
+    takes ten times as long as the arithmetic (reference counts).
+    """
+    texel = np.empty(4, np.float32)
+    for k in range(prim.shape[0]):
+        if prim[k] < 0 or skip[k]:
+            continue
+        # unsigned indices spare numba the test for negative ones
+        f = np.uintp(prim[k])
+        p = np.uintp(part[f])
+        i0, i1, i2 = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
+        b1, b2 = bary_u[k], bary_v[k]
+        b0 = np.float32(1) - b1 - b2
+        r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
+        g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
+        b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
+        alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
+        metallic, rough = floats[p, 4], floats[p, 5]
+        er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
+        for slot in range(3):
+            t = ints[p, slot]
+            if t < 0:
+                continue
+            tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
+            tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
+            tu -= np.floor(tu)
+            tv -= np.floor(tv)
+            # the pixel's footprint on the surface, as the side of a square of the same area, in texels
+            cosine = max(abs(facing) / length, np.float32(_GRAZING))
+            side = depth[k] * pixel * uv_per_m[f] / np.sqrt(cosine) * np.sqrt(np.float32(table[t, 0] * table[t, 1]))
+            lod = np.log2(side) if side > np.float32(1) else np.float32(0)
+            lod = min(lod, np.float32(table[t, 2] - 1))
+            first = int(lod)
+            mix = np.float32(lod - first)
+            srgb = 0 if slot == 1 else 1
+            for c in range(4):
+                texel[c] = 0.0
+            for step in range(2):
+                share = np.float32(1) - mix if step == 0 else mix
+                if share <= 0.0:
+                    continue
+                level = min(first + step, table[t, 2] - 1)
+                w, h = max(table[t, 0] >> level, 1), max(table[t, 1] >> level, 1)
+                start = table[t, 3 + level]
+                x, y = tu * np.float32(w) - np.float32(0.5), tv * np.float32(h) - np.float32(0.5)
+                x0, y0 = int(np.floor(x)), int(np.floor(y))
+                fx, fy = np.float32(x - x0), np.float32(y - y0)
+                x1, y1 = x0 + 1, y0 + 1
+                x0, x1 = x0 if x0 >= 0 else w - 1, x1 if x1 < w else 0
+                y0, y1 = y0 if y0 >= 0 else h - 1, y1 if y1 < h else 0
+                for corner in range(4):
+                    at = np.uintp(start + (y1 if corner > 1 else y0) * w + (x1 if corner % 2 else x0))
+                    weight = share * (fx if corner % 2 else np.float32(1) - fx) * (fy if corner > 1 else np.float32(1) - fy)
+                    texel[0] += weight * code[srgb, texels[at, 0]]
+                    texel[1] += weight * code[srgb, texels[at, 1]]
+                    texel[2] += weight * code[srgb, texels[at, 2]]
+                    texel[3] += weight * code[0, texels[at, 3]]
+            if slot == 0:
+                r, g, b, alpha = r * texel[0], g * texel[1], b * texel[2], alpha * texel[3]
+            elif slot == 1:
+                metallic, rough = metallic * texel[0], rough * texel[1]
+            else:
+                er, eg, eb = er * texel[0], eg * texel[1], eb * texel[2]
+        mode = ints[p, 3]
+        if mode == 0:
+            alpha = np.float32(1)
+        elif mode == 1:
+            alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
+        nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
+        ny = b0 * normals[i0, 1] + b1 * normals[i1, 1] + b2 * normals[i2, 1]
+        nz = b0 * normals[i0, 2] + b1 * normals[i1, 2] + b2 * normals[i2, 2]
+        if facing > 0:  # the back of a two-sided surface
+            nx, ny, nz = -nx, -ny, -nz
+        # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
+        away = (nx * dx + ny * dy + nz * dz) / (length * length)
+        if away > 0:
+            nx, ny, nz = nx - away * dx, ny - away * dy, nz - away * dz
+        n = np.sqrt(nx * nx + ny * ny + nz * nz)
+        if n > np.float32(1e-6):
+            nx, ny, nz = nx / n, ny / n, nz / n
+        else:
+            s = np.float32(-1) if facing > 0 else np.float32(1)
+            nx, ny, nz = s * face_normal[f, 0], s * face_normal[f, 1], s * face_normal[f, 2]
+        values[k, 0], values[k, 1], values[k, 2], values[k, 3] = alpha, r, g, b
+        values[k, 4], values[k, 5], values[k, 6] = nx, ny, nz
+        values[k, 7], values[k, 8], values[k, 9] = metallic, rough, floats[p, 6]
+        values[k, 10], values[k, 11], values[k, 12] = er, eg, eb
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(
-    active, prim, bary_u, bary_v, distance, directions, start, pixel, hidden, layered,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code,
-    acc, depth, ident, masked, onward,
+    active, prim, z, values, directions, start, hidden, layered, part, face_normal, ints, acc, depth, ident, masked, onward
 ):  # fmt: skip  # pragma: no cover - compiled
     """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `onward`.
 
-    start : (samples,) float32 depth from which each ray was sent, moved behind the hit where it goes on
-    pixel : side of a pixel at depth 1;  masked : (samples,) bool, set where a cut-out material is met
+    z, values : depth and attributes of the hits;  start : (samples,) moved behind the hit where the ray goes on
+    masked : (samples,) bool, set where a cut-out material is met
     """
     going = 0
-    texel, values = np.empty(4, np.float32), np.empty(COLUMNS, np.float32)
     for a in range(active.shape[0]):
         if prim[a] < 0:
             continue
         f, k = np.uintp(prim[a]), np.uintp(active[a])
-        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
-        z = start[k] + distance[a]
-        if hidden[f] and face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz > 0:
-            start[k] = z
+        facing = (
+            face_normal[f, 0] * directions[k, 0] + face_normal[f, 1] * directions[k, 1] + face_normal[f, 2] * directions[k, 2]
+        )
+        if hidden[f] and facing > 0:
+            start[k] = z[a]
             onward[going] = active[a]
             going += 1
             continue
-        surface_at(
-            f, bary_u[a], bary_v[a], z, dx, dy, dz, pixel, faces, part, face_normal, normals, uv, colours, uv_per_m,
-            floats, ints, texels, table, code, texel, values,
-        )  # fmt: skip
         if ints[part[f], 3] == 1:
             masked[k] = True
-        if values[0] > _CLEAR:
-            w = acc[k, 0] * values[0]
+        if values[a, 0] > _CLEAR:
+            w = acc[k, 0] * values[a, 0]
             acc[k, 0] -= w
             for c in range(1, COLUMNS):
-                acc[k, c] += w * values[c]
+                acc[k, c] += w * values[a, c]
             if ident[k] == 0:
                 ident[k] = part[f] + 1
-                depth[k] = z
+                depth[k] = z[a]
         if layered and acc[k, 0] > _CLEAR:
-            start[k] = z
+            start[k] = z[a]
             onward[going] = active[a]
             going += 1
     return going
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def shade_centres(
-    prim, bary_u, bary_v, depth, edge, lens, height, width, rotation, pixel, eye,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code,
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def write_centres(
+    prim, depth, edge, values, directions, height, width, eye, glows, part,
     coverage, depth_out, normal, position, albedo, material, emissive, object_id,
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Pixels of an opaque mesh that need one sample only, straight from first hits to the layers.
-
-    The hits cover one pixel more on each side than the layers do, and the lens table one more again.
-    """
-    texel, values = np.empty(4, np.float32), np.empty(COLUMNS, np.float32)
-    glows = False
-    for p in range(floats.shape[0]):
-        glows = glows or floats[p, 7] != 0 or floats[p, 8] != 0 or floats[p, 9] != 0
+    """Pixels of an opaque mesh that need one sample only. Hits cover one pixel more on each side than the layers do."""
     for i in range(1, height - 1):
         for j in range(1, width - 1):
             k = np.uintp(i * width + j)
             if prim[k] < 0 or edge[k]:
                 continue
-            f = np.uintp(prim[k])
-            u, v, z = lens[i + 1, j + 1, 0], lens[i + 1, j + 1, 1], depth[k]
-            dx = np.float32(rotation[0, 0] * u + rotation[1, 0] * v + rotation[2, 0])
-            dy = np.float32(rotation[0, 1] * u + rotation[1, 1] * v + rotation[2, 1])
-            dz = np.float32(rotation[0, 2] * u + rotation[1, 2] * v + rotation[2, 2])
-            surface_at(
-                f, bary_u[k], bary_v[k], z, dx, dy, dz, pixel, faces, part, face_normal, normals, uv, colours, uv_per_m,
-                floats, ints, texels, table, code, texel, values,
-            )  # fmt: skip
-            y, x = np.uintp(i - 1), np.uintp(j - 1)
+            y, x, z = np.uintp(i - 1), np.uintp(j - 1), depth[k]
             coverage[y, x] = 1
             depth_out[y, x] = z
-            object_id[y, x] = part[f] + 1
-            albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = values[1], values[2], values[3]
-            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = values[4], values[5], values[6]
-            material[y, x, 0], material[y, x, 1], material[y, x, 2] = values[7], values[8], values[9]
+            object_id[y, x] = part[np.uintp(prim[k])] + 1
+            for c in range(3):
+                albedo[y, x, c] = values[k, 1 + c]
+                normal[y, x, c] = values[k, 4 + c]
+                material[y, x, c] = values[k, 7 + c]
+                position[y, x, c] = eye[c] + z * directions[k, c]
+                if glows:  # else the layer stays the untouched zeros that it is
+                    emissive[y, x, c] = values[k, 10 + c]
             material[y, x, 3] = 1
-            position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * dx, eye[1] + z * dy, eye[2] + z * dz
-            if glows:  # else the layer stays the untouched zeros that it is
-                emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = values[10], values[11], values[12]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

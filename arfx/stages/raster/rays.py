@@ -20,7 +20,7 @@ from arfx.core.rect import Rect
 from arfx.stages.raster import hits
 from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
-from arfx.stages.raster.mesh import Mesh
+from arfx.stages.raster.mesh import CUTOFF, EMIT_R, Mesh
 from arfx.stages.raster.textures import CODE
 from arfx.stages.raster.visibility import face_boxes, nearest_faces, nearest_faces_at
 
@@ -73,6 +73,7 @@ class RayRenderer:
         self.offsets = hammersley(samples)
         self.order = np.argsort((self.offsets**2).sum(1), kind="stable")
         self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
+        self.glows = bool(mesh.floats[:, EMIT_R:CUTOFF].any())
         m = mesh
         self._surfaces = (
             m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints,
@@ -106,12 +107,13 @@ class RayRenderer:
         add_differences(edge, prim, depth, m.part, m.face_normal, lens, h, w, rotation, self.pixel)
         arrays = tuple(out[name] for name in OUTPUTS)
         pixel = np.float32(self.pixel * _SHARPER)
-        ident = np.where(prim >= 0, m.part[prim] + 1, 0).astype(np.int32) if not m.layered else None
-        if ident is not None:
-            surfaces_and_layers = (*self._surfaces, *arrays)
-            hits.shade_centres(*seen, edge, lens, h, w, rotation, pixel, eye_world, *surfaces_and_layers)
+        directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
+        ident = np.where(prim >= 0, m.part[prim] + 1, 0).astype(np.int32)
+        if not m.layered:
+            values = np.empty((h * w, hits.COLUMNS), np.float32)
+            hits.surfaces(*(*seen, edge, directions, pixel, *self._surfaces, values))
+            hits.write_centres(*(prim, depth, edge, values, directions, h, w, eye_world, self.glows, m.part, *arrays))
         else:
-            directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
             acc, depth, ident, masked = self._trace(eye, directions, valid, seen, pixel)
             edge |= masked  # a mean of opacities says little about where a cut-out ends: sampled instead
             hits.resolve_centres(h, w, edge, acc, depth, ident, directions, eye_world, *arrays)
@@ -155,8 +157,12 @@ class RayRenderer:
                 hit = self.scene.first_hits(origin + start[active, None] * rays, rays)
                 face, u, v, distance = (hit[key] for key in ("primID", "u", "v", "tfar"))
             onward = np.empty(len(active), active.dtype)
+            z = start[active] + distance
+            values = np.empty((len(active), hits.COLUMNS), np.float32)
+            rays = directions if len(active) == n else directions[active]
+            hits.surfaces(face, u, v, z, np.zeros(len(active), bool), rays, pixel, *self._surfaces, values)
             going = hits.accumulate(
-                active, face, u, v, distance, directions, start, pixel, m.hidden, m.layered, *self._surfaces,
+                active, face, z, values, directions, start, m.hidden, m.layered, m.part, m.face_normal, m.ints,
                 acc, depth, ident, masked, onward,
             )  # fmt: skip
             active = onward[:going]

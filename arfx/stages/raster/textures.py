@@ -1,4 +1,4 @@
-"""Textures as 8-bit mip pyramids in one flat array, and their filtered lookup.
+"""Textures as 8-bit mip pyramids in one flat array; hits.py looks them up.
 
 Averages are taken in linear light (colour) and stored sRGB coded again, as SRGB8_ALPHA8 does in OpenGL.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
 from arfx.core.colour import SRGB
@@ -81,42 +80,3 @@ def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
         )
         levels.append(coded)
     return levels
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
-def lookup(texels, table, code, index, srgb, u, v, texels_per_pixel, out):  # pragma: no cover - compiled
-    """Trilinear lookup with repeat wrapping into out (4,).
-
-    u, v : texture coordinates, v = 0 at the top;  texels_per_pixel : footprint side at level 0, chooses the level
-    """
-    levels = table[index, 2]
-    lod = np.log2(texels_per_pixel) if texels_per_pixel > 1.0 else 0.0
-    lod = min(lod, levels - 1.0)
-    first = int(lod)
-    mix = np.float32(lod - first)
-    u -= np.floor(u)
-    v -= np.floor(v)
-    for c in range(4):
-        out[c] = 0.0
-    for step in range(2):
-        share = np.float32(1.0) - mix if step == 0 else mix
-        if share <= 0.0:
-            continue
-        level = min(first + step, levels - 1)
-        w, h = max(table[index, 0] >> level, 1), max(table[index, 1] >> level, 1)
-        start = table[index, 3 + level]
-        x, y = u * w - 0.5, v * h - 0.5
-        x0, y0 = int(np.floor(x)), int(np.floor(y))
-        fx, fy = np.float32(x - x0), np.float32(y - y0)
-        x1, y1 = x0 + 1, y0 + 1
-        x0, x1 = x0 if x0 >= 0 else w - 1, x1 if x1 < w else 0
-        y0, y1 = y0 if y0 >= 0 else h - 1, y1 if y1 < h else 0
-        a, b = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
-        d, e = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
-        wa, wb = share * (1 - fx) * (1 - fy), share * fx * (1 - fy)
-        wd, we = share * (1 - fx) * fy, share * fx * fy
-        for c in range(4):
-            k = srgb if c < 3 else 0
-            out[c] += (
-                wa * code[k, texels[a, c]] + wb * code[k, texels[b, c]] + wd * code[k, texels[d, c]] + we * code[k, texels[e, c]]
-            )

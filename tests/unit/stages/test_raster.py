@@ -16,7 +16,7 @@ from arfx.stages.raster import Raster, RasterParams, backend_report, choose_back
 from arfx.stages.raster import backends as backends_module
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.rays import hammersley
-from arfx.stages.raster.textures import CODE, StackBuilder, lookup, pyramid
+from arfx.stages.raster.textures import StackBuilder, pyramid
 from tests.scenes import box_model, facts
 from tests.unit.stages.raster_scenes import LENSES, PLAIN, backends, camera, in_front, quad, render, scene_of, square
 
@@ -239,20 +239,27 @@ def test_hammersley_spreads_over_every_row_and_column() -> None:
         assert np.abs(p.mean(0)).max() < 1e-9
 
 
-def test_pyramid_averages_in_linear_light_and_lookup_wraps() -> None:
+def test_pyramid_averages_in_linear_light() -> None:
     checker = (np.indices((4, 4)).sum(0) % 2 * 255).astype(np.uint8)[..., None].repeat(3, 2)
     levels = pyramid(checker, True)
     assert [x.shape[:2] for x in levels] == [(4, 4), (2, 2), (1, 1)]
     assert levels[1][0, 0].tolist() == [188, 188, 188, 255]
+    assert pyramid(checker, False)[1][0, 0].tolist() == [128, 128, 128, 255]
     stack = StackBuilder()
-    ramp = np.array([[[0], [255]]], np.uint8).repeat(3, 2)  # 2 x 1: black, white
-    assert stack.add(ramp, False) == 0 and stack.add(ramp, False) == 0 and stack.add(None, True) == -1
-    built, out = stack.build(), np.empty(4, np.float32)
-    for u, want in ((0.25, 0.0), (0.75, 1.0), (0.5, 0.5), (0.0, 0.5), (1.25, 0.0), (-0.25, 1.0)):
-        lookup(built.texels, built.table, CODE, 0, 0, u, 0.5, 1.0, out)
-        assert out[0] == pytest.approx(want, abs=1e-6), u
-    lookup(built.texels, built.table, CODE, 0, 0, 0.25, 0.5, 2.0, out)
-    assert out[0] == pytest.approx(128 / 255, abs=0.003)
+    assert stack.add(checker, True) == 0 and stack.add(checker, True) == 0, "one picture is stored once"
+    assert stack.add(checker, False) == 1 and stack.add(None, True) == -1
+
+
+@pytest.mark.parametrize("backend", BOTH)
+def test_textures_repeat(backend: str) -> None:
+    stripes = np.zeros((1, 8, 3), np.uint8)
+    stripes[:, 4:] = 255
+    uv = np.array([[-1.0, 1], [1, 1], [1, 0], [-1, 0]])  # twice across, from -1 to 1
+    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=stripes, double_sided=True))
+    part = Part(part.vertices, part.faces, part.normals, part.material, uv)
+    row = render(scene_of([part]), in_front(), backend)[Layer.ALBEDO][131, :, 0]
+    at = 151.3 + 120 * (np.arange(4) - 1.5) / 4  # the middles of black, white, black, white
+    np.testing.assert_allclose(row[np.round(at).astype(int)], [0, 1, 0, 1], atol=1e-3)
 
 
 def test_demand_says_why() -> None:
