@@ -131,13 +131,13 @@ class Analyser:
         wanted = ", ".join(m.key for m in self.markers)
         families = ", ".join(dict.fromkeys(m.family for m in self.markers))
         message = f"no configured marker ({wanted}) in {len(self._records)} frames; dictionaries tried: {families}"
-        ids = [k for k, _ in self._others.most_common(6)]
+        ids = sorted(self._others, key=lambda k: (-self._others[k], k))[:6]
         other = self._survey.text()
         if ids:
             return NothingToDoError(f"{message}; ids of the same dictionary seen: {', '.join(ids)}",
                                     f"configure one of those: --marker {ids[0]}:SIZE")  # fmt: skip
         if other:
-            first = next(iter(dict(self._survey.counts.most_common(1))))
+            first = self._survey.likeliest()[0]
             return NothingToDoError(f"{message}; other dictionaries saw: {other}", f"perhaps --marker {first}:SIZE")
         return NothingToDoError(f"{message}; no marker of any dictionary was seen",
                                 "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?")  # fmt: skip

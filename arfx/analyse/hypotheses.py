@@ -33,12 +33,15 @@ def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
     return [p for p in poses if _in_sight(p)]
 
 
-def frontal_pose(corners_m: np.ndarray, ideal: np.ndarray) -> Pose:
-    """The marker facing the camera, at the place, distance and roll of its picture. Arguments as for both_poses."""
+def frontal_pose(corners_m: np.ndarray, ideal: np.ndarray, towards: np.ndarray) -> Pose:
+    """The marker facing against a direction, at the place, distance and roll of its picture.
+
+    towards : (3,) camera coordinates, for instance the ray through its middle;  the rest as for both_poses
+    """
     side = corners_m[1, 0] - corners_m[0, 0]
     ray = np.append(ideal.mean(0), 1.0)
     across = (ideal[1] - ideal[0] + ideal[2] - ideal[3]) / 2
-    out_of_print = -normalise(ray)
+    out_of_print = -normalise(towards)
     right = np.append(across, 0.0)
     right = normalise(right - out_of_print * (out_of_print @ right))
     extent = np.linalg.norm(ideal - np.roll(ideal, -1, 0), axis=1).mean()
@@ -64,8 +67,9 @@ def hypotheses(
     for k, points in enumerate(corners_m):
         if not np.isfinite(ideal[k]).all():
             continue
-        # IPPE returns rubbish for a marker that faces the camera exactly, so that view is a start of its own
-        for pose in (*both_poses(points, ideal[k]), frontal_pose(points, ideal[k])):
+        # IPPE returns rubbish for a marker that faces the camera, or is parallel to the picture, exactly: starts of their own
+        faces = (np.append(ideal[k].mean(0), 1.0), np.array([0.0, 0.0, 1.0]))
+        for pose in (*both_poses(points, ideal[k]), *(frontal_pose(points, ideal[k], d) for d in faces)):
             owner.append(k)
             start.append(pose)
     out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)

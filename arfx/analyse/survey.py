@@ -32,8 +32,16 @@ class Survey:
         self.counts.update({c.key for c in found})
 
     def text(self) -> str:
-        """ "4X4_1000:7 (2 of 3 frames), ..." most frequent first, or an empty string."""
-        return ", ".join(f"{k} ({v} of {self.looked} sampled frames)" for k, v in self.counts.most_common(6))
+        """ "4X4_1000:7 (2 of 3 sampled frames), ..." likeliest first, or an empty string."""
+        return ", ".join(f"{k} ({self.counts[k]} of {self.looked} sampled frames)" for k in self.likeliest()[:6])
+
+    def likeliest(self) -> list[str]:
+        """Keys seen: most often first; among equals the families that are hardest to misread first."""
+
+        def rank(key: str) -> tuple[int, int, str]:
+            return -self.counts[key], SURVEY_FAMILIES.index(key.rsplit(":", 1)[0]), key
+
+        return sorted(self.counts, key=rank)
 
     def state(self) -> dict:
         return {"looked": self.looked, "next_frame": self.next_frame, "counts": dict(self.counts)}

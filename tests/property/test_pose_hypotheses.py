@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from arfx.analyse.geometry import Observed, apply_step, information, jacobian, lens_scale, refine_poses, residuals
@@ -28,6 +28,8 @@ def seen(pose: Pose, cam: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 @settings(max_examples=60, deadline=None)
 @given(angle, angle, turn, place, place, st.floats(0.3, 5.0))
+@example(0.0, 0.0, 0.0, 0.25, 0.25, 2.0)  # parallel to the picture, off the axis
+@example(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 def test_truth_is_among_the_hypotheses(a: float, b: float, c: float, x: float, y: float, z: float) -> None:
     pose = tilted([a, b, 0], [x * z, y * z, z]) @ tilted([0, 0, 0], [0, 0, 0]).inverse() @ tilted([0, 0, c], [0, 0, 0])
     facing = pose.rotation[:, 2] @ pose.translation_m / np.linalg.norm(pose.translation_m)

@@ -82,3 +82,10 @@ def test_extreme_noise_stays_regular(q: float) -> None:
     spread = np.sqrt(np.einsum("nii->ni", cov)[:, :6])
     assert (np.abs(mean[:, :6]) < 6 * spread + 1e-9).all()
     assert (spread <= 1 / np.sqrt(np.diag(measured[0])) * 1.0001).all()  # never worse than a frame alone
+
+
+def test_noise_of_two_intervals_is_that_of_both_together() -> None:
+    density, a, b = np.array([1.0, 2, 3, 4, 5, 6]), 0.02, 0.05
+    move = np.eye(DIM)
+    move[np.arange(6), np.arange(6) + 6] = b
+    np.testing.assert_allclose(move @ noise(density, a) @ move.T + noise(density, b), noise(density, a + b), rtol=1e-12)

@@ -77,6 +77,38 @@ def test_moving_markers_come_out_truer_than_single_frames_and_in_time(name: str)
     assert (np.abs(got - want).max(0) < 0.02 * np.ptp(want, axis=0).max()).all()  # peaks are not cut off
 
 
+def test_rest_is_smoothed_as_rest_in_a_clip_that_also_moves() -> None:
+    n, still = 160, 100
+    times = np.arange(n) / 30
+    truth = [start_late(max(t - times[still], 0) + 1.7) for t in times]
+    facts = analysed(records(CAM, truth, times, {M: Pose.identity()}, 0.1)).facts
+    part = slice(10, still - 30)
+    deg_raw, _ = pose_errors(facts[part], truth[part], raw=True)
+    deg, _ = pose_errors(facts[part], truth[part], raw=False)
+    assert rms(deg) < rms(deg_raw) / 3
+
+
+def test_links_between_turned_frames_are_the_derivative() -> None:
+    from arfx.analyse.smooth import _links, _moved
+
+    poses = [tilted([0.2, 0.1, 0], [0.1, 0, 1.0]), tilted([0.45, -0.1, 0.2], [0.15, 0.05, 1.1])]
+    rotation, translation = np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
+    centre, dt = np.array([0.02, 0.01, 0.0]), np.array([0.04])
+    rng = np.random.default_rng(0)
+    step = rng.normal(0, 1e-4, (2, 6))
+
+    def shift(r: np.ndarray, t: np.ndarray) -> np.ndarray:
+        here = _links(r, t, centre, dt)
+        return -(np.linalg.inv(here.gate[0]) @ here.shift[0])[:6]  # Log of the turn and the change of place
+
+    before = _links(rotation, translation, centre, dt)
+    after_inverse = np.linalg.inv(before.gate[0])
+    back = -after_inverse @ before.move[0]
+    predicted = shift(rotation, translation) + after_inverse[:6, :6] @ step[1] + back[:6, :6] @ step[0]
+    error = np.abs(shift(*_moved(rotation, translation, step, centre)) - predicted).max()
+    assert error < 0.02 * np.abs(step).max()  # the series is cut after the first order in the turn, here .4 rad
+
+
 @pytest.mark.parametrize("noise_px", [0.05, 0.3])
 def test_marker_at_rest_stands_still(noise_px: float) -> None:
     truth = [tilted([0.5, 0.1, 0], [0.1, 0.05, away(80)])] * N

@@ -88,6 +88,16 @@ def test_path_is_the_cheapest_of_all() -> None:
     assert choose_path([], [], []) == []
 
 
+def test_path_stays_in_one_valley_against_small_misfits() -> None:
+    rng = np.random.default_rng(0)
+    this, other = tilted([0.3, 0, 0], [0, 0, 1]), tilted([-0.3, 0, 0], [0, 0, 1])
+    costs = [[1.0, float(rng.choice([0.2, 1.5]))] for _ in range(20)]
+    costs[0] = [0.0, 60.0]
+    assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 20
+    costs[1:] = [[1.0, 1.5]] * 9 + [[60.0, 0.0]] * 10  # a real change, with evidence, is followed
+    assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 10 + [1] * 10
+
+
 def test_cut_is_found_flash_and_pan_are_not() -> None:
     one, two = (np.clip(background(320, 180, s) * 255, 0, 255).astype(np.uint8) for s in (1, 2))
     shift = [np.roll(one, 2 * k, 1) for k in range(10)]
@@ -164,6 +174,14 @@ def test_epipolar_distance_is_zero_on_points_of_a_rigid_world() -> None:
     a, b = CAM.project(points), CAM.project(move.apply(points))
     assert epipolar_distance(a, b, move, CAM).max() < 1e-6
     assert np.median(epipolar_distance(a, b + np.array([0, 12]), move, CAM)) > 5
+
+
+def test_a_slow_drift_is_no_rest() -> None:
+    at = np.random.default_rng(0).uniform(50, 400, (20, 2))
+    poses = {0: tilted([0, 0, 0], [0, 0, 1.0]), 1: tilted([0, 0, 0], [0, 0, 1.0])}
+    for drift, expected in ((0.1, "camera"), (1.0, "both")):
+        sample = {"a": 0, "b": 1, "px": 4, "from": at, "to": at + np.array([4 * drift, 0.0])}
+        assert decide_static([sample], poses, CAM)[0] == expected
 
 
 def test_no_background_means_both() -> None:
