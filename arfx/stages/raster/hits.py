@@ -69,7 +69,8 @@ def surfaces(
 
     depth : (n,) of the hits;  directions : (n, 3) with camera z = 1;  pixel : footprint of a sample at depth 1
 
-    Textures: trilinear in the pyramids of textures.py, repeated. One body without calls: passing two dozen arrays to a function once per hit
+    Textures: trilinear in the pyramids of textures.py, repeated.
+    One body without calls: passing two dozen arrays to a function once per hit
     takes ten times as long as the arithmetic (reference counts).
     """
     texel = np.empty(4, np.float32)
