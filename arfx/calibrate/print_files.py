@@ -1,0 +1,109 @@
+"""A sheet as a file, true to scale: PDF in points, SVG in millimetres, PNG with its resolution."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from arfx.calibrate.print_layout import TEXT_MM, Sheet, outlines
+from arfx.errors import ConfigError
+
+MM_PER_INCH = 25.4
+LINE_MM = 0.2
+CAP_SHARE = 0.72  # height of capitals over a font's size
+LARGEST_PX = 30000  # along one side of a PNG: 900 MB in memory
+
+
+def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
+    """Write by the ending of the name: .pdf, .svg or .png (dpi, to the nearest of which all edges are rounded).
+
+    The file appears by atomic rename. Raises ConfigError for other endings and for a PNG that is too large.
+    """
+    writers: dict[str, Callable[[Sheet, Path, float], None]] = {".pdf": _pdf, ".svg": _svg, ".png": _png}
+    ending = path.suffix.lower()
+    if ending not in writers:
+        raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        writers[ending](sheet, part, dpi)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _svg(sheet: Sheet, path: Path, dpi: float) -> None:
+    def number(v: float) -> str:
+        return f"{v:.5f}".rstrip("0").rstrip(".")
+
+    w, h = number(sheet.width_mm), number(sheet.height_mm)
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{w}mm" height="{h}mm" viewBox="0 0 {w} {h}">',
+        f"<title>{escape(sheet.title)}</title>",
+        f'<rect width="{w}" height="{h}" fill="white"/>',
+    ]
+    for cells in sheet.cells:
+        d = " ".join("M" + " L".join(f"{number(x)} {number(y)}" for x, y in outline) + " Z" for outline in outlines(cells))
+        out.append(f'<path fill="black" fill-rule="evenodd" d="{d}"/>')
+    for x0, y0, x1, y1 in sheet.lines:
+        points = f'x1="{number(x0)}" y1="{number(y0)}" x2="{number(x1)}" y2="{number(y1)}"'
+        out.append(f'<line {points} stroke="black" stroke-width="{LINE_MM}"/>')
+    for t in sheet.texts:
+        size = number(TEXT_MM / CAP_SHARE)
+        style = f'font-family="sans-serif" font-size="{size}" text-anchor="middle"'
+        out.append(f'<text x="{number(t.x_mm)}" y="{number(t.y_mm)}" {style}>{escape(t.words)}</text>')
+    path.write_text("\n".join([*out, "</svg>"]) + "\n", encoding="utf-8")
+
+
+def _pdf(sheet: Sheet, path: Path, dpi: float) -> None:
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    figure = Figure(figsize=(sheet.width_mm / MM_PER_INCH, sheet.height_mm / MM_PER_INCH))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(0, sheet.width_mm), ylim=(sheet.height_mm, 0))
+    axes.set_axis_off()
+    for cells in sheet.cells:
+        # one filled path: outlines of holes run the other way round, so the non-zero rule of PDF leaves them white
+        closed = [np.vstack([o, o[:1]]) for o in outlines(cells)]
+        codes = [[Outline.MOVETO, *[Outline.LINETO] * (len(o) - 2), Outline.CLOSEPOLY] for o in closed]
+        axes.add_patch(
+            PathPatch(Outline(np.vstack(closed), np.concatenate(codes)), facecolor="black", edgecolor="none", linewidth=0)
+        )
+    for x0, y0, x1, y1 in sheet.lines:
+        axes.plot([x0, x1], [y0, y1], color="black", linewidth=LINE_MM / MM_PER_INCH * 72, solid_capstyle="butt", clip_on=False)
+    for t in sheet.texts:
+        axes.text(t.x_mm, t.y_mm, t.words, ha="center", va="baseline", fontsize=TEXT_MM / CAP_SHARE / MM_PER_INCH * 72)
+    # a fixed date, so that the same sheet gives the same bytes
+    FigureCanvasPdf(figure).print_pdf(path, metadata={"Title": sheet.title, "CreationDate": None})
+
+
+def _png(sheet: Sheet, path: Path, dpi: float) -> None:
+    from PIL import Image, ImageDraw, ImageFont
+
+    scale = dpi / MM_PER_INCH
+    size = round(sheet.width_mm * scale), round(sheet.height_mm * scale)
+    if not 36 <= dpi <= 4800 or max(size) > LARGEST_PX:
+        raise ConfigError(
+            f"{dpi:g} dpi gives a picture of {size[0]}x{size[1]} px", f"36 to 4800 dpi, up to {LARGEST_PX} px; or .pdf, .svg"
+        )
+    picture = np.full((size[1], size[0]), 255, np.uint8)
+    for cells in sheet.cells:
+        rows, columns = cells.black.shape
+        xs = np.round((cells.x_mm + cells.cell_mm * np.arange(columns + 1)) * scale).astype(int)
+        ys = np.round((cells.y_mm + cells.cell_mm * np.arange(rows + 1)) * scale).astype(int)
+        for r, c in np.argwhere(cells.black):
+            picture[ys[r] : ys[r + 1], xs[c] : xs[c + 1]] = 0
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    for line in sheet.lines:
+        draw.line([v * scale for v in line], fill=0, width=max(1, round(LINE_MM * scale)))
+    font = ImageFont.load_default(TEXT_MM / CAP_SHARE * scale)
+    for t in sheet.texts:
+        draw.text((t.x_mm * scale, t.y_mm * scale), t.words, fill=0, font=font, anchor="ms")
+    image.save(path, format="PNG", dpi=(dpi, dpi))

@@ -1,0 +1,224 @@
+"""What a printed sheet holds: markers or a board, their labels and a ruler, in millimetres on a page.
+
+Page coordinates: x right, y down from the upper left corner.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+
+from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec, charuco_board, opencv_dictionary
+from arfx.core.marker import FAMILIES, MarkerSpec
+from arfx.core.units import length_m
+from arfx.errors import ConfigError
+
+PAGES_MM = {
+    "a5": (148.0, 210.0), "a4": (210.0, 297.0), "a3": (297.0, 420.0), "a2": (420.0, 594.0), "a1": (594.0, 841.0),
+    "a0": (841.0, 1189.0), "letter": (215.9, 279.4), "legal": (215.9, 355.6), "tabloid": (279.4, 431.8),
+}  # fmt: skip
+MARGIN_MM = 8.0  # what usual printers cannot print on, with room
+FOOT_MM = 16.0  # ruler and its words at the bottom
+LABEL_MM = 5.0  # line of text under each marker
+TEXT_MM = 3.0  # height of letters
+RULER_MM = (100.0, 50.0)  # the first that fits
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Square cells of one size. x_mm, y_mm : upper left corner; cell_mm : side; black : (rows, columns) bool"""
+
+    x_mm: float
+    y_mm: float
+    cell_mm: float
+    black: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Middle of the baseline at (x_mm, y_mm); letters `TEXT_MM` high."""
+
+    x_mm: float
+    y_mm: float
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A page. lines : (x0, y0, x1, y1) mm, thin black"""
+
+    title: str
+    width_mm: float
+    height_mm: float
+    cells: tuple[Cells, ...]
+    texts: tuple[Text, ...]
+    lines: tuple[tuple[float, float, float, float], ...]
+
+
+Target = MarkerSpec | BoardSpec
+
+
+def parse_targets(texts: Sequence[str]) -> list[Target]:
+    """Markers (36h11:3:165mm; a range 4X4_50:0-5:40mm) or one board. Raises ConfigError."""
+    out: list[Target] = []
+    for text in texts:
+        if text.split(":")[0].lower() in (CHESSBOARD, CHARUCO):
+            out.append(BoardSpec.parse(text))
+        elif m := re.fullmatch(r"([^:]+):(\d+)-(\d+):(.+)", text.strip()):
+            first, last = int(m[2]), int(m[3])
+            if last < first:
+                raise ConfigError(f"markers {text!r}: the range runs backwards", f"{m[1]}:{last}-{first}:{m[4]}")
+            MarkerSpec.parse(f"{m[1]}:{last}:{m[4]}")  # a range that is too long fails here, before it is listed
+            out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in range(first, last + 1)]
+        else:
+            out.append(MarkerSpec.parse(text))
+    if any(isinstance(t, BoardSpec) for t in out) and len(out) > 1:
+        raise ConfigError("a board fills its own sheet", "one board, or any number of markers")
+    return out
+
+
+def page_mm(name: str) -> tuple[float, float]:
+    """(width, height) of a page name or of WIDTHxHEIGHT with units, upright. Raises ConfigError."""
+    if name.lower() in PAGES_MM:
+        return PAGES_MM[name.lower()]
+    if m := re.fullmatch(r"([\d.]+[a-z]+)x([\d.]+[a-z]+)", name.strip().lower()):
+        width, height = (1000 * length_m(g, what=f"page {name!r}") for g in m.groups())
+        if width > 0 and height > 0:
+            return width, height
+    raise ConfigError(f"unknown page {name!r}", f"{', '.join(PAGES_MM)}, or a size such as 300mmx400mm")
+
+
+def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
+    """The sheet, upright if it fits so, else across. Raises ConfigError, with the sizes, if it fits neither way."""
+    width, height = page_mm(page)
+    problems = []
+    for w, h in ((width, height), (height, width)):
+        sheet = _board_sheet(targets[0], w, h) if isinstance(targets[0], BoardSpec) else _marker_sheet(targets, w, h)
+        if isinstance(sheet, Sheet):
+            return sheet
+        problems.append(sheet)
+    larger = [n for n, (a, b) in PAGES_MM.items() if a * b > width * height]
+    raise ConfigError(
+        f"{problems[0]} (and not across either)",
+        "print smaller or fewer" + (f", or --page {larger[0]} or larger" if larger else ""),
+    )
+
+
+def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> Sheet | str:
+    """Markers row by row, as many to a row as fit; or why it does not work."""
+    markers = [t for t in targets if isinstance(t, MarkerSpec)]
+    largest = max(m.size_m * 1000 for m in markers)
+    modules = min(module_count(m.family) for m in markers)
+    # one module of white all round is the least that detectors need; neighbours share nothing
+    white = largest / modules
+    pitch_x, pitch_y = largest + 2 * white, largest + white + max(white, LABEL_MM)
+    # the white of the outermost ones may lie where the printer cannot print: it is white
+    over = max(0.0, MARGIN_MM - white)
+    room_x, room_y = width - 2 * over, height - over - FOOT_MM
+    across, down = int((room_x + 1e-6) // pitch_x), int((room_y + 1e-6) // pitch_y)
+    if across * down < len(markers):
+        wanted = f"{largest:g} mm, with white margin and label {pitch_x:.0f} x {pitch_y:.0f} mm"
+        return f"{across * down} of {len(markers)} markers ({wanted}) fit on {width:g} x {height:g} mm"
+    columns = min(across, len(markers))
+    rows = -(-len(markers) // columns)
+    left, top = (width - columns * pitch_x) / 2, over + (room_y - rows * pitch_y) / 2
+    cells, texts = [], []
+    for i, m in enumerate(markers):
+        size = m.size_m * 1000
+        middle = left + (i % columns + 0.5) * pitch_x
+        upper = top + (i // columns) * pitch_y + white + (largest - size) / 2
+        bits = marker_bits(m.family, m.id)
+        cells.append(Cells(middle - size / 2, upper, size / len(bits), bits))
+        words = f"{m}" if size >= 40 else f"{m.family}:{m.id} {size:g}mm"
+        texts.append(Text(middle, top + (i // columns) * pitch_y + white + largest + LABEL_MM - 1, words))
+    return _with_ruler(", ".join(map(str, markers[:4])) + (" ..." if len(markers) > 4 else ""), width, height, cells, texts)
+
+
+def _board_sheet(spec: BoardSpec, width: float, height: float) -> Sheet | str:
+    """The board in the middle; or why it does not fit."""
+    square = spec.square_m * 1000
+    columns, rows = spec.squares
+    w, h = columns * square, rows * square
+    room_x, room_y = width - 2 * MARGIN_MM, height - MARGIN_MM - FOOT_MM - LABEL_MM
+    if w > room_x + 1e-6 or h > room_y + 1e-6:
+        return f"{spec} is {w:g} x {h:g} mm; of {width:g} x {height:g} mm {room_x:g} x {room_y:g} can be printed on"
+    x, y = (width - w) / 2, MARGIN_MM + (room_y - h) / 2
+    # OpenCV draws the first square black, and with the legacy pattern white where the number of rows is even
+    first_white = spec.legacy and spec.rows % 2 == 0
+    i, j = np.mgrid[0:rows, 0:columns]
+    cells = [Cells(x, y, square, (i + j) % 2 == int(first_white))]
+    if spec.kind == CHARUCO:
+        board = charuco_board(spec)
+        for number, corners in zip(np.ravel(board.getIds()), board.getObjPoints(), strict=True):
+            bits = marker_bits(spec.family, int(number))
+            corner = 1000 * np.asarray(corners, float)[0]
+            cells.append(Cells(x + corner[0], y + corner[1], spec.marker_m * 1000 / len(bits), bits))
+    words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
+    return _with_ruler(str(spec), width, height, cells, [Text(width / 2, y + h + LABEL_MM, words)])
+
+
+def _with_ruler(title: str, width: float, height: float, cells: list[Cells], texts: list[Text]) -> Sheet:
+    length = next((r for r in RULER_MM if r <= width - 2 * MARGIN_MM), RULER_MM[-1])
+    x, y = (width - length) / 2, height - MARGIN_MM
+    lines = [(x, y, x + length, y)]
+    ticks = np.arange(0, length + 1, 10)
+    lines += [(x + t, y - (3.0 if t in (0, length) else 1.5), x + t, y) for t in ticks]
+    texts = [*texts, Text(width / 2, y - 3.5, f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'")]
+    return Sheet(title, width, height, tuple(cells), tuple(texts), tuple(lines))
+
+
+def module_count(family: str) -> int:
+    """Modules along a marker's black square, its border of one included."""
+    return int(opencv_dictionary(family).markerSize) + 2
+
+
+def marker_bits(family: str, number: int) -> np.ndarray:
+    """(n, n) bool, True = black, n = module_count."""
+    if not 0 <= number < FAMILIES[family]:
+        raise ConfigError(f"marker {family}:{number}: {family} has ids 0 to {FAMILIES[family] - 1}")
+    return cv2.aruco.generateImageMarker(opencv_dictionary(family), number, module_count(family)) < 128
+
+
+def outlines(cells: Cells) -> list[np.ndarray]:
+    """Closed outlines (n, 2) mm of the black area, for an even-odd fill: cells drawn one by one show hairlines between them."""
+    black = np.pad(cells.black, 1)
+    following: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    # edges run with black on their right: along the top to the right, down the right side, and so on
+    for row, column in np.argwhere(black):
+        r, c = int(row) - 1, int(column) - 1
+        for (dr, dc), start, end in (
+            ((-1, 0), (c, r), (c + 1, r)), ((0, 1), (c + 1, r), (c + 1, r + 1)),
+            ((1, 0), (c + 1, r + 1), (c, r + 1)), ((0, -1), (c, r + 1), (c, r)),
+        ):  # fmt: skip
+            if not black[row + dr, column + dc]:
+                following.setdefault(start, []).append(end)
+    out = []
+    while following:
+        start = next(iter(following))
+        path, here = [start], start
+        before: tuple[int, int] | None = None
+        while True:
+            ends = following[here]
+            # where two cells touch at a corner, turn right: stay with the same cell
+            end = ends[0] if before is None else min(ends, key=partial(_turn, before, here))
+            ends.remove(end)
+            if not ends:
+                del following[here]
+            if end == start:
+                break
+            before, here = here, end
+            path.append(end)
+        out.append(np.array(path, float) * cells.cell_mm + [cells.x_mm, cells.y_mm])
+    return out
+
+
+def _turn(before: tuple[int, int], here: tuple[int, int], after: tuple[int, int]) -> int:
+    """Negative for a right turn, with y down."""
+    ax, ay = here[0] - before[0], here[1] - before[1]
+    bx, by = after[0] - here[0], after[1] - here[1]
+    return -(ax * by - ay * bx)

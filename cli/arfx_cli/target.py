@@ -1,0 +1,44 @@
+"""`arfx target`: a printable marker, marker sheet or board, true to scale."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from arfx.errors import ConfigError
+from arfx_cli.console import emit_json, json_option, overwrite_option, say
+
+
+@click.command()
+@click.argument("specs", metavar="SPEC...", nargs=-1, required=True)
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="File to write: .pdf, .svg or .png."
+)
+@click.option("--page", default="a4", show_default=True, help="a0 to a5, letter, legal, tabloid, or a size such as 300mmx400mm.")
+@click.option("--dpi", default=300.0, show_default=True, help="Resolution of a PNG.")
+@overwrite_option
+@json_option
+def command(specs: tuple[str, ...], output: Path, page: str, dpi: float, overwrite: bool, as_json: bool) -> None:
+    """A printable marker, sheet of markers or calibration board, true to scale, with its size and a ruler printed on it.
+
+    SPEC is a marker 36h11:3:165mm, a range of them 4X4_50:0-5:40mm, or one board: chessboard:9x6:25mm (inner corners),
+    charuco:12x8:18mm:14mm:5X5_100 (squares).
+
+    \b
+    Example:
+      arfx target 36h11:3:165mm -o marker.pdf
+    """
+    from arfx.calibrate.print_files import write_sheet
+    from arfx.calibrate.print_layout import lay_out, parse_targets
+
+    targets = parse_targets(specs)
+    sheet = lay_out(targets, page)
+    if output.exists() and not overwrite:
+        raise ConfigError(f"{output} exists", "--overwrite replaces it, or give another -o")
+    if not output.absolute().parent.is_dir():
+        raise ConfigError(f"folder {output.absolute().parent} does not exist", "make it, or give another -o")
+    write_sheet(sheet, output, dpi)
+    say(f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and measure the ruler")
+    if as_json:
+        emit_json({"output": str(output), "page_mm": [sheet.width_mm, sheet.height_mm], "targets": [str(t) for t in targets]})
