@@ -70,7 +70,7 @@ spec = "36h11:3:120mm"
 
 [light]
 ambient_rgb = [0.30, 0.32, 0.35]
-lamps = [{ azimuth_deg = 148, elevation_deg = 52, rgb = [0.56, 0.53, 0.48], angular_size_deg = 6 }]
+lamps = [{ azimuth_deg = 52, elevation_deg = 55, rgb = [0.56, 0.53, 0.48], angular_size_deg = 12 }]
 
 [model]
 shape = "robot"
