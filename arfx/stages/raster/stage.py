@@ -59,7 +59,7 @@ class Raster:
     name = "raster"
     reads: frozenset[Layer] = frozenset()
     writes = frozenset(OUTPUTS)
-    levels = (Level("draft", 0.12), Level("standard", 0.15), Level("high", 0.23), Level("reference", 40.0))
+    levels = (Level("draft", 0.12), Level("standard", 0.15), Level("high", 0.23), Level("reference", 150.0))
     needs_facts = frozenset({"pose"})
     reach = 0
     Params = RasterParams
