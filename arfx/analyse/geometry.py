@@ -84,7 +84,7 @@ def refine_poses(
     damping = np.full(len(rotation), 1e-4)
     r = residuals(rotation, translation, seen)
     cost, factor = huber_cost(r, seen.weight)
-    for _ in range(iterations):
+    for k in range(iterations):
         a, g = _normal_equations(rotation, translation, seen, r, factor)
         scale = np.einsum("nii->ni", a) * damping[:, None] + 1e-12
         step = -np.linalg.solve(a + np.einsum("ni,ij->nij", scale, np.eye(6)), g[..., None])[..., 0]
@@ -99,6 +99,12 @@ def refine_poses(
         settled = np.abs(cost - new_cost) < 1e-9 * (1 + cost)
         cost = np.where(better, new_cost, cost)
         if settled.all():
+            break
+        if k >= 11 and iterations - k > 1:  # the few that are left go on alone
+            rest = np.flatnonzero(~settled)
+            rotation[rest], translation[rest], cost[rest] = refine_poses(
+                rotation[rest], translation[rest], seen.take(rest), iterations - k - 1
+            )
             break
     return rotation, translation, cost
 

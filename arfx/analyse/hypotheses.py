@@ -82,7 +82,7 @@ def hypotheses(
     )  # fmt: skip
     rotation = np.stack([p.rotation for p in start])
     translation = np.stack([p.translation_m for p in start])
-    rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=20)
+    rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     for k in range(len(corners_m)):
         mine = sorted(np.flatnonzero(index == k), key=lambda i: error[i])

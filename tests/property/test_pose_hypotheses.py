@@ -30,6 +30,7 @@ def seen(pose: Pose, cam: Camera) -> tuple[np.ndarray, np.ndarray]:
 @given(angle, angle, turn, place, place, st.floats(0.3, 5.0))
 @example(0.0, 0.0, 0.0, 0.25, 0.25, 2.0)  # parallel to the picture, off the axis
 @example(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+@example(0.0, 0.9375, 0.0, 0.0, 0.0, 4.0)  # turned about an axis of its own
 def test_truth_is_among_the_hypotheses(a: float, b: float, c: float, x: float, y: float, z: float) -> None:
     pose = tilted([a, b, 0], [x * z, y * z, z]) @ tilted([0, 0, 0], [0, 0, 0]).inverse() @ tilted([0, 0, c], [0, 0, 0])
     facing = pose.rotation[:, 2] @ pose.translation_m / np.linalg.norm(pose.translation_m)
