@@ -9,6 +9,7 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import angle_between, divide, normalise
 
 _PROFILES, _STEP_PX = 7, 0.25
+_MIN_SIDE_PX = 24.0  # in smaller ones the profile leaves the border before the edge levels out
 _MIN_CONTRAST = 20.0  # grey levels; below, the width of an edge is noise
 _SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
 
@@ -21,6 +22,8 @@ def edge_blur_px(luma: np.ndarray, quad_px: np.ndarray) -> float | None:
     across all four sides is taken. A perfectly sharp, pixel-sampled edge gives about .4. None without usable profile.
     """
     side = float(np.linalg.norm(quad_px - np.roll(quad_px, -1, 0), axis=1).mean())
+    if side < _MIN_SIDE_PX:
+        return None
     half = max(3.0, side / 12)  # within the black border (at least a tenth of the side) and the white margin
     offsets = np.arange(-half, half + _STEP_PX / 2, _STEP_PX)
     centre = quad_px.mean(0)

@@ -1,0 +1,156 @@
+"""Cost of every stage and level on this machine, as a ratio to a yardstick that is timed in the same run.
+
+Yardstick: one cv2.GaussianBlur(float32, 3 channels, sigma 5) of a picture of that size. Stages and yardstick take turns,
+each with all cores, and medians are told: a ratio survives a change of machine or of load, a time does not.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+
+from arfx.config.load import near
+from arfx.core.facts import FrameFacts
+from arfx.core.plan import Step
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Level, Stage, Window, level_named
+from arfx.errors import ConfigError
+from arfx.measure.bench_scene import BenchScene, bench_scene
+from arfx.plan.planner import plan_frame
+from arfx.run.frame import Canvas, rng_for
+from arfx.stages import STAGES
+
+FEWEST, MOST, BUDGET_S = 3, 25, 1.5
+SLOW_S = 3.0  # a run that takes longer is not made again for the median
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass
+class Cell:
+    """One stage at one level on the standard scene. seconds : of each run;  yardstick_s : of the blurs beside them"""
+
+    stage: str
+    level: str
+    size: tuple[int, int]
+    area_px: int
+    go: Callable[[], Any]
+    seconds: list[float] = field(default_factory=list)
+    yardstick_s: list[float] = field(default_factory=list)
+
+    @property
+    def done(self) -> bool:
+        fewest = 1 if max(self.seconds, default=0.0) > SLOW_S else FEWEST
+        return len(self.seconds) >= MOST or (len(self.seconds) >= fewest and sum(self.seconds) > BUDGET_S)
+
+    def to_json(self) -> dict[str, Any]:
+        ms, yard = 1e3 * float(np.median(self.seconds)), 1e3 * float(np.median(self.yardstick_s))
+        return {
+            "stage": self.stage, "level": self.level, "size": f"{self.size[0]}x{self.size[1]}", "ms": ms,
+            "yardstick_ms": yard, "ratio": ms / yard, "runs": len(self.seconds), "area_px": self.area_px,
+        }  # fmt: skip
+
+
+def bench(
+    sizes: Sequence[tuple[int, int]],
+    stage: str | None = None,
+    level: str | None = None,
+    progress: Progress = lambda *_: None,
+    stages: Mapping[str, type] = STAGES,
+) -> list[dict[str, Any]]:
+    """Rows of {stage, level, size, ms, yardstick_ms, ratio, runs, area_px}; ms >= 0, medians.
+
+    stage, level : only these;  sizes : (width, height) px
+    Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size below 64x64.
+    """
+    check(stages, stage, level, sizes)
+    rows = []
+    for size in sizes:
+        cells = _cells(size, stage, level, stages)
+        _take_turns(cells, size, lambda done, total, size=size: progress(f"bench {size[0]}x{size[1]}", done, total))  # type: ignore[misc]
+        rows += [c.to_json() for c in cells]
+    return rows
+
+
+def check(stages: Mapping[str, type], stage: str | None, level: str | None, sizes: Sequence[tuple[int, int]]) -> None:
+    if stage is not None and stage not in stages:
+        raise ConfigError(f"there is no stage {stage!r}", near(stage, list(stages)))
+    for width, height in sizes:
+        if min(width, height) < 64 or max(width, height) > 8192:
+            raise ConfigError(f"size {width}x{height} cannot be benchmarked", "from 64 to 8192 px a side: 1280x720")
+    chosen = [stages[stage]] if stage is not None else list(stages.values())
+    levels = {le.name for s in chosen for le in s.levels}  # type: ignore[attr-defined]
+    if level is not None and level not in levels:
+        raise ConfigError(f"no such level {level!r}" + (f" of stage {stage!r}" if stage else ""), near(level, sorted(levels)))
+
+
+def _cells(size: tuple[int, int], stage: str | None, level: str | None, stages: Mapping[str, type]) -> list[Cell]:
+    """What is to be timed; the layers that a stage reads are made once by the standard levels of those before it."""
+    made: dict[str, Stage] = {name: cls() for name, cls in stages.items()}
+    standard = {name: level_named(s.levels, "standard") for name, s in made.items()}
+    at = bench_scene(*size)
+    plan = plan_frame(list(made.values()), standard, at.facts, at.scene, at.scene.camera.rect)
+    steps = {s.stage: s for s in plan.steps}
+    canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
+    cells = []
+    for name, step in steps.items():
+        s = made[name]
+        for le in s.levels:
+            if stage in (None, name) and level in (None, le.name):
+                cells.append(_cell(s, le, step, canvas, at, size))
+        if name != stage or len(steps) > 1:
+            for layer, array in _run(
+                s, standard[name], step, canvas, at.facts, at.scene, s.prepare(at.scene, standard[name])
+            ).items():
+                canvas.put(layer, step.out, array[step.out.slices_in(step.need)])
+    return cells
+
+
+def _cell(s: Stage, le: Level, step: Step, canvas: Canvas, at: BenchScene, size: tuple[int, int]) -> Cell:
+    need: Rect = s.needs(step.out, at.facts, at.scene, le).union(step.out).clip(at.scene.camera.rect)
+    here = Step(step.stage, le.name, step.out, need, step.reason, None)
+    frozen = Canvas(canvas.plate, canvas.rect)
+    frozen.stored = dict(canvas.stored)  # later steps must not change what this one reads
+    prepared: list[Any] = []
+
+    def go() -> None:
+        if not prepared:
+            prepared.append(s.prepare(at.scene, le))
+        _run(s, le, here, frozen, at.facts, at.scene, prepared[0])
+
+    return Cell(s.name, le.name, size, step.out.area, go)
+
+
+def _run(s: Stage, le: Level, step: Step, canvas: Canvas, facts: FrameFacts, scene: Scene, prepared: Any) -> Any:
+    need = step.need if canvas.rect.contains(step.need) else step.need.clip(canvas.rect)
+    window = Window((canvas.view(s.reads, need),), (facts,))
+    return s.run(window, scene, prepared, le, rng_for(0, 0, s.name))
+
+
+def _take_turns(cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]) -> None:
+    picture = np.random.default_rng(1).random((size[1], size[0], 3), np.float32)
+    for _ in range(3):
+        cv2.GaussianBlur(picture, (0, 0), 5)
+    for cell in cells:  # compiles, allocates, uploads: not counted, unless so slow that it hardly matters
+        start = time.perf_counter()
+        cell.go()
+        if time.perf_counter() - start > SLOW_S:
+            _count(cell, start, picture)
+    while waiting := [c for c in cells if not c.done]:
+        for cell in waiting:
+            start = time.perf_counter()
+            cell.go()
+            _count(cell, start, picture)
+        progress(sum(c.done for c in cells), len(cells))
+
+
+def _count(cell: Cell, start: float, picture: np.ndarray) -> None:
+    middle = time.perf_counter()
+    cv2.GaussianBlur(picture, (0, 0), 5)
+    cell.seconds.append(middle - start)
+    cell.yardstick_s.append(time.perf_counter() - middle)

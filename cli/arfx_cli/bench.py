@@ -1,0 +1,62 @@
+"""`arfx bench`: cost of each stage and level on this machine."""
+
+from __future__ import annotations
+
+import re
+
+import click
+
+from arfx_cli.console import emit_json, json_option, say
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """'1280x720' to (1280, 720). Raises ConfigError."""
+    from arfx.errors import ConfigError
+
+    m = re.fullmatch(r"\s*(\d{1,6})\s*[x×X]\s*(\d{1,6})\s*", text)
+    if not m:
+        raise ConfigError(f"size {text!r} is not WIDTHxHEIGHT", "for example 1280x720")
+    return int(m[1]), int(m[2])
+
+
+@click.command()
+@click.option("--stage", metavar="S", help="Only this stage.")
+@click.option("--level", metavar="L", help="Only this level: draft, standard, high, reference.")
+@click.option(
+    "--size", "sizes", metavar="WxH", multiple=True, default=["1280x720"], show_default=True, help="Picture size, repeatable."
+)
+@json_option
+def command(stage: str | None, level: str | None, sizes: tuple[str, ...], as_json: bool) -> None:
+    """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a tenth of the picture.
+
+    The ratio is to one Gaussian blur (float32, 3 channels, sigma 5) of a whole picture of that size, in turns in the
+    same run: compare ratios, not times.
+
+    \b
+    Example:
+      arfx bench --stage raster --size 1920x1080
+    """
+    from arfx.measure.bench import bench
+
+    parsed = [parse_size(s) for s in sizes]
+    said: dict[str, int] = {}
+
+    def progress(what: str, done: int, total: int) -> None:
+        if said.get(what) != done:
+            said[what] = done
+            say(f"{what}: {done} of {total} timed")
+
+    rows = bench(parsed, stage, level, progress)
+    if as_json:
+        emit_json(rows)
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="cost on this machine (medians; yardstick = one Gaussian blur of the picture)", title_justify="left")
+    for name in ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "runs"):
+        table.add_column(name, justify="left" if name in ("stage", "level", "size") else "right")
+    for r in rows:
+        numbers = (f"{r['ms']:.2f}", f"{r['yardstick_ms']:.2f}", f"{r['ratio']:.2f}", str(r["runs"]))
+        table.add_row(r["stage"], r["level"], r["size"], *numbers)
+    Console(highlight=False).print(table)
