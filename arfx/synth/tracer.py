@@ -176,6 +176,12 @@ def render_rows(
             y2 = y + 1 if y + 1 < rays.shape[0] else y - 1
             ux, uy = (rays[y, x2, 0] - cx) * footprint, (rays[y, x2, 1] - cy) * footprint
             vx, vy = (rays[y2, x, 0] - cx) * footprint, (rays[y2, x, 1] - cy) * footprint
+            if not math.isfinite(ux + uy):  # the neighbour lies beyond the lens's field: assume square pixels
+                ux, uy = vy, -vx
+            if not math.isfinite(vx + vy):
+                vx, vy = -uy, ux
+            if not math.isfinite(ux + uy + vx + vy):
+                ux, uy, vx, vy = 0.0, 0.0, 0.0, 0.0
             ex, ey = 0.0, 0.0
             number = y * width + x
             if lens_m > 0.0:

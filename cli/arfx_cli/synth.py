@@ -1,0 +1,49 @@
+"""`arfx synth`: a synthetic clip with exact truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from arfx_cli.console import Progress, emit_json, json_option, overwrite_option, say
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "folder", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to make.")
+@click.option("--truth", "kinds", help="Pictures of truth to write: depth,mask,flow or none; default as the scene says.")
+@overwrite_option
+@json_option
+def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_json: bool) -> None:
+    """Render SCENE (a scene.toml, or the folder that holds one) into a folder.
+
+    The folder holds the clip, camera.yaml, model.glb, job.toml (`arfx process --config`), truth.jsonl (poses, corners,
+    visibility, lights, exposure of every frame) and truth/ with depth, masks and flow.
+
+    \b
+    Example:
+      arfx synth sample_scenes/0001-orbit/scene.toml -o out/orbit
+    """
+    from arfx.errors import ConfigError
+    from arfx.synth.clip import make_clip
+    from arfx.synth.description import load_scene
+
+    path = scene / "scene.toml" if scene.is_dir() else scene
+    description = load_scene(path)
+    if kinds is not None:
+        chosen: Any = tuple(k.strip() for k in kinds.split(",") if k.strip() and k.strip() != "none")
+        wrong = [k for k in chosen if k not in ("depth", "mask", "flow")]
+        if wrong:
+            raise ConfigError(f"--truth: there is no {wrong[0]!r}", "depth, mask, flow, or none")
+        description = description.model_copy(update={"truth": chosen})
+    with Progress(quiet=as_json) as progress:
+        truth = make_clip(description, folder, path.parent, progress, overwrite)
+    files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
+    if as_json:
+        emit_json({"folder": str(folder), "frames": len(truth.frames), "world": truth.world, "files": files})
+    else:
+        say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
+        if truth.world is not None:
+            say(f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}   or   arfx verify {folder}")
