@@ -106,7 +106,7 @@ def _encoded(bits, value, table):
     return -r if value < 0 else r
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
 def edit_luma(y, x0, y0, before, after, before_bits, after_bits, table, to_yuv, factor, low, high, d_cb, d_cr):
     """Adds the luma difference to plane y in place and leaves the chroma differences (per pixel, -0.5..0.5) in d_cb, d_cr.
 
@@ -116,37 +116,34 @@ def edit_luma(y, x0, y0, before, after, before_bits, after_bits, table, to_yuv, 
     """
     h, w = d_cb.shape
     bad = 0
+    zero, one = np.float32(0), np.float32(1)
+    infinite = np.int32(0x7F800000)
     for j in range(h):
         for k in range(w):
-            same = True
-            finite = True
-            for c in range(3):
-                if (after_bits[j, k, c] & 0x7F800000) == 0x7F800000 or (before_bits[j, k, c] & 0x7F800000) == 0x7F800000:
-                    finite = False
-                if after[j, k, c] != before[j, k, c]:
-                    same = False
-            d_cb[j, k] = 0.0
-            d_cr[j, k] = 0.0
-            if not finite:
+            r0, g0, b0 = before_bits[j, k, 0], before_bits[j, k, 1], before_bits[j, k, 2]
+            r1, g1, b1 = after_bits[j, k, 0], after_bits[j, k, 1], after_bits[j, k, 2]
+            dy, db, dr = zero, zero, zero
+            if r0 != r1 or g0 != g1 or b0 != b1:
+                old_odd = (r0 & infinite) == infinite or (g0 & infinite) == infinite or (b0 & infinite) == infinite
+                if old_odd or (r1 & infinite) == infinite or (g1 & infinite) == infinite or (b1 & infinite) == infinite:
+                    bad += 1
+                else:
+                    for c in range(3):
+                        b = _encoded(before_bits[j, k, c], before[j, k, c], table)
+                        a = _encoded(after_bits[j, k, c], after[j, k, c], table)
+                        a = min(max(a, min(b, zero)), max(b, one))
+                        d = a - b
+                        dy += to_yuv[0, c] * d
+                        db += to_yuv[1, c] * d
+                        dr += to_yuv[2, c] * d
+                    step = np.int32(np.rint(dy * factor))
+                    if step != 0:
+                        old = np.int32(y[y0 + j, x0 + k])
+                        y[y0 + j, x0 + k] = min(max(old + step, min(old, low)), max(old, high))
+            elif (r0 & infinite) == infinite or (g0 & infinite) == infinite or (b0 & infinite) == infinite:
                 bad += 1
-                continue
-            if same:
-                continue
-            dy, db, dr = np.float32(0), np.float32(0), np.float32(0)
-            for c in range(3):
-                b = _encoded(before_bits[j, k, c], before[j, k, c], table)
-                a = _encoded(after_bits[j, k, c], after[j, k, c], table)
-                a = min(max(a, min(b, np.float32(0))), max(b, np.float32(1)))
-                d = a - b
-                dy += to_yuv[0, c] * d
-                db += to_yuv[1, c] * d
-                dr += to_yuv[2, c] * d
             d_cb[j, k] = db
             d_cr[j, k] = dr
-            step = np.int32(np.rint(dy * factor))
-            if step != 0:
-                old = np.int32(y[y0 + j, x0 + k])
-                y[y0 + j, x0 + k] = min(max(old + step, min(old, low)), max(old, high))
     return bad
 
 

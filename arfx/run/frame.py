@@ -119,8 +119,11 @@ def run_frame(
 
 
 def _require_finite(array: np.ndarray, layer: Layer, stage: str, index: int, rect: Rect) -> None:
-    # a sum is finite only if every term is (or overflows, which the count then settles)
-    if array.dtype.kind != "f" or np.isfinite(array.sum(dtype=np.float64)):
+    if array.dtype.kind != "f":
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = array.sum()  # finite only if every term is (or it overflows, which the count then settles)
+    if np.isfinite(total):
         return
     bad = count_non_finite(array)
     if bad:

@@ -45,7 +45,7 @@ class ContactParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """ratio : (n, n, 3) light left on the plane;  centre_m, half_m (2,) : the rectangle it covers, anchor axes
+    """ratio : (n, n, 3 or 1) light left on the plane;  centre_m, half_m (2,) : the rectangle it covers, anchor axes
     grid : (gh, gw, 3) viewing directions every GRID_PX pixels"""
 
     ratio: np.ndarray
@@ -94,6 +94,8 @@ class Contact:
         centre, half = extent_m(scene)
         ratio = light_left(scene, centre, half, texels, rays)
         ratio = (1 + (ratio - 1) * self.params.strength).astype(np.float32)
+        if (ratio == ratio[..., :1]).all():
+            ratio = np.ascontiguousarray(ratio[..., :1])
         return Prepared(ratio, centre, half, direction_grid(scene.camera))
 
     def run(
@@ -209,10 +211,11 @@ def _look_up(x0, y0, width, height, nodes, origin, ratio, low, scale):  # pragma
     """SHADOW over a rectangle.
 
     nodes : (gh, gw, 3) float32 viewing directions in anchor axes at every GRID_PX-th pixel, linear between
-    origin : (3,) the camera in anchor axes;  ratio : (n, n, 3);  low, scale : (2,) metres to texels
+    origin : (3,) the camera in anchor axes;  low, scale : (2,) metres to texels
+    ratio : (n, n, 3), or (n, n, 1) where the light has no colour
     """
     out = np.ones((height, width, 3), np.float32)
-    n = ratio.shape[0]
+    n, channels = ratio.shape[0], ratio.shape[2]
     far = np.float32(n)
     step = np.float32(1.0 / GRID_PX)
     for j in range(height):
@@ -242,8 +245,10 @@ def _look_up(x0, y0, width, height, nodes, origin, ratio, low, scale):  # pragma
                 fu, fv = u - np.float32(iu), v - np.float32(iv)
                 a, b = max(iu, 0), min(iu + 1, n - 1)
                 c, d = max(iv, 0), min(iv + 1, n - 1)
-                for k in range(3):
+                for k in range(channels):
                     e = ratio[c, a, k] + fu * (ratio[c, b, k] - ratio[c, a, k])
                     f = ratio[d, a, k] + fu * (ratio[d, b, k] - ratio[d, a, k])
                     out[j, i - x0, k] = e + fv * (f - e)
+                for k in range(channels, 3):
+                    out[j, i - x0, k] = out[j, i - x0, 0]
     return out
