@@ -1,0 +1,207 @@
+"""Estimates against the truth of a synthetic clip: pose, flips, lag, trembling, presence, cuts, marker map, light.
+
+All figures are for the world marker's pose in the camera, frame by frame; frames in which either side has none are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.facts import ABSENT, INTERPOLATED, FrameFacts
+from arfx.core.marker import MarkerSpec
+from arfx.core.numerics import angle_between
+from arfx.core.pose import Pose, rotation_angle_rad
+from arfx.synth.truth import Truth
+
+FLIP_DEG = 20.0  # a mirrored solution is off by twice the view's tilt; noise reaches 20 degrees on no print above 30 px
+SEEN, HIDDEN = 0.97, 0.5  # visible fraction from which a marker must be found / below which it cannot be
+_MOVING_PX = 0.5  # slower corners say nothing about lag
+
+
+def true_camera(truth: Truth) -> Camera:
+    return Camera.from_json(truth.header["camera"])
+
+
+def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m: float) -> dict[str, Any]:
+    """Errors of camera_from_marker estimates, one per frame (None = no estimate), against the truth.
+
+    rotation_deg, position_mm : median, p95, max;  flips : frames with a rotation error above FLIP_DEG
+    corner_px : the marker's corners projected through the true camera with the estimate and with the truth, rms
+    tremble_px : rms second difference of that corner error, frames that follow each other only
+    lag_frames : regression of the corner error on the true corner velocity, > 0 = the estimate is late; None when the
+    marker hardly moves in the picture
+    """
+    camera, corners_m = true_camera(truth), MarkerSpec("", 0, size_m).corners_m
+    n = len(truth.frames)
+    rotation, position = np.full(n, np.nan), np.full(n, np.nan)
+    error, place = np.full((n, 4, 2), np.nan), np.full((n, 4, 2), np.nan)
+    shots = np.array([f.shot for f in truth.frames])
+    for i, (estimate, frame) in enumerate(zip(estimates, truth.frames, strict=True)):
+        exact = frame.markers[key].camera_from_marker
+        place[i] = camera.project(exact.apply(corners_m))
+        if estimate is None:
+            continue
+        rotation[i] = np.degrees(rotation_angle_rad(estimate, exact))
+        position[i] = 1e3 * np.linalg.norm(estimate.translation_m - exact.translation_m)
+        error[i] = camera.project(estimate.apply(corners_m)) - place[i]
+    have = np.isfinite(rotation)
+    if not have.any():
+        return {"frames": 0}
+    return {
+        "frames": int(have.sum()),
+        "rotation_deg": _spread(rotation[have]),
+        "position_mm": _spread(position[have]),
+        "corner_px": float(np.sqrt(np.nanmean((error**2).sum(-1)))),
+        "tremble_px": _tremble(error, shots),
+        "lag_frames": _lag(error, place, shots),
+        "flips": int((rotation[have] > FLIP_DEG).sum()),
+    }
+
+
+def _spread(values: np.ndarray) -> dict[str, float]:
+    return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(values.max())}
+
+
+def _tremble(error: np.ndarray, shots: np.ndarray) -> float | None:
+    second = error[2:] - 2 * error[1:-1] + error[:-2]
+    second = second[(shots[2:] == shots[:-2]) & np.isfinite(second).all((1, 2))]
+    return float(np.sqrt((second**2).sum(-1).mean())) if len(second) else None
+
+
+def _lag(error: np.ndarray, place: np.ndarray, shots: np.ndarray) -> float | None:
+    """est(t) = true(t - lag) gives error = -lag * velocity; least squares over all corners and frames."""
+    velocity = (place[2:] - place[:-2]) / 2
+    middle = error[1:-1]
+    ok = (shots[2:] == shots[:-2]) & np.isfinite(velocity).all((1, 2)) & np.isfinite(middle).all((1, 2))
+    v, e = velocity[ok], middle[ok]
+    e = e - e.mean(0) if len(e) else e  # a standing offset is no lag
+    v0 = v - v.mean(0) if len(v) else v
+    power = float((v0**2).sum())
+    if not len(v) or np.sqrt(power / v0[..., 0].size) < _MOVING_PX:
+        return None
+    return float(-(e * v0).sum() / power)
+
+
+def presence(facts: Sequence[FrameFacts], truth: Truth, keys: Sequence[str]) -> dict[str, int]:
+    """Frames in which a configured marker could be seen or not, against what the analysis says.
+
+    missed : some marker stands free, the analysis says absent;  invented : measured where none can be seen
+    bridged : interpolated frames;  unclear : markers cut or covered in part, not judged
+    """
+    counts = {"seen": 0, "missed": 0, "hidden": 0, "invented": 0, "bridged": 0, "unclear": 0}
+    for fact, frame in zip(facts, truth.frames, strict=True):
+        best = max((frame.markers[k].visible for k in keys), default=0.0)
+        counts["bridged"] += fact.status == INTERPOLATED
+        if best >= SEEN:
+            counts["seen"] += 1
+            counts["missed"] += fact.status == ABSENT
+        elif best < HIDDEN:
+            counts["hidden"] += 1
+            counts["invented"] += fact.status not in (ABSENT, INTERPOLATED)
+        else:
+            counts["unclear"] += 1
+    return counts
+
+
+def cuts(facts: Sequence[FrameFacts], truth: Truth) -> dict[str, int]:
+    """Cuts found at their true frame, missed, and invented."""
+
+    def at(shots: list[int]) -> set[int]:
+        return {i for i in range(1, len(shots)) if shots[i] != shots[i - 1]}
+
+    found, exact = at([f.shot for f in facts]), at([f.shot for f in truth.frames])
+    return {"found": len(found & exact), "missed": len(exact - found), "invented": len(found - exact)}
+
+
+def map_errors(world_from_marker: Mapping[str, Pose], truth: Truth, world: str) -> dict[str, Any] | None:
+    """Position (mm) and rotation (deg) errors of the mapped markers in the world marker's axes; None with one marker."""
+    others = [k for k in world_from_marker if k != world]
+    if not others or world not in world_from_marker:
+        return None
+    mapped = world_from_marker[world].inverse()
+    room = truth.frames[0].room_from_marker
+    out = {}
+    for k in others:
+        estimate, exact = mapped @ world_from_marker[k], room[world].inverse() @ room[k]
+        out[k] = {
+            "position_mm": 1e3 * float(np.linalg.norm(estimate.translation_m - exact.translation_m)),
+            "rotation_deg": float(np.degrees(rotation_angle_rad(estimate, exact))),
+        }
+    worst = max(v["position_mm"] for v in out.values()), max(v["rotation_deg"] for v in out.values())
+    return {"markers": out, "position_mm_max": worst[0], "rotation_deg_max": worst[1]}
+
+
+def light_errors(facts: Sequence[FrameFacts], truth: Truth, key: str) -> dict[str, Any] | None:
+    """Angle between the strongest estimated light and the strongest true lamp, in the world marker's axes.
+
+    None unless some frame carries a measured light (facts.light with source "marker") and the scene has a lamp.
+    """
+    angles = []
+    for fact, frame in zip(facts, truth.frames, strict=True):
+        if fact.light is None or fact.light.source != "marker" or not fact.light.lights or not frame.lights["lights"]:
+            continue
+        lamp = max(frame.lights["lights"], key=lambda li: sum(li["rgb"]))
+        estimate = max(fact.light.lights, key=lambda li: sum(li.rgb))
+        angles.append(float(np.degrees(angle_between(estimate.unit, np.array(lamp["marker"][key])))))
+    return {"frames": len(angles), "direction_deg": _spread(np.array(angles))} if angles else None
+
+
+def compare(
+    facts: Sequence[FrameFacts],
+    world_from_marker: Mapping[str, Pose],
+    truth: Truth,
+    single_frame: Sequence[Pose | None] | None = None,
+) -> dict[str, Any]:
+    """Every comparison at once; arfx's figures under "arfx", unsmoothed "raw", plain OpenCV under "single_frame"."""
+    world = world_key(world_from_marker, truth)
+    size = truth.header["markers"][world]
+    world_from = world_from_marker[world]
+
+    def in_camera(pose: Pose | None) -> Pose | None:
+        return None if pose is None else pose @ world_from
+
+    out: dict[str, Any] = {
+        "frames": len(truth.frames),
+        "world": world,
+        "arfx": pose_errors([in_camera(f.camera_from_world) for f in facts], truth, world, size),
+        "raw": pose_errors([in_camera(f.raw_camera_from_world) for f in facts], truth, world, size),
+        "presence": presence(facts, truth, list(truth.header["markers"])),
+        "cuts": cuts(facts, truth),
+    }
+    if single_frame is not None:
+        out["single_frame"] = pose_errors(single_frame, truth, world, size)
+    if (mapped := map_errors(world_from_marker, truth, world)) is not None:
+        out["map"] = mapped
+    if (light := light_errors(facts, truth, world)) is not None:
+        out["light"] = light
+    return out
+
+
+def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
+    """The marker whose axes are the world's, or else the first configured one that was mapped."""
+    for key, pose in world_from_marker.items():
+        if key in truth.header["markers"] and np.linalg.norm(pose.rotvec) < 1e-9 and np.linalg.norm(pose.translation_m) < 1e-9:
+            return key
+    return next(k for k in truth.header["markers"] if k in world_from_marker)
+
+
+def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …}, "min": {…}}, dotted keys.
+
+    A figure that is bounded but missing breaks its bound.
+    """
+    broken = []
+    for kind, entries in bounds.items():
+        for dotted, limit in entries.items():
+            value: Any = figures
+            for part in dotted.split("."):
+                value = value.get(part) if isinstance(value, Mapping) else None
+            if value is None:
+                broken.append(f"{dotted}: there is no such figure, its bound is {limit:g}")
+            elif (kind == "max" and not value <= limit) or (kind == "min" and not value >= limit):
+                broken.append(f"{dotted} is {value:.4g}, {'at most' if kind == 'max' else 'at least'} {limit:g} is allowed")
+    return broken

@@ -1,0 +1,93 @@
+"""Runs a synthetic scene through the whole job and holds it against its truth and the bounds beside it."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from arfx.analyse.files import read_facts
+from arfx.config.load import load
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose
+from arfx.errors import ConfigError, InputError, NothingToDoError
+from arfx.measure.single_frame import single_frame_poses
+from arfx.measure.truth import compare, exceeded, world_key
+from arfx.media.cameras import load_camera
+from arfx.media.clip import probe
+from arfx.run.folder import JobFolder
+from arfx.run.job import Options, process
+from arfx.run.parameters import parameters
+from arfx.synth.clip import make_clip
+from arfx.synth.description import load_scene
+from arfx.synth.truth import read_truth
+
+Progress = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Verified:
+    """figures : see arfx.measure.truth.compare, and "times";  broken : sentences;  output : the processed clip"""
+
+    figures: dict[str, Any]
+    broken: list[str]
+    output: Path
+    report: dict[str, Any]
+
+
+def verify(
+    folder: Path, work: Path, progress: Progress, notice: Callable[[str], None], workers: int = 1, keep_synth: bool = True
+) -> Verified:
+    """Verify a folder made by `arfx synth`, or a scene folder (scene.toml), which is rendered first.
+
+    folder : tolerance.toml in it gives the bounds (none: nothing is bounded)
+    work : an existing folder for what is made on the way;  keep_synth : take up a clip that is already there
+    Raises InputError if the folder holds neither truth nor scene.
+    """
+    made = folder
+    if not (folder / "truth.jsonl").is_file():
+        if not (folder / "scene.toml").is_file():
+            raise InputError(
+                f"{folder} holds neither truth.jsonl nor scene.toml", "a folder made by `arfx synth`, or one of sample_scenes/"
+            )
+        made = work / "synth"
+        if not (keep_synth and (made / "truth.jsonl").is_file()):
+            make_clip(load_scene(folder / "scene.toml"), made, folder, progress, overwrite=True, truth_pictures=False)
+    truth = read_truth(made / "truth.jsonl")
+    if truth.world is None:
+        raise NothingToDoError(f"{made}: the scene has no configured marker, there is no pose to verify")
+    bounds = read_tolerance(folder).get("truth", {})
+    output = work / ("out.mkv" if bounds.get("lossless") else "out.mp4")
+    config = load(made / "job.toml", {"output": {"path": str(output)}}, parameters())
+    report = process(config, Options(work / "job", overwrite=True, workers=workers, progress=progress, notice=notice))
+    job = JobFolder(work / "job")
+    facts = list(read_facts(job.facts))
+    if len(facts) != len(truth.frames):
+        raise InputError(f"{made}: the clip has {len(facts)} frames, its truth {len(truth.frames)}", "make it again")
+    meta = json.loads(job.frames.read_text(encoding="utf-8"))
+    world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
+    key = world_key(world, truth)
+    family, number = key.split(":")
+    assert config.input.clip is not None and config.input.camera is not None
+    info = probe(config.input.clip)
+    camera = load_camera(config.input.camera).scaled_to(info.width, info.height)
+    plain = single_frame_poses(config.input.clip, camera, MarkerSpec(family, int(number), truth.header["markers"][key]))
+    figures = compare(facts, world, truth, plain)
+    figures["static"] = meta["static"]
+    figures["time_error_s"] = max(abs(f.time_s - t.time_s) for f, t in zip(facts, truth.frames, strict=True))
+    limits = {k: v for k, v in bounds.items() if k in ("max", "min")}
+    return Verified(figures, exceeded(figures, limits), output, report)
+
+
+def read_tolerance(folder: Path) -> dict[str, Any]:
+    """tolerance.toml of a scene, {} if there is none. Raises ConfigError if it is not TOML."""
+    path = folder / "tolerance.toml"
+    if not path.is_file():
+        return {}
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as e:
+        raise ConfigError(f"{path} is not TOML: {e}") from None

@@ -1,0 +1,78 @@
+"""`arfx verify`: a synthetic scene through the whole job, against its truth."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+
+from arfx_cli.console import Progress, emit_json, json_option, say, verbose_option
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option(
+    "--keep",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for the clip, the output and the job; default temporary.",
+)
+@click.option("--workers", type=click.IntRange(1), default=1, show_default=True)
+@json_option
+@verbose_option
+def command(folder: Path, keep: Path | None, workers: int, as_json: bool, verbose: bool) -> None:
+    """Run the synthetic scene in FOLDER and report errors against its truth.
+
+    FOLDER is made by `arfx synth`, or a scene folder, which is rendered first. Exit code 5 if a figure breaks a bound of the
+    folder's tolerance.toml.
+
+    \b
+    Example:
+      arfx verify sample_scenes/0901-frontal-40px
+    """
+    from arfx.errors import ArfxError, ConfigError
+    from arfx.measure.verification import verify
+
+    if keep is not None and (keep / "job").exists():
+        raise ConfigError(f"{keep} holds an earlier run", "name another folder with --keep")
+    with tempfile.TemporaryDirectory(prefix="arfx-verify-") as temporary, Progress(quiet=as_json) as progress:
+        work = keep or Path(temporary)
+        work.mkdir(parents=True, exist_ok=True)
+        done = verify(folder, work, progress, lambda m: say(f"note: {m}"), workers)
+    if as_json:
+        emit_json({"folder": str(folder), "figures": done.figures, "broken": done.broken})
+    else:
+        _table(done.figures)
+    if done.broken:
+        raise ArfxError(
+            f"{folder}: " + "; ".join(done.broken), "tolerance.toml in that folder gives the bounds and their reasons"
+        )
+
+
+def _table(figures: dict[str, Any]) -> None:
+    columns = f"{'rotation deg':>24}{'position mm':>24}{'corner':>9}{'tremble':>9}{'lag':>8}{'flips':>7}"
+    click.echo(f"{'pose of ' + figures['world']:28}{columns}")
+    click.echo(f"{'':28}{'median     p95     max':>24}{'median     p95     max':>24}{'px':>9}{'px':>9}{'frames':>8}")
+    names = {"single_frame": "single frame, OpenCV", "raw": "arfx before smoothing", "arfx": "arfx"}
+    for key, name in names.items():
+        e = figures.get(key)
+        if not e or not e["frames"]:
+            click.echo(f"{name:28}no frame")
+            continue
+        spreads = "".join(
+            f"{''.join(f'{e[k][s]:8.3f}' for s in ('median', 'p95', 'max')):>24}" for k in ("rotation_deg", "position_mm")
+        )
+        lag = "-" if e["lag_frames"] is None else f"{e['lag_frames']:.3f}"
+        tremble = "-" if e["tremble_px"] is None else f"{e['tremble_px']:.3f}"
+        click.echo(f"{name + ' (' + str(e['frames']) + ')':28}{spreads}{e['corner_px']:9.3f}{tremble:>9}{lag:>8}{e['flips']:7d}")
+    p, c = figures["presence"], figures["cuts"]
+    click.echo(
+        f"frames: {p['seen']} with a free marker, {p['missed']} of them missed; {p['hidden']} without, {p['invented']} of them "
+        f"invented; {p['bridged']} bridged; {p['unclear']} unclear"
+    )
+    click.echo(f"cuts: {c['found']} found, {c['missed']} missed, {c['invented']} invented; static: {figures['static']}")
+    if "map" in figures:
+        click.echo(f"map: at most {figures['map']['position_mm_max']:.2f} mm, {figures['map']['rotation_deg_max']:.2f} deg off")
+    if "light" in figures:
+        click.echo(f"light: {figures['light']['direction_deg']['median']:.2f} deg off (median)")
