@@ -67,8 +67,10 @@ class ClipFile:
         y = np.rint(16 + 219 * yuv[..., 0])
         chroma = 128 + 224 * yuv[..., 1:]
         if self._subsampled:
-            across = np.float32([0.25, 0.5, 0.25])
-            wide = cv2.sepFilter2D(chroma, -1, across, np.float32([1.0]), borderType=cv2.BORDER_REPLICATE)[:, ::2]
+            across = np.array([0.25, 0.5, 0.25], np.float32)
+            wide = cv2.sepFilter2D(
+                np.asarray(chroma, np.float32), -1, across, np.ones(1, np.float32), borderType=cv2.BORDER_REPLICATE
+            )[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
         planes = [np.clip(p, 0, 255).astype(np.uint8) for p in (y, np.rint(chroma[..., 0]), np.rint(chroma[..., 1]))]
         frame = av.VideoFrame(coded.shape[1], coded.shape[0], "yuv420p" if self._subsampled else "yuv444p")
@@ -85,7 +87,8 @@ class ClipFile:
         scene = self._scene
         n = int(48_000 * scene.frames / scene.clip.fps)
         wave = (0.2 * np.sin(2 * np.pi * (scene.clip.tone_hz or 0) * np.arange(n) / 48_000)).astype(np.float32)
-        kind = self._tone.codec_context.codec.audio_formats[0].name
+        formats = self._tone.codec_context.codec.audio_formats
+        kind = formats[0].name if formats else "fltp"
         for i in range(0, n, 1024):
             part = wave[i : i + 1024][None]
             frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(part), "fltp", "mono")

@@ -33,6 +33,7 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
 def _made(name: str) -> np.ndarray:
     h, w = 128, 256
     z, towards = _directions(h, w)
+    boxes: tuple[tuple[tuple[float, float, float], int, tuple[float, float, float]], ...]
     if name == "studio":  # grey room, two soft boxes and a warm strip
         base = np.repeat((0.25 + 0.1 * z)[..., None], 3, axis=2)
         boxes = (

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 
 from arfx.core.numerics import divide, normalise
-from arfx.core.pose import Pose, rotation_from_euler_deg, rotation_from_rotvec
+from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.synth.description import CameraPath, Key, Motion, Placed
 
 
@@ -86,10 +86,8 @@ def room_from_object(placed: Placed, time_s: float, duration_s: float, seed: int
 def _sway(motion: Motion, time_s: float) -> Pose:
     a = 2 * np.pi * time_s / motion.period_s
     golden = 0.6180339887498949  # incommensurate: the tilts never repeat together
-    tilt = np.radians(motion.tilt_deg)
-    rotation = rotation_from_rotvec([tilt * np.sin(a), 0.0, 0.0]) @ rotation_from_rotvec(
-        [0.0, tilt * np.sin(golden * a + 1), 0.0]
-    )
+    about_x = rotation_from_euler_deg(motion.tilt_deg * np.sin(a), 0.0, 0.0)
+    rotation = about_x @ rotation_from_euler_deg(0.0, motion.tilt_deg * np.sin(golden * a + 1), 0.0)
     shift = motion.travel_m * np.array([np.sin(golden * a), np.sin(a + 2), 0.5 * np.sin(1.3 * a)])
     return Pose(rotation, shift)
 

@@ -98,11 +98,11 @@ class Picture:
         points = np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
         room_from_camera, next_camera = world.camera_at(frame, t0).inverse(), world.camera_at(frame + 1, t1)
         before, after = world.poses(t0), world.poses(t1)
-        y, x = np.indices(depth.shape)
+        grid = np.stack(np.meshgrid(np.arange(depth.shape[1]), np.arange(depth.shape[0])), -1)
         for number in np.unique(owner[owner > 0]):
             here = owner == number
             move = next_camera @ after[number - 1] @ before[number - 1].inverse() @ room_from_camera
-            out[here] = world.camera.project(move.apply(points[here])) - np.stack([x[here], y[here]], -1)
+            out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
 
     def unhidden(self, frame: int, points_room: np.ndarray, moment: Moment, room_from_camera: Pose) -> np.ndarray:

@@ -28,7 +28,7 @@ def texture_albedo(texture: Texture, size_m: tuple[float, float], seed: int, fol
     long_m = max(size_m)
     texel = max(long_m / _LIMIT, texture.feature_m / 6)
     w, h = max(round(size_m[0] / texel), 2), max(round(size_m[1] / texel), 2)
-    a, b = np.float32(texture.colour), np.float32(texture.second)
+    a, b = np.array(texture.colour, np.float32), np.array(texture.second, np.float32)
     cell = texture.feature_m / texel
     make = {"wood": _wood, "carpet": _carpet, "noise": _noise, "checker": _checker, "poster": _posters}[texture.kind]
     mix = make(rng, h, w, cell)

@@ -25,7 +25,7 @@ _GOLDEN_ANGLE = 2.399963229728653
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):  # type: ignore[no-untyped-def]
+def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):
     """(distance in units of d, kind 0 none 1 rectangle 2 sphere, index) of the first surface along a ray."""
     best, kind, index = _FAR, 0, -1
     for i in range(rects.shape[0]):
@@ -58,7 +58,7 @@ def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):  # type: ignore[no-untyped-def]
+def hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):
     """True if any surface lies on the ray before `limit`."""
     for i in range(rects.shape[0]):
         dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
@@ -88,7 +88,7 @@ def hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):  # type: ignore[no
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _noise(seed, n):  # type: ignore[no-untyped-def]
+def _noise(seed, n):
     """0..1 from two integers: the finaliser of MurmurHash3."""
     h = (np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(n) * np.uint64(0xC2B2AE3D27D4EB4F))
     h ^= h >> np.uint64(33)
@@ -100,7 +100,7 @@ def _noise(seed, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _visible(px, py, pz, lx, ly, lz, disc, rects, spheres, turn):  # type: ignore[no-untyped-def]
+def _visible(px, py, pz, lx, ly, lz, disc, rects, spheres, turn):
     """Fraction 0..1 of a lamp's disc that a point sees: five rays, and sixteen more where these disagree."""
     if disc == 0.0:
         return 0.0 if hidden_by(px, py, pz, lx, ly, lz, _FAR, rects, spheres) else 1.0
@@ -130,7 +130,7 @@ def _visible(px, py, pz, lx, ly, lz, disc, rects, spheres, turn):  # type: ignor
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _integral(table, offset, columns, x, y, c):  # type: ignore[no-untyped-def]
+def _integral(table, offset, columns, x, y, c):
     ix, iy = int(x), int(y)
     fx, fy = x - ix, y - iy
     row = columns + 1
@@ -146,7 +146,7 @@ def _integral(table, offset, columns, x, y, c):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _span(centre, half, size):  # type: ignore[no-untyped-def]
+def _span(centre, half, size):
     """A box of the texture along one axis, kept inside it without becoming empty."""
     half = max(half, 1e-4)
     low, high = max(centre - half, 0.0), min(centre + half, float(size))
@@ -159,7 +159,7 @@ def _span(centre, half, size):  # type: ignore[no-untyped-def]
 def render_rows(
     y0, y1, rays, rotation, origin, lens_m, focus_m, footprint, rects, spheres, lamps, ambient, textures, table,
     sky, seed, weight, out,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Add `weight` times one sample per pixel of rows y0..y1 to `out` (h, w, 3).
 
     rays (h, w, 2) float: camera directions, z = 1 left out; NaN = the lens maps nothing there, stays black
@@ -273,14 +273,14 @@ def render_rows(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mean(table, offset, columns, left, right, top, bottom, area, c):  # type: ignore[no-untyped-def]
+def _mean(table, offset, columns, left, right, top, bottom, area, c):
     whole = _integral(table, offset, columns, right, bottom, c) - _integral(table, offset, columns, left, bottom, c)
     whole += _integral(table, offset, columns, left, top, c) - _integral(table, offset, columns, right, top, c)
     return whole / area
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def probe(rays, rotation, origin, rects, spheres, depth, owner):  # type: ignore[no-untyped-def]
+def probe(rays, rotation, origin, rects, spheres, depth, owner):
     """Depth along the axis (0 = nothing) and object number (0 = nothing) at the rays (h, w, 2) of pixel centres."""
     for y in range(rays.shape[0]):
         for x in range(rays.shape[1]):
@@ -299,7 +299,7 @@ def probe(rays, rotation, origin, rects, spheres, depth, owner):  # type: ignore
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def unhidden(points, origin, rects, spheres, out):  # type: ignore[no-untyped-def]
+def unhidden(points, origin, rects, spheres, out):
     """out[i] = nothing stands between the origin and room point i (n, 3)."""
     for i in range(points.shape[0]):
         dx, dy, dz = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]

@@ -135,7 +135,7 @@ def lamp_row(azimuth_deg: float, elevation_deg: float, rgb: Iterable[float], ang
     return np.array([*towards, *rgb, np.tan(np.radians(angular_size_deg) / 2)])
 
 
-def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:
     u, v = np.asarray(u, float), np.asarray(v, float)
     return np.array([*centre, *u, *v, *np.cross(u, v), half_w, half_h, texture, number, gloss], float)
 
