@@ -12,8 +12,9 @@ from arfx_cli.console import Progress, overwrite_option, say
 
 @click.command()
 @click.option(
-    "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"), show_default=True
-)
+    "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"), show_default=True,
+    help="Folder for all that is made.",
+)  # fmt: skip
 @overwrite_option
 def command(folder: Path, overwrite: bool) -> None:
     """Make a sample clip, put a model onto its marker, and write out.mp4, picture.png and a report.
