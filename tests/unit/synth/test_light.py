@@ -1,0 +1,108 @@
+"""Light and shadow against closed forms: spheres, a straight edge before a lamp of some size, panoramas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.errors import InputError
+from arfx.synth.environment import environment_lamps, environment_picture
+from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
+
+GREY = {"kind": "plain", "colour": [0.5, 0.5, 0.5]}
+FLOOR = {"size_m": [20, 20], "texture": GREY}
+
+
+def ground_points(world) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """(h, w, 3) points of the floor z = 0 at the pixels' centres, camera straight above the origin at z = 1."""
+    camera = world.camera
+    y, x = np.mgrid[0 : camera.height, 0 : camera.width]
+    f, (cx, cy) = camera.matrix[0, 0], camera.matrix[:2, 2]
+    return np.stack([(x - cx) / f, -(y - cy) / f, np.zeros(x.shape)], -1)
+
+
+def test_radiance_is_albedo_times_ambient_plus_facing_lamp() -> None:
+    lamp = {"azimuth_deg": 30, "elevation_deg": 50, "rgb": [0.4, 0.5, 0.6], "angular_size_deg": 0}
+    scene = little_scene(path=from_above(), plane=[FLOOR], light={"ambient_rgb": [0.1, 0.2, 0.3], "lamps": [lamp]})
+    made = picture_of(scene)[1].radiance(0)
+    exact = 0.5 * (np.array([0.1, 0.2, 0.3]) + np.array([0.4, 0.5, 0.6]) * np.sin(np.radians(50)))
+    assert np.abs(made - exact).max() < 1e-9
+
+
+def test_a_sphere_s_shadow_is_the_cylinder_behind_it() -> None:
+    lamp = {"azimuth_deg": 20, "elevation_deg": 40, "rgb": [0.6, 0.6, 0.6], "angular_size_deg": 0}
+    ball = {"radius_m": 0.06, "position_m": [0.15, 0.05, 0.1], "colour": [0.9, 0.1, 0.1]}
+    scene = little_scene(
+        160, 120, path=from_above(), plane=[FLOOR], sphere=[ball], light={"ambient_rgb": [0.2, 0.2, 0.2], "lamps": [lamp]}
+    )
+    world, picture = picture_of(scene, samples=1)
+    made, (_, owner) = picture.radiance(0)[..., 0], picture.surfaces(0)
+    a, e = np.radians(20), np.radians(40)
+    to_lamp = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    points = ground_points(world)
+    offset = np.array(ball["position_m"]) - points
+    distance = np.linalg.norm(np.cross(offset, to_lamp), axis=-1)
+    floor = owner == 1
+    dark, lit = floor & (distance < 0.059), floor & (distance > 0.061)
+    assert dark.sum() > 300, "most of the shadow lies beside the ball"
+    assert np.allclose(made[dark], 0.5 * 0.2) and np.allclose(made[lit], 0.5 * (0.2 + 0.6 * np.sin(e)))
+    shadow = points[dark].mean(0) - np.array([0.15, 0.05, 0])
+    assert shadow @ to_lamp < -0.08, "it falls away from the lamp"
+
+
+def test_penumbra_is_as_wide_as_the_lamp_and_the_height_make_it() -> None:
+    """A straight edge at height H before a disc of angular size s, overhead: the penumbra reaches H·tan(s/2) either way."""
+    size_deg, height = 12.0, 0.3
+    lamp = {"azimuth_deg": 0, "elevation_deg": 90, "rgb": [1, 1, 1], "angular_size_deg": size_deg}
+    roof = {"size_m": [4, 4], "position_m": [2, 0, height], "texture": GREY}  # its edge is above x = 0
+    scene = little_scene(
+        160, 120, path={"kind": "static", "position_m": [-0.5, 0, 0.25], "target_m": [-0.05, 0, 0]}, plane=[FLOOR, roof],
+        light={"ambient_rgb": [0, 0, 0], "lamps": [lamp]},
+    )  # fmt: skip
+    world, picture = picture_of(scene, samples=4)
+    made, (depth, owner) = picture.radiance(0)[..., 0] / 0.5, picture.surfaces(0)
+    camera_points = np.concatenate([picture.rays(0, 0), np.ones((120, 160, 1))], -1) * depth[..., None]
+    x = world.camera_at(0, 0.0).inverse().apply(camera_points)[..., 0]
+    reach = height * np.tan(np.radians(size_deg / 2))
+    u = np.clip(-x / reach, -1, 1)
+    exact = 0.5 + (u * np.sqrt(1 - u * u) + np.arcsin(u)) / np.pi  # area of a unit disc on one side of a chord
+    floor = owner == 1
+    floor &= cv2.erode(floor.astype(np.uint8), np.ones((3, 3))).astype(bool)
+    assert ((exact > 0.1) & (exact < 0.9) & floor).sum() > 500
+    error = (made - exact)[floor]
+    assert np.sqrt((error**2).mean()) < 0.03 and abs(error.mean()) < 0.01
+
+
+@pytest.mark.parametrize("name", ["studio", "sunset"])
+def test_lamps_of_a_panorama_light_every_surface_like_it(name: str) -> None:
+    panorama = environment_picture(name)
+    h, w = panorama.shape[:2]
+    lamps = environment_lamps(panorama, 256)
+    elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)[:, None]
+    azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)[None, :]
+    towards = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                        np.broadcast_to(np.sin(elevation), (h, w))], -1)  # fmt: skip
+    weight = np.cos(elevation) * (np.pi / h) * (2 * np.pi / w) / np.pi
+    rng = np.random.default_rng(0)
+    for normal in rng.normal(size=(40, 3)):
+        normal /= np.linalg.norm(normal)
+        exact = (panorama * (np.clip(towards @ normal, 0, None) * weight)[..., None]).sum((0, 1))
+        made = (lamps[:, 3:6] * np.clip(lamps[:, :3] @ normal, 0, None)[:, None]).sum(0)
+        assert np.abs(made / exact - 1).max() < 0.03, normal
+
+
+def test_a_panorama_file_is_upright_and_a_broken_one_is_refused(tmp_path: Path) -> None:
+    """One bright spot at azimuth 90 degrees, elevation 30: the strongest lamp lies there."""
+    picture = np.full((64, 128, 3), 0.01, np.float32)
+    picture[21, 31:33] = 500  # row (90 - 30) / 180 * 64, column (180 - 90) / 360 * 128
+    cv2.imwrite(str(tmp_path / "spot.hdr"), picture)
+    lamps = environment_lamps(environment_picture("spot.hdr", tmp_path), 16)
+    brightest = lamps[lamps[:, 3:6].sum(1).argmax()]
+    e = np.radians(30)
+    assert np.degrees(np.arccos(brightest[:3] @ [0, np.cos(e), np.sin(e)])) < 2
+    (tmp_path / "no.hdr").write_text("nothing")
+    with pytest.raises(InputError, match=r"no\.hdr"):
+        environment_picture("no.hdr", tmp_path)
