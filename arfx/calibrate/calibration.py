@@ -13,7 +13,7 @@ from arfx.calibrate.corners import View, find_view
 from arfx.calibrate.coverage import Coverage, coverage, projection_uncertainty_px
 from arfx.calibrate.evidence import Evidence, choose_model
 from arfx.calibrate.other_boards import other_pattern, seen_instead
-from arfx.calibrate.screen import Rejected, drop_copies, reject_views
+from arfx.calibrate.screen import Rejected, drop_copies, drop_corners, reject_views
 from arfx.calibrate.select import varied
 from arfx.calibrate.solve import Fit, Uncertainty, fit, uncertainty
 from arfx.errors import InputError, NothingToDoError
@@ -128,7 +128,8 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     first_fit, rejected = reject_views(unique)
     chosen, _ = choose_model(first_fit.views)
     again, rejected = reject_views(unique, chosen.model)
-    chosen, table = choose_model(again.views)
+    trimmed, corners_dropped = drop_corners(again)
+    chosen, table = choose_model(trimmed)
     fitted = chosen.fitted or again
     known = uncertainty(fitted)
     between = _finder_difference(fitted)
@@ -141,6 +142,8 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     word, reasons = judge(measured)
     turned = _upside_down(fitted.views)
     notices += _remarks(found, copies, rejected, turned)
+    if corners_dropped:
+        notices.append(f"{corners_dropped} corners miss by far and are left out")
     verdict = Verdict(word, reasons, next_picture(fitted, known, found.spec))
     return Calibration(
         found.spec, fitted, known, np.abs(between), seen, projection, chosen, tuple(table), verdict, measured, found,

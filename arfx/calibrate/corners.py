@@ -2,7 +2,7 @@
 
 Chessboards: `findChessboardCorners` (grid) and `cornerSubPix` (position) with a window tied to the size of the squares as
 they appear; where the grid search fails, the sector-based finder's grid. Measured, see docs of `REFINE_SHARE` and tests.
-ChArUco: OpenCV's detector, whose windows already keep clear of the markers.
+ChArUco: OpenCV's detector, then `cornerSubPix` with a window that keeps clear of the markers; see `CLEAR_SHARE`.
 Cost: 5-15 ms at 640x480, 30-50 ms at 1920x1080; a chessboard that is not there costs up to .3 s.
 Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the sector-based finder).
 """
@@ -22,7 +22,12 @@ from arfx.core.numerics import divide
 # would otherwise pull this one. On OpenCV's set a fixed 11 px reaches too far in left02 (22 px squares): rms there 1.22 px
 # against .16, and fx 536.3 instead of 533.1.
 REFINE_SHARE = 0.33
+# The same for ChArUco, as a share of the white between a marker and its square's edge. On rendered boards (5-11 px per marker
+# module) errors were .04-.06 px, OpenCV's own refinement gave .04-.17; a window that reaches the markers .2-.5.
+CLEAR_SHARE = 0.8
 REFINE_MIN_PX, REFINE_MAX_PX = 2, 20
+# The grid search leaves some corners of strongly tilted boards so far off that the small window cannot pull them back.
+FIRST_SHARE = 0.45
 LEAST_CHARUCO_CORNERS = 8  # a plane's homography takes 4; twice that leaves residuals to judge it by
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
 
@@ -63,12 +68,27 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool
     board = spec.corners_m[ids]
     if np.linalg.matrix_rank(board[:, :2] - board[:, :2].mean(0), tol=0.1 * spec.square_m) < 2:
         return None  # all on one row: no plane
-    pixels = np.asarray(corners, float).reshape(-1, 2)
+    half = _clear_half_window_px(np.asarray(corners, float).reshape(-1, 2), ids, spec)
+    rough = np.asarray(corners, np.float32).reshape(-1, 1, 2)
+    pixels = cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).reshape(-1, 2).astype(float)
     return _view(gray, spec, name, ids, pixels, "charuco", None)
 
 
 def _charuco_detector(spec: BoardSpec) -> cv2.aruco.CharucoDetector:
     return cv2.aruco.CharucoDetector(charuco_board(spec))
+
+
+def _clear_half_window_px(pixels: np.ndarray, ids: np.ndarray, spec: BoardSpec) -> int:
+    """Half the side of cornerSubPix's window for some of a ChArUco board's corners; see CLEAR_SHARE."""
+    grid = np.full((spec.inner[0] * spec.inner[1], 2), np.nan)
+    grid[ids] = pixels
+    nearest = nearest_corner_px(grid, spec.inner)
+    white = (1 - spec.marker_m / spec.square_m) / 2
+    return (
+        int(np.clip(round(CLEAR_SHARE * white * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
+        if np.isfinite(nearest)
+        else REFINE_MIN_PX
+    )
 
 
 def _chessboard(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool) -> View | None:
@@ -84,8 +104,12 @@ def _chessboard(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bo
         ok, other = cv2.findChessboardCornersSB(gray, spec.inner, flags=0)
         sectors = other if ok else None
     rough = np.asarray(rough, np.float32).reshape(-1, 1, 2)
-    half = refine_half_window_px(rough.reshape(-1, 2).astype(float), spec.inner)
-    pixels = cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).reshape(-1, 2).astype(float)
+    refined = rough
+    for share in (FIRST_SHARE, REFINE_SHARE):
+        nearest = nearest_corner_px(refined.reshape(-1, 2).astype(float), spec.inner)
+        half = int(np.clip(round(share * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
+        refined = np.asarray(cv2.cornerSubPix(gray, refined.copy(), (half, half), (-1, -1), STOP))
+    pixels = refined.reshape(-1, 2).astype(float)
     alternative = None if sectors is None else _same_order(np.asarray(sectors, float).reshape(-1, 2), pixels)
     turned = _starts_at_white(gray, pixels, spec)
     if turned:
@@ -109,12 +133,13 @@ def _points_up(board_m: np.ndarray, pixels: np.ndarray) -> bool:
     return bool((y * (pixels[:, 1] - pixels[:, 1].mean())).sum() < 0)
 
 
-def refine_half_window_px(pixels: np.ndarray, inner: tuple[int, int]) -> int:
-    """Half the side of cornerSubPix's window for a full grid of corners (n, 2); see REFINE_SHARE."""
+def nearest_corner_px(pixels: np.ndarray, inner: tuple[int, int]) -> float:
+    """Smallest distance between neighbours, diagonal ones too, of a grid of corners (n, 2) with NaN for missing ones."""
     grid = pixels.reshape(inner[1], inner[0], 2)
     steps = (grid[1:] - grid[:-1], grid[:, 1:] - grid[:, :-1], grid[1:, 1:] - grid[:-1, :-1], grid[1:, :-1] - grid[:-1, 1:])
-    nearest = min(float(np.linalg.norm(s, axis=-1).min()) for s in steps)
-    return int(np.clip(round(REFINE_SHARE * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
+    distances = np.concatenate([np.linalg.norm(s, axis=-1).ravel() for s in steps])
+    known = distances[np.isfinite(distances)]
+    return float(known.min()) if known.size else float("nan")
 
 
 def _same_order(other: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:

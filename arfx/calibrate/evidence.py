@@ -21,7 +21,7 @@ from arfx.errors import NothingToDoError
 
 FOLDS = 7
 # An improvement of the held-out error by less than this is not worth a parameter, however certain it is.
-LEAST_GAIN = 0.02
+LEAST_GAIN = 0.005
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,7 +116,7 @@ def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> She
     modules = min(module_count(m.family) for m in markers)
     # one module of white all round is the least that detectors need; neighbours share nothing
     white = largest / modules
-    pitch_x, pitch_y = largest + 2 * white, largest + white + max(white, LABEL_MM)
+    pitch_x, pitch_y = largest + 2 * white, largest + 2 * white + LABEL_MM
     # the white of the outermost ones may lie where the printer cannot print: it is white
     over = max(0.0, MARGIN_MM - white)
     room_x, room_y = width - 2 * over, height - over - FOOT_MM
@@ -135,7 +135,7 @@ def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> She
         bits = marker_bits(m.family, m.id)
         cells.append(Cells(middle - size / 2, upper, size / len(bits), bits))
         words = f"{m}" if size >= 40 else f"{m.family}:{m.id} {size:g}mm"
-        texts.append(Text(middle, top + (i // columns) * pitch_y + white + largest + LABEL_MM - 1, words))
+        texts.append(Text(middle, top + (i // columns) * pitch_y + 2 * white + largest + LABEL_MM - 1, words))
     return _with_ruler(", ".join(map(str, markers[:4])) + (" ..." if len(markers) > 4 else ""), width, height, cells, texts)
 
 

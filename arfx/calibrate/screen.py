@@ -1,4 +1,4 @@
-"""Which views may take part: copies are dropped, views that disagree with the others are rejected, by view.
+"""Which views may take part: copies are dropped, views that disagree with the others are rejected, then single wrong corners.
 
 Rejection starts from the subset of views that agrees best with the most others (as in RANSAC), so that some views of another
 board or camera cannot drag the solution to themselves first.
@@ -7,7 +7,7 @@ board or camera cannot drag the solution to themselves first.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,9 @@ SAME_VIEW_SHARE = 0.003
 REJECT_SIGMA, REJECT_RATIO = 5.0, 2.0
 FLOOR_PX = 0.05  # below this a view is fine whatever the others do: corner noise of the best pictures
 SUBSETS, SUBSET_SIZE = 12, 5
+# A corner is left out when it misses by this many times the typical miss: chance does so once in exp(20) = 5e8 corners.
+CORNER_RATIO = 4.5
+MOST_CORNERS = 0.1  # of a view; one that would lose more stays as it is, for `reject_views` to judge
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +69,8 @@ def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL, seed: in
     inside = [v for v in views if start is None or v in start]
     fitted = fit(inside, model)
     for _ in range(10):
-        errors = np.array([rms(pose_residual(v, fitted.camera)) for v in views])
-        limit = rejection_limit_px(fitted.view_rms_px)
+        errors = np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
+        limit = rejection_limit_px(np.array([typical_px(r) for r in fitted.residuals]))
         chosen = [v for v, e in zip(views, errors, strict=True) if e <= limit]
         if len(chosen) < 3:
             break
@@ -75,14 +78,45 @@ def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL, seed: in
             break
         inside = chosen
         fitted = fit(inside, model)
-    errors = np.array([rms(pose_residual(v, fitted.camera)) for v in views])
-    usual = float(np.median(fitted.view_rms_px))
+    errors = np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
+    usual = float(np.median([typical_px(r) for r in fitted.residuals]))
     left_out = [
         Rejected(v.name, f"its corners miss by {e:.2f} px with the camera of the other views, which miss by {usual:.2f} px")
         for v, e in zip(views, errors, strict=True)
         if v not in inside
     ]
     return fitted, left_out
+
+
+def typical_px(residuals: np.ndarray) -> float:
+    """The rms length of residuals (n, 2) as their median tells it (of a round Gaussian, median of squares = ln 2 x mean):
+    a few wrong corners do not make a wrong view."""
+    return float(np.sqrt(np.median((residuals**2).sum(1)) / np.log(2)))
+
+
+def drop_corners(fitted: Fit) -> tuple[list[View], int]:
+    """The views without corners that miss by far, and how many those were.
+
+    One by one, the worst first, with the pose found anew each time: a wrong corner drags its neighbours' residuals along.
+    """
+    limit = CORNER_RATIO * max(FLOOR_PX, typical_px(np.concatenate(fitted.residuals)))
+    out, dropped = [], 0
+    for view, residual in zip(fitted.views, fitted.residuals, strict=True):
+        kept = np.ones(len(view.ids), bool)
+        trimmed = view
+        while (misses := np.linalg.norm(residual, axis=1)).max() > limit:
+            kept[np.flatnonzero(kept)[misses.argmax()]] = False
+            trimmed = replace(view, ids=view.ids[kept], board_m=view.board_m[kept], pixels=view.pixels[kept])
+            if (~kept).sum() > MOST_CORNERS * len(kept):
+                kept[:] = True
+                break
+            residual = pose_residual(trimmed, fitted.camera)
+        if kept.all():
+            out.append(view)
+            continue
+        dropped += int((~kept).sum())
+        out.append(replace(trimmed, alternative=None if view.alternative is None else view.alternative[kept]))
+    return out, dropped
 
 
 def rejection_limit_px(view_rms_px: np.ndarray) -> float:
@@ -105,7 +139,7 @@ def _most_agreed(views: Sequence[View], model: LensModel, seed: int) -> list[Vie
             camera = fit(subset, model).camera
         except NothingToDoError:
             continue
-        errors = np.array([rms(pose_residual(v, camera)) for v in views])
+        errors = np.array([typical_px(pose_residual(v, camera)) for v in views])
         score = float(np.quantile(errors, 0.6))  # a majority must agree; what the others say does not matter
         # a small subset must be clearly better: its intrinsics are weaker, so equal agreement speaks for all views
         if score < best_score * (1.0 if best_index else 0.7) or best is None:
