@@ -1,0 +1,33 @@
+"""Help answers for every command, and a wrong word gets the nearest right one."""
+
+from __future__ import annotations
+
+import pytest
+
+from arfx_cli.main import COMMANDS
+from tests.cli.conftest import Run
+
+
+def test_help_lists_every_command_and_the_exit_codes(arfx: Run) -> None:
+    r = arfx("--help")
+    assert r.code == 0 and not r.err
+    assert all(f"  {name} " in r.out for name in COMMANDS)
+    assert "Exit codes: 0 done" in r.out
+    assert arfx("-h").out == r.out
+
+
+def test_the_version_is_the_packages(arfx: Run) -> None:
+    from arfx import __version__
+
+    assert arfx("--version").out.split()[-1] == __version__
+
+
+@pytest.mark.parametrize(("word", "near"), [("proces", "process"), ("inpsect", "inspect"), ("docter", "doctor")])
+def test_a_misspelt_command_gets_the_nearest(arfx: Run, word: str, near: str) -> None:
+    r = arfx(word)
+    assert r.code == 2 and f"Did you mean '{near}'" in r.err and not r.out
+
+
+def test_an_unknown_option_is_a_usage_error(arfx: Run) -> None:
+    r = arfx("inspect", "--nonsense")
+    assert r.code == 2 and "--nonsense" in r.err and "Traceback" not in r.err

@@ -1,0 +1,43 @@
+"""The doctor tries things: what is broken is seen to be broken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from arfx.measure import machine
+from arfx.measure.machine import Check, examine, sound
+
+
+def test_this_machine_is_examined_in_every_respect(tmp_path: Path) -> None:
+    checks = examine(tmp_path)
+    assert {c.group for c in checks} == {"python", "package", "renderer", "codec", "machine"}
+    assert {"rays", "h264", "ffv1", "exr", "numpy", "cores", "disk"} <= {c.name for c in checks}
+    assert sound(checks), [c for c in checks if not c.ok]
+    assert all(c.fix for c in checks if not c.ok) and not any(c.fix for c in checks if c.ok)
+
+
+def test_an_encoder_that_does_not_work_is_found_out() -> None:
+    assert machine._encode_fails("libx264", "yuv420p", ".nut", {}) == ""
+    assert "nosuchcodec" in machine._encode_fails("nosuchcodec", "yuv420p", ".nut", {})
+    assert machine._encode_fails("prores_ks", "yuv420p", ".mkv", {"profile": "77"})
+
+
+def test_a_missing_package_has_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "PACKAGES", ("numpy", "no-such-package-here"))
+    good, bad = machine._packages()[:2]
+    assert good.ok and not bad.ok and bad.essential and bad.fix == "pip install no-such-package-here"
+
+
+def test_sound_needs_the_essential_and_one_renderer() -> None:
+    rays, gl = Check("renderer", "rays", True, ""), Check("renderer", "pyrender", False, "", "apt-get")
+    other = Check("codec", "av1", False, "", "fix")
+    assert sound([rays, gl, other])
+    assert not sound([gl, other])
+    assert not sound([rays, Check("codec", "h264", False, "", "fix", essential=True)])
+
+
+def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
+    (disk,) = [c for c in machine._resources(tmp_path / "none") if c.name == "disk"]
+    assert not disk.ok and disk.fix
