@@ -98,8 +98,13 @@ def test_a_folder_that_is_no_environment_is_left_alone(make_venv: ModuleType, tm
 
 def test_pip_wheels_are_read_from_both_kinds_of_index_page(make_venv: ModuleType) -> None:
     minor = sys.version_info[1]
-    files = [("pip-23.1-py3-none-any.whl", ">=3.7"), ("pip-26.0.1-py3-none-any.whl", ">=3.9"),
-             ("pip-99.0-py3-none-any.whl", f">=3.{minor + 1}"), ("pip-25.0b1-py3-none-any.whl", ">=3.8"), ("pip-26.0.1.tar.gz", ">=3.9")]  # fmt: skip
+    files = [
+        ("pip-23.1-py3-none-any.whl", ">=3.7"),
+        ("pip-26.0.1-py3-none-any.whl", ">=3.9"),
+        ("pip-99.0-py3-none-any.whl", f">=3.{minor + 1}"),
+        ("pip-25.0b1-py3-none-any.whl", ">=3.8"),
+        ("pip-26.0.1.tar.gz", ">=3.9"),
+    ]
     page = json.dumps(
         {"files": [{"filename": n, "url": f"../w/{n}", "hashes": {"sha256": "ab"}, "requires-python": r} for n, r in files]}
     )
