@@ -26,8 +26,6 @@ REFINE_SHARE = 0.33
 # module) errors were .04-.06 px, OpenCV's own refinement gave .04-.17; a window that reaches the markers .2-.5.
 CLEAR_SHARE = 0.8
 REFINE_MIN_PX, REFINE_MAX_PX = 2, 20
-# The grid search leaves some corners of strongly tilted boards so far off that the small window cannot pull them back.
-FIRST_SHARE = 0.45
 LEAST_CHARUCO_CORNERS = 8  # a plane's homography takes 4; twice that leaves residuals to judge it by
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
 
@@ -104,12 +102,11 @@ def _chessboard(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bo
         ok, other = cv2.findChessboardCornersSB(gray, spec.inner, flags=0)
         sectors = other if ok else None
     rough = np.asarray(rough, np.float32).reshape(-1, 1, 2)
-    refined = rough
-    for share in (FIRST_SHARE, REFINE_SHARE):
-        nearest = nearest_corner_px(refined.reshape(-1, 2).astype(float), spec.inner)
-        half = int(np.clip(round(share * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
-        refined = np.asarray(cv2.cornerSubPix(gray, refined.copy(), (half, half), (-1, -1), STOP))
-    pixels = refined.reshape(-1, 2).astype(float)
+    # one pass only: a first one with a larger window (to pull back corners that the grid search left far off) moved corners of
+    # left02 in OpenCV's set to their neighbours' edges; such corners are rather dropped later (screen.drop_corners)
+    nearest = nearest_corner_px(rough.reshape(-1, 2).astype(float), spec.inner)
+    half = int(np.clip(round(REFINE_SHARE * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
+    pixels = cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).reshape(-1, 2).astype(float)
     alternative = None if sectors is None else _same_order(np.asarray(sectors, float).reshape(-1, 2), pixels)
     turned = _starts_at_white(gray, pixels, spec)
     if turned:
