@@ -1,0 +1,64 @@
+"""Frames of a processed clip as one picture, and the perceptual comparison with the expected one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from skimage.color import deltaE_ciede2000, rgb2lab
+from skimage.metrics import structural_similarity
+
+from arfx.media.clip import probe
+from arfx.media.frames import ClipReader
+
+SCENES = Path(__file__).parents[2] / "sample_scenes"
+FAILED = Path(__file__).parent / "failed"
+
+
+def frames_side_by_side(clip: Path, wanted: Sequence[int]) -> np.ndarray:
+    """(h, n w, 3) uint8 RGB of the frames with these numbers, upright."""
+    with ClipReader(probe(clip)) as reader:
+        found = {frame.index: frame.rgb8() for frame in reader.frames() if frame.index in wanted}
+    return np.hstack([found[n] for n in wanted])
+
+
+def differences(actual: np.ndarray, expected: np.ndarray) -> dict[str, float]:
+    """delta_e_mean, delta_e_p999: CIEDE2000 after a blur of 0.7 px, about what an eye sees of a clip; ssim: of luminance."""
+    if actual.shape != expected.shape:
+        return {"delta_e_mean": float("inf"), "delta_e_p999": float("inf"), "ssim": 0.0}
+    a, b = (rgb2lab(cv2.GaussianBlur(p.astype(np.float32) / 255, (0, 0), 0.7)) for p in (actual, expected))
+    delta = deltaE_ciede2000(a, b)
+    ssim = structural_similarity(a[..., 0], b[..., 0], data_range=100.0)
+    return {"delta_e_mean": float(delta.mean()), "delta_e_p999": float(np.percentile(delta, 99.9)), "ssim": float(ssim)}
+
+
+def broken_bounds(found: dict[str, float], golden: dict[str, Any]) -> list[str]:
+    out = [f"{k} is {found[k]:.3f}, at most {golden[k]:g}" for k in ("delta_e_mean", "delta_e_p999") if not found[k] <= golden[k]]
+    if not found["ssim"] >= golden["ssim_min"]:
+        out.append(f"ssim is {found['ssim']:.4f}, at least {golden['ssim_min']:g}")
+    return out
+
+
+def read_rgb(path: Path) -> np.ndarray:
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    assert picture is not None, f"cannot read {path}"
+    return np.ascontiguousarray(picture[..., ::-1])
+
+
+def write_rgb(path: Path, picture: np.ndarray) -> None:
+    assert cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def write_failure(name: str, actual: np.ndarray, expected: np.ndarray) -> Path:
+    """actual.png, expected.png and difference_x10.png in failed/NAME."""
+    folder = FAILED / name
+    folder.mkdir(parents=True, exist_ok=True)
+    write_rgb(folder / "actual.png", actual)
+    write_rgb(folder / "expected.png", expected)
+    if actual.shape == expected.shape:
+        ten = np.clip(128 + 10 * (actual.astype(int) - expected), 0, 255).astype(np.uint8)
+        write_rgb(folder / "difference_x10.png", ten)
+    return folder
