@@ -118,7 +118,8 @@ def find_board(
 def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     """Intrinsics from the views found. Raises NothingToDoError if fewer than three different views agree."""
     notices = list(found.notices)
-    unique, copies = drop_copies(varied(found.views, keep) if len(found.views) > keep else found.views)
+    unique, copies = drop_copies(found.views)
+    unique = varied(unique, keep)
     if len(unique) < LEAST_VIEWS:
         raise NothingToDoError(
             f"board {found.spec} is seen in {len(found.views)} of {found.searched} pictures, {len(unique)} of them different",

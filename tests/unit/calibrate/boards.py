@@ -74,8 +74,8 @@ def render(
     noise: float = 2.0,
     seed: int = 0,
 ) -> np.ndarray:
-    """(h, w) uint8 picture of a board: every pixel's direction is met with the board's plane; 3 x 3 samples a pixel."""
-    p, over = 60, 3
+    """(h, w) uint8 picture of a board: every pixel's direction is met with the board's plane; 2 x 2 samples a pixel."""
+    p, over = 60, 2
     rays = _rays(camera, over)
     flat = board_picture(spec, p).astype(np.float32) * 0.75 + 30
     r, t = cv2.Rodrigues(pose[0])[0], np.asarray(pose[1])

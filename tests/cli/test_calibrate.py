@@ -1,0 +1,112 @@
+"""`arfx calibrate` as a user runs it, on rendered pictures and a clip of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from arfx.media.cameras import load_camera
+from tests.cli.conftest import Run
+from tests.unit.calibrate.boards import CHESS, SIZE, TRUE, poses, render
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    d = tmp_path_factory.mktemp("board")
+    for i, pose in enumerate(poses(12)):
+        cv2.imwrite(str(d / f"p{i:02d}.png"), render(CHESS, pose, seed=i))
+    return d
+
+
+def test_pictures_to_a_camera_file(arfx: Run, folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "camera.yaml"
+    result = arfx(
+        "calibrate", str(folder), "--board", "chessboard:9x6:25mm", "-o", str(out), "--json", "--report", str(tmp_path / "rep")
+    )
+    assert result.code == 0, result.err
+    d = result.json
+    assert np.shape(d["camera_matrix"]) == (3, 3)
+    sd = d["standard_deviations"]
+    for name, value, truth in (("fx", d["camera_matrix"][0][0], TRUE.fx), ("cy", d["camera_matrix"][1][2], TRUE.cy)):
+        assert abs(value - truth) < 4 * sd[name] + 0.3, name
+    assert d["pictures"]["searched"] == d["pictures"]["with_board"] == 12
+    assert sorted(p.name for p in (tmp_path / "rep").iterdir()) == ["coverage.png", "residuals.png"]
+    camera = load_camera(out)
+    assert (camera.width, camera.height) == SIZE
+    assert camera.fx == pytest.approx(d["camera_matrix"][0][0])
+    assert yaml.safe_load(out.read_text())["verdict"] == d["verdict"]
+    assert f"verdict: {d['verdict']}" in result.err
+    again = arfx("calibrate", str(folder), "--board", "chessboard:9x6:25mm", "-o", str(out))
+    assert again.code == 2
+    assert "--overwrite" in again.err
+
+
+def test_a_rotated_clip_is_searched_upright(arfx: Run, folder: Path, tmp_path: Path) -> None:
+    clip = tmp_path / "clip.mp4"
+    with av.open(str(clip), "w") as container:
+        stream = container.add_stream("libx264", 10, options={"crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
+        stream.set_display_rotation(90)  # stored standing, shown lying
+        for path in sorted(folder.glob("*.png")):
+            gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            assert gray is not None
+            stored = np.ascontiguousarray(np.rot90(gray, -1))
+            frame = av.VideoFrame.from_ndarray(stored, "gray").reformat(format="yuv420p")
+            for packet in stream.encode(frame):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+    result = arfx("calibrate", str(clip), "--board", "chessboard:9x6:25mm", "-o", str(tmp_path / "c.yaml"), "--json")
+    assert result.code == 0, result.err
+    assert (result.json["image_width"], result.json["image_height"]) == SIZE
+    assert result.json["camera_matrix"][0][0] == pytest.approx(TRUE.fx, rel=0.01)
+    assert "clip.mp4@0.300s" in [v["name"] for v in result.json["views"]]
+
+
+def test_pictures_turned_by_exif_are_one_camera(arfx: Run, folder: Path, tmp_path: Path) -> None:
+    """Stored lying, with the tag that turns them upright: the same pixels as upright ones."""
+    turned = tmp_path / "turned"
+    turned.mkdir()
+    for i, path in enumerate(sorted(folder.glob("*.png"))[:5]):
+        with Image.open(path) as image:
+            if i % 2:
+                exif = Image.Exif()
+                exif[0x0112] = 6  # the viewer turns it by 90 degrees clockwise
+                image.transpose(Image.Transpose.ROTATE_90).save(turned / f"{i}.jpg", quality=97, exif=exif)
+            else:
+                image.save(turned / f"{i}.jpg", quality=97)
+    result = arfx("calibrate", str(turned), "--board", "chessboard:9x6:25mm", "-o", str(tmp_path / "c.yaml"), "--json")
+    assert result.code == 0, result.err
+    assert (result.json["image_width"], result.json["image_height"]) == SIZE
+    assert result.json["camera_matrix"][0][0] == pytest.approx(TRUE.fx, rel=0.02)
+
+
+def test_no_board_is_exit_4_and_nothing_is_written(arfx: Run, folder: Path, tmp_path: Path) -> None:
+    result = arfx("calibrate", str(folder / "p00.png"), "--board", "charuco:7x5:25mm:18mm:4X4_50", "-o", str(tmp_path / "c.yaml"))
+    assert result.code == 4
+    assert "chessboard with 9x6 inner corners" in result.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_input_is_one_message(arfx: Run, folder: Path, tmp_path: Path) -> None:
+    out = ["--board", "chessboard:9x6:25mm", "-o", str(tmp_path / "c.yaml")]
+    missing = arfx("calibrate", "none.png", *out)
+    assert missing.code == 3
+    assert "none.png does not exist" in missing.err
+    (tmp_path / "bad.png").write_bytes(b"not a picture")
+    bad = arfx("calibrate", str(tmp_path / "bad.png"), *out)
+    assert bad.code == 3
+    assert "bad.png is not a picture" in bad.err
+    assert "Traceback" not in bad.err
+    small = tmp_path / "small.png"
+    cv2.imwrite(str(small), np.zeros((100, 100), np.uint8))
+    mixed = arfx("calibrate", str(folder / "p00.png"), str(small), *out)
+    assert mixed.code == 3
+    assert "640x480, small.png is 100x100" in mixed.err
+    assert arfx("calibrate", str(folder), "--board", "chessboard:9x6", "-o", str(tmp_path / "c.yaml")).code == 2
