@@ -110,8 +110,8 @@ def find_board(
             f"board {spec} is in none of {searched} pictures{saw}",
             "give the --board that was printed; a chessboard must be wholly in the picture, with a white margin",
         )
-    if instead and len(views) > 0:
-        notices.append("mixed boards: " + "; ".join(instead) + " (not used)")
+    if instead:
+        notices.append("mixed boards or markers: " + "; ".join(instead) + " (not used)")
     return Found(spec, tuple(views), searched, tuple(empty), instead, tuple(notices))
 
 

@@ -12,7 +12,8 @@ from arfx.calibrate.corners import find_view
 
 # The largest dictionary of each bit pattern: the smaller ones are its first ids.
 SEARCHED = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ORIGINAL", "36h11", "25h9", "16h5")
-LEAST_MARKERS = 4  # of one family: fewer may be chance in texture (4x4 markers have few bits)
+LEAST_MARKERS = 4  # of one family: fewer may be chance in texture (4x4 markers have few bits) ...
+TELLING = {"36h11", "6X6_1000", "7X7_1000"}  # ... but not with these: codes this long do not come about by chance
 SMALL_CHESSBOARD = (4, 3)  # the sector-based finder grows from this to the whole board
 
 
@@ -27,7 +28,7 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     Cost: about 1 s at 1920x1080; meant for a few pictures.
     """
     chess = _largest_chessboard(gray)
-    families = {f: ids for f in SEARCHED if len(ids := _marker_ids(gray, f)) >= LEAST_MARKERS}
+    families = {f: ids for f in SEARCHED if len(ids := _marker_ids(gray, f)) >= (1 if f in TELLING else LEAST_MARKERS)}
     if families:
         family = max(families, key=lambda f: len(families[f]))
         ids = families[family]
@@ -35,7 +36,7 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
             better = _working_spec(gray, spec, family, max(ids))
             if better is not None:
                 return f"a board that fits {better}"
-        return f"{len(ids)} markers of {family} (ids {min(ids)} to {max(ids)})"
+        return f"{len(ids)} marker{'s'[: len(ids) > 1]} of {family} (ids {min(ids)} to {max(ids)})"
     if chess:
         return f"a chessboard with {chess[0]}x{chess[1]} inner corners"
     return ""
