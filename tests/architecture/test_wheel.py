@@ -13,16 +13,31 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
+def project_files() -> list[str]:
+    """Paths, relative to the root, that git tracks or would track; without git, everything that is not made or hidden."""
+    try:
+        listed = subprocess.run(
+            ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return listed.stdout.splitlines()
+    except (OSError, subprocess.CalledProcessError):
+        made = {"__pycache__", "build", "dist", "out", "demo", "failed"}
+        every = [p.relative_to(ROOT) for p in ROOT.rglob("*") if p.is_file()]
+        return sorted(
+            str(p) for p in every
+            if not any(part in made or part.endswith(".egg-info") or (part[0] == "." and part != ".ci") for part in p.parts)
+        )  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Built from a copy of what git tracks or would track, so that the tree stays clean."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
-    listed = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    names = listed.stdout.splitlines() if listed.returncode == 0 else []
-    if not names:
-        pytest.skip("not a git checkout: cannot tell the project's own files")
+    names = project_files()
     for name in names:
         if not name.startswith(("sample_scenes/", "tests/")) and (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
