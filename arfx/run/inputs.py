@@ -24,6 +24,7 @@ from arfx.media.cameras import load_camera
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
+from arfx.stages.raster.mesh import check_extent
 
 Notice = Callable[[str], None]
 
@@ -49,8 +50,8 @@ def open_inputs(config: JobConfig) -> Inputs:
     settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
     output = plan_output(clip, config.output.path, settings)
     model = load_model(config.model.file, config.model.up)
-    placement(config).world_from_model(model, config.model.up)
-    return Inputs(config, clip, camera, model, marker_map(config), output, (*notices, *output.notices))
+    check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
+    return Inputs(config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices))
 
 
 def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:

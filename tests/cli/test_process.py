@@ -158,6 +158,7 @@ def test_a_marker_that_leaves_takes_the_object_along(material: Material, arfx: R
         (("--marker", "36h11:3"), 2, "FAMILY:ID:SIZE"),
         (("--marker", "37h11:3:1cm"), 2, "36h11"),
         (("--fit", "8"), 2, "25mm"),
+        (("--fit", "800m"), 3, "800 m large"),
         (("--set", "raster.bakend=rays"), 2, "backend"),
         (("--pipeline", "watercolour"), 2, "watercolour"),
         (("-o", "no/such/folder/out.mp4"), 2, "no/such/folder"),

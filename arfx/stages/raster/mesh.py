@@ -58,17 +58,22 @@ class Mesh:
         return self.ints[self.part, TWO_SIDED] == 0
 
 
-def build_mesh(scene: Scene) -> Mesh:
-    """Raises InputError where the model is larger than MAX_EXTENT_M in the scene."""
-    model: Model = scene.model
-    m = scene.world_from_model
-    corners = scene.model_corners_m
-    extent = float(np.ptp(corners, axis=0).max())
+def check_extent(model: Model, corners_m: np.ndarray) -> None:
+    """Raises InputError where the model's corners (8, 3), metres, span more than MAX_EXTENT_M."""
+    extent = float(np.ptp(corners_m, axis=0).max())
     if not extent <= MAX_EXTENT_M:
         raise InputError(
             f"model {model.source} is {extent:.4g} m large in the scene",
             "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit",
         )
+
+
+def build_mesh(scene: Scene) -> Mesh:
+    """Raises InputError where the model is larger than MAX_EXTENT_M in the scene."""
+    model: Model = scene.model
+    m = scene.world_from_model
+    corners = scene.model_corners_m
+    check_extent(model, corners)
     centre = corners.mean(0)
     rotation = m[:3, :3] / np.cbrt(abs(np.linalg.det(m[:3, :3])))
     textures = StackBuilder()
