@@ -199,22 +199,22 @@ def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
 
 def _join_folders(chunks: Sequence[Path], count: int, out: Path) -> None:
     """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
-    folder = out.parent
+    folder = out.absolute().parent  # absolute: the current folder has no name otherwise
     part = folder.with_name(folder.name + ".part")
     try:
         remove_output(part)
         part.mkdir(parents=True)
-        times, images = [], 0
+        times = []
         for chunk in chunks:
             for f in sorted(chunk.iterdir()):
                 if f.name == "times.txt":
                     times.append(f.read_text())
                     continue
-                images += 1
                 try:
                     os.link(f, part / f.name)
                 except OSError:  # another file system, or one without links
                     shutil.copyfile(f, part / f.name)
+        images = sum(1 for _ in part.iterdir())
         if images != count:
             raise RenderError(f"the chunks hold {images} images, the clip has {count} frames", "render the job again")
         (part / "times.txt").write_text("".join(times))

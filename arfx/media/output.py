@@ -123,8 +123,8 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
         kind = name or suffix[1:]
         if suffix != f".{kind}":
             raise ConfigError(f"{path}: codec {kind} writes images named *.{kind}", f"for example frames/%06d.{kind}")
-        if not _PATTERN.search(path.name):
-            raise ConfigError(f"{path}: an image sequence needs a number in its name", f"for example frames/%06d{suffix}")
+        if not _names_images(path.name):
+            raise ConfigError(f"{path}: an image sequence needs one number in its name", f"for example frames/%06d{suffix}")
         return "", CODECS[kind]
     if suffix not in SUFFIX_CONTAINER:
         raise ConfigError(
@@ -133,6 +133,14 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
         )
     container = SUFFIX_CONTAINER[suffix]
     return container, CODECS[name or _DEFAULT_CODEC[container]]
+
+
+def _names_images(pattern: str) -> bool:
+    """Whether a file name makes a different name of every frame number."""
+    try:
+        return bool(_PATTERN.search(pattern)) and pattern % 1 != pattern % 2
+    except (TypeError, ValueError):
+        return False
 
 
 def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], ...]:

@@ -113,7 +113,7 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
         with ClipReader(context.info) as reader, ChunkWriter(context.output, context.info, aside) as writer:
             wanted = iter(range(begin, last + 1))
             index = next(wanted)
-            frames = reader.frames(first_pts=context.pts[begin], last_pts=context.pts[last])
+            frames = reader.frames(context.pts[begin], context.pts[last], first_index=begin)
             while True:
                 start = time.perf_counter()
                 frame = next(frames, None)

@@ -63,6 +63,22 @@ def test_audio_is_copied_bit_for_bit(material: Material, arfx: Run, tmp_path: Pa
     assert packets(tmp_path / "out.mp4") == packets(material.clip)
 
 
+def test_an_image_sequence_holds_every_frame_of_every_chunk(material: Material, arfx: Run, tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    r = arfx(*material.arguments("-o", "%04d.png", "--end", "1.3", "--job", "../kept", "--workers", "2"), cwd=tmp_path / "frames")
+    assert r.code == 0, r.err
+    assert sorted(p.name for p in (tmp_path / "frames").glob("*.png")) == [f"{i:04d}.png" for i in range(40)]
+    times = [line.split() for line in (tmp_path / "frames" / "times.txt").read_text().splitlines()]
+    assert [int(i) for i, _ in times] == list(range(40))
+    assert np.allclose([float(t) for _, t in times], np.arange(40) / 30, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["frame.png", "%04d_%04d.png", "100%_%04d.png"])
+def test_a_name_that_numbers_no_images_is_refused(material: Material, arfx: Run, name: str) -> None:
+    r = arfx(*material.arguments("-o", name))
+    assert r.code == 2 and "number in its name" in r.err and "Traceback" not in r.err
+
+
 def test_two_workers_give_the_same_bytes_as_one(material: Material, arfx: Run, tmp_path: Path) -> None:
     for n in ("1", "2"):
         r = arfx(*material.arguments("-o", f"out{n}.mp4", "--workers", n))
