@@ -92,19 +92,14 @@ def write_model(path: Path) -> Path:
     return path
 
 
-def plain(source: str, target: str) -> None:
+def plain_command(clip: Path, out: Path) -> list[str]:
     """Decode and encode with the codec, settings and threads that `arfx process` uses by default."""
-    plan = plan_output(probe(source), Path(target), OutputSettings())
-    with av.open(source) as read, av.open(target, "w") as write:
-        video = read.streams.video[0]
-        video.thread_type = "AUTO"
-        stream = write.add_stream(CODECS[plan.codec].encoder, rate=FPS, options=dict(plan.options))
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, plan.pixel_format
-        stream.codec_context.thread_count = plan.encoder_threads
-        for frame in read.decode(video):
-            frame.pict_type = 0
-            write.mux(stream.encode(frame))
-        write.mux(stream.encode(None))
+    plan = plan_output(probe(clip), out, OutputSettings())
+    settings = {
+        "encoder": CODECS[plan.codec].encoder, "options": dict(plan.options), "pixel_format": plan.pixel_format,
+        "threads": plan.encoder_threads, "rate": FPS,
+    }  # fmt: skip
+    return [sys.executable, str(Path(__file__).with_name("plain_pass.py")), str(clip), str(out), json.dumps(settings)]
 
 
 def timed(command: list[str]) -> tuple[float, float]:
@@ -132,7 +127,7 @@ def arfx_command(clip: Path, model: Path, lens: Path, out: Path, workers: int | 
 def compare(name: str, clip: Path, parts: tuple[Path, Path], folder: Path, runs: int, goal: float, workers: int | None) -> dict:
     model, lens = parts
     job = arfx_command(clip, model, lens, folder / "out.mp4", workers)
-    base = [sys.executable, __file__, "--plain", str(clip), str(folder / "plain.mp4")]
+    base = plain_command(clip, folder / "plain.mp4")
     report = json.loads(subprocess.run(job, capture_output=True, text=True, check=True).stdout)  # also fills numba's cache
     ratios, jobs, bases = [], [], []
     for _ in range(runs):
@@ -151,16 +146,12 @@ def compare(name: str, clip: Path, parts: tuple[Path, Path], folder: Path, runs:
 
 def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--plain", nargs=2, metavar=("IN", "OUT"), help=argparse.SUPPRESS)
     p.add_argument("--frames", type=int, default=600, help="length of the two timed clips")
     p.add_argument("--runs", type=int, default=3)
     p.add_argument("--workers", type=int, help="worker processes of arfx; default: its own choice")
     p.add_argument("--no-memory", action="store_true", help="leave out the 100 and 1,000 frame jobs")
     p.add_argument("--json", metavar="FILE", help="write all figures here")
     given = p.parse_args()
-    if given.plain:
-        plain(*given.plain)
-        return
     rows: list[dict] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
