@@ -18,7 +18,7 @@ from arfx_cli.console import Progress, emit_json, json_option, say, verbose_opti
     type=click.Path(path_type=Path, file_okay=False),
     help="Folder for the clip, the output and the job; default temporary.",
 )
-@click.option("--workers", type=click.IntRange(1), default=1, show_default=True)
+@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 @json_option
 @verbose_option
 def command(folder: Path, keep: Path | None, workers: int, as_json: bool, verbose: bool) -> None:
