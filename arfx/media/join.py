@@ -218,7 +218,7 @@ def _join_folders(chunks: Sequence[Path], count: int, out: Path) -> None:
         if images != count:
             raise RenderError(f"the chunks hold {images} images, the clip has {count} frames", "render the job again")
         (part / "times.txt").write_text("".join(times))
-        if folder.is_dir() and not any(folder.iterdir()):
+        if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
             folder.rmdir()
         if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step
             for f in part.iterdir():

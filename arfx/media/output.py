@@ -119,7 +119,7 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
     name = _ALIASES.get(name, name) if name else None
     if name is not None and name not in CODECS:
         raise ConfigError(f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS))
-    if suffix in (".png", ".exr") or (name is not None and CODECS[name].sequence):
+    if names_sequence(path) or (name is not None and CODECS[name].sequence):
         kind = name or suffix[1:]
         if suffix != f".{kind}":
             raise ConfigError(f"{path}: codec {kind} writes images named *.{kind}", f"for example frames/%06d.{kind}")
@@ -133,6 +133,11 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
         )
     container = SUFFIX_CONTAINER[suffix]
     return container, CODECS[name or _DEFAULT_CODEC[container]]
+
+
+def names_sequence(path: Path) -> bool:
+    """Whether an output name stands for a folder of images."""
+    return path.suffix.lower() in (".png", ".exr")
 
 
 def _names_images(pattern: str) -> bool:

@@ -22,6 +22,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import level_named
 from arfx.errors import ConfigError, JobInterruptedError, RenderError
 from arfx.media.join import join_chunks
+from arfx.media.output import OutputPlan, names_sequence
 from arfx.media.writer import chunk_suffix
 from arfx.plan.planner import plan_frame
 from arfx.run.analysis import analyse_clip
@@ -77,7 +78,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     inputs = open_inputs(config)
     for notice in inputs.notices:
         options.notice(notice)
-    check_output(inputs.output.path, options.overwrite)
+    check_output(inputs.output, options.overwrite)
     folder = JobFolder(options.folder or default_folder(inputs.output.path))
     folder.open(options.resume)
     with _interruptible(folder):
@@ -96,19 +97,19 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
 
 
 def default_folder(output: Path) -> Path:
-    """Where a job lives while it runs, beside its output: out.mp4 -> out.mp4.job"""
-    name = output.parent.name + ".frames" if "%" in output.name else output.name
-    return output.parent / f"{name}.job"
+    """Where a job lives while it runs, beside its output: out.mp4 -> out.mp4.job, frames/%06d.png -> frames.job"""
+    beside = output.absolute().parent if names_sequence(output) else output
+    return beside.with_name(f"{beside.name}.job")
 
 
-def check_output(path: Path, overwrite: bool) -> None:
+def check_output(output: OutputPlan, overwrite: bool) -> None:
     """Refuse, before any work, an output that exists or a place that cannot be written."""
-    parent = path.parent
-    if not parent.exists() and "%" in path.name:
+    path, parent = output.path, output.path.parent
+    if not parent.exists() and output.is_sequence:
         parent = parent.parent
     if not parent.is_dir():
         raise ConfigError(f"output folder {parent} does not exist", "make it first, or name another with -o")
-    taken = any(path.parent.glob(f"*{path.suffix}")) if "%" in path.name else path.exists()
+    taken = any(path.parent.glob(f"*{path.suffix}")) if output.is_sequence else path.exists()
     if taken and not overwrite:
         raise ConfigError(f"output {path} exists", "--overwrite replaces it; or name another with -o")
     probe = parent / f".arfx-{os.getpid()}.part"

@@ -44,8 +44,9 @@ def build_report(planned: Planned, timings: list[dict[str, Any]]) -> dict[str, A
     rows = summarise(planned.plans, planned.stage_names, planned.inputs.camera.rect.area)
     for row in rows:
         row["measured_s"] = stage_s.get(row["name"], 0.0)
-    output = planned.inputs.output.path
-    size = sum(p.stat().st_size for p in output.parent.glob(f"*{output.suffix}")) if "%" in output.name else output.stat().st_size
+    plan, output = planned.inputs.output, planned.inputs.output.path
+    written = [output.with_name(output.name % f.index) for f in facts] if plan.is_sequence else [output]
+    size = sum(p.stat().st_size for p in written)
     timing = planned.timing
     stream = info.to_json()
     return {
@@ -57,7 +58,7 @@ def build_report(planned: Planned, timings: list[dict[str, Any]]) -> dict[str, A
         },
         "output": {
             "path": str(output), "frames": len(facts), "seconds": seconds, "bytes": size,
-            "codec": planned.inputs.output.codec, "pixel_format": planned.inputs.output.pixel_format,
+            "codec": plan.codec, "pixel_format": plan.pixel_format,
         },
         "pose": _pose(planned),
         "light": _light(planned),

@@ -73,6 +73,20 @@ def test_an_image_sequence_holds_every_frame_of_every_chunk(material: Material, 
     assert np.allclose([float(t) for _, t in times], np.arange(40) / 30, atol=1e-3)
 
 
+def test_an_input_is_never_replaced_by_the_output(material: Material, arfx: Run, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip.mp4", 4)
+    before = digest(clip)
+    r = arfx(*material.arguments("-o", "./clip.mp4", "--overwrite", clip=clip))
+    assert r.code == 2 and "also an input" in r.err and digest(clip) == before
+
+
+def test_a_percent_sign_in_a_video_name_is_only_a_name(material: Material, arfx: Run, tmp_path: Path) -> None:
+    (tmp_path / "other.mp4").touch()
+    r = arfx(*material.arguments("-o", "50%.mp4", "--end", "0.1", "--json"))
+    assert r.code == 0, r.err
+    assert r.json["output"]["bytes"] == (tmp_path / "50%.mp4").stat().st_size
+
+
 @pytest.mark.parametrize("name", ["frame.png", "%04d_%04d.png", "100%_%04d.png"])
 def test_a_name_that_numbers_no_images_is_refused(material: Material, arfx: Run, name: str) -> None:
     r = arfx(*material.arguments("-o", name))
