@@ -49,6 +49,10 @@ class JobFolder:
             raise ConfigError(f"job folder {self.path} is a file", "name another with --job")
         if self.path.is_dir():
             strangers = [p.name for p in self.path.iterdir() if p.name not in _OURS and not p.name.endswith(".part")]
+            if not self.job.exists():  # nothing was rendered here, so these folders hold nothing of ours
+                strangers += [
+                    f"{p.parent.name}/{p.name}" for d in (self.chunks, self.previews) if d.is_dir() for p in d.iterdir()
+                ]
             if strangers:
                 raise ConfigError(f"{self.path} holds {strangers[0]!r}, it is not a job folder", "name an empty one with --job")
             if not resume:

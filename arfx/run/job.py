@@ -142,6 +142,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options) -> Planned:
     job_key = digest(*base, tree, model_key, inputs.output.to_json())
     stages = make_stages(config)
     if not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists()):
+        folder.plan.unlink(missing_ok=True)  # until all of the analysis is written, nothing here counts as done
         _analyse(inputs, folder, analysis_key, job_key, options, timing)
         write_text(folder.job, to_toml({**tree, "output": output}))
         write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))

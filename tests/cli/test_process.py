@@ -80,6 +80,14 @@ def test_an_input_is_never_replaced_by_the_output(material: Material, arfx: Run,
     assert r.code == 2 and "also an input" in r.err and digest(clip) == before
 
 
+def test_a_folder_that_no_job_made_is_left_alone(material: Material, arfx: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine" / "chunks").mkdir(parents=True)
+    (tmp_path / "mine" / "chunks" / "notes.txt").write_text("keep")
+    r = arfx(*material.arguments("-o", "out.mp4", "--job", "mine"))
+    assert r.code == 2 and "not a job folder" in r.err
+    assert (tmp_path / "mine" / "chunks" / "notes.txt").read_text() == "keep"
+
+
 def test_a_percent_sign_in_a_video_name_is_only_a_name(material: Material, arfx: Run, tmp_path: Path) -> None:
     (tmp_path / "other.mp4").touch()
     r = arfx(*material.arguments("-o", "50%.mp4", "--end", "0.1", "--json"))
