@@ -124,6 +124,7 @@ class Lens(Part):
     focus_m: Length | None = Field(
         default=None, gt=0, description="distance of sharp focus along the axis; needed with an aperture"
     )
+    softness_px: float = Field(default=0.0, ge=0, le=5, description="sigma of the lens's own blur; good lenses have 0.4 to 0.6")
     shutter_s: float = Field(default=0.0, ge=0, description="time the shutter is open, centred on the frame's time")
 
 

@@ -43,7 +43,8 @@ class ClipFile:
         context = stream.codec_context
         context.color_range, context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1, 13  # 13: sRGB
         if not lossless:
-            context.options = {"crf": f"{clip.crf:g}", "preset": "fast"}
+            # Without macroblock trees: with them x264 gives several different streams of the same frames, one thread or not.
+            context.options = {"crf": f"{clip.crf:g}", "preset": "fast", "x264-params": "mbtree=0"}
             context.thread_count = 1  # another number of threads gives another stream
         if clip.rotation_deg:
             stream.set_display_rotation(clip.rotation_deg)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 
 from arfx.core.pose import Pose
@@ -50,6 +51,10 @@ class Picture:
             dx, dy = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
             moment = time_s + scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
             self._sample(frame, moment, self.rays(dx, dy), 1 / n, frame * 4096 + k, 1 / (n * n), out)
+        if scene.lens.softness_px > 0:
+            sigma = scene.lens.softness_px
+            kernel = cv2.getGaussianKernel(2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F)
+            return np.asarray(cv2.sepFilter2D(out, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float64)
         return out
 
     def _sample(

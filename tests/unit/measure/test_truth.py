@@ -62,17 +62,35 @@ def test_errors_come_out_as_they_were_put_in(truth: Truth) -> None:
     assert 0.6 * turned < e["corner_px"] < 1.3 * turned
 
 
+def mirrored(pose: Pose) -> Pose:
+    """The planar twin: the normal mirrored at the line of sight, the rest turned along."""
+    view = pose.translation_m / np.linalg.norm(pose.translation_m)
+    normal = 2 * (pose.rotation[:, 2] @ view) * view - pose.rotation[:, 2]
+    x = pose.rotation[:, 0] - (pose.rotation[:, 0] @ normal) * normal
+    x /= np.linalg.norm(x)
+    return Pose(np.stack([x, np.cross(normal, x), normal], axis=1), pose.translation_m)
+
+
 def test_the_mirrored_solution_counts_as_a_flip(truth: Truth) -> None:
     estimates = exact(truth)
     for i in (7, 8, 20):
-        pose = estimates[i]
-        view = pose.translation_m / np.linalg.norm(pose.translation_m)
-        mirror = np.eye(3) - 2 * np.outer(view, view)  # the planar twin: the normal mirrored at the line of sight
-        normal = -(mirror @ pose.rotation[:, 2])
-        x = pose.rotation[:, 0] - (pose.rotation[:, 0] @ normal) * normal
-        x /= np.linalg.norm(x)
-        estimates[i] = Pose(np.stack([x, np.cross(normal, x), normal], axis=1), pose.translation_m)
+        estimates[i] = mirrored(estimates[i])
     assert pose_errors(estimates, truth, KEY, SIZE)["flips"] == 3
+    away = [p @ Pose.from_rotvec(np.radians([0, 0, 15]), np.zeros(3)) for p in exact(truth)]
+    assert pose_errors(away, truth, KEY, SIZE)["flips"] == 0, "a large error that is no flip"
+
+
+def test_a_nearly_frontal_print_can_flip_too() -> None:
+    """Tilted by 2.5 degrees, the mirrored solution is only 5 degrees off."""
+    height = 0.5 * np.cos(np.radians(2.5)), -0.5 * np.sin(np.radians(2.5))
+    path = {"kind": "static", "position_m": [0, height[1], height[0]], "target_m": [0, 0, 0]}
+    world, picture = picture_of(little_scene(320, 240, frames=4, path=path, marker=[{"spec": f"{KEY}:40mm"}]))
+    header = {"arfx_truth": 1, "world": KEY, "markers": {KEY: 0.04}, "camera": world.camera.to_json()}
+    frontal = Truth(header, tuple(frame_truth(world, picture, n) for n in range(4)))
+    estimates = exact(frontal)
+    estimates[1] = mirrored(estimates[1])
+    figures = pose_errors(estimates, frontal, KEY, 0.04)
+    assert figures["flips"] == 1 and 4.9 < figures["rotation_deg"]["max"] < 5.1
 
 
 @pytest.mark.parametrize("late", [-0.4, 0.1, 0.5])

@@ -75,6 +75,12 @@ def test_a_thin_lens_spreads_a_point_over_its_circle_of_confusion(focus_m: float
         assert variance - PIXEL == pytest.approx(radius_px**2 / 4, rel=0.06)
 
 
+def test_a_lens_of_some_softness_widens_every_edge_by_its_variance() -> None:
+    scene = little_scene(80, 16, path=from_above(), plane=[FLOOR, HALF], lens={"fov_deg": 67.4, "softness_px": 0.6}, samples=4)
+    place, variance = edge(picture_of(scene)[1].radiance(0)[8, :, 0])
+    assert place == pytest.approx(39.5, abs=0.02) and variance == pytest.approx(0.36, rel=0.03)
+
+
 def test_exposure_is_gain_then_bias_then_clipping_then_the_curve() -> None:
     radiance = np.linspace(0, 1.5, 48).reshape(4, 4, 3)
     scene = little_scene(exposure={"gain": 0.7, "bias": 0.02}, noise=NO_NOISE)
