@@ -58,7 +58,11 @@ def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int],
     import multiprocessing
 
     context = multiprocessing.get_context("spawn")
-    counter = context.Value("L", 0)
+    try:
+        counter = context.Value("L", 0)
+    except OSError:  # no shared memory here (a bare container): the same bytes, one process
+        yield from run_serial(tasks, progress)
+        return
     # one software-rendering thread and one kernel thread per process; two processes scale better than two threads
     for name in ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")

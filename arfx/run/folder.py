@@ -40,10 +40,11 @@ class JobFolder:
     report = property(lambda self: self.path / "report.json")
     checkpoint = property(lambda self: self.path / "analysis.checkpoint.json")
 
-    def open(self, resume: bool) -> None:
-        """Make the folder, or clear what an earlier job left in it, or keep that to resume.
+    def open(self, resume: bool, overwrite: bool) -> None:
+        """Make the folder, or keep what an earlier job left in it (resume), or clear that (overwrite).
 
-        Raises ConfigError if the path holds something that is not a job; RenderError if it cannot be made.
+        Raises ConfigError if the path holds something that is not a job, or a job and neither is asked for;
+        RenderError if it cannot be made.
         """
         if self.path.exists() and not self.path.is_dir():
             raise ConfigError(f"job folder {self.path} is a file", "name another with --job")
@@ -56,6 +57,9 @@ class JobFolder:
             if strangers:
                 raise ConfigError(f"{self.path} holds {strangers[0]!r}, it is not a job folder", "name an empty one with --job")
             if not resume:
+                if self.job.exists() and not overwrite:
+                    state = "a finished" if self.report.exists() else "an unfinished"
+                    raise ConfigError(f"{self.path} holds {state} job", "--resume goes on with it, --overwrite starts afresh")
                 self.remove()
         try:
             self.chunks.mkdir(parents=True, exist_ok=True)

@@ -34,6 +34,8 @@ from arfx.run.parameters import make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import Timing, build_report
 
+SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a worker and load its kernels
+
 
 def _silent(phase: str, done: int, total: int | None) -> None:
     return None
@@ -43,13 +45,14 @@ def _silent(phase: str, done: int, total: int | None) -> None:
 class Options:
     """How a job is run; none of it changes a pixel.
 
+    workers : processes, None = one for a short job, else one per core
     progress(phase, frames done, frames in all or None);  notice(message) for warnings
     """
 
     folder: Path | None = None
     resume: bool = False
     overwrite: bool = False
-    workers: int = 1
+    workers: int | None = 1
     progress: Callable[[str, int, int | None], None] = _silent
     notice: Callable[[str], None] = print
 
@@ -80,7 +83,9 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         options.notice(notice)
     check_output(inputs.output, options.overwrite)
     folder = JobFolder(options.folder or default_folder(inputs.output.path))
-    folder.open(options.resume)
+    if folder.path.absolute() in inputs.output.path.absolute().parents:
+        raise ConfigError(f"output {inputs.output.path} lies in the job folder {folder.path}", "name another place with -o")
+    folder.open(options.resume, options.overwrite)
     with _interruptible(folder):
         planned = plan_job(inputs, folder, options)
         chunks = _chunks(planned)
@@ -94,6 +99,12 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         folder.remove_chunks()
         folder.checkpoint.unlink(missing_ok=True)
     return report
+
+
+def default_workers(pixels: int) -> int:
+    """One process for a short job, in which starting others would take longer than they save; else one per usable core."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores if pixels > SHORT_JOB_PX else 1
 
 
 def default_folder(output: Path) -> Path:
@@ -179,6 +190,8 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed)
     facts = with_model(done.analysis.facts, scene)
     notices = list(done.analysis.notices)
+    seen = done.analysis.summary["markers_seen"]
+    notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
     if done.truncated:
         notices.append(done.truncated)
     for notice in notices:
@@ -217,7 +230,7 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
         options.progress("render", keep + done, total)
 
     progress(0)
-    workers = min(options.workers, len(tasks))
+    workers = min(options.workers or default_workers(total * planned.inputs.camera.rect.area), len(tasks))
     results = run_processes(tasks, workers, progress) if workers > 1 else run_serial(tasks, progress)
     with folder.timings.open("a", encoding="utf-8") as log:
         for result in results:

@@ -102,11 +102,10 @@ def _pose(planned: Planned) -> dict[str, Any]:
 
 def _light(planned: Planned) -> dict[str, Any]:
     light = planned.scene.light.to_json()
-    lights = [{**li, "confidence_deg": li["confidence_deg"]} for li in light["lights"]]
     return {
         "source": light["source"], "frame": "marker", "normals_seen": 0, "normal_span_deg": 0.0, "rank": None, "condition": None,
         "gain": None, "bias": None, "bias_ci95": None, "clipped_fraction": None, "ambient_rgb": light["ambient_rgb"],
-        "lights": lights, "verdict": "refused", "reason": "the light is not estimated: a plain default light is used",
+        "lights": light["lights"], "verdict": "refused", "reason": "the light is not estimated: a plain default light is used",
     }  # fmt: skip
 
 
@@ -136,7 +135,6 @@ def _health(planned: Planned) -> list[dict[str, Any]]:
         rows.append(_check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
     absent = sum(f.status == ABSENT for f in planned.facts)
     rows.append(_check("frames without a pose", absent, 0, absent == 0, "object left out there"))
-    rows.append(_check("pixels that are not finite", 0, 0, True, "the job would have stopped"))
     whole = meta["truncated"] is None
     rows.append(_check("source file", meta["truncated"] or "whole", "whole", whole, "processed to its last good frame"))
     return rows

@@ -11,6 +11,7 @@ import click
 from arfx.errors import ConfigError
 
 FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 
 _OPTIONS = [
     click.option("--config", "config_file", type=FILE, help="Job file (TOML) or preset name; the command line wins."),
@@ -30,6 +31,22 @@ _OPTIONS = [
     click.option("--start", metavar="T", help="First moment to process, from the clip's first frame: 1.5s, 0:10."),
     click.option("--end", metavar="T", help="Last moment to process."),
 ]  # fmt: skip
+
+
+_RUN_OPTIONS = [
+    click.option("-o", "--output", type=click.Path(path_type=Path), help="out.mp4 .mkv .mov .webm, or frames/%06d.png|exr."),
+    click.option("--report", "report_dir", type=FOLDER, help="Folder for report.json and report.html."),
+    click.option("--job", "job_dir", type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),
+    click.option("--resume", is_flag=True, help="Go on with an interrupted or killed job."),
+    click.option("--workers", type=click.IntRange(1), help="Worker processes; default by the length of the job."),
+]  # fmt: skip
+
+
+def run_options(f: Callable[..., Any]) -> Callable[..., Any]:
+    """Where a job goes and how it is run."""
+    for option in reversed(_RUN_OPTIONS):
+        f = option(f)
+    return f
 
 
 def job_options(f: Callable[..., Any]) -> Callable[..., Any]:

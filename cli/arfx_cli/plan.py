@@ -8,16 +8,18 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, json_option, say, verbose_option
-from arfx_cli.job_options import job_config, job_options
+from arfx_cli.console import Progress, emit_json, json_option, overwrite_option, say, verbose_option
+from arfx_cli.job_options import job_config, job_options, run_options
 
 
 @click.command()
 @job_options
+@run_options
+@overwrite_option
 @json_option
 @verbose_option
-def command(as_json: bool, verbose: bool, **given: Any) -> None:
-    """Explain what `arfx process` with the same arguments would do to CLIP, with predicted time.
+def command(output: Path | None, as_json: bool, verbose: bool, **given: Any) -> None:
+    """Explain what `arfx process` with the same arguments would do to CLIP, with predicted time. Nothing is written.
 
     \b
     Example:
@@ -29,10 +31,14 @@ def command(as_json: bool, verbose: bool, **given: Any) -> None:
     from arfx.run.job import Options, plan_job
 
     with tempfile.TemporaryDirectory(prefix="arfx-plan-") as scratch:
-        config = job_config(given, Path(scratch) / "out.mkv")
+        config = job_config(given, output)
+        if config.output.path is None:  # only where it would go is open; mkv holds what any clip has
+            config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
         inputs = open_inputs(config)
+        for notice in inputs.notices:
+            say(f"note: {notice}")
         folder = JobFolder(Path(scratch) / "job")
-        folder.open(resume=False)
+        folder.open(resume=False, overwrite=False)
         with Progress() as progress:
             planned = plan_job(inputs, folder, Options(progress=progress, notice=lambda m: say(f"note: {m}")))
         rows = summarise(planned.plans, planned.stage_names, inputs.camera.rect.area)

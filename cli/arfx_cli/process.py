@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import click
 
 from arfx_cli.console import Progress, emit_json, json_option, overwrite_option, say, verbose_option
-from arfx_cli.job_options import job_config, job_options
+from arfx_cli.job_options import job_config, job_options, run_options
 
 
 @click.command()
 @job_options
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="out.mp4 .mkv .mov .webm, or frames/%06d.png|exr.")
-@click.option(
-    "--report", "report_dir", type=click.Path(path_type=Path, file_okay=False), help="Write report.json and report.html here."
-)
-@click.option(
-    "--job", "job_dir", type=click.Path(path_type=Path, file_okay=False), help="Job folder, kept afterwards; default OUT.job."
-)
-@click.option("--resume", is_flag=True, help="Go on with an interrupted or killed job.")
-@click.option("--workers", type=click.IntRange(1), help="Worker processes; default by the length of the job.")
+@run_options
 @overwrite_option
 @json_option
 @verbose_option
@@ -54,7 +45,7 @@ def command(
 
         check_report_folder(report_dir, overwrite)
     with Progress() as progress:
-        options = Options(job_dir, resume, overwrite, workers or os.cpu_count() or 1, progress, lambda m: say(f"note: {m}"))
+        options = Options(job_dir, resume, overwrite, workers, progress, lambda m: say(f"note: {m}"))
         report = process(config, options)
     path = Path(report["output"]["path"])
     folder = JobFolder(job_dir or default_folder(path))

@@ -244,7 +244,7 @@ def test_without_a_camera_the_guess_is_said(material: Material, arfx: Run) -> No
 
 
 def test_plan_explains_without_rendering(material: Material, arfx: Run, tmp_path: Path) -> None:
-    r = arfx("plan", *material.arguments("--json")[1:])
+    r = arfx("plan", *material.arguments("-o", "out.mp4", "--workers", "2", "--json")[1:])
     assert r.code == 0, r.err
     rows = {s["name"]: s for s in r.json["stages"]}
     assert rows["raster"]["frames_run"] == 96 and 0 < rows["raster"]["area_fraction"] < 0.6 and r.json["predicted_s"] > 0
@@ -286,3 +286,19 @@ def test_a_full_disk_leaves_nothing_half_written(material: Material, arfx: Run, 
         assert not (disk / "out.mkv").exists()
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_job_left_behind_is_not_cleared_unasked(material: Material, arfx: Run, tmp_path: Path) -> None:
+    more = ("-o", "out.mp4", "--end", "0.2", "--job", "kept")
+    assert arfx(*material.arguments(*more)).code == 0
+    (tmp_path / "out.mp4").unlink()
+    r = arfx(*material.arguments(*more))
+    assert r.code == 2 and "--resume" in r.err and (tmp_path / "kept" / "facts.jsonl").exists()
+    assert arfx(*material.arguments(*more, "--overwrite")).code == 0
+    r = arfx(*material.arguments("-o", "kept/out.mp4", "--end", "0.2", "--job", "kept", "--overwrite"))
+    assert r.code == 2 and "job folder" in r.err and (tmp_path / "kept" / "facts.jsonl").exists()
+
+
+def test_a_marker_that_is_never_seen_is_said(material: Material, arfx: Run) -> None:
+    r = arfx(*material.arguments("-o", "out.mp4", "--end", "0.2", "--marker", "36h11:7:10cm"))
+    assert r.code == 0 and "36h11:7 was never seen" in r.err
