@@ -100,10 +100,54 @@ def _noise(seed, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _in_the_way(px, py, pz, lx, ly, lz, disc, rects, spheres):  # type: ignore[no-untyped-def]
+    """False if no surface can meet any ray from a point to a lamp's disc."""
+    for i in range(rects.shape[0]):
+        cx, cy, cz = rects[i, 0] - px, rects[i, 1] - py, rects[i, 2] - pz
+        away = cx * rects[i, 9] + cy * rects[i, 10] + cz * rects[i, 11]
+        rise = lx * rects[i, 9] + ly * rects[i, 10] + lz * rects[i, 11]
+        if abs(rise) <= disc + 1e-9:  # some rays run along the plane
+            radius = math.sqrt(rects[i, 12] * rects[i, 12] + rects[i, 13] * rects[i, 13])
+            if _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
+                return True
+            continue
+        t = away / rise
+        if t < 0.0:
+            continue  # every ray leaves the plane
+        farthest = abs(away) / (abs(rise) - disc)
+        spread = 1.0001 * (farthest - t + farthest * disc) + 1e-6  # from the middle ray's meeting point to any other's
+        qx, qy, qz = t * lx - cx, t * ly - cy, t * lz - cz
+        if (
+            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12] + spread
+            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13] + spread
+        ):
+            return True
+    for i in range(spheres.shape[0]):
+        cx, cy, cz = spheres[i, 0] - px, spheres[i, 1] - py, spheres[i, 2] - pz
+        if _cone_meets(cx, cy, cz, lx, ly, lz, disc, spheres[i, 3]):
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):  # type: ignore[no-untyped-def]
+    """Whether a cone along unit l from the origin, `disc` its slope, may meet the sphere; errs towards True."""
+    along = cx * lx + cy * ly + cz * lz
+    radius = 1.0001 * radius + 1e-6  # rounding
+    if along < -radius:
+        return False
+    across = cx * cx + cy * cy + cz * cz - along * along
+    reach = radius + disc * (along + radius)
+    return across <= reach * reach
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _visible(px, py, pz, lx, ly, lz, disc, rects, spheres, turn):
     """Fraction 0..1 of a lamp's disc that a point sees: five rays, and sixteen more where these disagree."""
     if disc == 0.0:
         return 0.0 if hidden_by(px, py, pz, lx, ly, lz, _FAR, rects, spheres) else 1.0
+    if not _in_the_way(px, py, pz, lx, ly, lz, disc, rects, spheres):
+        return 1.0
     if abs(lx) < 0.6:
         ax, ay, az = 0.0, lz, -ly
     else:
