@@ -60,8 +60,8 @@ def verify(
     if truth.world is None:
         raise NothingToDoError(f"{made}: the scene has no configured marker, there is no pose to verify")
     bounds = read_tolerance(folder).get("truth", {})
-    output = work / ("out.mkv" if bounds.get("lossless") else "out.mp4")
-    config = load(made / "job.toml", {"output": {"path": str(output)}}, parameters())
+    output = work / "out.mkv"  # lossless, so that what is judged does not depend on an encoder's settings
+    config = load(made / "job.toml", {"output": {"path": str(output), "codec": "ffv1"}}, parameters())
     report = process(config, Options(work / "job", overwrite=True, workers=workers, progress=progress, notice=notice))
     job = JobFolder(work / "job")
     facts = list(read_facts(job.facts))
