@@ -100,7 +100,7 @@ def _noise(seed, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _in_the_way(px, py, pz, lx, ly, lz, disc, rects, spheres):  # type: ignore[no-untyped-def]
+def _in_the_way(px, py, pz, lx, ly, lz, disc, rects, spheres):
     """False if no surface can meet any ray from a point to a lamp's disc."""
     for i in range(rects.shape[0]):
         cx, cy, cz = rects[i, 0] - px, rects[i, 1] - py, rects[i, 2] - pz
@@ -130,7 +130,7 @@ def _in_the_way(px, py, pz, lx, ly, lz, disc, rects, spheres):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):  # type: ignore[no-untyped-def]
+def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
     """Whether a cone along unit l from the origin, `disc` its slope, may meet the sphere; errs towards True."""
     along = cx * lx + cy * ly + cz * lz
     radius = 1.0001 * radius + 1e-6  # rounding
