@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from arfx.config.locate import KeyPath, line_of, pointed
+from arfx.config.locate import KeyPath, pointed
 from arfx.config.sections import JobConfig
 from arfx.errors import ConfigError, InputError
 
@@ -168,6 +168,3 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
         return parts, tomllib.loads(f"x = {value.strip()}")["x"]
     except tomllib.TOMLDecodeError:
         return parts, value.strip()
-
-
-__all__ = ["line_of", "load", "merge", "near", "parse_setting"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
@@ -92,7 +92,3 @@ class Layers:
             raise ValueError(f"crop {rect} is not inside {self.rect}")
         part = rect.slices_in(self.rect)
         return Layers(rect, MappingProxyType({k: a[part] for k, a in self.arrays.items()}))
-
-    def only(self, names: Iterable[Layer]) -> Layers:
-        keep = set(names)
-        return Layers(self.rect, MappingProxyType({k: a for k, a in self.arrays.items() if k in keep}))

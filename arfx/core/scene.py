@@ -83,10 +83,3 @@ class Scene:
         b = self.model.bounds
         c = np.array([[b[i][k] for k, i in enumerate(idx)] for idx in np.ndindex(2, 2, 2)])
         return c @ self.world_from_model[:3, :3].T + self.world_from_model[:3, 3]
-
-    @cached_property
-    def footprint_m(self) -> tuple[np.ndarray, float]:
-        """Centre (2,) and radius, metres, of the circle around the model on the anchor's plane, in anchor axes."""
-        xy = self.world_from_anchor.inverse().apply(self.model_points_m)[:, :2]
-        c = (xy.min(0) + xy.max(0)) / 2
-        return c, float(np.linalg.norm(xy - c, axis=1).max())

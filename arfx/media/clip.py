@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -241,8 +241,3 @@ def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
     """Matroska's per-stream DURATION tag, "00:00:05.005000000"."""
     m = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", metadata.get("DURATION", ""))
     return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
-
-
-def with_notice(info: ClipInfo, text: str) -> ClipInfo:
-    """The same clip with one more notice."""
-    return replace(info, notices=(*info.notices, text))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -13,7 +12,6 @@ from arfx.run.worker import render_chunk
 
 # one chunk's arguments: folder, job key, first, last, target
 Task = tuple[str, str, int, int, str]
-Finished = Callable[[int], None]
 _counter: Any = None
 
 
@@ -83,4 +81,3 @@ def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int],
         for process in list((pool._processes or {}).values()):  # shutdown alone would wait for whole chunks
             process.terminate()
         pool.shutdown(wait=False, cancel_futures=True)
-        time.sleep(0)

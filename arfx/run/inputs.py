@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +25,6 @@ from arfx.media.clip import ClipInfo, probe
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.stages.raster.mesh import check_extent
-
-Notice = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,22 +25,30 @@ _GOLDEN_ANGLE = 2.399963229728653
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _rectangle(ox, oy, oz, dx, dy, dz, rect, limit):
+    """Distance, in units of d, at which a ray meets a rectangle before `limit`; `limit` where it does not."""
+    dn = dx * rect[9] + dy * rect[10] + dz * rect[11]
+    if dn == 0.0:
+        return limit
+    px, py, pz = rect[0] - ox, rect[1] - oy, rect[2] - oz
+    t = (px * rect[9] + py * rect[10] + pz * rect[11]) / dn
+    if t <= 1e-9 or t >= limit:
+        return limit
+    qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
+    inside = (
+        abs(qx * rect[3] + qy * rect[4] + qz * rect[5]) <= rect[12]
+        and abs(qx * rect[6] + qy * rect[7] + qz * rect[8]) <= rect[13]
+    )
+    return t if inside else limit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):
     """(distance in units of d, kind 0 none 1 rectangle 2 sphere, index) of the first surface along a ray."""
     best, kind, index = _FAR, 0, -1
     for i in range(rects.shape[0]):
-        dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
-        if dn == 0.0:
-            continue
-        px, py, pz = rects[i, 0] - ox, rects[i, 1] - oy, rects[i, 2] - oz
-        t = (px * rects[i, 9] + py * rects[i, 10] + pz * rects[i, 11]) / dn
-        if t <= 1e-9 or t >= best:
-            continue
-        qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
-        if (
-            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12]
-            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13]
-        ):
+        t = _rectangle(ox, oy, oz, dx, dy, dz, rects[i], best)
+        if t < best:
             best, kind, index = t, 1, i
     for i in range(spheres.shape[0]):
         px, py, pz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
@@ -61,18 +69,7 @@ def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):
 def hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):
     """True if any surface lies on the ray before `limit`."""
     for i in range(rects.shape[0]):
-        dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
-        if dn == 0.0:
-            continue
-        px, py, pz = rects[i, 0] - ox, rects[i, 1] - oy, rects[i, 2] - oz
-        t = (px * rects[i, 9] + py * rects[i, 10] + pz * rects[i, 11]) / dn
-        if t <= 1e-9 or t >= limit:
-            continue
-        qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
-        if (
-            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12]
-            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13]
-        ):
+        if _rectangle(ox, oy, oz, dx, dy, dz, rects[i], limit) < limit:
             return True
     for i in range(spheres.shape[0]):
         px, py, pz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
