@@ -19,6 +19,7 @@ from arfx.core.camera import Camera
 
 AUTO, LIGHT, CODE = "auto", "srgb", "gamma:1"
 SIGHTINGS = 12  # decide after so many
+FRAMES = 120  # or after so many with a marker in them, by what there is: edges too poor to tell are poor later too
 # Measured: true linear blur gives skews up to .03 in light; camera-sharpened footage .19 in light and -.03 in code.
 _SKEWED = 0.1
 
@@ -43,12 +44,12 @@ class EdgeRefiner:
             both = np.stack([skew, skew_code], -1)
             self._skews += [(float(a), float(b)) for a, b in both[np.isfinite(both).all(1)]]
             self._other.append((frame, second))
-            if len(self._skews) >= SIGHTINGS:
+            if len(self._skews) >= SIGHTINGS or len(self._other) >= FRAMES:
                 self._decide()
         return first
 
     def _decide(self) -> None:
-        light, code = np.abs(np.median(np.array(self._skews), axis=0))
+        light, code = np.abs(np.median(np.array(self._skews or [(0.0, 0.0)]), axis=0))
         self.transfer = CODE if light > _SKEWED and code < 0.5 * light else LIGHT
         self._table = linear_table(self.transfer)
         self._ready = self.transfer == CODE

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from arfx.analyse.corners import linear_table, refine_corners
-from arfx.analyse.detect import MarkerDetector, cells_per_side
-from arfx.analyse.edge_domain import CODE, LIGHT, SIGHTINGS, EdgeRefiner
+from arfx.analyse.detect import Candidate, MarkerDetector, cells_per_side
+from arfx.analyse.edge_domain import AUTO, CODE, FRAMES, LIGHT, SIGHTINGS, EdgeRefiner
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
@@ -92,6 +92,30 @@ def test_result_does_not_depend_on_the_company_or_on_a_small_change_of_start() -
     assert np.abs(moved.corners_px - alone.corners_px).max() < 0.02
 
 
+def test_large_marker_of_which_the_detector_reports_the_inside_of_its_rim() -> None:
+    cam = camera(640, 480, 800.0)
+    m, pose = MarkerSpec("36h11", 1, 0.1), tilted([0.35, 0.1, 0.2], [0.01, 0.0, 0.3])
+    image = picture(cam, [(m, pose)], background(640, 480), noise=1.0, blur_px=0.5)
+    truth = cam.project(pose.apply(m.corners_m))
+    found = next(c for c in MarkerDetector(["36h11"]).search(image) if c.key == m.key)
+    # whichever border the detector took: the rim may be as wide as OpenCV's neighbourhood
+    for inside_px in (0.0, 6.0, 11.0):
+        inner = truth + (truth.mean(0) - truth) * inside_px * np.sqrt(2) / np.linalg.norm(truth - truth.mean(0), axis=1)[:, None]
+        for start in (found.quad_px, inner):
+            r = refine_corners(image, start[None], np.array([8]), TABLE)
+            assert r.refined[0] and np.abs(r.corners_px[0] - truth).max() < 0.1 and r.sigma_px[0] < 0.1
+
+
+@pytest.mark.parametrize("quad", [np.full((4, 2), np.nan), np.zeros((4, 2)), np.full((4, 2), 1e300)])
+def test_senseless_quads_come_back_unrefined(quad: np.ndarray) -> None:
+    image = background(64, 48)
+    r = refine_corners((image * 255).astype(np.uint8), quad[None], np.array([8]), TABLE)
+    assert not r.refined[0] and r.sigma_px[0] == 1.0
+    assert np.array_equal(r.corners_px[0], quad, equal_nan=True)
+    thin = refine_corners(np.zeros((1, 40), np.uint8), np.ones((1, 4, 2)), np.array([8]), TABLE)
+    assert not thin.refined[0]
+
+
 def test_nothing_to_refine_is_said() -> None:
     quad = np.array([[[100.0, 60], [160, 60], [160, 120], [100, 120]]])
     flat = refine_corners(np.full((240, 320), 90, np.uint8), quad, np.array([8]), TABLE)
@@ -121,3 +145,12 @@ def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> Non
     replaced = refiner.corrections()
     assert (len(replaced) >= SIGHTINGS - 2) == (expected == CODE)
     assert not refiner.corrections()  # once only
+
+
+def test_edges_too_poor_to_tell_are_taken_for_light_after_a_while() -> None:
+    refiner = EdgeRefiner()
+    poor = Candidate("36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]]))
+    for k in range(FRAMES):
+        assert refiner.transfer == AUTO and len(refiner.state()["other"]) == k
+        refiner.refine(k, np.full((240, 320), 90, np.uint8), [poor], CAM)
+    assert refiner.transfer == LIGHT and not refiner.state()["other"] and not refiner.corrections()

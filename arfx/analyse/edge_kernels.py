@@ -1,0 +1,214 @@
+"""The compiled inner loop of corners.py: edges along the sides of one quad, lines through them, where the lines meet.
+
+All in float64, one marker after the other, so that a marker's result does not depend on its company. Nothing here
+divides by zero to an exception; what is not finite is told by the caller's flags and never becomes an index.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+SAMPLES = 32  # normals per side
+STEPS = 21  # samples along a normal
+FRACTIONS = np.linspace(0.06, 0.94, SAMPLES)  # rounded and occluded ends of a side are left out
+SETTLED_PX = 4e-3  # a fifth of the noise of a good corner
+ITERATIONS = 6
+WIDE_ITERATIONS = 2  # with the far reach, before the others
+# Columns of what `settle` says of a marker.
+OK, BLUR, SPREAD, GAIN, SKEW, INVERTED = range(6)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def settle(luma, table, quads, bend, half, reach, out):  # pragma: no cover - compiled
+    """Move quads (n, 4, 2) onto their edges, in place; out (n, 6) by the columns above.
+
+    luma : (h, w) uint8, at least 2 x 2;  table : (256,) to linear light;  bend : (n, 4, SAMPLES, 2) px off the chord
+    half : (n,) px searched to either side of an edge;  reach : (n,) px for the first passes, not below half
+    """
+    offset = np.empty((4, SAMPLES))
+    slope = np.empty((4, SAMPLES, STEPS - 1))
+    ends, moved = np.empty((4, 2)), np.empty((4, 2))
+    for i in range(len(quads)):
+        quad, said = quads[i], out[i]
+        wide = WIDE_ITERATIONS if reach[i] > half[i] else 0
+        window, blur = reach[i] / 2, np.nan
+        said[:] = 0.0
+        said[OK] = 1.0
+        for k in range(ITERATIONS + wide):
+            far = reach[i] if k < wide else half[i]
+            gain, blur, skew, inverted = _edges(luma, table, quad, bend[i], far, window, blur, slope, offset)
+            said[BLUR], said[GAIN], said[SKEW], said[INVERTED] = blur, gain, skew, inverted
+            if k < 3 + wide:  # the blur's estimate settles; then the window is held, so that the fixed point is one
+                next_half = reach[i] if k + 1 < wide else half[i]
+                window = min(max(1.2 * blur, 0.7), next_half / 2)
+            said[SPREAD] = _fit(offset, ends)
+            _meet(quad, ends, moved)
+            step = 0.0
+            finite = True
+            for c in range(4):
+                for j in range(2):
+                    finite = finite and np.isfinite(moved[c, j])
+                    step = max(step, abs(moved[c, j] - quad[c, j]))
+            if not (finite and gain > 0):
+                said[OK] = 0.0
+                break
+            quad[:] = moved
+            if step <= SETTLED_PX and k >= 2 + wide:
+                break
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _edges(luma, table, quad, bend, half, window, blur, slope, offset):  # pragma: no cover - compiled
+    """Where the four edges are along their normals: offset (4, SAMPLES) px inwards from the chord.
+
+    blur : NaN at first;  slope (4, SAMPLES, STEPS - 1) : work space
+    Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0 for white on black.
+    """
+    h, w = luma.shape
+    last_x, last_y = w - 1.001, h - 1.001
+    spacing = 2 * half / (STEPS - 1)
+    total = 0.0
+    for side in range(4):
+        ax, ay = quad[side, 0], quad[side, 1]
+        cx, cy = quad[(side + 1) % 4, 0] - ax, quad[(side + 1) % 4, 1] - ay
+        length = np.sqrt(cx * cx + cy * cy)
+        nx, ny = 0.0, 0.0  # normal, to the inside of a clockwise quad
+        if length > 0:
+            nx, ny = -cy / length, cx / length
+        for m in range(SAMPLES):
+            mx, my = ax + cx * FRACTIONS[m] + bend[side, m, 0], ay + cy * FRACTIONS[m] + bend[side, m, 1]
+            before = 0.0
+            for s in range(STEPS):
+                along = half * (s / ((STEPS - 1) / 2) - 1)
+                # bilinear, in linear light, exact coordinates (cv2.remap rounds them to 1/32 px); borders are replicated
+                x, y = mx + nx * along, my + ny * along
+                if not x > 0:  # also NaN
+                    x = 0.0
+                elif x > last_x:
+                    x = last_x
+                if not y > 0:
+                    y = 0.0
+                elif y > last_y:
+                    y = last_y
+                xi, yi = int(x), int(y)
+                fx, fy = x - xi, y - yi
+                a, b = table[luma[yi, xi]], table[luma[yi, xi + 1]]
+                c, d = table[luma[yi + 1, xi]], table[luma[yi + 1, xi + 1]]
+                top = a + (b - a) * fx
+                light = top + (c + (d - c) * fx - top) * fy
+                if s:
+                    g = (before - light) / spacing
+                    slope[side, m, s - 1] = g
+                    total += g
+                before = light
+    inverted = 1.0 if total < 0 else 0.0  # else bright outside, dark inside: positive
+    sign = -1.0 if total < 0 else 1.0
+    # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a displacement
+    boost = min((blur * blur + window * window) / (window * window), 3.0) if np.isfinite(blur) else 1.0
+    mean, narrow, at = np.zeros((4, STEPS - 1)), np.empty(STEPS - 1), np.empty(STEPS - 1)
+    for s in range(STEPS - 1):
+        at[s] = half * ((s + 0.5) / ((STEPS - 1) / 2) - 1)
+        narrow[s] = np.exp(-0.5 * (at[s] / window) ** 2)
+    gain = np.inf
+    for side in range(4):
+        for m in range(SAMPLES):
+            for s in range(STEPS - 1):
+                mean[side, s] += slope[side, m, s]
+        mass = 0.0
+        for s in range(STEPS - 1):
+            mean[side, s] *= sign / SAMPLES
+            mass += mean[side, s] * narrow[s]
+        gain = min(gain, mass)
+        for m in range(SAMPLES):
+            first = 0.0
+            for s in range(STEPS - 1):
+                first += slope[side, m, s] * narrow[s] * at[s]
+            e = sign * first / mass * boost
+            offset[side, m] = min(max(e, -half), half) if np.isfinite(e) else 0.0
+    blur_px = _width(mean, at, half)
+    third, near = 0.0, np.empty(STEPS - 1)
+    for side in range(4):
+        for s in range(STEPS - 1):
+            near[s] = mean[side, s] * np.exp(-0.5 * (at[s] / (1.5 * blur_px)) ** 2)
+        third += _moment(near, at, _moment(near, at, 0.0, 1, 0.0), 3, 0.0) / 4
+    return gain, blur_px, third / blur_px**3, inverted
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _width(mean, at, half):  # pragma: no cover - compiled
+    """Standard deviation px of the mean profiles (4, s), median of the sides; the window's own narrowing is taken out."""
+    seen, wide = np.empty(4), np.empty(len(at))
+    for side in range(4):
+        for s in range(len(at)):
+            wide[s] = max(mean[side, s], 0.0) * np.exp(-0.5 * (at[s] / (half / 2)) ** 2)
+        seen[side] = _moment(wide, at, _moment(wide, at, 0.0, 1, 0.0), 2, 1.0)
+    seen.sort()
+    own = 1 / (1 / ((seen[1] + seen[2]) / 2) - 1 / (half / 2) ** 2)
+    return np.sqrt(min(max(own, 0.04), half**2)) if np.isfinite(own) and own > 0 else half
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _moment(profile, at, centre, power, where_zero):  # pragma: no cover - compiled
+    """Mean of (at - centre)^power under a profile."""
+    total, moment = 0.0, 0.0
+    for s in range(len(at)):
+        total += profile[s]
+        moment += profile[s] * (at[s] - centre) ** power
+    q = moment / total
+    return q if np.isfinite(q) else where_zero
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fit(offset, ends):  # pragma: no cover - compiled
+    """Robust line per side (iterated, Geman-McClure): ends (4, 2) px; returns the spread px of the samples."""
+    f = FRACTIONS
+    weight, size, scales = np.empty(SAMPLES), np.empty(SAMPLES), np.empty(4)
+    for side in range(4):
+        v = offset[side]
+        weight[:] = 1.0
+        for k in range(3):
+            w0, w1, w2, v0, v1 = 0.0, 0.0, 0.0, 0.0, 0.0
+            for m in range(SAMPLES):
+                wf = weight[m] * f[m]
+                w0 += weight[m]
+                w1 += wf
+                w2 += wf * f[m]
+                v0 += weight[m] * v[m]
+                v1 += wf * v[m]
+            det = w0 * w2 - w1 * w1
+            at0, grade = (w2 * v0 - w1 * v1) / det, (w0 * v1 - w1 * v0) / det
+            if not (np.isfinite(at0) and np.isfinite(grade)):
+                at0, grade = 0.0, 0.0
+            if k < 2:  # the last round only needs the line
+                for m in range(SAMPLES):
+                    size[m] = abs(v[m] - at0 - grade * f[m])
+                scale = 1.4826 * np.partition(size, SAMPLES // 2)[SAMPLES // 2] + 1e-3
+                for m in range(SAMPLES):
+                    weight[m] = 1.0 / (1.0 + (size[m] / (2.5 * scale)) ** 2) ** 2
+                scales[side] = scale
+        ends[side, 0], ends[side, 1] = at0, at0 + grade
+    scales.sort()
+    return (scales[1] + scales[2]) / 2
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _meet(quad, ends, out):  # pragma: no cover - compiled
+    """Corners (4, 2) where the moved sides meet; NaN where two are parallel."""
+    p, d = np.empty((4, 2)), np.empty((4, 2))
+    for side in range(4):
+        ax, ay = quad[side, 0], quad[side, 1]
+        bx, by = quad[(side + 1) % 4, 0], quad[(side + 1) % 4, 1]
+        length = np.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
+        nx, ny = 0.0, 0.0
+        if length > 0:
+            nx, ny = -(by - ay) / length, (bx - ax) / length
+        p[side, 0], p[side, 1] = ax + nx * ends[side, 0], ay + ny * ends[side, 0]
+        d[side, 0], d[side, 1] = bx + nx * ends[side, 1] - p[side, 0], by + ny * ends[side, 1] - p[side, 1]
+    for side in range(4):
+        q, e = p[side - 1], d[side - 1]  # the side before: they meet in this corner
+        cross = e[0] * d[side, 1] - e[1] * d[side, 0]
+        share = ((p[side, 0] - q[0]) * d[side, 1] - (p[side, 1] - q[1]) * d[side, 0]) / cross
+        if not np.isfinite(share):
+            share = np.nan
+        out[side, 0], out[side, 1] = q[0] + e[0] * share, q[1] + e[1] * share
