@@ -1,7 +1,12 @@
-"""Who renders the chunks: this process, or several spawned ones. Both give the same bytes."""
+"""Who renders the chunks: this thread, several threads of this process, or several spawned processes. The same bytes.
+
+Threads share the model and what the stages prepared, and need no second start of Python: right for a few cores, as
+nearly all of a frame's time is spent in code that lets other threads run. With many they would wait for each other.
+"""
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -26,6 +31,36 @@ def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Iterat
 
     for task in tasks:
         yield render_chunk(*task, tick)
+
+
+class _StoppedError(Exception):
+    """Raised in a rendering thread to leave its chunk."""
+
+
+def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Iterator[dict[str, Any]]:
+    """Render in `workers` threads of this process, in any order. Raises what a thread raises; on the way out all stop."""
+    import concurrent.futures as futures
+
+    ticks = itertools.count(1)  # one step of it is atomic
+    done, stopped = 0, False
+
+    def tick() -> None:
+        nonlocal done
+        if stopped:
+            raise _StoppedError
+        done = max(done, next(ticks))
+
+    pool = futures.ThreadPoolExecutor(workers, "render")
+    try:
+        waiting = {pool.submit(render_chunk, *task, tick) for task in tasks}
+        while waiting:
+            ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
+            progress(done)
+            for future in ready:
+                yield future.result()
+    finally:
+        stopped = True
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _start(counter: Any) -> None:

@@ -27,14 +27,15 @@ from arfx.media.writer import chunk_suffix
 from arfx.plan.planner import plan_frame
 from arfx.run.analysis import analyse_clip
 from arfx.run.chunks import Chunk, borders
-from arfx.run.executors import Task, run_processes, run_serial
+from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
 from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
 from arfx.run.parameters import make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import Timing, build_report
 
-SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a worker and load its kernels
+SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
+MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
 
 
 def _silent(phase: str, done: int, total: int | None) -> None:
@@ -70,6 +71,7 @@ class Planned:
     meta: dict[str, Any]
     timing: Timing
     stage_names: list[str] = field(default_factory=list)
+    any_thread: bool = True  # no stage is bound to the thread that prepared it
 
 
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
@@ -101,10 +103,16 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     return report
 
 
-def default_workers(pixels: int) -> int:
-    """One process for a short job, in which starting others would take longer than they save; else one per usable core."""
+def default_workers(pixels: int, any_thread: bool) -> tuple[int, bool]:
+    """How many workers, and whether they are threads of this process: one per usable core.
+
+    Threads where the stages allow it and the cores are few; else processes, but one only for a short job, in which
+    starting others would take longer than they save.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return cores if pixels > SHORT_JOB_PX else 1
+    if any_thread and cores <= MOST_THREADS:
+        return cores, True
+    return (cores if pixels > SHORT_JOB_PX else 1), False
 
 
 def default_folder(output: Path) -> Path:
@@ -167,7 +175,8 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options) -> Planned:
     plans = [plan_frame(list(stages.values()), levels, f, scene, frame, config.pipeline.skip) for f in facts]
     write_lines(folder.plan, (p.to_json() for p in plans))
     timing.plan_s = time.perf_counter() - start
-    return Planned(inputs, folder, job_key, facts, plans, scene, meta, timing, list(stages))
+    return Planned(inputs, folder, job_key, facts, plans, scene, meta, timing, list(stages),
+                   not any(getattr(s, "one_thread", False) for s in stages.values()))
 
 
 def _same_job(folder: JobFolder, job_key: str) -> bool:
@@ -230,8 +239,14 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
         options.progress("render", keep + done, total)
 
     progress(0)
-    workers = min(options.workers or default_workers(total * planned.inputs.camera.rect.area), len(tasks))
-    results = run_processes(tasks, workers, progress) if workers > 1 else run_serial(tasks, progress)
+    workers, threads = options.workers, False
+    if workers is None:
+        workers, threads = default_workers(total * planned.inputs.camera.rect.area, planned.any_thread)
+    workers = min(workers, len(tasks))
+    if workers <= 1:
+        results = run_serial(tasks, progress)
+    else:
+        results = (run_threads if threads else run_processes)(tasks, workers, progress)
     with folder.timings.open("a", encoding="utf-8") as log:
         for result in results:
             log.write(json.dumps(result) + "\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -33,6 +34,7 @@ from arfx.run.parameters import make_stages, parameters
 from arfx.run.preview import save_preview
 
 Tick = Callable[[], None]
+_OPENING = threading.Lock()  # what threads share is made once
 
 
 @dataclass
@@ -96,19 +98,21 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
     Raises RenderError (frames missing in the source, a full disk, a stage that failed).
     """
     keep_memory()
-    context = open_context(folder, job_key)
+    with _OPENING:
+        context = open_context(folder, job_key)
     place = JobFolder(Path(folder))
     reach = max((s.reach for s in context.stages.values()), default=0)
     begin = max(first - reach, 0)
     facts = {f.index: f for f in map(FrameFacts.from_json, read_lines(place.facts, begin + 1, last + 1))}  # line 0: header
     plans = {p.index: p for p in map(FramePlan.from_json, read_lines(place.plan, begin, last))}
     start = time.perf_counter()
-    context.prepare({s.stage for p in plans.values() for s in p.steps})
+    with _OPENING:
+        context.prepare({s.stage for p in plans.values() for s in p.steps})
     seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
     stage_seconds: dict[str, float] = {}
     past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=max(reach, 1))
     final = Path(target)
-    aside = final.with_name(f"{os.getpid()}-{final.name}")
+    aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}")
     try:
         with ClipReader(context.info) as reader, ChunkWriter(context.output, context.info, aside) as writer:
             wanted = iter(range(begin, last + 1))

@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from arfx.core.camera import Camera
 from arfx.core.cost import Cost
@@ -27,8 +28,8 @@ from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
 from arfx.stages.occlusion import Occluder, cone, hemisphere
 
-SHOWS = 0.08  # darkening of linear light by less than this is faded out, without an edge
-_EXTENTS: WeakKeyDictionary[Scene, tuple[np.ndarray, np.ndarray]] = WeakKeyDictionary()
+SHOWS = 0.08  # darkening of linear light by less than this is left out; up to 3 times as much it is faded, without an edge
+_OUTLINES: WeakKeyDictionary[Scene, np.ndarray] = WeakKeyDictionary()
 GRID_PX = 8  # pitch of the table of viewing directions; bilinear between: error below 1e-3 px for usual lenses
 
 
@@ -75,10 +76,8 @@ class Contact:
         eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
         if eye[2] <= 0:
             return Demand(EMPTY, "plane seen from behind")
-        centre, half = extent_m(scene)
-        t = np.linspace(-1, 1, 9)
-        edge = np.concatenate([np.stack(p, -1) for p in ((t, -np.ones(9)), (t, np.ones(9)), (-np.ones(9), t), (np.ones(9), t))])
-        points = np.column_stack([centre + half * edge, np.zeros(len(edge))])
+        outline = outline_m(scene)
+        points = np.column_stack([outline, np.zeros(len(outline))])
         seen = scene.camera.project(pose.apply(scene.world_from_anchor.apply(points)))
         rect = frame if not np.isfinite(seen).all() else Rect.around(seen, 1.0).clip(frame)
         return Demand(rect, "contact shadow in view" if not rect.empty else "contact shadow out of view")
@@ -91,8 +90,8 @@ class Contact:
 
     def prepare(self, scene: Scene, level: Level) -> Prepared:
         texels, rays = {"draft": (96, 48), "standard": (160, 96), "high": (256, 144), "reference": (384, 400)}[level.name]
-        centre, half = extent_m(scene)
-        ratio = light_left(scene, centre, half, texels, rays)
+        centre, half = _box(outline_m(scene))
+        ratio = faded(light_left(scene, centre, half, texels, rays))
         ratio = (1 + (ratio - 1) * self.params.strength).astype(np.float32)
         if (ratio == ratio[..., :1]).all():
             ratio = np.ascontiguousarray(ratio[..., :1])
@@ -126,14 +125,13 @@ class Contact:
         return {Layer.SHADOW: shadow}
 
 
-def extent_m(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Centre (2,) and half sides (2,), metres, anchor axes, of the rectangle in which the shadow shows.
+def outline_m(scene: Scene) -> np.ndarray:
+    """(k, 2) metres, anchor axes: points along the convex outline in which the shadow shows.
 
     Found on a coarse map of a generous region: that of the footprint, the shadow cast by every light at least 20 degrees
-    high, and a border of one object height (beyond it the ambient occlusion is under (h / 2h)^2 / 4). What darkens by
-    less than SHOWS is left out, and the border is faded, so that no edge shows.
+    high, and a border of one object height (beyond it the ambient occlusion is under (h / 2h)^2 / 4).
     """
-    cached: tuple[np.ndarray, np.ndarray] | None = _EXTENTS.get(scene)
+    cached: np.ndarray | None = _OUTLINES.get(scene)
     if cached is not None:
         return cached
     points = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
@@ -144,23 +142,40 @@ def extent_m(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         if d[2] > np.sin(np.radians(20)):
             ground.append(points[:, :2] - np.maximum(points[:, 2:], 0) * d[:2] / d[2])
     every = np.concatenate(ground)
-    low, high = every.min(0) - height, every.max(0) + height
-    centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-3)
-    coarse = light_left(scene, centre, half, 64, 64, fade=False).min(-1)
-    rows, columns = (np.flatnonzero((coarse < 1 - SHOWS).any(axis)) for axis in (1, 0))
-    if rows.size:
-        edges = np.array([[columns[0] - 1, rows[0] - 1], [columns[-1] + 2, rows[-1] + 2]]) / 64 * 2 - 1
-        low, high = centre + half * edges[0], centre + half * edges[1]
-        centre, half = (low + high) / 2, (high - low) / 2 * 1.15
-    _EXTENTS[scene] = centre, half
-    return centre, half
+    centre, half = _box(np.concatenate([every - height, every + height]))
+    texels = 64
+    dark = np.argwhere(light_left(scene, centre, half, texels, 64).min(-1) < 1 - SHOWS)[:, ::-1]
+    if not len(dark):
+        dark = np.array([[texels / 2, texels / 2]])
+    # a texel and its neighbours: the coarse map may miss the border by one
+    grown = (dark[:, None] + np.array([[-1, -1], [2, -1], [2, 2], [-1, 2]])).reshape(-1, 2)
+    hull = grown[ConvexHull(grown).vertices]
+    t = np.linspace(0, 1, 5)[:-1, None, None]  # points along the sides too: a lens bends them
+    sides = (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)
+    outline: np.ndarray = centre + half * (sides / texels * 2 - 1)
+    _OUTLINES[scene] = outline
+    return outline
 
 
-def light_left(scene: Scene, centre: np.ndarray, half: np.ndarray, texels: int, rays: int, fade: bool = True) -> np.ndarray:
+def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and half sides of the axis-parallel box around points (n, 2); no side is zero."""
+    low, high = points.min(0), points.max(0)
+    return (low + high) / 2, np.maximum((high - low) / 2, 1e-3)
+
+
+def faded(ratio: np.ndarray) -> np.ndarray:
+    """Light left with faint darkening taken out: none below SHOWS, all of it from 3 times as much, smooth between."""
+    dark = 1 - ratio
+    t = np.clip((dark.max(-1, keepdims=True) - SHOWS) / (2 * SHOWS), 0, 1)
+    out: np.ndarray = 1 - dark * (t * t * (3 - 2 * t))
+    return out
+
+
+def light_left(scene: Scene, centre: np.ndarray, half: np.ndarray, texels: int, rays: int) -> np.ndarray:
     """(texels, texels, 3) float64 share of the default light that reaches the anchor's plane with the object there.
 
     centre, half (2,) : the rectangle, metres, anchor axes.  Row 0 is the lowest y. Noise of the ray count is smoothed
-    over a texel;  fade : to exactly 1 at the borders
+    over a texel.
     """
     import cv2
 
@@ -183,12 +198,8 @@ def light_left(scene: Scene, centre: np.ndarray, half: np.ndarray, texels: int, 
         whole = whole + np.asarray(li.rgb) * d[2]
     ratio = np.where(whole > 0, left / np.where(whole > 0, whole, 1), 1.0).reshape(texels, texels, 3)
     ratio = cv2.GaussianBlur(ratio, (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
-    ratio = np.clip(ratio, 0, 1)
-    if not fade:
-        return ratio
-    r = np.maximum(np.abs(t)[:, None], np.abs(t)[None, :])
-    ramp = np.clip((1 - r) / 0.2, 0, 1)
-    return 1 + (ratio - 1) * (ramp * ramp * (3 - 2 * ramp))[..., None]
+    clipped: np.ndarray = np.clip(ratio, 0, 1)
+    return clipped
 
 
 def _shifted_faces(scene: Scene) -> list[np.ndarray]:

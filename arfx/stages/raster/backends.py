@@ -73,6 +73,11 @@ def choose_backend(wanted: str = "auto") -> Backend:
     return Backend("pyrender", GlRenderer, GL_SAMPLES)
 
 
+def may_use_opengl(wanted: str) -> bool:
+    """Could `choose_backend` return OpenGL? Opens nothing."""
+    return wanted == "pyrender" or (wanted == "auto" and _graphics_card())
+
+
 def _graphics_card() -> bool:
     """Is there a device that a driver could render on? Spares each worker a context that would be refused anyway."""
     if not sys.platform.startswith("linux"):

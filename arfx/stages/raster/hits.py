@@ -63,7 +63,7 @@ def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cov
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def surfaces(
     prim, bary_u, bary_v, depth, skip, directions, pixel,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, code, values,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, texels, table, values,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Attributes of hits into values (n, 13): 0 opacity, the rest as in `acc`. Rows of misses and of `skip` stay as they are.
 
@@ -73,7 +73,6 @@ def surfaces(
     One body without calls: passing two dozen arrays to a function once per hit
     takes ten times as long as the arithmetic (reference counts).
     """
-    texel = np.empty(4, np.float32)
     for k in range(prim.shape[0]):
         if prim[k] < 0 or skip[k]:
             continue
@@ -107,13 +106,12 @@ def surfaces(
             lod = min(lod, np.float32(table[t, 2] - 1))
             first = int(lod)
             mix = np.float32(lod - first)
-            srgb = 0 if slot == 1 else 1
-            for c in range(4):
-                texel[c] = 0.0
+            t0, t1, t2, t3 = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
             for step in range(2):
                 share = np.float32(1) - mix if step == 0 else mix
                 if share <= 0.0:
                     continue
+                share *= np.float32(1 / 65535)
                 level = min(first + step, table[t, 2] - 1)
                 w, h = max(table[t, 0] >> level, 1), max(table[t, 1] >> level, 1)
                 start = table[t, 3 + level]
@@ -123,19 +121,22 @@ def surfaces(
                 x1, y1 = x0 + 1, y0 + 1
                 x0, x1 = x0 if x0 >= 0 else w - 1, x1 if x1 < w else 0
                 y0, y1 = y0 if y0 >= 0 else h - 1, y1 if y1 < h else 0
-                for corner in range(4):
-                    at = np.uintp(start + (y1 if corner > 1 else y0) * w + (x1 if corner % 2 else x0))
-                    weight = share * (fx if corner % 2 else np.float32(1) - fx) * (fy if corner > 1 else np.float32(1) - fy)
-                    texel[0] += weight * code[srgb, texels[at, 0]]
-                    texel[1] += weight * code[srgb, texels[at, 1]]
-                    texel[2] += weight * code[srgb, texels[at, 2]]
-                    texel[3] += weight * code[0, texels[at, 3]]
+                a, b_, c, d = (
+                    np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1),
+                    np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1),
+                )  # fmt: skip
+                wb, wc, wd = share * fx * (1 - fy), share * (1 - fx) * fy, share * fx * fy
+                wa = share - wb - wc - wd
+                t0 += wa * texels[a, 0] + wb * texels[b_, 0] + wc * texels[c, 0] + wd * texels[d, 0]
+                t1 += wa * texels[a, 1] + wb * texels[b_, 1] + wc * texels[c, 1] + wd * texels[d, 1]
+                t2 += wa * texels[a, 2] + wb * texels[b_, 2] + wc * texels[c, 2] + wd * texels[d, 2]
+                t3 += wa * texels[a, 3] + wb * texels[b_, 3] + wc * texels[c, 3] + wd * texels[d, 3]
             if slot == 0:
-                r, g, b, alpha = r * texel[0], g * texel[1], b * texel[2], alpha * texel[3]
+                r, g, b, alpha = r * t0, g * t1, b * t2, alpha * t3
             elif slot == 1:
-                metallic, rough = metallic * texel[0], rough * texel[1]
+                metallic, rough = metallic * t0, rough * t1
             else:
-                er, eg, eb = er * texel[0], eg * texel[1], eb * texel[2]
+                er, eg, eb = er * t0, eg * t1, eb * t2
         mode = ints[p, 3]
         if mode == 0:
             alpha = np.float32(1)

@@ -21,7 +21,6 @@ from arfx.stages.raster import hits
 from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import CUTOFF, EMIT_R, Mesh
-from arfx.stages.raster.textures import CODE
 from arfx.stages.raster.visibility import face_boxes, nearest_faces, nearest_faces_at
 
 MAX_LAYERS = 8
@@ -77,7 +76,7 @@ class RayRenderer:
         m = mesh
         self._surfaces = (
             m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints,
-            m.textures.texels, m.textures.table, CODE,
+            m.textures.linear, m.textures.table,
         )  # fmt: skip
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:

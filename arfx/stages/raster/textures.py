@@ -6,6 +6,7 @@ Averages are taken in linear light (colour) and stored sRGB coded again, as SRGB
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -20,10 +21,23 @@ _ENCODE = np.round(SRGB.encode(np.arange(8193) / 8192.0) * 255).astype(np.uint8)
 
 @dataclass(frozen=True, eq=False)
 class TextureStack:
-    """texels : (n, 4) uint8, all levels of all textures;  table : (k, 3 + MAX_LEVELS) int64 width, height, levels, offsets"""
+    """texels : (n, 4) uint8, all levels of all textures;  table : (k, 3 + MAX_LEVELS) int64 width, height, levels, offsets
+    srgb : (k,) bool, the first three channels are sRGB coded"""
 
     texels: np.ndarray
     table: np.ndarray
+    srgb: np.ndarray
+
+    @cached_property
+    def linear(self) -> np.ndarray:
+        """(n, 4) uint16, texels in linear light, 65535 = 1: one load for four channels, no table for each."""
+        out = np.empty(self.texels.shape, np.uint16)
+        code = np.round(CODE * 65535).astype(np.uint16)
+        ends = np.r_[self.table[1:, 3], len(self.texels)]
+        for start, end, srgb in zip(self.table[:, 3], ends, self.srgb, strict=True):
+            out[start:end, :3] = code[int(srgb)][self.texels[start:end, :3]]
+            out[start:end, 3] = code[0][self.texels[start:end, 3]]
+        return out
 
 
 class StackBuilder:
@@ -33,6 +47,7 @@ class StackBuilder:
         self._index: dict[tuple[int, bool], int] = {}
         self._keep: list[np.ndarray] = []  # ids stay unique only while the arrays live
         self._rows: list[list[int]] = []
+        self._srgb: list[bool] = []
         self._texels: list[np.ndarray] = []
         self._size = 0
 
@@ -44,6 +59,7 @@ class StackBuilder:
         if key not in self._index:
             self._index[key] = len(self._rows)
             self._keep.append(image)
+            self._srgb.append(srgb)
             levels = pyramid(image, srgb)
             offsets = []
             for level in levels:
@@ -57,7 +73,7 @@ class StackBuilder:
     def build(self) -> TextureStack:
         texels = np.concatenate(self._texels) if self._texels else np.full((1, 4), 255, np.uint8)
         table = np.array(self._rows, np.int64).reshape(-1, 3 + MAX_LEVELS)
-        return TextureStack(np.ascontiguousarray(texels), table)
+        return TextureStack(np.ascontiguousarray(texels), table, np.array(self._srgb, bool))
 
 
 def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
