@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.chain import DIM, evidence, link, noise, smooth_chain
+from arfx.analyse.chain import DIM, evidence, link, smooth_chain
+from arfx.analyse.chain_kernels import solve_in_place
 
 N = 6
 RNG = np.random.default_rng(2)
 DT = np.array([0.033, 0.033, 0.1, 0.02, 0.05])
+
+
+def noise(density: np.ndarray, dt_s: float) -> np.ndarray:
+    """(12, 12) covariance of white acceleration over dt_s."""
+    one = np.array([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]])
+    return np.kron(one, np.diag(density))
 
 
 def problem() -> tuple:
@@ -84,8 +91,28 @@ def test_extreme_noise_stays_regular(q: float) -> None:
     assert (spread <= 1 / np.sqrt(np.diag(measured[0])) * 1.0001).all()  # never worse than a frame alone
 
 
-def test_noise_of_two_intervals_is_that_of_both_together() -> None:
-    density, a, b = np.array([1.0, 2, 3, 4, 5, 6]), 0.02, 0.05
-    move = np.eye(DIM)
-    move[np.arange(6), np.arange(6) + 6] = b
-    np.testing.assert_allclose(move @ noise(density, a) @ move.T + noise(density, b), noise(density, a + b), rtol=1e-12)
+def test_two_short_links_are_one_long_link() -> None:
+    def last(dt: list[float]) -> np.ndarray:
+        n = len(dt)
+        i = np.arange(6)
+        before, after = np.tile(-np.eye(DIM), (n, 1, 1)), np.tile(np.eye(DIM), (n, 1, 1))
+        before[:, i, i + 6] = -np.array(dt)[:, None]
+        links = link(before, after, np.zeros((n, DIM)), np.array(dt))
+        seen = np.zeros((n + 1, 6, 6))
+        seen[0] = np.eye(6) * 1e6
+        return smooth_chain(seen, np.zeros((n + 1, 6)), links, np.tile([1.0, 2, 3, 4, 5, 6], (n, 1)))[1][-1]
+
+    np.testing.assert_allclose(last([0.02, 0.05]), last([0.07]), rtol=1e-9)
+
+
+def test_systems_are_solved_as_by_numpy() -> None:
+    rng = np.random.default_rng(5)
+    for n in (1, 3, 6, 12):
+        a, b = rng.normal(0, 1, (n, n)), rng.normal(0, 1, (n, 4))
+        a[0, 0] = 0.0 if n > 1 else 2.0  # needs a pivot
+        x = b.copy()
+        log = solve_in_place(a.copy(), x)
+        np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
+        assert log == pytest.approx(np.linalg.slogdet(a)[1])
+    x = np.ones((2, 1))
+    assert not np.isfinite(solve_in_place(np.zeros((2, 2)), x)) and not np.isfinite(x).any()

@@ -1,0 +1,201 @@
+"""The compiled loops of chain.py: Kalman prediction and update, smoother, evidence, for one chain of small matrices.
+
+Every link has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes: only
+those blocks are multiplied. Systems are solved by elimination with pivoting, as LAPACK does. Float64 throughout.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+DIM = 12
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def solve_in_place(a, b):  # pragma: no cover - compiled
+    """b becomes a^-1 b for a (n, n), b (n, m); a is used up. Returns log |det a|; a singular a leaves NaN."""
+    n, m = b.shape
+    log_det = 0.0
+    for c in range(n):
+        pivot, size = c, abs(a[c, c])
+        for r in range(c + 1, n):
+            if abs(a[r, c]) > size:
+                pivot, size = r, abs(a[r, c])
+        if pivot != c:
+            for k in range(c, n):
+                a[c, k], a[pivot, k] = a[pivot, k], a[c, k]
+            for k in range(m):
+                b[c, k], b[pivot, k] = b[pivot, k], b[c, k]
+        log_det += np.log(size)
+        for r in range(c + 1, n):
+            share = a[r, c] / a[c, c]
+            if share != 0.0:
+                for k in range(c + 1, n):
+                    a[r, k] -= share * a[c, k]
+                for k in range(m):
+                    b[r, k] -= share * b[c, k]
+    for c in range(n - 1, -1, -1):
+        for r in range(c + 1, n):
+            share = a[c, r]
+            for k in range(m):
+                b[c, k] -= share * b[r, k]
+        for k in range(m):
+            b[c, k] /= a[c, c]
+    return log_det
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _ahead(x, p, move, gate, shift, q, dt, w):  # pragma: no cover - compiled
+    """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (6,) densities.
+
+    w (6, 12) : filled with the upper half of move p, p being that of before
+    """
+    for i in range(3):
+        for j in range(DIM):
+            turned = 0.0
+            for k in range(3):
+                turned += move[i, k] * p[k, j] + move[i, k + 6] * p[k + 6, j]
+            w[i, j] = turned
+            w[i + 3, j] = p[i + 3, j] + dt * p[i + 9, j]
+    for i in range(6):
+        for j in range(3):
+            turned = 0.0
+            for k in range(3):
+                turned += w[i, k] * move[j, k] + w[i, k + 6] * move[j, k + 6]
+            p[i, j] = turned
+            p[i, j + 3] = w[i, j + 3] + dt * w[i, j + 9]
+        for j in range(6, DIM):
+            p[i, j] = w[i, j]
+    for i in range(3):
+        for j in range(3):
+            turned = 0.0
+            for k in range(3):
+                turned += gate[i, k] * q[k] * gate[j, k]
+            p[i, j] += turned * dt**3 / 3
+            p[i, j + 6] += gate[i, j] * q[j] * dt**2 / 2
+        p[i + 3, i + 3] += q[i + 3] * dt**3 / 3
+        p[i + 3, i + 9] += q[i + 3] * dt**2 / 2
+    for i in range(6):
+        p[i + 6, i + 6] += q[i] * dt
+        for j in range(6):
+            p[j + 6, i] = p[i, j + 6]
+    a, b, c = x[0], x[1], x[2]
+    for i in range(3):
+        turn = move[i, 0] * a + move[i, 1] * b + move[i, 2] * c
+        x[i] = turn + move[i, 6] * x[6] + move[i, 7] * x[7] + move[i, 8] * x[8] + shift[i]
+        x[i + 3] += dt * x[i + 9] + shift[i + 3]
+    for i in range(6, DIM):
+        x[i] += shift[i]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _update(x, p, m, g, inner, s, t, n):  # pragma: no cover - compiled
+    """Take in a measurement of information m (6, 6) and pull g (6,), in place. Returns its log evidence.
+
+    inner, s (6, 6), t, n (12, 6) : work space
+    """
+    some = False
+    for i in range(6):
+        for j in range(6):
+            some = some or m[i, j] != 0.0
+            total = 1.0 if i == j else 0.0
+            for k in range(6):
+                total += m[i, k] * p[k, j]
+            inner[i, j] = total
+            s[i, j] = m[i, j]
+    if not some:
+        return 0.0
+    log = -0.5 * solve_in_place(inner, s)
+    for i in range(DIM):
+        for j in range(6):
+            n[i, j] = p[i, j]
+    for i in range(DIM):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += n[i, k] * s[k, j]
+            t[i, j] = total
+    for i in range(DIM):
+        for j in range(i + 1):
+            both = 0.0
+            for k in range(6):
+                both += t[i, k] * n[j, k] + t[j, k] * n[i, k]
+            p[i, j] = p[j, i] = (p[i, j] + p[j, i] - both) / 2
+    for i in range(6):
+        missed = g[i]
+        for k in range(6):
+            missed -= m[i, k] * x[k]
+        log += 0.5 * x[i] * (g[i] + missed)  # x g - x m x / 2
+        inner[0, i] = missed
+    for i in range(DIM):
+        step = 0.0
+        for k in range(6):
+            step += p[i, k] * inner[0, k]
+        if i < 6:
+            log += 0.5 * inner[0, i] * step
+        t[i, 0] = step
+    for i in range(DIM):
+        x[i] += t[i, 0]
+    return log
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def filter_and_smooth(measured, pull, move, gate, shift, dt, density, start, means, covs):  # pragma: no cover - compiled
+    """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the rest as for smooth_chain."""
+    n = len(measured)
+    x, p = np.zeros(DIM), start.copy()
+    upper = np.empty((max(n - 1, 0), 6, DIM))
+    ahead_x, ahead_p = np.empty((n, DIM)), np.empty((n, DIM, DIM))
+    inner, s, t, c = np.empty((6, 6)), np.empty((6, 6)), np.empty((DIM, 6)), np.empty((DIM, 6))
+    for k in range(n):
+        if k:
+            _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], density[k - 1], dt[k - 1], upper[k - 1])
+        ahead_x[k], ahead_p[k] = x, p
+        _update(x, p, measured[k], pull[k], inner, s, t, c)
+        means[k], covs[k] = x, p
+    size, scaled, gain, change = np.empty(DIM), np.empty((DIM, DIM)), np.empty((DIM, DIM)), np.empty((DIM, DIM))
+    for k in range(n - 2, -1, -1):
+        # gain^T = ahead^-1 move p, each axis scaled to its own size first
+        for i in range(DIM):
+            size[i] = 1 / np.sqrt(ahead_p[k + 1, i, i])
+        for i in range(DIM):
+            for j in range(DIM):
+                scaled[i, j] = ahead_p[k + 1, i, j] * size[i] * size[j]
+                gain[i, j] = size[i] * (upper[k, i, j] if i < 6 else covs[k, i, j])
+        solve_in_place(scaled, gain)
+        for i in range(DIM):
+            for j in range(DIM):
+                gain[i, j] *= size[i]
+                scaled[i, j] = covs[k + 1, i, j] - ahead_p[k + 1, i, j]
+        for i in range(DIM):
+            moved = means[k, i]
+            for j in range(DIM):
+                moved += gain[j, i] * (means[k + 1, j] - ahead_x[k + 1, j])
+                total = 0.0
+                for m in range(DIM):
+                    total += gain[m, i] * scaled[m, j]
+                change[i, j] = total
+            means[k, i] = moved
+        for i in range(DIM):
+            for j in range(i + 1):
+                total = covs[k, i, j]
+                for m in range(DIM):
+                    total += change[i, m] * gain[m, j]
+                covs[k, i, j] = covs[k, j, i] = total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_evidence(measured, pull, move, gate, shift, dt, density, start, out):  # pragma: no cover - compiled
+    """Fill out (c,): log evidence, up to a constant, of c candidates of density (c, n - 1, 6)."""
+    x, p, upper = np.empty(DIM), np.empty((DIM, DIM)), np.empty((6, DIM))
+    inner, s, t, n = np.empty((6, 6)), np.empty((6, 6)), np.empty((DIM, 6)), np.empty((DIM, 6))
+    for c in range(len(density)):
+        x[:] = 0.0
+        p[:] = start
+        total = 0.0
+        for k in range(len(measured)):
+            if k:
+                _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], density[c, k - 1], dt[k - 1], upper)
+            total += _update(x, p, measured[k], pull[k], inner, s, t, n)
+        out[c] = total
