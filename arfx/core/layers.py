@@ -50,10 +50,15 @@ _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
 
 def neutral(name: Layer, rect: Rect) -> np.ndarray:
     """A new array over `rect` as if nothing virtual were there. PLATE and IMAGE have no neutral value: KeyError."""
-    channels, dtype, value = _NEUTRAL[name]
-    shape = (rect.height, rect.width, channels) if channels else (rect.height, rect.width)
-    # zeros come from fresh pages that cost nothing until they are written
-    return np.zeros(shape, dtype) if value == 0 else np.full(shape, value, dtype)
+    out = unset(name, rect)
+    out.fill(_NEUTRAL[name][2])
+    return out
+
+
+def unset(name: Layer, rect: Rect) -> np.ndarray:
+    """A new array of the layer's shape and type whose values are not set yet."""
+    channels, dtype, _ = _NEUTRAL[name]
+    return np.empty((rect.height, rect.width, channels) if channels else (rect.height, rect.width), dtype)
 
 
 @dataclass(frozen=True)

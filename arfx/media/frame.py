@@ -159,13 +159,14 @@ def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndar
     (_, yn), (_, cn) = f.luma_steps, f.chroma_steps
     y_low, y_high, c_low, c_high = f.legal
     d_cb, d_cr = np.empty((2, r.height, r.width), np.float32)
+    spans = np.empty((r.height, 2), np.int32)
     bad = kernels.edit_luma(
-        planes[0], r.x0, r.y0, before, after, before.view(np.int32), after.view(np.int32),
-        kernels.encode_table(f.transfer), yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, d_cb, d_cr,
+        planes[0], r.x0, r.y0, before.view(np.int32), after.view(np.int32), kernels.encode_table(f.transfer),
+        yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, d_cb, d_cr, spans,
     )  # fmt: skip
     for plane, diff in ((planes[1], d_cb), (planes[2], d_cr)):
         kernels.edit_chroma(
-            plane, diff, (r.x0, r.y0, r.x1, r.y1), (f.width, f.height), (f.layout.sub_x, f.layout.sub_y), f.cosited,
+            plane, diff, spans, (r.x0, r.y0, r.x1, r.y1), (f.width, f.height), (f.layout.sub_x, f.layout.sub_y), f.cosited,
             np.float32(cn), c_low, c_high,
         )  # fmt: skip
     return int(bad)

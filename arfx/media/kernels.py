@@ -35,15 +35,6 @@ def encode_table(transfer: Transfer) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def _decoded(v, table):
-    t = (v - np.float32(-1.25)) * np.float32(4096.0)
-    t = min(max(t, np.float32(0.0)), np.float32(14335.999))
-    i = np.int32(t)
-    f = t - np.float32(i)
-    return table[i] + f * (table[i + 1] - table[i])
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
 def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, table, out):
     """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1).
 
@@ -68,6 +59,9 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, t
         part[k] = c - np.float32(first[k])
     c0 = first[0]
     n = second[w - 1] - c0 + 1
+    # a line at a time in steps without branches: the compiler makes vector code of all but the lookup
+    coded = np.empty((3, w), np.float32)
+    at, between = np.empty((3, w), np.int32), np.empty((3, w), np.float32)
     row_u = np.empty(n, np.float32)
     row_v = np.empty(n, np.float32)
     for j in range(y1 - y0):
@@ -83,73 +77,104 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, t
             a, b = np.float32(v[r0, c0 + i]), np.float32(v[r1, c0 + i])
             row_v[i] = (a + f * (b - a) - co) * cf
         for k in range(w):
-            i, m, t = first[k] - c0, second[k] - c0, part[k]
+            i, m, t = np.uintp(first[k] - c0), np.uintp(second[k] - c0), part[k]
             cb = row_u[i] + t * (row_u[m] - row_u[i])
             cr = row_v[i] + t * (row_v[m] - row_v[i])
             luma = (np.float32(y[yy, x0 + k]) - yo) * yf
-            out[j, k, 0] = _decoded(luma + rv * cr, table)
-            out[j, k, 1] = _decoded(luma - gu * cb - gv * cr, table)
-            out[j, k, 2] = _decoded(luma + bu * cb, table)
+            coded[0, k] = luma + rv * cr
+            coded[1, k] = luma - gu * cb - gv * cr
+            coded[2, k] = luma + bu * cb
+        for c in range(3):
+            for k in range(w):
+                t = (coded[c, k] - np.float32(-1.25)) * np.float32(4096.0)
+                t = min(max(t, np.float32(0.0)), np.float32(14335.999))
+                at[c, k] = np.int32(t)
+                between[c, k] = t - np.float32(at[c, k])
+        for k in range(w):
+            for c in range(3):
+                i = np.uintp(at[c, k])
+                out[j, k, c] = table[i] + between[c, k] * (table[i + np.uintp(1)] - table[i])
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def _encoded(bits, value, table):
-    b = bits & 0x7FFFFFFF
-    node = (b >> 16) - 12416
-    if node < 0:  # below 2^-30: straight to zero
-        return value * (table[0] * np.float32(1073741824.0))
-    if node > 4607:
-        node = 4607
-        b = 0xFFFF
-    f = np.float32(b & 0xFFFF) * np.float32(1 / 65536)
-    r = table[node] + f * (table[node + 1] - table[node])
-    return -r if value < 0 else r
+def encode_bits(bits, table, out):
+    """out[k] = the transfer function of the float32 with bits[k] (n,) int32, by linear interpolation; odd in the value."""
+    zero, last = np.int32(0), np.int32(4607)
+    for k in range(bits.shape[0]):
+        b = bits[k] & np.int32(0x7FFFFFFF)
+        node = (b >> np.int32(16)) - np.int32(12416)
+        t = np.float32(b & np.int32(0xFFFF)) * np.float32(1 / 65536) if node <= last else np.float32(1)
+        i = np.uintp(min(max(node, zero), last))
+        v = table[i] + t * (table[i + np.uintp(1)] - table[i])
+        if node < zero:  # below 2^-30: straight to zero in the bits
+            v = table[0] * (np.float32(b) * np.float32(1 / (12416 << 16)))
+        out[k] = -v if bits[k] < zero else v
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def edit_luma(y, x0, y0, before, after, before_bits, after_bits, table, to_yuv, factor, low, high, d_cb, d_cr):
+def edit_luma(y, x0, y0, before_bits, after_bits, table, to_yuv, factor, low, high, d_cb, d_cr, spans):
     """Adds the luma difference to plane y in place and leaves the chroma differences (per pixel, -0.5..0.5) in d_cb, d_cr.
 
-    before, after : (h, w, 3) float32 linear;  *_bits : the same memory as int32;  to_yuv : (3, 3) from R'G'B'
+    *_bits : (h, w, 3) float32 linear light as int32;  to_yuv : (3, 3) from R'G'B'
     factor : stored steps per unit of luma;  low, high : legal stored values
+    spans : (h, 2) int32, set to the first column that changes and the one behind the last; d_cb, d_cr hold values there
     Returns how many pixels of `after` or `before` are not finite; those are left alone.
     """
     h, w = d_cb.shape
     bad = 0
     zero, one = np.float32(0), np.float32(1)
     infinite = np.int32(0x7F800000)
+    which = np.empty(w, np.int32)
+    bits, coded = np.empty(6 * w, np.int32), np.empty(6 * w, np.float32)
     for j in range(h):
+        n = 0
         for k in range(w):
-            r0, g0, b0 = before_bits[j, k, 0], before_bits[j, k, 1], before_bits[j, k, 2]
-            r1, g1, b1 = after_bits[j, k, 0], after_bits[j, k, 1], after_bits[j, k, 2]
-            dy, db, dr = zero, zero, zero
-            if r0 != r1 or g0 != g1 or b0 != b1:
-                old_odd = (r0 & infinite) == infinite or (g0 & infinite) == infinite or (b0 & infinite) == infinite
-                if old_odd or (r1 & infinite) == infinite or (g1 & infinite) == infinite or (b1 & infinite) == infinite:
-                    bad += 1
-                else:
-                    for c in range(3):
-                        b = _encoded(before_bits[j, k, c], before[j, k, c], table)
-                        a = _encoded(after_bits[j, k, c], after[j, k, c], table)
-                        a = min(max(a, min(b, zero)), max(b, one))
-                        d = a - b
-                        dy += to_yuv[0, c] * d
-                        db += to_yuv[1, c] * d
-                        dr += to_yuv[2, c] * d
-                    step = np.int32(np.rint(dy * factor))
-                    if step != 0:
-                        old = np.int32(y[y0 + j, x0 + k])
-                        y[y0 + j, x0 + k] = min(max(old + step, min(old, low)), max(old, high))
-            elif (r0 & infinite) == infinite or (g0 & infinite) == infinite or (b0 & infinite) == infinite:
+            odd = False
+            same = True
+            for c in range(3):
+                b, a = before_bits[j, k, c], after_bits[j, k, c]
+                odd |= ((b & infinite) == infinite) | ((a & infinite) == infinite)
+                same &= a == b
+            if odd:
                 bad += 1
-            d_cb[j, k] = db
-            d_cr[j, k] = dr
+            elif not same:
+                for c in range(3):
+                    bits[6 * n + 2 * c], bits[6 * n + 2 * c + 1] = before_bits[j, k, c], after_bits[j, k, c]
+                which[n] = k
+                n += 1
+        spans[j, 0], spans[j, 1] = (which[0], which[n - 1] + 1) if n else (0, 0)
+        d_cb[j, spans[j, 0] : spans[j, 1]] = 0
+        d_cr[j, spans[j, 0] : spans[j, 1]] = 0
+        encode_bits(bits[: 6 * n], table, coded)
+        for q in range(n):
+            k = np.uintp(which[q])
+            dy, db, dr = zero, zero, zero
+            for c in range(3):
+                b, a = coded[np.uintp(6 * q + 2 * c)], coded[np.uintp(6 * q + 2 * c + 1)]
+                d = min(max(a, min(b, zero)), max(b, one)) - b
+                dy += to_yuv[0, c] * d
+                db += to_yuv[1, c] * d
+                dr += to_yuv[2, c] * d
+            d_cb[j, k], d_cr[j, k] = db, dr
+            old = np.int32(y[y0 + j, x0 + k])
+            y[y0 + j, x0 + k] = min(max(old + np.int32(np.rint(dy * factor)), min(old, low)), max(old, high))
     return bad
 
 
 @numba.njit(cache=True, nogil=True)
-def edit_chroma(plane, diff, rect, picture, steps, cosited, factor, low, high):
-    """Adds per-pixel chroma differences (of coded `rect`) to one chroma plane in place.
+def _taps(step, tent):
+    """Offsets from a chroma sample's first luma sample (from, to) and the weights of the luma samples there."""
+    n = 1 << step
+    low = 1 - n if tent else 0
+    weights = np.empty(n - low, np.float32)
+    for k in range(low, n):
+        weights[k - low] = (n - abs(k)) / (n * n) if tent else 1.0 / n
+    return low, n, weights
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def edit_chroma(plane, diff, spans, rect, picture, steps, cosited, factor, low, high):
+    """Adds per-pixel chroma differences (of coded `rect`, zero outside `spans`) to one chroma plane in place.
 
     A sample on the left/top luma sample takes a tent of the differences, one in the middle a box; beyond the rectangle
     the difference is zero, beyond the picture its edge goes on. Only samples on the grid inside the rectangle,
@@ -158,27 +183,39 @@ def edit_chroma(plane, diff, rect, picture, steps, cosited, factor, low, high):
     x0, y0, x1, y1 = rect
     width, height = picture
     sx, sy = steps
-    nx, ny = 1 << sx, 1 << sy
     ca, cb = x0 >> sx, -(-x1 >> sx)
     ra, rb = y0 >> sy, -(-y1 >> sy)
-    rows = np.zeros((y1 - y0, cb - ca), np.float32)
-    tent_x = cosited[0] and sx > 0
-    tent_y = cosited[1] and sy > 0
+    n = cb - ca
+    from_x, to_x, weights_x = _taps(sx, cosited[0] and sx > 0)
+    from_y, to_y, weights_y = _taps(sy, cosited[1] and sy > 0)
+    rows = np.zeros((y1 - y0, n), np.float32)
+    reach = np.zeros((y1 - y0, 2), np.int64)  # of each row, the chroma columns that its differences reach
     for j in range(y1 - y0):
-        for i in range(cb - ca):
+        if spans[j, 1] <= spans[j, 0]:
+            continue
+        first, last = x0 + spans[j, 0], x0 + spans[j, 1]  # luma columns with a difference
+        a = max(((first - to_x + 1) >> sx) - ca, 0)
+        b = min(((last - from_x) >> sx) + 1 - ca, n)
+        reach[j, 0], reach[j, 1] = a, b
+        for i in range(a, b):
             total, centre = np.float32(0), (ca + i) << sx
-            for k in range(1 - nx if tent_x else 0, nx):
+            for k in range(from_x, to_x):
                 x = min(max(centre + k, 0), width - 1)
-                if x0 <= x < x1:
-                    total += diff[j, x - x0] * np.float32((nx - abs(k)) / (nx * nx) if tent_x else 1.0 / nx)
+                if first <= x < last:
+                    total += diff[j, x - x0] * weights_x[k - from_x]
             rows[j, i] = total
     for r in range(ra, rb):
-        for i in range(cb - ca):
-            total, centre = np.float32(0), r << sy
-            for k in range(1 - ny if tent_y else 0, ny):
-                yy = min(max(centre + k, 0), height - 1)
+        a, b = n, 0
+        for k in range(from_y, to_y):
+            yy = min(max((r << sy) + k, 0), height - 1)
+            if y0 <= yy < y1 and reach[yy - y0, 1] > reach[yy - y0, 0]:
+                a, b = min(a, reach[yy - y0, 0]), max(b, reach[yy - y0, 1])
+        for i in range(a, b):
+            total = np.float32(0)
+            for k in range(from_y, to_y):
+                yy = min(max((r << sy) + k, 0), height - 1)
                 if y0 <= yy < y1:
-                    total += rows[yy - y0, i] * np.float32((ny - abs(k)) / (ny * ny) if tent_y else 1.0 / ny)
+                    total += rows[yy - y0, i] * weights_y[k - from_y]
             step = np.int32(np.rint(total * factor))
             if step != 0:
                 old = np.int32(plane[r, ca + i])

@@ -53,6 +53,11 @@ class Mesh:
         return bool((self.ints[:, MODE] != 0).any())
 
     @cached_property
+    def texture_slots(self) -> int:
+        """Up to which of the three texture columns any material has one, 0..3."""
+        return 1 + int(np.flatnonzero((self.ints[:, : EMISSIVE_TEXTURE + 1] >= 0).any(0)).max(initial=-1))
+
+    @cached_property
     def hidden(self) -> np.ndarray:
         """(m,) bool, faces that are not shown from behind."""
         return self.ints[self.part, TWO_SIDED] == 0

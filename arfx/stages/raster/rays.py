@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.layers import Layer, neutral
+from arfx.core.layers import Layer, neutral, unset
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
-from arfx.stages.raster import hits
+from arfx.stages.raster import hits, surface
 from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import CUTOFF, EMIT_R, Mesh
@@ -75,13 +75,14 @@ class RayRenderer:
         self.glows = bool(mesh.floats[:, EMIT_R:CUTOFF].any())
         m = mesh
         self._surfaces = (
-            m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints,
+            m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints, m.texture_slots,
             m.textures.linear, m.textures.table,
         )  # fmt: skip
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame."""
-        out = {name: neutral(name, rect) for name in OUTPUTS}
+        every = rect.empty or self.mesh.layered  # else each pixel is written; EMISSIVE only where something glows
+        out = {n: neutral(n, rect) if every or n is Layer.EMISSIVE else unset(n, rect) for n in OUTPUTS}
         if rect.empty:
             return out
         height = max(_TILE_RAYS // rect.width, 1)
@@ -106,13 +107,13 @@ class RayRenderer:
         add_differences(edge, prim, depth, m.part, m.face_normal, lens, h, w, rotation, self.pixel)
         arrays = tuple(out[name] for name in OUTPUTS)
         pixel = np.float32(self.pixel * _SHARPER)
-        directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
-        ident = np.where(prim >= 0, m.part[prim] + 1, 0).astype(np.int32)
+        ident = None
         if not m.layered:
-            values = np.empty((h * w, hits.COLUMNS), np.float32)
-            hits.surfaces(*(*seen, edge, directions, pixel, *self._surfaces, values))
-            hits.write_centres(*(prim, depth, edge, values, directions, h, w, eye_world, self.glows, m.part, *arrays))
+            surface.write_centres(
+                *seen, edge, lens, rotation, pixel, h, w, eye_world, self.glows, *self._surfaces, *arrays
+            )
         else:
+            directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
             acc, depth, ident, masked = self._trace(eye, directions, valid, seen, pixel)
             edge |= masked  # a mean of opacities says little about where a cut-out ends: sampled instead
             hits.resolve_centres(h, w, edge, acc, depth, ident, directions, eye_world, *arrays)
@@ -127,8 +128,9 @@ class RayRenderer:
             slot[some] = np.arange(len(some))
             found = nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
             s_acc, s_depth, s_ident, _ = self._trace(eye, rays, ok, found, np.float32(self.pixel / np.sqrt(count)))
+            at_centre = np.where(prim[some] >= 0, m.part[prim[some]] + 1, 0).astype(np.int32) if ident is None else ident[some]
             hits.resolve_edges(
-                w, some, count, self.order, s_acc, s_depth, s_ident, depth, ident, lens, rotation, eye_world, *arrays
+                w, some, count, self.order, s_acc, s_depth, s_ident, depth[some], at_centre, lens, rotation, eye_world, *arrays
             )
 
     def _trace(
@@ -159,7 +161,7 @@ class RayRenderer:
             z = start[active] + distance
             values = np.empty((len(active), hits.COLUMNS), np.float32)
             rays = directions if len(active) == n else directions[active]
-            hits.surfaces(face, u, v, z, np.zeros(len(active), bool), rays, pixel, *self._surfaces, values)
+            surface.surfaces(face, u, v, z, rays, pixel, *self._surfaces, values)
             going = hits.accumulate(
                 active, face, z, values, directions, start, m.hidden, m.layered, m.part, m.face_normal, m.ints,
                 acc, depth, ident, masked, onward,

@@ -33,7 +33,7 @@ class TextureStack:
         """(n, 4) uint16, texels in linear light, 65535 = 1: one load for four channels, no table for each."""
         out = np.empty(self.texels.shape, np.uint16)
         code = np.round(CODE * 65535).astype(np.uint16)
-        ends = np.r_[self.table[1:, 3], len(self.texels)]
+        ends = np.append(self.table[1:, 3], len(self.texels))[: len(self.table)]
         for start, end, srgb in zip(self.table[:, 3], ends, self.srgb, strict=True):
             out[start:end, :3] = code[int(srgb)][self.texels[start:end, :3]]
             out[start:end, 3] = code[0][self.texels[start:end, 3]]

@@ -16,10 +16,11 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 
-# The picture of a straight edge bows by about length^2 / 8 x curvature of the lens; below this length that is less than
-# the padding for every lens of the test clips, above it the edges are followed.
+# The picture of a straight edge bows by about length^2 / 8 x curvature of the lens; at this length that is less than
+# the padding for every lens of the test clips, below it the padding shrinks with the bow, above it the edges are followed.
 _SHORT_PX = 24.0
 _PAD_PX = 1.0
+_SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
 _ALONG = 16
 
 
@@ -28,41 +29,56 @@ def face_boxes(points: np.ndarray, pixels: np.ndarray, faces: np.ndarray, camera
 
     points (n, 3) camera coordinates; pixels (n, 2) their projections, NaN behind the camera or beyond the lens
     """
-    low, high = pixels[faces[:, 0]], pixels[faces[:, 0]]
-    for k in (1, 2):
-        low, high = np.minimum(low, pixels[faces[:, k]]), np.maximum(high, pixels[faces[:, k]])
-    whole = np.isnan(low).any(1)  # a corner has no picture: let the planes decide
-    if camera.distorted:
-        with np.errstate(invalid="ignore"):
-            long = np.flatnonzero(((high - low) > _SHORT_PX).any(1) & ~whole)
-        if len(long):
-            t = np.linspace(0, 1, _ALONG + 1)[:, None]
-            p = points[faces[long]]
-            around = np.concatenate([p[:, None, i] * (1 - t) + p[:, None, j] * t for i, j in ((0, 1), (1, 2), (2, 0))], 1)
-            followed = camera.project(around)
-            slack = 0.02 * (high[long] - low[long])  # bow between two points: at most 1/256 of the whole bow, times safety
-            low[long], high[long] = followed.min(1) - slack, followed.max(1) + slack
-            whole |= np.isnan(low).any(1)
-    box = np.empty((len(faces), 4))
-    box[:, :2] = np.ceil(low - _PAD_PX) - [rect.x0, rect.y0]
-    box[:, 2:] = np.floor(high + _PAD_PX) + 1 - [rect.x0, rect.y0]
-    box[whole] = [0, 0, rect.width, rect.height]
-    gone = (points[:, 2] <= EPS_DEPTH_M)[faces].all(1)
-    box[gone] = 0
-    box[:, [0, 2]] = np.clip(box[:, [0, 2]], 0, rect.width)
-    box[:, [1, 3]] = np.clip(box[:, [1, 3]], 0, rect.height)
-    return box.astype(np.int32)
+    box, long = _boxes(points, pixels, faces, camera.distorted, rect.x0, rect.y0, rect.width, rect.height, EPS_DEPTH_M)
+    if long.any():
+        at = np.flatnonzero(long)
+        t = np.linspace(0, 1, _ALONG + 1)[:, None]
+        p = points[faces[at]]
+        around = np.concatenate([p[:, None, i] * (1 - t) + p[:, None, j] * t for i, j in ((0, 1), (1, 2), (2, 0))], 1)
+        followed = camera.project(around)
+        low, high = followed.min(1), followed.max(1)
+        slack = _PAD_PX + _SAMPLE_PX + 0.02 * (high - low)  # bow between two points: at most 1/256 of the whole bow, times safety
+        ends = np.concatenate([np.ceil(low - slack) - [rect.x0, rect.y0], np.floor(high + slack) + 1 - [rect.x0, rect.y0]], 1)
+        ends = np.where(np.isnan(ends).any(1)[:, None], [0, 0, rect.width, rect.height], ends)
+        box[at] = np.clip(ends, 0, [rect.width, rect.height] * 2).astype(np.int32)
+    return box
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _boxes(points, pixels, faces, distorted, x0, y0, width, height, near):  # pragma: no cover - compiled
+    """Boxes from the corners alone, and which faces are so long that a lens bends their edges by more than the padding."""
+    box = np.zeros((faces.shape[0], 4), np.int32)
+    long = np.zeros(faces.shape[0], np.bool_)
+    for f in range(faces.shape[0]):
+        i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        if points[i, 2] <= near and points[j, 2] <= near and points[k, 2] <= near:
+            continue
+        # a corner without a picture: let the planes decide
+        ax, bx, cx, ay, by, cy = pixels[i, 0], pixels[j, 0], pixels[k, 0], pixels[i, 1], pixels[j, 1], pixels[k, 1]
+        if np.isnan(ax + bx + cx + ay + by + cy):
+            box[f, 2], box[f, 3] = width, height
+            continue
+        low_x, high_x, low_y, high_y = min(ax, bx, cx), max(ax, bx, cx), min(ay, by, cy), max(ay, by, cy)
+        side = max(high_x - low_x, high_y - low_y)
+        long[f] = distorted and side > _SHORT_PX
+        pad = _PAD_PX * ((side / _SHORT_PX) ** 2 if distorted else 0.0) + _SAMPLE_PX
+        box[f, 0] = min(max(np.ceil(low_x - pad) - x0, 0.0), width)
+        box[f, 1] = min(max(np.ceil(low_y - pad) - y0, 0.0), height)
+        box[f, 2] = min(max(np.floor(high_x + pad) + 1 - x0, 0.0), width)
+        box[f, 3] = min(max(np.floor(high_y + pad) + 1 - y0, 0.0), height)
+    return box, long
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pragma: no cover - compiled
-    """Per pixel the nearest face (-1 = none), barycentric u, v and depth; and per face whether its front is seen.
+    """Per pixel the nearest face (-1 = none), its barycentric u, v and depth; and per face whether its front is seen.
 
     hidden : (m,) bool, faces that cannot be seen from behind;  lens : (h + 2, w + 2, 2) directions, one pixel of margin
     """
     prim = np.full(height * width, -1, np.int32)
-    u, v = np.zeros(height * width, np.float32), np.zeros(height * width, np.float32)
+    u, v = np.empty(height * width, np.float32), np.empty(height * width, np.float32)
     depth = np.full(height * width, np.inf, np.float32)
+    one, row = np.uintp(1), np.uintp(width)
     front = np.zeros(faces.shape[0], np.bool_)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
@@ -77,25 +93,23 @@ def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pra
         front[f] = volume < 0
         if volume == 0 or (volume > 0 and hidden[f]):
             continue
-        sign = 1.0 if volume > 0 else -1.0
-        for y in range(box[f, 1], box[f, 3]):
-            for x in range(box[f, 0], box[f, 2]):
-                dx, dy = np.float64(lens[y + 1, x + 1, 0]), np.float64(lens[y + 1, x + 1, 1])
-                ea = sign * (pax * dx + pay * dy + paz)
-                if not ea >= 0:
-                    continue
-                eb = sign * (pbx * dx + pby * dy + pbz)
-                ec = sign * (pcx * dx + pcy * dy + pcz)
-                if not (eb >= 0 and ec >= 0):
-                    continue
-                total = ea + eb + ec
-                if total <= 0:
-                    continue
-                z = sign * volume / total
-                n = y * width + x
-                if near < z < depth[n]:
-                    depth[n], prim[n] = z, f
-                    u[n], v[n] = eb / total, ec / total
+        if volume < 0:
+            pax, pay, paz, pbx, pby, pbz = -pax, -pay, -paz, -pbx, -pby, -pbz
+            pcx, pcy, pcz, volume = -pcx, -pcy, -pcz, -volume
+        x0, x1 = np.uintp(box[f, 0]), np.uintp(box[f, 2])
+        for y in range(np.uintp(box[f, 1]), np.uintp(box[f, 3])):
+            for x in range(x0, x1):
+                dx, dy = np.float64(lens[y + one, x + one, 0]), np.float64(lens[y + one, x + one, 1])
+                ea = pax * dx + pay * dy + paz
+                eb = pbx * dx + pby * dy + pbz
+                ec = pcx * dx + pcy * dy + pcz
+                if ea >= 0 and eb >= 0 and ec >= 0:
+                    total = ea + eb + ec
+                    if total > 0:
+                        z, n = volume / total, y * row + x
+                        if near < z < depth[n]:
+                            depth[n], prim[n] = z, f
+                            u[n], v[n] = eb / total, ec / total
     return prim, u, v, depth, front
 
 

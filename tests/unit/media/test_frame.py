@@ -94,9 +94,13 @@ def test_tables_follow_the_transfer(transfer: str) -> None:
     f = frame("yuv444p", transfer=t)
     assert np.abs(f.linear(f.rect) - reference_linear(f)).max() < 2e-5
     v = np.concatenate([np.linspace(0, 1, 500), np.geomspace(1e-9, 50, 500)]).astype(np.float32)
-    got = np.array([kernels._encoded(b, x, kernels.encode_table(t)) for b, x in zip(v.view(np.int32), v, strict=True)])
+    got = np.empty_like(v)
+    kernels.encode_bits(v.view(np.int32), kernels.encode_table(t), got)
     assert np.abs(got - t.encode(v.astype(float))).max() < 2e-4
     assert np.abs(got - t.encode(v.astype(float)))[v > 1e-3].max() < 2e-5
+    minus = np.empty_like(v)
+    kernels.encode_bits((-v).view(np.int32), kernels.encode_table(t), minus)
+    assert (minus == -got).all()
 
 
 @settings(max_examples=60, deadline=None)

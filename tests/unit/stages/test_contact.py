@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,7 +11,7 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Window
-from arfx.stages.contact import Contact, ContactParams, extent_m, light_left
+from arfx.stages.contact import SHOWS, Contact, ContactParams, faded, light_left, outline_m
 from arfx.stages.occlusion import Occluder, cone, hemisphere
 from tests.scenes import box_model, camera, facts, look_at, scene
 
@@ -49,7 +50,7 @@ def light_scene(elevation_deg: float, size_deg: float = 1.0) -> Scene:
 
 def test_a_directional_shadow_has_the_length_of_the_object_over_tan_elevation() -> None:
     s = light_scene(45)
-    centre, half = extent_m(s)
+    centre, half = np.array([-0.05, 0.0]), np.array([0.18, 0.12])
     n = 256
     left = light_left(s, centre, half, n, 64)[..., 0]
     x = centre[0] + half[0] * ((np.arange(n) + 0.5) / n * 2 - 1)
@@ -60,13 +61,34 @@ def test_a_directional_shadow_has_the_length_of_the_object_over_tan_elevation() 
     assert left[:, -1].min() == left[0].min() == 1.0
 
 
+def test_the_outline_holds_every_place_that_the_shadow_shows_in_and_little_more() -> None:
+    s = light_scene(45, size_deg=10)
+    outline = outline_m(s)
+    centre, half, n = np.array([-0.05, 0.0]), np.array([0.25, 0.2]), 200
+    left = faded(light_left(s, centre, half, n, 96))[..., 0]
+    rows, columns = np.nonzero(left < 1)
+    places = centre + half * ((np.column_stack([columns, rows]) + 0.5) / n * 2 - 1)
+    hull = cv2.convexHull(outline.astype(np.float32))
+    outside = [-cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y in places]
+    assert max(outside) < 0.002  # texels of the coarse map are 10 mm
+    shown = cv2.contourArea(cv2.convexHull(places.astype(np.float32)))
+    assert cv2.contourArea(hull) < 1.35 * shown
+
+
+def test_faint_darkening_goes_and_the_rest_stays_without_a_step() -> None:
+    dark = np.linspace(0, 1, 2001)
+    kept = 1 - faded(np.repeat((1 - dark)[:, None], 3, 1))[:, 0]
+    assert (kept[dark <= SHOWS] == 0).all() and kept[dark >= 3 * SHOWS] == pytest.approx(dark[dark >= 3 * SHOWS])
+    assert (np.diff(kept) >= 0).all() and np.diff(kept).max() < 4 * np.diff(dark).max()
+
+
 def test_a_hovering_object_detaches_its_shadow_and_a_standing_one_does_not() -> None:
     s = light_scene(60)
     lifted = s.world_from_model.copy()
     lifted[2, 3] += 0.2
     for world_from_model, touches in ((s.world_from_model, True), (lifted, False)):
         t = Scene(s.camera, s.model, world_from_model, light=Light((0.5, 0.5, 0.5), ()))
-        centre, half = extent_m(t)
+        centre, half = np.zeros(2), np.array([0.2, 0.2])
         left = light_left(t, centre, half, 128, 256)[..., 0]
         column, row = (int(64 + 64 * (at - c) / h) for at, c, h in zip((0.066, 0.0), centre, half, strict=True))
         edge = left[row, column]  # 6 mm outside the cube's side

@@ -1,0 +1,167 @@
+"""Attributes of the model's surface where a ray meets it: colour, normal, material. Compiled, `rays` back end.
+
+Textures: trilinear in the pyramids of textures.py, repeated. Source of the level: the footprint's area (OpenGL 4.6, 8.14).
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+# Cosine below which the footprint on the surface stops growing: one texel row would blur away a whole texture.
+_GRAZING = 0.1
+
+
+@numba.njit(inline="always")
+def _surface(
+    face, b1, b2, z, dx, dy, dz, pixel,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Opacity, albedo (3), unit normal (3), metallic, roughness, specular, emissive (3) of one hit.
+
+    dx, dy, dz : the ray, camera z = 1;  z : depth of the hit;  pixel : footprint of a sample at depth 1
+    slots : how many of the three textures any material has
+    Inlined: a call with two dozen arrays takes ten times as long as the arithmetic (reference counts).
+    """
+    # unsigned indices spare numba the test for negative ones
+    f = np.uintp(face)
+    p = np.uintp(part[f])
+    i0, i1, i2 = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
+    b0 = np.float32(1) - b1 - b2
+    r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
+    g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
+    b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
+    alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
+    one = np.float32(1)
+    metallic, rough = floats[p, 4], floats[p, 5]
+    er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
+    for slot in range(slots):
+        t = ints[p, slot]
+        if t < 0:
+            continue
+        tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
+        tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
+        tu -= np.floor(tu)
+        tv -= np.floor(tv)
+        # the pixel's footprint on the surface, as the side of a square of the same area, in texels
+        cosine = max(abs(facing) / length, np.float32(_GRAZING))
+        side = z * pixel * uv_per_m[f] / np.sqrt(cosine) * np.sqrt(np.float32(table[t, 0] * table[t, 1]))
+        lod = np.log2(side) if side > np.float32(1) else np.float32(0)
+        lod = min(lod, np.float32(table[t, 2] - 1))
+        first = int(lod)
+        mix = np.float32(lod - first)
+        t0, t1, t2, t3 = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+        for step in range(2):
+            share = np.float32(1) - mix if step == 0 else mix
+            if share <= 0.0:
+                continue
+            share *= np.float32(1 / 65535)
+            level = min(first + step, table[t, 2] - 1)
+            w, h = max(table[t, 0] >> level, 1), max(table[t, 1] >> level, 1)
+            start = table[t, 3 + level]
+            x, y = tu * np.float32(w) - np.float32(0.5), tv * np.float32(h) - np.float32(0.5)
+            x0, y0 = int(np.floor(x)), int(np.floor(y))
+            fx, fy = np.float32(x - x0), np.float32(y - y0)
+            x1, y1 = x0 + 1, y0 + 1
+            x0, x1 = x0 if x0 >= 0 else w - 1, x1 if x1 < w else 0
+            y0, y1 = y0 if y0 >= 0 else h - 1, y1 if y1 < h else 0
+            a, b_, c, d = (
+                np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1),
+                np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1),
+            )  # fmt: skip
+            wb, wc, wd = share * fx * (one - fy), share * (one - fx) * fy, share * fx * fy
+            wa = share - wb - wc - wd
+            t0 += wa * texels[a, 0] + wb * texels[b_, 0] + wc * texels[c, 0] + wd * texels[d, 0]
+            t1 += wa * texels[a, 1] + wb * texels[b_, 1] + wc * texels[c, 1] + wd * texels[d, 1]
+            t2 += wa * texels[a, 2] + wb * texels[b_, 2] + wc * texels[c, 2] + wd * texels[d, 2]
+            t3 += wa * texels[a, 3] + wb * texels[b_, 3] + wc * texels[c, 3] + wd * texels[d, 3]
+        if slot == 0:
+            r, g, b, alpha = r * t0, g * t1, b * t2, alpha * t3
+        elif slot == 1:
+            metallic, rough = metallic * t0, rough * t1
+        else:
+            er, eg, eb = er * t0, eg * t1, eb * t2
+    mode = ints[p, 3]
+    if mode == 0:
+        alpha = np.float32(1)
+    elif mode == 1:
+        alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
+    nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
+    ny = b0 * normals[i0, 1] + b1 * normals[i1, 1] + b2 * normals[i2, 1]
+    nz = b0 * normals[i0, 2] + b1 * normals[i1, 2] + b2 * normals[i2, 2]
+    if facing > 0:  # the back of a two-sided surface
+        nx, ny, nz = -nx, -ny, -nz
+    # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
+    away = (nx * dx + ny * dy + nz * dz) / (length * length)
+    if away > 0:
+        nx, ny, nz = nx - away * dx, ny - away * dy, nz - away * dz
+    n = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if n > np.float32(1e-6):
+        nx, ny, nz = nx / n, ny / n, nz / n
+    else:
+        s = np.float32(-1) if facing > 0 else np.float32(1)
+        nx, ny, nz = s * face_normal[f, 0], s * face_normal[f, 1], s * face_normal[f, 2]
+    return alpha, r, g, b, nx, ny, nz, metallic, rough, floats[p, 6], er, eg, eb
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def surfaces(
+    prim, bary_u, bary_v, depth, directions, pixel,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table, values,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Attributes of hits into values (n, 13), in the order of `_surface`. Rows of misses stay as they are.
+
+    depth : (n,) of the hits;  directions : (n, 3) with camera z = 1
+    """
+    for k in range(prim.shape[0]):
+        if prim[k] < 0:
+            continue
+        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
+        alpha, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
+            prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel,
+            faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
+        )  # fmt: skip
+        values[k, 0], values[k, 1], values[k, 2], values[k, 3] = alpha, r, g, b
+        values[k, 4], values[k, 5], values[k, 6] = nx, ny, nz
+        values[k, 7], values[k, 8], values[k, 9] = metallic, rough, specular
+        values[k, 10], values[k, 11], values[k, 12] = er, eg, eb
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def write_centres(
+    prim, bary_u, bary_v, depth, edge, lens, rotation, pixel, height, width, eye, glows,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
+    coverage, depth_out, normal, position, albedo, material, emissive, object_id,
+):  # fmt: skip  # pragma: no cover - compiled
+    """All layers of an opaque mesh from one sample a pixel; those of misses and of `edge` pixels become neutral.
+
+    Hits cover one pixel more on each side than the layers do, the lens table two;  glows : else EMISSIVE is left alone
+    """
+    for i in range(1, height - 1):
+        for j in range(1, width - 1):
+            k = np.uintp(i * width + j)
+            y, x = np.uintp(i - 1), np.uintp(j - 1)
+            if prim[k] < 0 or edge[k]:
+                coverage[y, x], depth_out[y, x], object_id[y, x] = 0, np.inf, 0
+                for c in range(3):
+                    albedo[y, x, c], normal[y, x, c], material[y, x, c], position[y, x, c] = 0, 0, 0, 0
+                material[y, x, 3] = 0
+                continue
+            lx, ly, z = lens[i + 1, j + 1, 0], lens[i + 1, j + 1, 1], depth[k]
+            dx = np.float32(rotation[0, 0] * lx + rotation[1, 0] * ly + rotation[2, 0])
+            dy = np.float32(rotation[0, 1] * lx + rotation[1, 1] * ly + rotation[2, 1])
+            dz = np.float32(rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2])
+            _, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
+                prim[k], bary_u[k], bary_v[k], z, dx, dy, dz, pixel,
+                faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
+            )  # fmt: skip
+            coverage[y, x], depth_out[y, x], object_id[y, x] = 1, z, part[np.uintp(prim[k])] + 1
+            albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r, g, b
+            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = nx, ny, nz
+            material[y, x, 0], material[y, x, 1], material[y, x, 2], material[y, x, 3] = metallic, rough, specular, 1
+            position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * dx, eye[1] + z * dy, eye[2] + z * dz
+            if glows:
+                emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = er, eg, eb
