@@ -53,7 +53,8 @@ def smooth_chain(measured: np.ndarray, pull: np.ndarray, links: Links, density: 
     """
     n = len(measured)
     means, covs = np.empty((n, DIM)), np.empty((n, DIM, DIM))
-    kernels.filter_and_smooth(*_arrays(measured, pull, links), np.ascontiguousarray(density, float), _START, means, covs)
+    m, g, move, gate, shift, dt, q = _contiguous(measured, pull, links.move, links.gate, links.shift, links.dt_s, density)
+    kernels.filter_and_smooth(m, g, move, gate, shift, dt, q, _START, means, covs)
     if not (np.isfinite(means).all() and np.isfinite(covs).all()):
         raise np.linalg.LinAlgError("the smoother's chain is singular")
     return means, covs
@@ -62,10 +63,10 @@ def smooth_chain(measured: np.ndarray, pull: np.ndarray, links: Links, density: 
 def evidence(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray) -> np.ndarray:
     """(c,) log evidence, up to a constant, of c candidates of noise density (c, n - 1, 6) on one chain."""
     out = np.empty(len(density))
-    kernels.log_evidence(*_arrays(measured, pull, links), np.ascontiguousarray(density, float), _START, out)
+    m, g, move, gate, shift, dt, q = _contiguous(measured, pull, links.move, links.gate, links.shift, links.dt_s, density)
+    kernels.log_evidence(m, g, move, gate, shift, dt, q, _START, out)
     return out
 
 
-def _arrays(measured: np.ndarray, pull: np.ndarray, links: Links) -> tuple[np.ndarray, ...]:
-    every = (measured, pull, links.move, links.gate, links.shift, links.dt_s)
-    return tuple(np.ascontiguousarray(a, float) for a in every)
+def _contiguous(*arrays: np.ndarray) -> list[np.ndarray]:
+    return [np.ascontiguousarray(a, float) for a in arrays]

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arfx.analyse import pose_kernels
+from arfx.analyse.pose_kernels import HUBER_SIGMA
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.pose import Pose, rotation_from_rotvec, skew
@@ -67,7 +69,7 @@ def view_jacobian(q: np.ndarray) -> np.ndarray:
     return out
 
 
-def huber_cost(r: np.ndarray, weight: np.ndarray, limit: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
+def huber_cost(r: np.ndarray, weight: np.ndarray, limit: float = HUBER_SIGMA) -> tuple[np.ndarray, np.ndarray]:
     """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual exceeds `limit` sigma."""
     d2 = (r * r).sum(-1) * weight
     d = np.sqrt(d2)
@@ -80,41 +82,13 @@ def refine_poses(
     rotation: np.ndarray, translation: np.ndarray, seen: Observed, iterations: int = 12
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation, cost (n,))."""
-    rotation, translation = rotation.copy(), translation.copy()
-    damping = np.full(len(rotation), 1e-4)
-    r = residuals(rotation, translation, seen)
-    cost, factor = huber_cost(r, seen.weight)
-    for k in range(iterations):
-        a, g = _normal_equations(rotation, translation, seen, r, factor)
-        scale = np.einsum("nii->ni", a) * damping[:, None] + 1e-12
-        step = -np.linalg.solve(a + np.einsum("ni,ij->nij", scale, np.eye(6)), g[..., None])[..., 0]
-        new_rotation, new_translation = apply_step(rotation, translation, step)
-        new_r = residuals(new_rotation, new_translation, seen)
-        new_cost, new_factor = huber_cost(new_r, seen.weight)
-        better = new_cost < cost
-        pick = better[:, None, None]
-        rotation, translation = np.where(pick, new_rotation, rotation), np.where(better[:, None], new_translation, translation)
-        r, factor = np.where(pick, new_r, r), np.where(better[:, None], new_factor, factor)
-        damping = np.clip(np.where(better, damping * 0.2, damping * 10), 1e-9, 1e6)
-        settled = np.abs(cost - new_cost) < 1e-9 * (1 + cost)
-        cost = np.where(better, new_cost, cost)
-        if settled.all():
-            break
-        if k >= 11 and iterations - k > 1:  # the few that are left go on alone
-            rest = np.flatnonzero(~settled)
-            rotation[rest], translation[rest], cost[rest] = refine_poses(
-                rotation[rest], translation[rest], seen.take(rest), iterations - k - 1
-            )
-            break
+    rotation, translation = np.array(rotation, float, order="C"), np.array(translation, float, order="C")
+    cost = np.empty(len(rotation))
+    points, ideal, scale, weight = (
+        np.ascontiguousarray(v, float) for v in (seen.points_m, seen.ideal, seen.px_per_ideal, seen.weight)
+    )
+    pose_kernels.refine(rotation, translation, points, ideal, scale, weight, iterations, cost)
     return rotation, translation, cost
-
-
-def _normal_equations(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed, r: np.ndarray, factor: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    j = jacobian(rotation, translation, seen)
-    jw = j * (seen.weight * factor)[..., None, None]
-    return np.einsum("npki,npkj->nij", jw, j), np.einsum("npki,npk->ni", jw, r)
 
 
 def information(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:

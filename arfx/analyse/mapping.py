@@ -98,11 +98,12 @@ def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float
     error = np.empty((len(candidates), len(judges)))
     for k, f in enumerate(judges):
         ways = []
+        s = f[b].px_per_ideal
         for p in f[a].solutions:
             q = p.apply(corners)
-            xy = q[..., :2] / np.maximum(q[..., 2:], EPS_DEPTH_M)
-            r = np.einsum("pij,cpj->cpi", f[b].px_per_ideal, xy - f[b].ideal)
-            ways.append(np.sqrt((r * r).sum(-1).mean(-1)))
+            d = q[..., :2] / np.maximum(q[..., 2:], EPS_DEPTH_M) - f[b].ideal
+            x, y = (s[:, i, 0] * d[..., 0] + s[:, i, 1] * d[..., 1] for i in range(2))
+            ways.append(np.sqrt((x * x + y * y).mean(-1)))
         error[:, k] = np.min(ways, axis=0)
     typical = np.median(error, axis=1)
     best = int(typical.argmin())
@@ -136,15 +137,18 @@ def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tup
         w = now.weight * factor
         jf = jacobian(rotation, translation, now)
         jm = _marker_jacobian(rotation, translation, now)
-        hff = np.einsum("npki,np,npkj->nij", jf, w, jf)
-        gf = np.einsum("npki,np,npk->ni", jf, w, r)
-        hfm = np.einsum("npki,np,npkj->npij", jf, w, jm).reshape(n, m, 4, 6, 6).sum(2)
-        hmm = np.einsum("npki,np,npkj->pij", jm, w, jm).reshape(m, 4, 6, 6).sum(1)
-        gm = np.einsum("npki,np,npk->pi", jm, w, r).reshape(m, 4, 6).sum(1)
+        jfw = np.swapaxes((jf * w[..., None, None]).reshape(n, 8 * m, 6), 1, 2)
+        hff = jfw @ jf.reshape(n, 8 * m, 6)
+        gf = (jfw @ r.reshape(n, 8 * m, 1))[..., 0]
+        jmw = (jm * w[..., None, None]).reshape(n, m, 8, 6)
+        hfm = np.swapaxes(jf.reshape(n, m, 8, 6), 2, 3) @ jmw
+        hmm = (np.swapaxes(jmw, 2, 3) @ jm.reshape(n, m, 8, 6)).sum(0)
+        gm = (np.swapaxes(jmw, 2, 3) @ r.reshape(n, m, 8, 1))[..., 0].sum(0)
         hff = hff + np.einsum("nii->ni", hff)[:, :, None] * damping * np.eye(6)
         inverse = np.linalg.inv(hff)
-        couple = np.einsum("nmij,nik->nmjk", hfm, inverse)  # (n, m, 6, 6)
-        reduced_full = -np.einsum("naij,nbjk->aibk", couple, hfm)
+        couple = np.swapaxes(hfm, 2, 3) @ inverse[:, None]  # (n, m, 6, 6)
+        left, middle = couple.transpose(1, 2, 0, 3).reshape(6 * m, 6 * n), hfm.transpose(0, 2, 1, 3).reshape(6 * n, 6 * m)
+        reduced_full = -(left @ middle).reshape(m, 6, m, 6)
         for i in range(m):
             reduced_full[i, :, i, :] += hmm[i] * (1 + damping * np.eye(6))
         reduced = reduced_full[1:, :, 1:, :].reshape(6 * (m - 1), -1)  # the first marker is the world: it stays

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.background import decide_static
-from arfx.analyse.geometry import Observed, information, lens_scale, residuals, rms_px
+from arfx.analyse.geometry import Observed, information, lens_scale, residuals, rms_px, stack
 from arfx.analyse.hypotheses import hypotheses
 from arfx.analyse.mapping import MarkerMap, View, map_markers
 from arfx.analyse.params import AnalyseParams
@@ -21,8 +21,8 @@ from arfx.analyse.world_path import WorldPath, world_path
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
 from arfx.core.marker import MarkerSpec
-from arfx.core.numerics import condition
-from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec, rotvec_from_rotation
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
 
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
 
@@ -59,18 +59,20 @@ class Views:
         What stays (a bent print, an imperfect lens model) is no noise: taken for noise it would let the smoother drag
         the object away from a picture that shakes. 8 coordinates minus 6 unknowns leave 2 degrees of freedom.
         """
-        last: dict[str, tuple[int, np.ndarray, float]] = {}
+        at = [i for i in range(len(seen)) if ways[i] and sigma[i] < 1.0]
+        rotation, translation = stack([ways[i][0].camera_from_marker for i in at])
+        these = np.array(at, int)
+        one = Observed(np.array([points[i] for i in at]).reshape(-1, 4, 3), ideal[these], scale[these], np.ones((len(at), 4)))
+        misfit = residuals(rotation, translation, one)
+        last: dict[str, int] = {}
         chi2 = []
-        for i, (k, s) in enumerate(seen):
-            if not ways[i] or sigma[i] >= 1.0:
-                continue
-            pose = ways[i][0].camera_from_marker
-            one = Observed(points[i][None], ideal[i : i + 1], scale[i : i + 1], np.ones((1, 4)))
-            r = residuals(pose.rotation[None], pose.translation_m[None], one)[0]
-            if s.key in last and last[s.key][0] == k - 1:
-                _, before, sigma_before = last[s.key]
-                chi2.append(float(((r - before) ** 2).sum() / (sigma[i] ** 2 + sigma_before**2)))
-            last[s.key] = (k, r, float(sigma[i]))
+        for j, i in enumerate(at):
+            k, key = seen[i][0], seen[i][1].key
+            if key in last and seen[at[last[key]]][0] == k - 1:
+                before = last[key]
+                change = misfit[j] - misfit[before]
+                chi2.append(float((change**2).sum() / (sigma[i] ** 2 + sigma[at[before]] ** 2)))
+            last[key] = j
         if len(chi2) < 5:
             return 1.0
         return float(np.clip(np.sqrt(np.median(chi2) / 1.386), 0.5, 20.0))  # median of chi squared with two degrees
@@ -163,6 +165,8 @@ def _filled(path: WorldPath, present: Sequence[tuple[int, int]], times: np.ndarr
     for first, end in present:
         on = first + np.flatnonzero(path.measured[first:end])
         for a, b in pairwise(on):
+            if b == a + 1:
+                continue
             turn = rotvec_from_rotation(rotation[b] @ rotation[a].T)
             for k in range(a + 1, b):
                 share = (times[k] - times[a]) / (times[b] - times[a])
@@ -194,12 +198,11 @@ def _facts(
         ))  # fmt: skip
     ratios = [m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)]
     info = information(path.rotation[on], path.translation[on], seen.take(np.flatnonzero(on)))
-    health = [condition(_scaled(i)) for i in info]
     figures = {
         "reprojection_px": {"raw": _quantiles(raw_px[on]), "smoothed": _quantiles(smooth_px[on])},
         "sigma_px": _quantiles(np.array([m.sigma_px for f in facts for m in f.markers])),
         "ambiguity_ratio": _quantiles(np.array(ratios)), "ambiguous_sightings": int(np.sum(np.array(ratios) < 4.0)),
-        "pose_condition": _quantiles(np.array(health)),
+        "pose_condition": _quantiles(_conditions(info)),
     }  # fmt: skip
     return tuple(facts), figures
 
@@ -207,15 +210,16 @@ def _facts(
 def _with_choice(m: MarkerSighting, world_from_marker: Mapping[str, Pose], raw: Pose | None) -> MarkerSighting:
     if raw is None or m.key not in world_from_marker or not m.hypotheses:
         return m
-    want = raw @ world_from_marker[m.key]
-    angles = [rotation_angle_rad(want, h.camera_from_marker) for h in m.hypotheses]
-    return MarkerSighting(m.key, m.corners_px, m.sigma_px, m.hypotheses, int(np.argmin(angles)), m.inverted)
+    want = (raw @ world_from_marker[m.key]).rotation
+    away = [float(((want - h.camera_from_marker.rotation) ** 2).sum()) for h in m.hypotheses]
+    return MarkerSighting(m.key, m.corners_px, m.sigma_px, m.hypotheses, int(np.argmin(away)), m.inverted)
 
 
-def _scaled(info: np.ndarray) -> np.ndarray:
-    """Information with each parameter in units of its own precision: the condition number then has no units."""
-    d = np.sqrt(np.maximum(np.diag(info), 1e-30))
-    return info / d[:, None] / d[None]
+def _conditions(info: np.ndarray) -> np.ndarray:
+    """(n,) condition numbers of information matrices with each parameter in units of its own precision: without units."""
+    d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
+    size = np.linalg.svd(info / d[:, :, None] / d[:, None], compute_uv=False)
+    return divide(size[:, 0], size[:, -1], where_zero=np.inf)
 
 
 def _quantiles(values: np.ndarray) -> dict[str, float | None]:

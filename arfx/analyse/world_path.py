@@ -79,7 +79,7 @@ def world_path(
         for k, group, ways, misfit, pick in zip(at, groups, poses, costs, path, strict=True):
             rotation[k], translation[k] = r[group[pick]], t[group[pick]]
             alone = int(np.argmin(misfit))
-            flips += int(rotation_angle_rad(ways[alone], ways[pick]) > FLIP_RAD)
+            flips += int(alone != pick and rotation_angle_rad(ways[alone], ways[pick]) > FLIP_RAD)
     dropped = _drop_inconsistent(rotation, translation, seen, frames, world_from_marker, mapped, measured)
     if dropped:
         again = np.array(sorted({k for k, _ in dropped}))

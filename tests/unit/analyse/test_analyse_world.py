@@ -80,7 +80,9 @@ def test_path_is_the_cheapest_of_all() -> None:
     def price(path: tuple[int, ...]) -> float:
         total = sum(costs[k][i] for k, i in enumerate(path))
         for k in range(5):
-            total += move_costs(poses[k], poses[k + 1], times[k + 1] - times[k])[path[k], path[k + 1]]
+            a, b = poses[k][path[k]], poses[k + 1][path[k + 1]]
+            arrays = (v[None] for v in (a.rotation, a.translation_m, b.rotation, b.translation_m))
+            total += move_costs(*arrays, times[k + 1] - times[k])[0]
         return float(total)
 
     best = min(itertools.product(*(range(len(p)) for p in poses)), key=price)
