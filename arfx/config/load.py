@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -168,3 +168,27 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
         return parts, tomllib.loads(f"x = {value.strip()}")["x"]
     except tomllib.TOMLDecodeError:
         return parts, value.strip()
+
+
+def put_setting(tree: dict[str, Any], parts: Sequence[str], value: Any, words: str) -> None:
+    """Put a value into nested tables. words : what gave it, for the error. Raises ConfigError where the way is barred."""
+    at = tree
+    for part in parts[:-1]:
+        at = at.setdefault(part, {})
+        if not isinstance(at, dict):
+            raise ConfigError(f"{words}: {part!r} was given a value of its own, it has no keys", "give one of them")
+    if isinstance(at.get(parts[-1]), dict):
+        raise ConfigError(f"{words}: keys of {parts[-1]!r} were given values already", "give one of them")
+    at[parts[-1]] = value
+
+
+def same_value(path: Sequence[str], a: Any, b: Any) -> bool:
+    """Whether two ways to write a value of a job's key mean the same: 15cm and 0.15m, [0, 0, 90] and [0.0, 0.0, 90.0]."""
+    section, *keys = path
+    if len(keys) != 1:
+        return bool(a == b)
+    try:
+        read = [getattr(getattr(JobConfig.model_validate({section: {keys[0]: v}}), section), keys[0]) for v in (a, b)]
+    except (ValidationError, AttributeError):
+        return str(a) == str(b)  # what is wrong with them is said when the whole job is read
+    return bool(read[0] == read[1])

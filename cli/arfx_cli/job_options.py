@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,51 +56,67 @@ def job_options(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def job_config(given: dict[str, Any], output: Path | None = None) -> Any:
-    """The typed job from the parsed options. Raises ConfigError naming the option."""
-    from arfx.config.load import load, parse_setting
+    """The typed job from the parsed options.
+
+    Raises ConfigError naming the option, and for an option and a --set that give one key different values.
+    """
+    from arfx.config.load import load, parse_setting, put_setting
     from arfx.config.presets import find
     from arfx.run.parameters import parameters, pipeline
 
     tree: dict[str, Any] = {}
-
-    def put(section: str, key: str, value: Any) -> None:
-        if value is not None:
-            tree.setdefault(section, {})[key] = value
-
-    for text in given["settings"]:
-        parts, value = parse_setting(text)
-        at = tree
-        for part in parts[:-1]:
-            at = at.setdefault(part, {})
-        at[parts[-1]] = value
-    for key in ("clip", "camera", "marker_map"):
-        put("input", key, given[key] and str(given[key]))
-    for key in ("start", "end"):
-        put("input", key, given[key])
-    put("model", "file", given["model"] and str(given["model"]))
-    for key in ("scale", "fit", "up"):
-        put("model", key, given[key])
-    put("model", "offset", _three(given["offset"], "--offset"))
-    rotate = _three(given["rotate"], "--rotate")
-    put("model", "rotate", rotate and [_number(v, "--rotate") for v in rotate])
-    if given["markers"]:
-        tree["marker"] = [{"spec": m} for m in given["markers"]]
-    if given["pipeline"]:
-        names = [n.strip() for n in given["pipeline"].split(",") if n.strip()]
-        put("pipeline", "stages", "auto" if names == ["auto"] else names)
-    put("pipeline", "quality", given["quality"])
-    if given["no_skip"]:
-        put("pipeline", "skip", False)
-    put("output", "path", output and str(output))
+    settings = [(text, *parse_setting(text)) for text in given["settings"]]
+    for text, parts, value in settings:
+        put_setting(tree, parts, value, f"--set {text}")
+    for path, value, words in _by_option(given, output):
+        _agree(path, value, words, settings)
+        put_setting(tree, list(path), value, words)
     file = given["config_file"]
     config = load(None if file is None else find(file), tree, parameters())
     pipeline(config)
     return config
 
 
-def _three(text: str | None, option: str) -> list[str] | None:
-    if text is None:
-        return None
+def _by_option(given: dict[str, Any], output: Path | None) -> Iterator[tuple[tuple[str, ...], Any, str]]:
+    """(key in a job file, value, the words that gave it) of every ordinary option on the command line."""
+    files = {"clip": "input.clip", "camera": "input.camera", "marker_map": "input.marker_map", "model": "model.file"}
+    plain = {"start": "input.start", "end": "input.end", "scale": "model.scale", "fit": "model.fit", "up": "model.up",
+             "quality": "pipeline.quality"}  # fmt: skip
+    for name, dotted in {**files, **plain}.items():
+        value = given[name]
+        if value is not None:
+            words = f"CLIP {value}" if name == "clip" else f"--{name.replace('_', '-')} {value}"
+            yield tuple(dotted.split(".")), str(value) if name in files else value, words
+    for name in ("offset", "rotate"):
+        if given[name] is not None:
+            three = _three(given[name], f"--{name}")
+            value = [_number(v, f"--{name}") for v in three] if name == "rotate" else three
+            yield ("model", name), value, f"--{name} {given[name]}"
+    if given["markers"]:
+        yield ("marker",), [{"spec": m} for m in given["markers"]], " ".join(f"--marker {m}" for m in given["markers"])
+    if given["pipeline"]:
+        names = [n.strip() for n in given["pipeline"].split(",") if n.strip()]
+        yield ("pipeline", "stages"), "auto" if names == ["auto"] else names, f"--pipeline {given['pipeline']}"
+    if given["no_skip"]:
+        yield ("pipeline", "skip"), False, "--no-skip"
+    if output is not None:
+        yield ("output", "path"), str(output), f"-o {output}"
+
+
+def _agree(path: tuple[str, ...], value: Any, words: str, settings: list[tuple[str, list[str], Any]]) -> None:
+    """Refuse a --set that gives another value to the key that an option gives: one of them would be lost unsaid."""
+    from arfx.config.load import same_value
+
+    for text, parts, other in reversed(settings):  # of several --set the last one counts
+        common = min(len(path), len(parts))
+        if tuple(parts[:common]) != path[:common]:
+            continue
+        if len(parts) != len(path) or not same_value(path, value, other):
+            raise ConfigError(f"{words} and --set {text} give different values to {'.'.join(path)}", "give one of them")
+        return
+
+
+def _three(text: str, option: str) -> list[str]:
     parts = [p.strip() for p in text.split(",")]
     if len(parts) != 3:
         raise ConfigError(f"{option} {text!r} is not three values", "X,Y,Z with commas")

@@ -302,3 +302,35 @@ def test_a_job_left_behind_is_not_cleared_unasked(material: Material, arfx: Run,
 def test_a_marker_that_is_never_seen_is_said(material: Material, arfx: Run) -> None:
     r = arfx(*material.arguments("-o", "out.mp4", "--end", "0.2", "--marker", "36h11:7:10cm"))
     assert r.code == 0 and "36h11:7 was never seen" in r.err
+
+
+@pytest.mark.parametrize(
+    ("option", "setting"),
+    [
+        (("--quality", "high"), "pipeline.quality=draft"),
+        (("--no-skip",), "pipeline.skip=true"),
+        (("--rotate", "0,0,90"), "model.rotate=[0, 0, 91]"),
+        (("--marker", "36h11:4:10cm"), "marker.spec=36h11:3:10cm"),
+        (("--pipeline", "auto"), "pipeline.stages=[]"),
+        (("--start", "0.1"), "input.start=0.2s"),
+        (("-o", "out.mp4"), "output.path=other.mp4"),
+    ],
+)
+def test_an_option_and_a_setting_of_one_key_that_differ_are_an_error(
+    material: Material, arfx: Run, tmp_path: Path, option: tuple[str, ...], setting: str
+) -> None:
+    r = arfx(*material.arguments("-o", "out.mp4", *option, "--set", setting))
+    assert r.code == 2 and " ".join(option) in r.err and f"--set {setting}" in r.err, r.err
+    assert "Traceback" not in r.err and not list(tmp_path.iterdir())
+
+
+def test_an_option_and_a_setting_that_mean_the_same_agree(material: Material, arfx: Run) -> None:
+    same = ("--set", "model.fit=0.08m", "--set", "pipeline.quality=standard", "--quality", "standard")
+    r = arfx("plan", *material.arguments("--rotate", "0,0,90", "--set", "model.rotate=[0, 0, 90]", "--end", "0.1", *same)[1:])
+    assert r.code == 0, r.err
+
+
+@pytest.mark.parametrize("pair", [("output.crf=20", "output.crf.more=1"), ("output.crf.more=1", "output.crf=20")])
+def test_a_setting_below_another_is_one_message(material: Material, arfx: Run, pair: tuple[str, str]) -> None:
+    r = arfx(*material.arguments("-o", "out.mp4", "--set", pair[0], "--set", pair[1]))
+    assert r.code == 2 and f"--set {pair[1]}" in r.err and "Traceback" not in r.err
