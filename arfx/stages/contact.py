@@ -227,13 +227,16 @@ def _look_up(x0, y0, width, height, nodes, origin, ratio, low, scale):  # pragma
     """
     out = np.ones((height, width, 3), np.float32)
     n, channels = ratio.shape[0], ratio.shape[2]
-    far = np.float32(n)
+    far, half, one = np.float32(n), np.float32(0.5), np.float32(1)
     step = np.float32(1.0 / GRID_PX)
+    # whole cells of the grid, so that the inner loop has a fixed length
+    g0, g1 = x0 // GRID_PX, (x0 + width - 1) // GRID_PX + 1
+    us, vs = np.empty((g1 - g0) * GRID_PX, np.float32), np.empty((g1 - g0) * GRID_PX, np.float32)
+    last = np.int32(n - 1)
     for j in range(height):
         iy = (y0 + j) // GRID_PX
         fy = np.float32((y0 + j) % GRID_PX) * step
-        gx = (x0 + width - 1) // GRID_PX
-        for ix in range(x0 // GRID_PX, gx + 1):
+        for ix in range(g0, g1):
             # both ends of a run of GRID_PX pixels on this line
             ax = nodes[iy, ix, 0] + fy * (nodes[iy + 1, ix, 0] - nodes[iy, ix, 0])
             ay = nodes[iy, ix, 1] + fy * (nodes[iy + 1, ix, 1] - nodes[iy, ix, 1])
@@ -242,24 +245,28 @@ def _look_up(x0, y0, width, height, nodes, origin, ratio, low, scale):  # pragma
             by = nodes[iy, ix + 1, 1] + fy * (nodes[iy + 1, ix + 1, 1] - nodes[iy, ix + 1, 1])
             bz = nodes[iy, ix + 1, 2] + fy * (nodes[iy + 1, ix + 1, 2] - nodes[iy, ix + 1, 2])
             dx, dy, dz = (bx - ax) * step, (by - ay) * step, (bz - az) * step
-            for i in range(max(ix * GRID_PX, x0), min((ix + 1) * GRID_PX, x0 + width)):
-                t = np.float32(i - ix * GRID_PX)
+            at = (ix - g0) * GRID_PX
+            for i in range(GRID_PX):
+                t = np.float32(i)
                 vz = az + t * dz
-                if not vz < 0:  # away from the plane, or no direction maps to this pixel (NaN)
-                    continue
-                s = -origin[2] / vz
-                u = (origin[0] + s * (ax + t * dx) - low[0]) * scale[0] - np.float32(0.5)
-                v = (origin[1] + s * (ay + t * dy) - low[1]) * scale[1] - np.float32(0.5)
-                if not (u > -1 and v > -1 and u < far and v < far):
-                    continue
-                iu, iv = int(u + 1) - 1, int(v + 1) - 1
-                fu, fv = u - np.float32(iu), v - np.float32(iv)
-                a, b = max(iu, 0), min(iu + 1, n - 1)
-                c, d = max(iv, 0), min(iv + 1, n - 1)
-                for k in range(channels):
-                    e = ratio[c, a, k] + fu * (ratio[c, b, k] - ratio[c, a, k])
-                    f = ratio[d, a, k] + fu * (ratio[d, b, k] - ratio[d, a, k])
-                    out[j, i - x0, k] = e + fv * (f - e)
-                for k in range(channels, 3):
-                    out[j, i - x0, k] = out[j, i - x0, 0]
+                s = -origin[2] / vz if vz < 0 else np.float32(np.nan)  # away from the plane, or no direction maps here
+                us[at + i] = (origin[0] + s * (ax + t * dx) - low[0]) * scale[0] - half
+                vs[at + i] = (origin[1] + s * (ay + t * dy) - low[1]) * scale[1] - half
+        for i in range(width):
+            k = np.uintp(x0 - g0 * GRID_PX + i)
+            u, v = us[k], vs[k]
+            if not ((u > -one) & (v > -one) & (u < far) & (v < far)):
+                continue
+            iu, iv = np.int32(u + one) - np.int32(1), np.int32(v + one) - np.int32(1)
+            fu, fv = u - np.float32(iu), v - np.float32(iv)
+            a, b = np.uintp(max(iu, np.int32(0))), np.uintp(min(iu + np.int32(1), last))
+            c, d = np.uintp(max(iv, np.int32(0))), np.uintp(min(iv + np.int32(1), last))
+            e = ratio[c, a, 0] + fu * (ratio[c, b, 0] - ratio[c, a, 0])
+            f = ratio[d, a, 0] + fu * (ratio[d, b, 0] - ratio[d, a, 0])
+            grey = e + fv * (f - e)
+            out[j, i, 0], out[j, i, 1], out[j, i, 2] = grey, grey, grey
+            for m in range(1, channels):
+                e = ratio[c, a, m] + fu * (ratio[c, b, m] - ratio[c, a, m])
+                f = ratio[d, a, m] + fu * (ratio[d, b, m] - ratio[d, a, m])
+                out[j, i, m] = e + fv * (f - e)
     return out
