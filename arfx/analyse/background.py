@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -40,14 +40,17 @@ class BackgroundFlow:
         self._count, self._stride = 0, 1
         self.samples: list[dict] = []  # {"a": frame, "b": frame, "from": (n, 2), "to": (n, 2)}
 
-    def step(self, index: int, time_s: float, luma: np.ndarray, markers: Sequence[Rect], fresh: bool) -> None:
+    def step(self, index: int, time_s: float, luma: np.ndarray, markers: Iterable[Rect], fresh: bool) -> None:
         """markers : rectangles that hold configured or other markers;  fresh : a marker was measured in this frame."""
         if time_s - self._time_s < INTERVAL_S:
             return
+        recent = self._image is not None and time_s - self._time_s < 3 * INTERVAL_S and len(self._points) >= _MIN_POINTS
+        if not fresh and not recent:
+            self._image, self._time_s = None, -np.inf
+            return
         factor = max(1, luma.shape[1] // WIDTH_PX)
         small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
-        recent = time_s - self._time_s < 3 * INTERVAL_S
-        if self._image is not None and self._image.shape == small.shape and recent and len(self._points) >= _MIN_POINTS:
+        if recent:
             self._follow(index, small, factor)
         if not fresh:
             self._image, self._time_s = None, -np.inf

@@ -25,6 +25,7 @@ from arfx.core.numerics import divide
 # OpenCV thresholds against a neighbourhood of up to 23 px: of a large marker it may report the inner border of the dark
 # rim that is left of a wide black one, 11 px inside the edge. So far is looked where the first try finds no edge.
 REACH_PX = 16.0
+FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,12 @@ def refine_corners(
     quad, said, ok = start.copy(), np.zeros((n, 6)), np.zeros(n, bool)
     if n and min(luma.shape) > 1:
         light, bend = np.asarray(table, float), _bend(start, camera)
-        kernels.settle(luma, light, quad, bend, half, half, said)
+        kernels.settle(luma, light, quad, bend, half, half, np.where(reach > half, FAINT, 0.0), said)
         ok = _clear(start, quad, said, half, half)
         again = np.flatnonzero(~ok & (reach > half))
         if len(again):
             far, told = start[again], said[again]
-            kernels.settle(luma, light, far, bend[again], half[again], reach[again], told)
+            kernels.settle(luma, light, far, bend[again], half[again], reach[again], np.zeros(len(again)), told)
             ok[again] = _clear(start[again], far, told, half[again], reach[again])
             quad[again], said[again] = far, told
     # a corner is where two lines meet, each known at its end to about twice the error of its mean
@@ -86,7 +87,7 @@ def refine_corners(
 def _clear(start: np.ndarray, quad: np.ndarray, said: np.ndarray, half: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
     near = np.abs(quad - start).max((1, 2)) <= np.maximum(3.0, 1.5 * reach)
-    return (said[:, kernels.OK] > 0) & near & (said[:, kernels.GAIN] > 2.0) & (said[:, kernels.SPREAD] < half)
+    return (said[:, kernels.OK] > 0) & near & (said[:, kernels.GAIN] > FAINT) & (said[:, kernels.SPREAD] < half)
 
 
 def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:

@@ -68,10 +68,11 @@ class MarkerDetector:
         self._parameters.minDistanceToBorder = 1
         self._detectors = {f: cv2.aruco.ArucoDetector(dictionary(f), self._parameters) for f in self.families}
 
-    def search(self, luma: np.ndarray, rect: Rect | None = None, factor: int = 1) -> list[Candidate]:
+    def search(self, luma: np.ndarray, rect: Rect | None = None, factor: int = 1, min_side_px: float = 0.0) -> list[Candidate]:
         """All markers of the families, in a deterministic order.
 
         luma : (h, w) uint8;  rect : part of it to search;  factor : search an image reduced by this whole number
+        min_side_px : leave out what is smaller (of the image searched), beside what the detector leaves out anyway
         """
         height, width = luma.shape
         area = Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
@@ -81,7 +82,7 @@ class MarkerDetector:
         if factor > 1:
             image = cv2.resize(image, (area.width // factor, area.height // factor), interpolation=cv2.INTER_AREA)
         image = np.ascontiguousarray(image)
-        self._parameters.minMarkerPerimeterRate = 4 * self.min_side_px / max(image.shape)
+        self._parameters.minMarkerPerimeterRate = 4 * max(self.min_side_px, min_side_px) / max(image.shape)
         out = []
         scale = np.array([area.width / image.shape[1], area.height / image.shape[0]])
         for family, detector in self._detectors.items():

@@ -20,11 +20,12 @@ OK, BLUR, SPREAD, GAIN, SKEW, INVERTED = range(6)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def settle(luma, table, quads, bend, half, reach, out):  # pragma: no cover - compiled
+def settle(luma, table, quads, bend, half, reach, least_gain, out):  # pragma: no cover - compiled
     """Move quads (n, 4, 2) onto their edges, in place; out (n, 6) by the columns above.
 
     luma : (h, w) uint8, at least 2 x 2;  table : (256,) to linear light;  bend : (n, 4, SAMPLES, 2) px off the chord
     half : (n,) px searched to either side of an edge;  reach : (n,) px for the first passes, not below half
+    least_gain : (n,) give up where a side is fainter, at once
     """
     offset = np.empty((4, SAMPLES))
     slope = np.empty((4, SAMPLES, STEPS - 1))
@@ -50,7 +51,7 @@ def settle(luma, table, quads, bend, half, reach, out):  # pragma: no cover - co
                 for j in range(2):
                     finite = finite and np.isfinite(moved[c, j])
                     step = max(step, abs(moved[c, j] - quad[c, j]))
-            if not (finite and gain > 0):
+            if not (finite and gain > least_gain[i]):
                 said[OK] = 0.0
                 break
             quad[:] = moved

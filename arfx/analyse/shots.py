@@ -8,6 +8,7 @@ alone among its neighbours (a whip pan is unlike for many frames), and no marker
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -46,11 +47,14 @@ class CutSignal:
 
 def unlikeness(a: np.ndarray, b: np.ndarray) -> float:
     """1 - correlation of two pictures of one size; flat pictures are compared by their level alone."""
-    x, y = a.astype(float) - a.mean(), b.astype(float) - b.mean()
-    sx, sy = float(np.sqrt((x * x).mean())), float(np.sqrt((y * y).mean()))
+    x, y = a.ravel().astype(float), b.ravel().astype(float)
+    level_x, level_y = float(x.mean()), float(y.mean())
+    x -= level_x
+    y -= level_y
+    sx, sy = math.sqrt(x @ x / x.size), math.sqrt(y @ y / y.size)
     if sx < 2.0 or sy < 2.0:  # less contrast than noise: no structure to compare
-        return 0.0 if sx < 2.0 and sy < 2.0 and abs(float(a.mean()) - float(b.mean())) < 20 else float(sx > 8.0 or sy > 8.0)
-    return 1.0 - float(divide((x * y).mean(), sx * sy))
+        return 0.0 if sx < 2.0 and sy < 2.0 and abs(level_x - level_y) < 20 else float(sx > 8.0 or sy > 8.0)
+    return 1.0 - float(divide(x @ y / x.size, sx * sy))
 
 
 def find_cuts(before: Sequence[float], before_last: Sequence[float], followed: Sequence[bool]) -> list[int]:

@@ -1,9 +1,10 @@
 """Decides where to look in each frame, so that a tracked marker costs little and nothing is missed.
 
-* A tracked marker is looked for in its predicted rectangle, at full resolution.
+* A tracked marker is looked for in its predicted rectangle, at full resolution, among squares not much smaller than it
+  was: the cells of its code and the texture around it are squares too, and decoding those is most of a search's time.
 * If one is not there, the same frame is searched whole, at full resolution, and so are the next few frames.
 * Later, frames are searched on a reduced image (a hit there is looked up at full resolution), and whole at a
-  stated interval. Clips as small as the reduced image are always searched whole.
+  stated interval. Frames as small as the reduced image are searched whole while any marker is missing or very small.
 The detector's corners in a part are those in the whole frame, so that where it was looked does not show in the result.
 """
 
@@ -19,6 +20,9 @@ from arfx.analyse.detect import Candidate, MarkerDetector
 from arfx.analyse.params import AnalyseParams
 from arfx.core.rect import Rect
 
+SHRINK = 0.4  # a tracked marker is no smaller than this share of what it was in the last frame
+SURE_PX = 32.0  # with smaller sides it is a matter of luck, and of what else is in the picture, which contour OpenCV takes
+
 
 @dataclass
 class Track:
@@ -33,10 +37,15 @@ class Track:
         """Centre of the marker at a time, px; speed is trusted for a tenth of a second only."""
         return self.quad_px.mean(0) + self.speed_px_s * min(max(time_s - self.time_s, 0.0), 0.1)
 
+    @property
+    def sides_px(self) -> np.ndarray:
+        return np.linalg.norm(self.quad_px - self.quad_px[[1, 2, 3, 0]], axis=1)
+
     def rect(self, time_s: float) -> Rect:
         centre, was = self.predicted(time_s), self.quad_px.mean(0)
-        side = float(np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).max())
-        spread = max(0.4 * side, 20.0) * (1 + 0.25 * min(self.missing, 4)) + 0.5 * float(np.abs(centre - was).max())
+        spread = max(0.4 * float(self.sides_px.max()), 20.0) * (1 + 0.25 * min(self.missing, 4)) + 0.5 * float(
+            np.abs(centre - was).max()
+        )
         return Rect.around(self.quad_px + (centre - was), spread)
 
 
@@ -75,10 +84,14 @@ class Tracker:
         factor = max(1, math.ceil(math.sqrt(frame.area / self.params.reduced_px)))
         every: list[Candidate] = []
         searched, whole = 0, False
-        # a small frame is searched whole at once: parts of it would save nothing
-        parts = [t.rect(time_s).clip(frame) for t in self.tracks.values()] if factor > 1 else []
-        for part in _merged(parts):
-            every += self.detector.search(luma, part)
+        followed = list(self.tracks.values())
+        sure = all(t.missing == 0 and t.sides_px.min() >= SURE_PX for t in followed)
+        if factor == 1 and (len(followed) < len(self.keys) or not sure):
+            followed = []  # a small frame is searched whole while one is missing, and where that could find other ones
+        rects = [t.rect(time_s).clip(frame) for t in followed]
+        for part in _merged(rects):
+            sides = [t.sides_px.min() for t, r in zip(followed, rects, strict=True) if not r.clip(part).empty]
+            every += self.detector.search(luma, part, min_side_px=SHRINK * float(min(sides)))
             searched += part.area
         missing = [k for k in self.keys if k not in {c.key for c in every}]
         newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)

@@ -59,6 +59,31 @@ def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
     assert np.abs(back.sightings[0].quad_px - CAM.project(at(500, 300).apply(M.corners_m))).max() < 4
 
 
+def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
+    cam, back = camera(480, 270, 450.0), background(480, 270)
+    detector = MarkerDetector(["36h11"])
+
+    def clip_frame(k: int, side_px: float, second: bool) -> np.ndarray:
+        z = 450 * 0.1 / side_px
+        shown = [(M, tilted([0.3, 0.2, 0.1 * k], [(-80 + 6 * k) / 450 * z, 0, z]))]
+        if second:
+            shown.append((OTHER, tilted([0.1, 0.3, 0], [90 / 450 * z, 0.01, z])))
+        return picture(cam, shown, back, seed=k)
+
+    for side_px, keys, parts in ((70, [M.key], True), (18, [M.key], False), (70, [M.key, OTHER.key], False)):
+        tracker = Tracker(keys, AnalyseParams())
+        for k in range(8):
+            image = clip_frame(k, side_px, second=k < 4)
+            found = tracker.step(k / 30, image)
+            whole = {c.key: c.quad_px for c in detector.search(image) if c.key in keys}
+            assert {c.key for c in found.sightings} == whole.keys()
+            assert all(np.array_equal(c.quad_px, whole[c.key]) for c in found.sightings)
+            if k and parts:
+                assert found.searched_px < 0.4 * image.size and not found.whole
+            if k > 4 and not parts:
+                assert found.whole and found.searched_px == image.size  # one is missing, or all are tiny
+
+
 def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
     tracker = Tracker([M.key], AnalyseParams())
     small = tilted([0.2, 0.1, 0], [0.2, 0.1, Z])
