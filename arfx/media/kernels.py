@@ -189,6 +189,9 @@ def edit_chroma(plane, diff, spans, rect, picture, steps, cosited, factor, low, 
     from_x, to_x, weights_x = _taps(sx, cosited[0] and sx > 0)
     from_y, to_y, weights_y = _taps(sy, cosited[1] and sy > 0)
     rows = np.zeros((y1 - y0, n), np.float32)
+    start = (ca << sx) + from_x  # luma column of the first tap
+    line = np.empty((n << sx) + to_x - from_x, np.float32)
+    total = np.empty(n, np.float32)
     reach = np.zeros((y1 - y0, 2), np.int64)  # of each row, the chroma columns that its differences reach
     for j in range(y1 - y0):
         if spans[j, 1] <= spans[j, 0]:
@@ -197,26 +200,31 @@ def edit_chroma(plane, diff, spans, rect, picture, steps, cosited, factor, low, 
         a = max(((first - to_x + 1) >> sx) - ca, 0)
         b = min(((last - from_x) >> sx) + 1 - ca, n)
         reach[j, 0], reach[j, 1] = a, b
-        for i in range(a, b):
-            total, centre = np.float32(0), (ca + i) << sx
-            for k in range(from_x, to_x):
-                x = min(max(centre + k, 0), width - 1)
-                if first <= x < last:
-                    total += diff[j, x - x0] * weights_x[k - from_x]
-            rows[j, i] = total
+        # the line with zeros around it, and the picture's edge going on, so that the sum needs no test
+        line[:] = 0
+        line[first - start : last - start] = diff[j, spans[j, 0] : spans[j, 1]]
+        if first == 0:
+            line[:-start] = line[-start]
+        if last == width:
+            line[last - start :] = line[last - start - 1]
+        for k in range(from_x, to_x):
+            weight, at = weights_x[k - from_x], k - from_x
+            for i in range(a, b):
+                rows[j, i] += line[np.uintp((i << sx) + at)] * weight
     for r in range(ra, rb):
         a, b = n, 0
         for k in range(from_y, to_y):
             yy = min(max((r << sy) + k, 0), height - 1)
             if y0 <= yy < y1 and reach[yy - y0, 1] > reach[yy - y0, 0]:
                 a, b = min(a, reach[yy - y0, 0]), max(b, reach[yy - y0, 1])
+        total[:] = 0
+        for k in range(from_y, to_y):
+            yy = min(max((r << sy) + k, 0), height - 1)
+            if y0 <= yy < y1:
+                for i in range(a, b):
+                    total[i] += rows[yy - y0, i] * weights_y[k - from_y]
         for i in range(a, b):
-            total = np.float32(0)
-            for k in range(from_y, to_y):
-                yy = min(max((r << sy) + k, 0), height - 1)
-                if y0 <= yy < y1:
-                    total += rows[yy - y0, i] * weights_y[k - from_y]
-            step = np.int32(np.rint(total * factor))
+            step = np.int32(np.rint(total[i] * factor))
             if step != 0:
                 old = np.int32(plane[r, ca + i])
                 plane[r, ca + i] = min(max(old + step, min(old, low)), max(old, high))

@@ -28,11 +28,12 @@ from arfx.plan.planner import plan_frame
 from arfx.run.analysis import analyse_clip
 from arfx.run.chunks import Chunk, borders
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
+from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, write_lines, write_text
 from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
 from arfx.run.parameters import make_stages
 from arfx.run.preview import pick
-from arfx.run.summary import Timing, build_report
+from arfx.run.summary import build_report
+from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
@@ -65,11 +66,13 @@ class Planned:
     inputs: Inputs
     folder: JobFolder
     key: str
+    analysis_key: str
     facts: list[FrameFacts]
     plans: list[FramePlan]
     scene: Scene
     meta: dict[str, Any]
-    timing: Timing
+    log: WorkLog
+    plan_s: float = 0.0
     stage_names: list[str] = field(default_factory=list)
     any_thread: bool = True  # no stage is bound to the thread that prepared it
 
@@ -89,14 +92,12 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         raise ConfigError(f"output {inputs.output.path} lies in the job folder {folder.path}", "name another place with -o")
     folder.open(options.resume, options.overwrite)
     with _interruptible(folder):
-        planned = plan_job(inputs, folder, options)
+        planned = plan_job(inputs, folder, options, started)
         chunks = _chunks(planned)
         _render(planned, chunks, options)
         start = time.perf_counter()
         _join(planned, chunks)
-        planned.timing.join_s = time.perf_counter() - start
-        planned.timing.wall_s = time.perf_counter() - started
-        report = build_report(planned, list(read_lines(folder.timings)))
+        report = build_report(planned, chunks, time.perf_counter() - start)
         write_text(folder.report, json.dumps(report, indent=1))
         folder.remove_chunks()
         folder.checkpoint.unlink(missing_ok=True)
@@ -139,10 +140,10 @@ def check_output(output: OutputPlan, overwrite: bool) -> None:
         raise RenderError(f"cannot write into {parent}: {e.strerror}", "name another place with -o") from None
 
 
-def plan_job(inputs: Inputs, folder: JobFolder, options: Options) -> Planned:
-    """Analyse (or take up again what was analysed) and plan."""
+def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Planned:
+    """Analyse (or take up again what was analysed) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
-    timing = Timing()
+    log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")
@@ -162,7 +163,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options) -> Planned:
     stages = make_stages(config)
     if not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists()):
         folder.plan.unlink(missing_ok=True)  # until all of the analysis is written, nothing here counts as done
-        _analyse(inputs, folder, analysis_key, job_key, options, timing)
+        _analyse(inputs, folder, analysis_key, job_key, options, log)
         write_text(folder.job, to_toml({**tree, "output": output}))
         write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
     meta = json.loads(folder.frames.read_text(encoding="utf-8"))
@@ -174,9 +175,11 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options) -> Planned:
     levels = {name: level_named(s.levels, config.pipeline.quality) for name, s in stages.items()}
     plans = [plan_frame(list(stages.values()), levels, f, scene, frame, config.pipeline.skip) for f in facts]
     write_lines(folder.plan, (p.to_json() for p in plans))
-    timing.plan_s = time.perf_counter() - start
-    return Planned(inputs, folder, job_key, facts, plans, scene, meta, timing, list(stages),
-                   not any(getattr(s, "one_thread", False) for s in stages.values()))
+    any_thread = not any(getattr(s, "one_thread", False) for s in stages.values())
+    return Planned(
+        inputs, folder, job_key, analysis_key, facts, plans, scene, meta, log, time.perf_counter() - start, list(stages),
+        any_thread,
+    )  # fmt: skip
 
 
 def _same_job(folder: JobFolder, job_key: str) -> bool:
@@ -186,14 +189,14 @@ def _same_job(folder: JobFolder, job_key: str) -> bool:
         return False  # no finished analysis here
 
 
-def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str, options: Options, timing: Timing) -> None:
+def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str, options: Options, log: WorkLog) -> None:
     config = inputs.config
     span = (config.input.start, config.input.end)
+    clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
     done = analyse_clip(
         inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
-        options.progress, folder, analysis_key,
+        clock, folder, analysis_key,
     )  # fmt: skip
-    timing.decode_s, timing.analyse_s = done.decode_s, done.analyse_s
     world = done.analysis.world_from_marker
     anchor = anchor_key(config.markers, world)
     scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed)
@@ -212,6 +215,10 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
         "previews": pick(facts), "notices": [*inputs.notices, *notices],
     }  # fmt: skip
     write_text(folder.frames, json.dumps(document, default=float))
+    # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
+    part = clock.before_s / max(done.decode_s + done.analyse_s, 1e-9)
+    seconds = {"decode": done.decode_s * (1 + part), "analyse": done.analyse_s * (1 + part)}
+    log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.pts))
 
 
 def _chunks(planned: Planned) -> list[Chunk]:
@@ -230,10 +237,8 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
     todo = [c for c in chunks if not c.path(folder.chunks, suffix).exists()]
     keep = sum(c.frames for c in chunks) - sum(c.frames for c in todo)
     total = len(planned.facts)
-    if not keep:
-        folder.timings.unlink(missing_ok=True)
+    keys = {c.first: c.key for c in todo}
     tasks: list[Task] = [(str(folder.path), planned.key, c.first, c.last, str(c.path(folder.chunks, suffix))) for c in todo]
-    start = time.perf_counter()
 
     def progress(done: int) -> None:
         options.progress("render", keep + done, total)
@@ -247,12 +252,9 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
         results = run_serial(tasks, progress)
     else:
         results = (run_threads if threads else run_processes)(tasks, workers, progress)
-    with folder.timings.open("a", encoding="utf-8") as log:
-        for result in results:
-            log.write(json.dumps(result) + "\n")
-            log.flush()
+    for result in results:
+        planned.log.note(CHUNK, keys[result["first"]], **result)
     progress(sum(c.frames for c in todo))
-    planned.timing.render_s = time.perf_counter() - start
 
 
 def _join(planned: Planned, chunks: list[Chunk]) -> None:

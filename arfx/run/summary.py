@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import resource
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,42 +11,26 @@ import numpy as np
 from arfx.analyse.visibility import corner_jitter_px
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
+from arfx.run.chunks import Chunk
+from arfx.run.times import Spent
 
 if TYPE_CHECKING:
     from arfx.run.job import Planned
 
 
-@dataclass
-class Timing:
-    """Seconds of the phases that this process saw."""
-
-    decode_s: float = 0.0
-    analyse_s: float = 0.0
-    plan_s: float = 0.0
-    render_s: float = 0.0
-    join_s: float = 0.0
-    wall_s: float = 0.0
-
-
-def build_report(planned: Planned, timings: list[dict[str, Any]]) -> dict[str, Any]:
+def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> dict[str, Any]:
+    """The report of a job whose output is written. join_s : seconds that it took to put the chunks together"""
     info, meta, facts = planned.inputs.info, planned.meta, planned.facts
     pts = np.array(meta["pts"], dtype=object) * info.time_base
     last_s = float(np.median(np.diff(pts).astype(float))) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
-    stage_s: dict[str, float] = defaultdict(float)
-    phase_s: dict[str, float] = defaultdict(float)
-    for row in timings:
-        for name, s in row["stages"].items():
-            stage_s[name] += s
-        for name, s in row["seconds"].items():
-            phase_s[name] += s
+    spent = planned.log.spent(planned.analysis_key, [c.key for c in chunks])
     rows = summarise(planned.plans, planned.stage_names, planned.inputs.camera.rect.area)
     for row in rows:
-        row["measured_s"] = stage_s.get(row["name"], 0.0)
+        row["measured_s"] = spent.stages.get(row["name"], 0.0)
     plan, output = planned.inputs.output, planned.inputs.output.path
     written = [output.with_name(output.name % f.index) for f in facts] if plan.is_sequence else [output]
     size = sum(p.stat().st_size for p in written)
-    timing = planned.timing
     stream = info.to_json()
     return {
         "input": {
@@ -64,13 +47,22 @@ def build_report(planned: Planned, timings: list[dict[str, Any]]) -> dict[str, A
         "light": _light(planned),
         "stages": rows,
         "health": _health(planned),
-        "timing": {
-            "decode_s": timing.decode_s + phase_s["decode"], "analyse_s": timing.analyse_s, "plan_s": timing.plan_s,
-            "render_s": sum(stage_s.values()) + phase_s["edit"], "encode_s": phase_s["encode"] + timing.join_s,
-            "prepare_s": phase_s["prepare"], "wall_s": timing.wall_s,
-            "frames_per_s": len(facts) / timing.wall_s if timing.wall_s > 0 else None, "peak_rss_mb": _peak_rss_mb(),
-        },
+        "timing": _timing(spent, planned.plan_s, join_s, chunks),
         "notices": meta["notices"],
+    }  # fmt: skip
+
+
+def _timing(spent: Spent, plan_s: float, join_s: float, chunks: Sequence[Chunk]) -> dict[str, Any]:
+    """Of a resumed job the time of all processes whose work is in the output, not of the last one alone."""
+    s = defaultdict(float, spent.seconds)
+    frames = sum(c.frames for c in chunks)
+    return {
+        "decode_s": s["decode"], "analyse_s": s["analyse"], "plan_s": plan_s,
+        "render_s": sum(spent.stages.values()) + s["edit"], "encode_s": s["encode"] + join_s, "prepare_s": s["prepare"],
+        "wall_s": spent.wall_s, "frames_per_s": frames / spent.wall_s if spent.wall_s > 0 else None,
+        "peak_rss_mb": spent.peak_rss_mb,
+        "resumed": spent.processes > 1, "processes": spent.processes,
+        "frames_untimed": sum(c.frames for c in chunks if c.key in spent.untimed),
     }  # fmt: skip
 
 
@@ -138,7 +130,3 @@ def _health(planned: Planned) -> list[dict[str, Any]]:
     whole = meta["truncated"] is None
     rows.append(_check("source file", meta["truncated"] or "whole", "whole", whole, "processed to its last good frame"))
     return rows
-
-
-def _peak_rss_mb() -> float:
-    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024

@@ -71,4 +71,5 @@ def _say_summary(report: dict[str, Any]) -> None:
         f"{pose['frames_measured']} measured and {pose['frames_interpolated']} bridged frames, absent in {pose['frames_absent']}"
         + (f"; reprojection {reprojection:.2f} px" if reprojection is not None else "")
         + f"; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"
+        + (f", resumed: the time of {timing['processes']} processes" if timing["resumed"] else "")
     )

@@ -131,7 +131,9 @@ def test_a_killed_job_resumes_and_gives_the_same_bytes(material: Material, arfx:
     assert r.code == 0, r.err
     assert digest(tmp_path / "out.mp4") == digest(tmp_path / "whole.mp4")
     assert f"render: {30 * len(kept)}/96" in r.err, "kept chunks are not made again"
-    rendered = [json.loads(line)["first"] for line in (tmp_path / "out.mp4.job" / "timings.jsonl").read_text().splitlines()]
+    rows = [json.loads(line) for line in (tmp_path / "out.mp4.job" / "timings.jsonl").read_text().splitlines()]
+    rendered = [row["first"] for row in rows if row["work"] == "chunk"]
+    assert r.json["timing"]["resumed"] is True
     assert {60, 90} - {30 * k for k in range(len(kept))} <= set(rendered) and len(rendered) == len(set(rendered))
 
 

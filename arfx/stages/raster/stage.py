@@ -102,13 +102,13 @@ class Raster:
         rect, facts = window.now.rect, window.facts[-1]
         box = facts.model_box.pad(PAD_PX).clip(scene.camera.rect)
         shown = box.clip(rect)
-        out = {name: neutral(name, rect) for name in OUTPUTS}
         if facts.camera_from_world is None or shown.empty:
-            return out
+            return {name: neutral(name, rect) for name in OUTPUTS}
         drawn = shown if prepared.any_rectangle else box
-        made = prepared.render(drawn, facts.camera_from_world)
+        made: dict[Layer, np.ndarray] = prepared.render(drawn, facts.camera_from_world)
         if drawn == rect:
             return made
+        out = {name: neutral(name, rect) for name in OUTPUTS}
         for name in OUTPUTS:
             out[name][shown.slices_in(rect)] = made[name][shown.slices_in(drawn)]
         return out
