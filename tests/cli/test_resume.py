@@ -1,0 +1,122 @@
+"""The times that a resumed job reports: those of all the work in its output, whichever process did it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from arfx.config.load import load
+from arfx.config.sections import JobConfig
+from arfx.errors import JobInterruptedError
+from arfx.run import analysis
+from arfx.run.job import Options, process
+from arfx.run.parameters import parameters
+from arfx.run.times import WorkLog
+from tests.cli.conftest import Material, Run
+from tests.clips import MARKER
+
+Progress = Callable[[str, int, int | None], None]
+
+
+def quiet(*_: object) -> None:
+    return None
+
+
+def job(material: Material, tmp_path: Path) -> JobConfig:
+    document = {
+        "input": {"clip": str(material.clip), "camera": str(material.camera)}, "marker": [{"spec": str(MARKER)}],
+        "model": {"file": str(material.model), "fit": "8cm"}, "output": {"path": str(tmp_path / "out.mp4")},
+    }  # fmt: skip
+    return load(None, document, parameters())
+
+
+def interrupted(config: JobConfig, folder: Path, phase: str, frame: int) -> list[dict[str, Any]]:
+    """Runs the job until `frame` of `phase`; the rows that it leaves in timings.jsonl."""
+
+    def stop(at: str, done: int, _: int | None) -> None:
+        if at == phase and done >= frame:
+            raise KeyboardInterrupt
+
+    with pytest.raises(JobInterruptedError):
+        process(config, Options(folder, progress=stop, notice=quiet))
+    return [json.loads(line) for line in (folder / "timings.jsonl").read_text().splitlines()]
+
+
+def write_rows(folder: Path, rows: list[dict[str, Any]], end: str = "") -> None:
+    (folder / "timings.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows) + end)
+
+
+def test_times_of_kept_chunks_and_of_the_kept_analysis_count(material: Material, tmp_path: Path) -> None:
+    config, folder = job(material, tmp_path), tmp_path / "job"
+    rows = interrupted(config, folder, "render", 35)
+    assert [(r["work"], r.get("first")) for r in rows] == [("analysis", None), ("chunk", 0)]
+    rows[0]["seconds"] = {"decode": 100.0, "analyse": 200.0}
+    rows[1]["stages"]["raster"], rows[1]["seconds"]["encode"] = 1000.0, 400.0
+    rows[1]["walls"] = dict.fromkeys(rows[1]["walls"], 5000.0)
+    rows[1]["rss_mb"] = 7e6
+    other = {**rows[1], "key": "of another setting"}  # made, but not in the output
+    write_rows(folder, [rows[0], other, rows[1]], '{"work": "chunk", "ke')  # and a line that a kill cut short
+    report = process(config, Options(folder, resume=True, notice=quiet))
+    timing = report["timing"]
+    assert timing["resumed"] is True and timing["processes"] == 2 and timing["frames_untimed"] == 0
+    assert timing["analyse_s"] == 200 and 100 < timing["decode_s"] < 200
+    assert 1000 < timing["render_s"] < 1500 and 400 < timing["encode_s"] < 600
+    assert 5000 < timing["wall_s"] < 5500 and timing["frames_per_s"] == pytest.approx(96 / timing["wall_s"])
+    assert timing["peak_rss_mb"] == 7e6
+    raster = next(s for s in report["stages"] if s["name"] == "raster")
+    assert 1000 < raster["measured_s"] < 1500
+
+
+def test_time_before_the_checkpoint_counts(material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(analysis, "CHECKPOINT_S", 0.0)
+    config, folder = job(material, tmp_path), tmp_path / "job"
+    rows = interrupted(config, folder, "analyse", 50)
+    assert [r["frames"] for r in rows] == list(range(1, 50))
+    assert all(a["seconds"]["analysis"] < b["seconds"]["analysis"] for a, b in itertools.pairwise(rows))
+    for row in rows:
+        row["seconds"]["analysis"] = 1000.0 + row["frames"]
+        row["walls"] = dict.fromkeys(row["walls"], 3000.0)
+    write_rows(folder, rows)
+
+    def stop(phase: str, done: int, _: int | None) -> None:
+        if phase == "analyse" and done > 60:
+            raise KeyboardInterrupt
+
+    with pytest.raises(JobInterruptedError):
+        process(config, Options(folder, resume=True, progress=stop, notice=quiet))
+    timing = process(config, Options(folder, resume=True, notice=quiet))["timing"]
+    assert timing["resumed"] and timing["processes"] == 3 and timing["analyse_s"] > 0
+    assert 1049 < timing["decode_s"] + timing["analyse_s"] < 1300 and 3000 < timing["wall_s"] < 3500
+
+
+def test_a_kept_chunk_whose_time_nobody_noted_is_said(material: Material, tmp_path: Path) -> None:
+    config, folder = job(material, tmp_path), tmp_path / "job"
+    rows = interrupted(config, folder, "render", 35)
+    write_rows(folder, rows[:1])
+    assert process(config, Options(folder, resume=True, notice=quiet))["timing"]["frames_untimed"] == 30
+
+
+def test_a_job_that_starts_afresh_counts_its_own_time_alone(material: Material, tmp_path: Path, arfx: Run) -> None:
+    config, folder = job(material, tmp_path), tmp_path / "job"
+    rows = interrupted(config, folder, "render", 35)
+    rows[1]["stages"]["raster"] = 1000.0
+    write_rows(folder, rows)
+    timing = process(config, Options(folder, overwrite=True, notice=quiet))["timing"]
+    assert timing["resumed"] is False and timing["processes"] == 1 and timing["render_s"] < 500
+    (tmp_path / "out.mp4").unlink()
+    r = arfx(*material.arguments("-o", str(tmp_path / "out.mp4"), "--job", "job", "--resume"))
+    assert r.code == 0 and "resumed" in r.err, r.err
+
+
+def test_a_line_cut_short_does_not_spoil_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "timings.jsonl"
+    path.write_text('{"work": "chunk", "key": "a", "sec')
+    log = WorkLog(path)
+    log.note("chunk", "b", {"decode": 1.0})
+    assert [r["key"] for r in log.rows()] == ["b"]
+    assert log.spent("none", ["a", "b"]).untimed == ("a",)
