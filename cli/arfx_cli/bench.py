@@ -6,7 +6,7 @@ import re
 
 import click
 
-from arfx_cli.console import emit_json, json_option, say
+from arfx_cli.console import Progress, detail, emit_json, message_options
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -25,7 +25,7 @@ def parse_size(text: str) -> tuple[int, int]:
 @click.option(
     "--size", "sizes", metavar="WxH", multiple=True, default=["1280x720"], show_default=True, help="Picture size, repeatable."
 )
-@json_option
+@message_options
 def command(stage: str | None, level: str | None, sizes: tuple[str, ...], as_json: bool) -> None:
     """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a tenth of the picture.
 
@@ -39,14 +39,11 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], as_jso
     from arfx.measure.bench import bench
 
     parsed = [parse_size(s) for s in sizes]
-    said: dict[str, int] = {}
-
-    def progress(what: str, done: int, total: int) -> None:
-        if said.get(what) != done:
-            said[what] = done
-            say(f"{what}: {done} of {total} timed")
-
-    rows = bench(parsed, stage, level, progress)
+    with Progress("timed") as progress:
+        rows = bench(parsed, stage, level, progress)
+    for r in rows:
+        each = 1e6 * r["ms"] / r["area_px"]
+        detail(f"{r['stage']} {r['level']} {r['size']}: {r['area_px']} px, {each:.2f} ns/px, median of {r['runs']} runs")
     if as_json:
         emit_json(rows)
         return

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from arfx.errors import ConfigError, InputError
-from arfx_cli.console import emit_json, json_option, overwrite_option, say, verbose_option
+from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,10 +35,9 @@ VIDEO_SEARCHED = 120  # frames of a video that are searched for the board; the s
     help="Folder for residuals.png and coverage.png; default: beside -o.",
 )
 @overwrite_option
-@verbose_option
-@json_option
+@message_options
 def command(
-    inputs: tuple[Path, ...], board: str, output: Path, report: Path | None, overwrite: bool, verbose: bool, as_json: bool
+    inputs: tuple[Path, ...], board: str, output: Path, report: Path | None, overwrite: bool, as_json: bool
 ) -> None:
     """Camera intrinsics from pictures or videos of a printed board, with a verdict: good, usable or poor.
 
@@ -67,19 +66,18 @@ def command(
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
 
-    def progress(searched: int, found: int) -> None:
-        if searched % 20 == 0:
-            say(f"searched {searched} pictures, the board is in {found}")
-
-    result = calibrate(find_board(_pictures(_flatten(inputs)), spec, progress))
+    paths = _flatten(inputs)
+    total = len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None  # how many frames of a video, it tells
+    with Progress("pictures") as progress:
+        found = find_board(_pictures(paths), spec, lambda searched, _: progress("search", searched, total))
+    result = calibrate(found)
     folder.mkdir(parents=True, exist_ok=True)
     written = write_plots(result, folder, stem)
     save_camera(output, result.fitted.camera, **file_extras(result))
     for line in summary(result):
         say(line)
-    if verbose:
-        for row in document(result)["models"]:
-            say(f"  {'*' if row['chosen'] else ' '} {row['model']}: held out {row['held_out_rms_px']:.4f} px {row['rejected']}")
+    for row in document(result)["models"]:
+        detail(f"{'*' if row['chosen'] else ' '} {row['model']}: held out {row['held_out_rms_px']:.4f} px {row['rejected']}")
     say(f"wrote {output}, {written[0]}, {written[1]}")
     if as_json:
         emit_json(document(result) | {"output": str(output), "plots": [str(p) for p in written]})
@@ -134,7 +132,7 @@ def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:
 
     info = probe(path)
     for notice in info.notices:
-        say(f"{path}: {notice}")
+        note(f"{path}: {notice}")
     expected = info.frame_count_stated or int((info.duration_s or 0) * (info.fps or 30)) or 1000
     with ClipReader(info) as reader:
         frames = ((f"{name}@{f.time_s:.3f}s", np.ascontiguousarray(f.luma())) for f in reader.frames())

@@ -11,12 +11,33 @@ from typing import Any
 import click
 
 
-def json_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output.")(f)
+_LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
 
-def verbose_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("-v", "--verbose", is_flag=True, help="More detail on standard error.")(f)
+def _set_level(context: click.Context, parameter: click.Parameter, given: bool) -> None:
+    if not given:
+        return
+    level = -1 if parameter.name == "quiet" else 1
+    if context.meta.setdefault(_LEVEL, level) != level:
+        raise click.UsageError("--verbose and --quiet contradict each other: give one of them", context)
+
+
+def _level() -> int:
+    context = click.get_current_context(silent=True)
+    return context.meta.get(_LEVEL, 0) if context else 0
+
+
+def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
+    """What every command has: --json for its result, -v and -q for what it says beside that."""
+    for option in (
+        click.option("-q", "--quiet", is_flag=True, expose_value=False, callback=_set_level,
+                     help="Only warnings and errors on standard error."),
+        click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=_set_level,
+                     help="More detail on standard error."),
+        click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output."),
+    ):  # fmt: skip
+        f = option(f)
+    return f
 
 
 def overwrite_option(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -24,8 +45,25 @@ def overwrite_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def say(message: str) -> None:
-    """A line for people, on standard error (standard output is kept for results)."""
-    click.echo(message, err=True)
+    """A line for people, on standard error (standard output is kept for results); not with --quiet."""
+    if _level() >= 0:
+        click.echo(message, err=True)
+
+
+def note(message: str) -> None:
+    """A warning: said with --quiet too."""
+    click.echo(f"note: {message}", err=True)
+
+
+def verbose() -> bool:
+    """Whether --verbose asks for detail."""
+    return _level() > 0
+
+
+def detail(message: str) -> None:
+    """A line that only --verbose shows."""
+    if verbose():
+        click.echo(f"  {message}", err=True)
 
 
 def strict_json(value: Any) -> Any:
@@ -47,10 +85,14 @@ def emit_json(document: Any) -> None:
 
 
 class Progress:
-    """A rich bar with ETA on a terminal, a plain line now and then otherwise. Use as a context manager."""
+    """A rich bar with ETA on a terminal, a plain line now and then otherwise, nothing with --quiet. A context manager.
 
-    def __init__(self, quiet: bool = False) -> None:
-        self._quiet = quiet
+    unit : what is counted
+    """
+
+    def __init__(self, unit: str = "frames") -> None:
+        self._unit = unit
+        self._quiet = _level() < 0
         self._rich: Any = None
         self._tasks: dict[str, Any] = {}
         self._last: dict[str, int] = {}
@@ -88,4 +130,4 @@ class Progress:
         tenth = done * 10 // total if total else done // 100
         if tenth != self._last.get(phase) and (done or total):
             self._last[phase] = tenth
-            say(f"{phase}: {done}{f'/{total}' if total else ''} frames")
+            say(f"{phase}: {done}{f'/{total}' if total else ''} {self._unit}")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import Progress, overwrite_option, say
+from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option
+from arfx_cli.job_summary import say_job
 
 
 @click.command()
@@ -16,7 +17,8 @@ from arfx_cli.console import Progress, overwrite_option, say
     help="Folder for all that is made.",
 )  # fmt: skip
 @overwrite_option
-def command(folder: Path, overwrite: bool) -> None:
+@message_options
+def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     """Make a sample clip, put a model onto its marker, and write out.mp4, picture.png and a report.
 
     \b
@@ -40,12 +42,16 @@ def command(folder: Path, overwrite: bool) -> None:
     with Progress() as progress:
         make_demo_clip(folder / "clip", progress)
         config = load(folder / "clip" / "job.toml", {"output": {"path": str(folder / "out.mp4")}}, parameters())
-        process(config, Options(folder / "job", overwrite=True, progress=progress, notice=lambda m: say(f"note: {m}")))
+        report = process(config, Options(folder / "job", overwrite=True, progress=progress, notice=note))
     report_of_job(folder / "job", folder / "report")
     previews = load_previews(folder / "job" / "previews")
     _save(previews[len(previews) // 2], folder / "picture.png")
     shutil.rmtree(folder / "job")
     written = {"picture": "picture.png", "clip before": "clip/clip.mp4", "clip after": "out.mp4", "report": "report/report.html"}
+    say_job(report)
+    if as_json:
+        emit_json({what.replace(" ", "_"): str(folder / name) for what, name in written.items()} | {"job": report})
+        return
     for what, name in written.items():
         click.echo(f"{what + ':':12} {folder / name}")
 

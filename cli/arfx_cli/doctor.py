@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
-from arfx_cli.console import emit_json, json_option
+from arfx_cli.console import detail, emit_json, message_options, verbose
 
 
 @click.command()
-@json_option
+@message_options
 def command(as_json: bool) -> None:
     """Check Python, packages, renderer back ends, codecs, cores, memory and disk; say the fix for what does not work.
 
@@ -24,6 +27,9 @@ def command(as_json: bool) -> None:
     from arfx.measure.machine import examine, sound
 
     checks = examine(Path.cwd())
+    if verbose():
+        for line in surroundings():
+            detail(line)
     if as_json:
         emit_json({"ok": sound(checks), "checks": [c.to_json() for c in checks]})
     else:
@@ -40,3 +46,25 @@ def command(as_json: bool) -> None:
     if not as_json:
         broken = [c.name for c in checks if not c.ok]
         click.echo("Clips can be processed here." + (f" Missing, not essential: {', '.join(broken)}." if broken else ""))
+
+
+# what changes how arfx and the libraries under it behave
+VARIABLES = (
+    "ARFX_DEBUG", "PYOPENGL_PLATFORM", "DISPLAY", "LIBGL_ALWAYS_SOFTWARE", "__EGL_VENDOR_LIBRARY_DIRS",
+    "__EGL_VENDOR_LIBRARY_FILENAMES", "LP_NUM_THREADS", "NUMBA_NUM_THREADS", "NUMBA_CACHE_DIR", "OMP_NUM_THREADS", "TMPDIR",
+)  # fmt: skip
+
+
+def surroundings() -> Iterator[str]:
+    """Where arfx and Python are, the libraries inside the packages, and the variables that are set."""
+    import av
+    import cv2
+
+    import arfx
+
+    yield f"arfx in {Path(arfx.__file__).parent}, run by {sys.executable}"
+    yield "FFmpeg: " + ", ".join(f"{name} {'.'.join(map(str, v))}" for name, v in av.library_versions.items())
+    yield f"OpenCV: {cv2.__version__}, {cv2.getNumThreads()} threads"
+    for name in VARIABLES:
+        if name in os.environ:
+            yield f"{name}={os.environ[name]}"

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import emit_json, json_option, say
+from arfx_cli.console import detail, emit_json, message_options
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -16,7 +16,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 @click.argument("clip", type=FILE)
 @click.option("--camera", type=FILE, help="Calibration file; with it the markers' tilt is told too.")
 @click.option("--samples", type=click.IntRange(1, 1000), default=24, show_default=True, help="Frames that are searched.")
-@json_option
+@message_options
 def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> None:
     """Stream properties of CLIP, the markers in it, blur and light, and the `process` command that fits.
 
@@ -32,10 +32,21 @@ def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> Non
     lens = None if camera is None else load_camera(camera).scaled_to(info.width, info.height)
     document = inspect(info, lens, samples)
     document["suggestion"] = suggestion(document, clip, camera)
+    _detail(document)
     if as_json:
         emit_json(document)
         return
     _print(document)
+
+
+def _detail(document: dict[str, Any]) -> None:
+    c = document["clip"]
+    for s in c["streams"]:
+        detail(f"stream {', '.join(f'{k} {v}' for k, v in s.items() if v not in (None, ''))}")
+    detail(f"time base {c['time_base']} s, transfer {c['transfer']}, sample aspect {c['sample_aspect'] or 'not stated'}")
+    detail("frames searched: " + ", ".join(map(str, document["samples"])))
+    for m in document["markers"]:
+        detail(f"{m['marker']}: in {m['frames']} of {m['looked']} frames searched, twice in {m['twice_in_a_frame']}")
 
 
 def _print(document: dict[str, Any]) -> None:
@@ -78,7 +89,7 @@ def _print(document: dict[str, Any]) -> None:
     looked = len(document["samples"])
     if not document["markers"]:
         console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SURVEY_FAMILIES)}).")
-        say("help: a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames")
+        click.echo("help: a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames", err=True)
         return
     table = Table(title=f"\nmarkers in {looked} sampled frames", title_justify="left")
     for name in ("marker", "seen", "side, px", "edge blur, px", "tilt, °"):

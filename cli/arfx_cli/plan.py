@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, json_option, overwrite_option, say, verbose_option
+from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, say, verbose
 from arfx_cli.job_options import job_config, job_options, run_options
+
+if TYPE_CHECKING:
+    from arfx.core.plan import FramePlan
 
 
 @click.command()
 @job_options
 @run_options
 @overwrite_option
-@json_option
-@verbose_option
-def command(output: Path | None, as_json: bool, verbose: bool, **given: Any) -> None:
+@message_options
+def command(output: Path | None, as_json: bool, **given: Any) -> None:
     """Explain what `arfx process` with the same arguments would do to CLIP, with predicted time. Nothing is written.
 
     \b
@@ -36,22 +40,36 @@ def command(output: Path | None, as_json: bool, verbose: bool, **given: Any) -> 
             config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
         inputs = open_inputs(config)
         for notice in inputs.notices:
-            say(f"note: {notice}")
+            note(notice)
         folder = JobFolder(Path(scratch) / "job")
         folder.open(resume=False, overwrite=False)
         with Progress() as progress:
-            planned = plan_job(inputs, folder, Options(progress=progress, notice=lambda m: say(f"note: {m}")))
+            planned = plan_job(inputs, folder, Options(progress=progress, notice=note))
         rows = summarise(planned.plans, planned.stage_names, inputs.camera.rect.area)
     predicted = [r["predicted_s"] for r in rows]
     total = None if any(p is None for p in predicted) else sum(predicted)
     if as_json:
         document: dict[str, Any] = {"frames": len(planned.plans), "stages": rows, "predicted_s": total}
-        if verbose:
+        if verbose():
             document["plans"] = [p.to_json() for p in planned.plans]
         emit_json(document)
         return
     from rich.console import Console
 
     Console().print(table(rows, len(planned.plans)))
+    for line in frame_by_frame(planned.plans):
+        detail(line)
     if total is not None:
         say(f"stages alone, predicted on one core: {total:.1f} s (decoding, analysis and encoding not counted)")
+
+
+def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:
+    """What runs and what does not, and why: one line for each stretch of frames that have the same steps and reasons."""
+
+    def words(plan: FramePlan) -> str:
+        skipped = [f"no {s.stage} ({s.reason})" for s in plan.skipped]
+        return "; ".join([", ".join(f"{s.stage} {s.level}" for s in plan.steps) or "nothing runs", *skipped])
+
+    for text, group in itertools.groupby(plans, words):
+        stretch = [p.index for p in group]
+        yield f"frame{f's {stretch[0]}–{stretch[-1]}' if len(stretch) > 1 else f' {stretch[0]}'}: {text}"

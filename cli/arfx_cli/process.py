@@ -7,16 +7,16 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, json_option, overwrite_option, say, verbose_option
+from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option, say
 from arfx_cli.job_options import job_config, job_options, run_options
+from arfx_cli.job_summary import say_job
 
 
 @click.command()
 @job_options
 @run_options
 @overwrite_option
-@json_option
-@verbose_option
+@message_options
 def command(
     output: Path | None,
     report_dir: Path | None,
@@ -25,7 +25,6 @@ def command(
     workers: int | None,
     overwrite: bool,
     as_json: bool,
-    verbose: bool,
     **given: Any,
 ) -> None:
     """Put a virtual model onto the marker of CLIP.
@@ -45,7 +44,7 @@ def command(
 
         check_report_folder(report_dir, overwrite)
     with Progress() as progress:
-        options = Options(job_dir, resume, overwrite, workers, progress, lambda m: say(f"note: {m}"))
+        options = Options(job_dir, resume, overwrite, workers, progress, note)
         report = process(config, options)
     path = Path(report["output"]["path"])
     folder = JobFolder(job_dir or default_folder(path))
@@ -55,21 +54,9 @@ def command(
         report_of_job(folder.path, report_dir)
     if job_dir is None:
         folder.remove()
-    if verbose or not as_json:
-        _say_summary(report)
+    say_job(report)
+    if report_dir is not None:
+        say(f"report: {report_dir / 'report.html'}")
     if as_json:
         emit_json(report)
-    elif report_dir is not None:
-        say(f"report: {report_dir / 'report.html'}")
 
-
-def _say_summary(report: dict[str, Any]) -> None:
-    pose, timing = report["pose"], report["timing"]
-    reprojection = (pose.get("reprojection_px") or {}).get("median")
-    say(
-        f"{report['output']['frames']} frames to {report['output']['path']}: object in "
-        f"{pose['frames_measured']} measured and {pose['frames_interpolated']} bridged frames, absent in {pose['frames_absent']}"
-        + (f"; reprojection {reprojection:.2f} px" if reprojection is not None else "")
-        + f"; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"
-        + (f", resumed: the time of {timing['processes']} processes" if timing["resumed"] else "")
-    )

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import emit_json, json_option, overwrite_option, say
+from arfx_cli.console import emit_json, message_options, overwrite_option, say
+from arfx_cli.job_summary import detail_job
 
 
 @click.command()
@@ -15,7 +16,7 @@ from arfx_cli.console import emit_json, json_option, overwrite_option, say
     "-o", "--output", type=click.Path(path_type=Path, file_okay=False), help="Folder of the report; default: beside JOBDIR."
 )
 @overwrite_option
-@json_option
+@message_options
 def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) -> None:
     """Write report.json and report.html (one file, no outside links) of a finished job.
 
@@ -32,6 +33,7 @@ def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) 
     check_report_folder(folder, overwrite)
     page = report_of_job(job_dir, folder)
     say(f"report: {page}")
+    detail_job(report)
     if as_json:
         emit_json(report)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, json_option, overwrite_option, say
+from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, say
 
 
 @click.command()
@@ -15,7 +15,7 @@ from arfx_cli.console import Progress, emit_json, json_option, overwrite_option,
 @click.option("-o", "--output", "folder", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to make.")
 @click.option("--truth", "kinds", help="Pictures of truth to write: depth,mask,flow or none; default as the scene says.")
 @overwrite_option
-@json_option
+@message_options
 def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_json: bool) -> None:
     """Render SCENE (a scene.toml, or the folder that holds one) into a folder.
 
@@ -38,12 +38,17 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_js
         if wrong:
             raise ConfigError(f"--truth: there is no {wrong[0]!r}", "depth, mask, flow, or none")
         description = description.model_copy(update={"truth": chosen})
-    with Progress(quiet=as_json) as progress:
+    with Progress() as progress:
         truth = make_clip(description, folder, path.parent, progress, overwrite)
     files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
+    say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
+    for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.parent == folder):
+        detail(f"{path.name}: {path.stat().st_size:,} bytes")
+    for key in sorted({key for f in truth.frames for key in f.markers}):
+        seen = [f.markers[key] for f in truth.frames if key in f.markers and f.markers[key].visible > 0]
+        sides = f", sides of {min(m.side_px for m in seen):.0f} to {max(m.side_px for m in seen):.0f} px" if seen else ""
+        detail(f"marker {key}: in sight in {len(seen)} of {len(truth.frames)} frames{sides}")
+    if truth.world is not None:
+        say(f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}   or   arfx verify {folder}")
     if as_json:
         emit_json({"folder": str(folder), "frames": len(truth.frames), "world": truth.world, "files": files})
-    else:
-        say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
-        if truth.world is not None:
-            say(f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}   or   arfx verify {folder}")

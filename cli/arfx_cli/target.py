@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from arfx.errors import ConfigError
-from arfx_cli.console import emit_json, json_option, overwrite_option, say
+from arfx_cli.console import detail, emit_json, message_options, overwrite_option, say
 
 
 @click.command()
@@ -18,7 +18,7 @@ from arfx_cli.console import emit_json, json_option, overwrite_option, say
 @click.option("--page", default="a4", show_default=True, help="a0 to a5, letter, legal, tabloid, or a size such as 300mmx400mm.")
 @click.option("--dpi", default=300.0, show_default=True, help="Resolution of a PNG.")
 @overwrite_option
-@json_option
+@message_options
 def command(specs: tuple[str, ...], output: Path, page: str, dpi: float, overwrite: bool, as_json: bool) -> None:
     """A printable marker, sheet of markers or calibration board, true to scale, with its size and a ruler printed on it.
 
@@ -40,5 +40,9 @@ def command(specs: tuple[str, ...], output: Path, page: str, dpi: float, overwri
         raise ConfigError(f"folder {output.absolute().parent} does not exist", "make it, or give another -o")
     write_sheet(sheet, output, dpi)
     say(f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and measure the ruler")
+    for target, cells in zip(targets, sheet.cells, strict=False):  # a ChArUco board's markers come after the board
+        rows, columns = cells.black.shape
+        size = f"{columns * cells.cell_mm:g} x {rows * cells.cell_mm:g} mm ({columns} x {rows} squares of {cells.cell_mm:.4g} mm)"
+        detail(f"{target}: {size}, {cells.x_mm:.1f} mm from the left and {cells.y_mm:.1f} mm from the top of the page")
     if as_json:
         emit_json({"output": str(output), "page_mm": [sheet.width_mm, sheet.height_mm], "targets": [str(t) for t in targets]})

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, json_option, say, verbose_option
+from arfx_cli.console import Progress, detail, emit_json, message_options, note
+from arfx_cli.job_summary import detail_job
 
 
 @click.command()
@@ -19,9 +20,8 @@ from arfx_cli.console import Progress, emit_json, json_option, say, verbose_opti
     help="Folder for the clip, the output and the job; default temporary.",
 )
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
-@json_option
-@verbose_option
-def command(folder: Path, keep: Path | None, workers: int, as_json: bool, verbose: bool) -> None:
+@message_options
+def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> None:
     """Run the synthetic scene in FOLDER and report errors against its truth.
 
     FOLDER is made by `arfx synth`, or a scene folder, which is rendered first. Exit code 5 if a figure breaks a bound of the
@@ -32,14 +32,18 @@ def command(folder: Path, keep: Path | None, workers: int, as_json: bool, verbos
       arfx verify sample_scenes/0901-frontal-40px
     """
     from arfx.errors import ArfxError, ConfigError
-    from arfx.measure.verification import verify
+    from arfx.measure.verification import read_tolerance, verify
 
     if keep is not None and (keep / "job").exists():
         raise ConfigError(f"{keep} holds an earlier run", "name another folder with --keep")
-    with tempfile.TemporaryDirectory(prefix="arfx-verify-") as temporary, Progress(quiet=as_json) as progress:
+    with tempfile.TemporaryDirectory(prefix="arfx-verify-") as temporary, Progress() as progress:
         work = keep or Path(temporary)
         work.mkdir(parents=True, exist_ok=True)
-        done = verify(folder, work, progress, lambda m: say(f"note: {m}"), workers)
+        done = verify(folder, work, progress, note, workers)
+    detail_job(done.report)
+    for kind, bounds in read_tolerance(folder).get("truth", {}).items():
+        for name, bound in bounds.items() if kind in ("max", "min") else ():
+            detail(f"bound: {name} {'at most' if kind == 'max' else 'at least'} {bound:g}")
     if as_json:
         emit_json({"folder": str(folder), "figures": done.figures, "broken": done.broken})
     else:

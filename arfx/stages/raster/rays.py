@@ -75,7 +75,7 @@ class RayRenderer:
         self.glows = bool(mesh.floats[:, EMIT_R:CUTOFF].any())
         m = mesh
         self._surfaces = (
-            m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, bool((m.colours != 1).any()), m.uv_per_m, m.floats, m.ints, m.texture_slots,
+            m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints, m.texture_slots,
             m.textures.linear, m.textures.table,
         )  # fmt: skip
 

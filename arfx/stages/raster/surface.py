@@ -16,12 +16,12 @@ _GRAZING = 0.1
 @numba.njit(inline="always")
 def _surface(
     face, b1, b2, z, dx, dy, dz, pixel,
-    faces, part, face_normal, normals, uv, colours, coloured, uv_per_m, floats, ints, slots, texels, table,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Opacity, albedo (3), unit normal (3), metallic, roughness, specular, emissive (3) of one hit.
 
     dx, dy, dz : the ray, camera z = 1;  z : depth of the hit;  pixel : footprint of a sample at depth 1
-    coloured : some vertex has a colour other than white;  slots : how many of the three textures any material has
+    slots : how many of the three textures any material has
     Inlined: a call with two dozen arrays takes ten times as long as the arithmetic (reference counts).
     """
     # unsigned indices spare numba the test for negative ones
@@ -31,12 +31,10 @@ def _surface(
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
     b0 = np.float32(1) - b1 - b2
-    r, g, b, alpha = floats[p, 0], floats[p, 1], floats[p, 2], floats[p, 3]
-    if coloured:
-        r *= b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0]
-        g *= b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1]
-        b *= b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2]
-        alpha *= b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3]
+    r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
+    g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
+    b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
+    alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
     one = np.float32(1)
     metallic, rough = floats[p, 4], floats[p, 5]
     er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
@@ -112,7 +110,7 @@ def _surface(
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def surfaces(
     prim, bary_u, bary_v, depth, directions, pixel,
-    faces, part, face_normal, normals, uv, colours, coloured, uv_per_m, floats, ints, slots, texels, table, values,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table, values,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Attributes of hits into values (n, 13), in the order of `_surface`. Rows of misses stay as they are.
 
@@ -124,7 +122,7 @@ def surfaces(
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         alpha, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
             prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel,
-            faces, part, face_normal, normals, uv, colours, coloured, uv_per_m, floats, ints, slots, texels, table,
+            faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
         )  # fmt: skip
         values[k, 0], values[k, 1], values[k, 2], values[k, 3] = alpha, r, g, b
         values[k, 4], values[k, 5], values[k, 6] = nx, ny, nz
@@ -135,7 +133,7 @@ def surfaces(
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def write_centres(
     prim, bary_u, bary_v, depth, edge, lens, rotation, pixel, height, width, eye, glows,
-    faces, part, face_normal, normals, uv, colours, coloured, uv_per_m, floats, ints, slots, texels, table,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
     coverage, depth_out, normal, position, albedo, material, emissive, object_id,
 ):  # fmt: skip  # pragma: no cover - compiled
     """All layers of an opaque mesh from one sample a pixel; those of misses and of `edge` pixels become neutral.
@@ -158,7 +156,7 @@ def write_centres(
             dz = np.float32(rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2])
             _, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
                 prim[k], bary_u[k], bary_v[k], z, dx, dy, dz, pixel,
-                faces, part, face_normal, normals, uv, colours, coloured, uv_per_m, floats, ints, slots, texels, table,
+                faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
             )  # fmt: skip
             coverage[y, x], depth_out[y, x], object_id[y, x] = 1, z, part[np.uintp(prim[k])] + 1
             albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r, g, b
