@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from arfx.errors import ConfigError, InputError
-from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, say
+from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, quiet, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,9 +36,7 @@ VIDEO_SEARCHED = 120  # frames of a video that are searched for the board; the s
 )
 @overwrite_option
 @message_options
-def command(
-    inputs: tuple[Path, ...], board: str, output: Path, report: Path | None, overwrite: bool, as_json: bool
-) -> None:
+def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | None, overwrite: bool, as_json: bool) -> None:
     """Camera intrinsics from pictures or videos of a printed board, with a verdict: good, usable or poor.
 
     Of a video, sharp and varied frames are taken. `arfx target` prints boards. The file is OpenCV YAML with ROS's names.
@@ -76,6 +74,8 @@ def command(
     save_camera(output, result.fitted.camera, **file_extras(result))
     for line in summary(result):
         say(line)
+    if quiet() and result.verdict.word != "good":
+        note(f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}")
     for row in document(result)["models"]:
         detail(f"{'*' if row['chosen'] else ' '} {row['model']}: held out {row['held_out_rms_px']:.4f} px {row['rejected']}")
     say(f"wrote {output}, {written[0]}, {written[1]}")

@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
 
@@ -46,13 +45,18 @@ def overwrite_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 def say(message: str) -> None:
     """A line for people, on standard error (standard output is kept for results); not with --quiet."""
-    if _level() >= 0:
+    if not quiet():
         click.echo(message, err=True)
 
 
 def note(message: str) -> None:
     """A warning: said with --quiet too."""
     click.echo(f"note: {message}", err=True)
+
+
+def quiet() -> bool:
+    """Whether --quiet asks for warnings and errors alone."""
+    return _level() < 0
 
 
 def verbose() -> bool:
@@ -92,7 +96,7 @@ class Progress:
 
     def __init__(self, unit: str = "frames") -> None:
         self._unit = unit
-        self._quiet = _level() < 0
+        self._quiet = quiet()
         self._rich: Any = None
         self._tasks: dict[str, Any] = {}
         self._last: dict[str, int] = {}

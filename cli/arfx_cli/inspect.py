@@ -89,7 +89,8 @@ def _print(document: dict[str, Any]) -> None:
     looked = len(document["samples"])
     if not document["markers"]:
         console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SURVEY_FAMILIES)}).")
-        click.echo("help: a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames", err=True)
+        help_text = "a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames"
+        click.echo(f"help: {help_text}", err=True)
         return
     table = Table(title=f"\nmarkers in {looked} sampled frames", title_justify="left")
     for name in ("marker", "seen", "side, px", "edge blur, px", "tilt, °"):

@@ -35,6 +35,9 @@ _OPTIONS = [
 
 _RUN_OPTIONS = [
     click.option("-o", "--output", type=click.Path(path_type=Path), help="out.mp4 .mkv .mov .webm, or frames/%06d.png|exr."),
+    click.option("--codec", metavar="NAME", help="h264, h265, av1, prores, ffv1, png, exr; default by the output's name."),
+    click.option("--crf", type=float, help="Constant rate factor of the codec: lower is better and larger."),
+    click.option("--pixel-format", metavar="NAME", help="FFmpeg pixel format, such as yuv444p10le."),
     click.option("--report", "report_dir", type=FOLDER, help="Folder for report.json and report.html."),
     click.option("--job", "job_dir", type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),
     click.option("--resume", is_flag=True, help="Go on with an interrupted or killed job."),
@@ -80,8 +83,10 @@ def job_config(given: dict[str, Any], output: Path | None = None) -> Any:
 def _by_option(given: dict[str, Any], output: Path | None) -> Iterator[tuple[tuple[str, ...], Any, str]]:
     """(key in a job file, value, the words that gave it) of every ordinary option on the command line."""
     files = {"clip": "input.clip", "camera": "input.camera", "marker_map": "input.marker_map", "model": "model.file"}
-    plain = {"start": "input.start", "end": "input.end", "scale": "model.scale", "fit": "model.fit", "up": "model.up",
-             "quality": "pipeline.quality"}  # fmt: skip
+    plain = {
+        "start": "input.start", "end": "input.end", "scale": "model.scale", "fit": "model.fit", "up": "model.up",
+        "quality": "pipeline.quality", "codec": "output.codec", "crf": "output.crf", "pixel_format": "output.pixel_format",
+    }  # fmt: skip
     for name, dotted in {**files, **plain}.items():
         value = given[name]
         if value is not None:

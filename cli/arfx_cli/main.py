@@ -93,6 +93,11 @@ def main(argv: Sequence[str] | None = None) -> None:
             raise
         click.echo(f"error: {e.strerror or e}{f': {e.filename}' if e.filename else ''}", err=True)
         sys.exit(5)
+    except Exception as e:  # a fault of arfx itself: one message all the same
+        if debug:
+            raise
+        click.echo(f"error: arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it", err=True)
+        sys.exit(5)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -59,4 +59,3 @@ def command(
         say(f"report: {report_dir / 'report.html'}")
     if as_json:
         emit_json(report)
-
