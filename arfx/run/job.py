@@ -223,11 +223,12 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
 
 def _chunks(planned: Planned) -> list[Chunk]:
     """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and plan of its frames."""
-    planned_lines = [p.to_json() for p in planned.plans]
+    facts = planned.folder.facts.read_text(encoding="utf-8").splitlines()[1:]  # the first line is the header
+    plans = planned.folder.plan.read_text(encoding="utf-8").splitlines()
     out = []
     for first, last in borders(len(planned.facts)):
         part = slice(first, last + 1)
-        parts = [[f.to_json() for f in planned.facts[part]], planned_lines[part], planned.meta["pts"][part]]
+        parts = [facts[part], plans[part], planned.meta["pts"][part]]
         out.append(Chunk(first, last, digest(planned.key, parts, planned.meta["world_from_marker"])))
     return out
 
