@@ -77,6 +77,7 @@ class FrameFacts:
     camera_from_world : smoothed pose or None;  raw_camera_from_world : the same before smoothing
     pose_covariance : (6, 6) of the smoothed pose, left perturbation [rotation rad, translation m] in the camera frame
     opacity : 0..1, fades the object over a few frames at the ends of its presence
+    light : of this frame, WORLD frame, None = the scene's;  bias_rgb : linear light that the camera adds where none falls
     model_box : pixels the object can touch, EMPTY when out of view;  depth_range_m : nearest, farthest point of it
     """
 
@@ -94,6 +95,7 @@ class FrameFacts:
     model_box: Rect = EMPTY
     depth_range_m: tuple[float, float] = (0.0, 0.0)
     light: Light | None = None
+    bias_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
     blur_px: float | None = None
     extra: dict[str, Any] = field(default_factory=dict)
 
@@ -112,7 +114,8 @@ class FrameFacts:
             "reprojection_px": self.reprojection_px, "opacity": self.opacity,
             "markers": [m.to_json() for m in self.markers], "whole_frame_search": self.whole_frame_search,
             "model_box": self.model_box.to_json(), "depth_range_m": list(self.depth_range_m),
-            "light": None if self.light is None else self.light.to_json(), "blur_px": self.blur_px, "extra": self.extra,
+            "light": None if self.light is None else self.light.to_json(),
+            "bias_rgb": list(self.bias_rgb), "blur_px": self.blur_px, "extra": self.extra,
         }  # fmt: skip
 
     @staticmethod
@@ -126,7 +129,8 @@ class FrameFacts:
             None if cov is None else np.array(cov), d["reprojection_px"], d["opacity"],
             tuple(MarkerSighting.from_json(m) for m in d["markers"]), d["whole_frame_search"],
             Rect.from_json(d["model_box"]), (d["depth_range_m"][0], d["depth_range_m"][1]),
-            None if d["light"] is None else Light.from_json(d["light"]), d["blur_px"], d["extra"],
+            None if d["light"] is None else Light.from_json(d["light"]), tuple(d.get("bias_rgb", (0.0, 0.0, 0.0))),
+            d["blur_px"], d["extra"],
         )  # fmt: skip
 
     def with_(self, **changes: Any) -> FrameFacts:

@@ -27,9 +27,11 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class Light:
-    """ambient_rgb : radiance of a white diffuse surface without any directional light.
+    """ambient_rgb : radiance of a white diffuse surface without any directional light, mean over its normals
 
-    source : what it was taken from ("default", "given", "marker", ...).
+    soft : (9, 3) real spherical harmonics, WORLD frame, of that radiance over the normal (`soft_radiance`); empty = the
+    same for every normal. source : what it was taken from ("default", "given", "marker", "environment", ...)
+    Radiance is scene referred linear RGB as the camera codes it: gain and exposure are in it, its bias is not.
     """
 
     ambient_rgb: tuple[float, float, float] = (0.45, 0.45, 0.45)
@@ -37,11 +39,28 @@ class Light:
         default_factory=lambda: (DirectionalLight((0.35, 0.45, 0.82), (0.5, 0.5, 0.5), 20.0),)
     )
     source: str = "default"
+    soft: tuple[tuple[float, float, float], ...] = ()
+
+    def radiance(self, normals: np.ndarray) -> np.ndarray:
+        """(..., 3) radiance of white diffuse surfaces with unit `normals` (..., 3), WORLD frame, nothing in the light's way."""
+        n = np.asarray(normals, float)
+        out = self.soft_radiance(n)
+        for li in self.lights:
+            out = out + np.clip(n @ li.unit, 0, None)[..., None] * np.asarray(li.rgb, float)
+        return out
+
+    def soft_radiance(self, normals: np.ndarray) -> np.ndarray:
+        """(..., 3) the same without the directional lights; never below 0."""
+        n = np.asarray(normals, float)
+        if not self.soft:
+            return np.broadcast_to(np.asarray(self.ambient_rgb, float), n.shape).copy()
+        return np.clip(harmonics(n) @ np.asarray(self.soft, float), 0, None)
 
     def to_json(self) -> dict:
         return {
             "source": self.source,
             "ambient_rgb": list(self.ambient_rgb),
+            "soft": [list(row) for row in self.soft],
             "lights": [
                 {
                     "direction": list(li.direction), "rgb": list(li.rgb), "angular_size_deg": li.angular_size_deg,
@@ -60,4 +79,20 @@ class Light:
             )
             for x in d["lights"]
         )  # fmt: skip
-        return Light(tuple(d["ambient_rgb"]), lights, d["source"])
+        return Light(tuple(d["ambient_rgb"]), lights, d["source"], tuple(tuple(row) for row in d.get("soft", ())))
+
+
+def harmonics(n: np.ndarray) -> np.ndarray:
+    """(..., 9) real spherical harmonics up to degree 2 of unit vectors (..., 3), orthonormal on the sphere.
+
+    Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3).
+    """
+    x, y, z = n[..., 0], n[..., 1], n[..., 2]
+    return np.stack(
+        [
+            np.full(x.shape, 0.28209479177387814), 0.4886025119029199 * y, 0.4886025119029199 * z, 0.4886025119029199 * x,
+            1.0925484305920792 * x * y, 1.0925484305920792 * y * z, 0.31539156525252005 * (3 * z * z - 1),
+            1.0925484305920792 * x * z, 0.5462742152960396 * (x * x - y * y),
+        ],
+        -1,
+    )  # fmt: skip
