@@ -122,14 +122,14 @@ def frame_truth(world: World, picture: Picture, n: int) -> FrameTruth:
         markers[key] = MarkerTruth(camera_from_marker, corners, float(seen.mean()), side, facing)
     return FrameTruth(
         n, time_s + scene.clip.start_s, int(world.shots[n]), camera_from_room, room_from_marker, markers, gain_at(scene, time_s),
-        scene.exposure.bias, _lights(world, camera_from_room, room_from_marker),
+        scene.exposure.bias, _lights(world, moment.lamps, camera_from_room, room_from_marker),
     )  # fmt: skip
 
 
-def _lights(world: World, camera_from_room: Pose, room_from_marker: dict[str, Pose]) -> dict:
+def _lights(world: World, lamps: np.ndarray, camera_from_room: Pose, room_from_marker: dict[str, Pose]) -> dict:
     lights = []
     if not world.scene.light.environment:
-        for row in world.lamps:
+        for row in lamps:
             by_marker = {k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()}
             lights.append({
                 "room": row[:3].tolist(), "camera": (camera_from_room.rotation @ row[:3]).tolist(), "marker": by_marker,

@@ -181,6 +181,11 @@ class Lamp(Part):
     elevation_deg: float = Field(default=55.0, ge=-90, le=90)
     rgb: Colour = (0.5, 0.5, 0.5)
     angular_size_deg: float = Field(default=2.0, ge=0, le=90)
+    swing_deg: tuple[float, float] = Field(default=(0.0, 0.0), description="amplitude of a sine in azimuth and in elevation")
+    period_s: float = Field(default=2.0, gt=0, description="of the swing")
+    brightness: tuple[tuple[float, float], ...] = Field(
+        default=(), description="(time_s, factor), linear between; the same time twice is a switch; beyond the ends held"
+    )
 
 
 class Light(Part):
@@ -261,6 +266,9 @@ class SceneFile(Part):
     def _consistent(self) -> SceneFile:
         if self.lens.aperture_m > 0 and self.lens.focus_m is None:
             raise ValueError("lens.focus_m is needed with an aperture")
+        for lamp in self.light.lamps:
+            if list(lamp.brightness) != sorted(lamp.brightness, key=lambda k: k[0]):
+                raise ValueError("light.lamps: brightness must be in the order of time")
         names = {p.name for p in self.placed if p.name} | {m.spec.key for m in self.marker}
         for p in self.placed:
             if p.attached_to and p.attached_to not in names:

@@ -74,7 +74,7 @@ class Picture:
                 moment, pose = world.at(when), world.camera_at(frame, when).inverse()
             render_rows(
                 band[0], band[1], rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m,
-                lens.focus_m or 1.0, footprint, moment.rects, moment.spheres, world.lamps, world.ambient, world.textures,
+                lens.focus_m or 1.0, footprint, moment.rects, moment.spheres, moment.lamps, world.ambient, world.textures,
                 world.table, world.sky, seed, weight, out,
             )  # fmt: skip
 

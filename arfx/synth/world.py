@@ -24,6 +24,7 @@ class Moment:
 
     rects: np.ndarray
     spheres: np.ndarray
+    lamps: np.ndarray
     room_from_object: tuple[Pose, ...]
 
 
@@ -31,7 +32,7 @@ class World:
     """Everything of a scene that does not depend on time, made once.
 
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots : (frames,) shot of each frame
-    textures, table : tracer's summed-area tables;  lamps, ambient, sky : tracer's light
+    textures, table : tracer's summed-area tables;  ambient, sky : tracer's light beside the lamps (`lamps_at`)
     """
 
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
@@ -47,17 +48,25 @@ class World:
         self.sky = np.zeros((0, 0, 3))
         if scene.light.environment:
             self.sky = environment_picture(scene.light.environment, folder) * scene.light.environment_scale
-            self.lamps = environment_lamps(self.sky, scene.light.environment_lights)
+            self._sky_lamps = environment_lamps(self.sky, scene.light.environment_lights)
             self.ambient = np.zeros(3)
-        else:
-            self.lamps = np.array(
-                [lamp_row(li.azimuth_deg, li.elevation_deg, li.rgb, li.angular_size_deg) for li in scene.light.lamps]
-            )
-            self.lamps = self.lamps.reshape(-1, 7)
 
     @property
     def duration_s(self) -> float:
         return float(self.frame_times_s[-1])
+
+    def lamps_at(self, time_s: float) -> np.ndarray:
+        """(n, 7) tracer lamps at a time."""
+        if self.scene.light.environment:
+            return self._sky_lamps
+        rows = []
+        for li in self.scene.light.lamps:
+            phase = np.sin(2 * np.pi * time_s / li.period_s)
+            row = lamp_row(li.azimuth_deg + li.swing_deg[0] * phase, li.elevation_deg + li.swing_deg[1] * phase, li.rgb,
+                           li.angular_size_deg)  # fmt: skip
+            row[3:6] *= _factor(li.brightness, time_s)
+            rows.append(row)
+        return np.array(rows).reshape(-1, 7)
 
     def _add(self, picture: np.ndarray, smooth: bool) -> int:
         self._pictures.append((picture, 1.0 if smooth else 0.0))
@@ -108,7 +117,7 @@ class World:
                 for k in (3, 6, 9):
                     new[k : k + 3] = pose.rotation @ row[k : k + 3]
                 rects.append(new)
-        return Moment(np.array(rects).reshape(-1, 17), np.array(spheres).reshape(-1, 8), poses)
+        return Moment(np.array(rects).reshape(-1, 17), np.array(spheres).reshape(-1, 8), self.lamps_at(time_s), poses)
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
         """camera_from_room at a time during (or next to) a frame, on the path of the frame's shot."""
@@ -133,6 +142,19 @@ def lamp_row(azimuth_deg: float, elevation_deg: float, rgb: Iterable[float], ang
     a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
     towards = [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]
     return np.array([*towards, *rgb, np.tan(np.radians(angular_size_deg) / 2)])
+
+
+def _factor(keys: tuple[tuple[float, float], ...], time_s: float) -> float:
+    """Piecewise linear; of two keys at one time the later holds from then on."""
+    if not keys:
+        return 1.0
+    after = next((i for i, (t, _) in enumerate(keys) if t > time_s), len(keys))
+    if after == 0:
+        return keys[0][1]
+    if after == len(keys):
+        return keys[-1][1]
+    (t0, a), (t1, b) = keys[after - 1], keys[after]
+    return a + (b - a) * (time_s - t0) / (t1 - t0)
 
 
 def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:

@@ -106,3 +106,17 @@ def test_a_panorama_file_is_upright_and_a_broken_one_is_refused(tmp_path: Path) 
     (tmp_path / "no.hdr").write_text("nothing")
     with pytest.raises(InputError, match=r"no\.hdr"):
         environment_picture("no.hdr", tmp_path)
+
+
+def test_lamps_switch_fade_and_swing() -> None:
+    lamp = {
+        "azimuth_deg": 10, "elevation_deg": 40, "rgb": [0.6, 0.4, 0.2], "swing_deg": [30, 5], "period_s": 4.0,
+        "brightness": [[0.5, 1.0], [0.5, 0.0], [1.5, 1.0]],
+    }  # fmt: skip
+    world = picture_of(little_scene(path=from_above(), plane=[FLOOR], light={"lamps": [lamp]}))[0]
+    rgb = lambda t: world.lamps_at(t)[0, 3:6]  # noqa: E731
+    assert rgb(0.49) == pytest.approx([0.6, 0.4, 0.2]) and rgb(0.5) == pytest.approx([0, 0, 0])
+    assert rgb(1.0) == pytest.approx([0.3, 0.2, 0.1]) and rgb(9.0) == pytest.approx([0.6, 0.4, 0.2])
+    azimuth = lambda t: np.degrees(np.arctan2(world.lamps_at(t)[0, 1], world.lamps_at(t)[0, 0]))  # noqa: E731
+    assert azimuth(0) == pytest.approx(10) and azimuth(1.0) == pytest.approx(40) and azimuth(3.0) == pytest.approx(-20)
+    assert np.degrees(np.arcsin(world.lamps_at(1.0)[0, 2])) == pytest.approx(45)
