@@ -1,0 +1,132 @@
+"""The surroundings, folded out of the frame: a cube of radiance around the camera, and what light it gives a surface.
+
+The picture is split in thirds: its middle is the cube's front, and mirrored its back; the parts left, right, above and
+below the middle are the sides. Source: S4 (environment map from the single camera). It gives colour and soft shading,
+never a direction: a picture of a third of the surroundings says little about the rest, and lamps in it are clipped.
+Cost: some 0.3 ms a frame at SIZE 16. Leaves out: seams at the back, the four corners of the picture.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from arfx.core.light import harmonics
+
+SIZE = 16
+FACES = ("right", "left", "down", "up", "front", "back")  # +x, -x, +y, -y, +z, -z of the camera (OpenCV axes)
+# Share of each degree of a radiance distribution that is left in the radiance of a white diffuse surface
+# (Ramamoorthi and Hanrahan 2001, eq. 8, over pi).
+_COSINE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
+
+
+def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """(6, size, size, 3) float64 radiance by face of FACES, camera frame; rows and columns as in `face_directions`.
+
+    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not finite counts as black.
+    """
+    picture = np.nan_to_num(np.asarray(image, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    h, w = picture.shape[:2]
+    if h < 3 or w < 3:
+        raise ValueError(f"image of {w}x{h}: at least 3 x 3 pixels")
+    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
+    part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
+    shrink = lambda p: cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)  # noqa: E731
+    # a side's first line is the one that touches the front
+    right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
+    down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
+    front = shrink(part(1, 1))
+    return np.stack([right, left, down, up, front, front])
+
+
+@lru_cache(maxsize=4)
+def face_directions(size: int = SIZE) -> np.ndarray:
+    """(6, size, size, 3) unit directions of the texels' centres, camera frame (x right, y down, z forward)."""
+    t = (np.arange(size) + 0.5) / size * 2 - 1
+    v, u = np.meshgrid(t, t, indexing="ij")
+    one = np.ones_like(u)
+    out = np.stack(
+        [
+            np.stack([one, v, -u], -1), np.stack([-one, v, -u], -1), np.stack([u, one, -v], -1), np.stack([u, -one, -v], -1),
+            np.stack([u, v, one], -1), np.stack([u, v, -one], -1),
+        ]
+    )  # fmt: skip
+    out /= np.linalg.norm(out, axis=-1, keepdims=True)
+    out.setflags(write=False)
+    return out
+
+
+@lru_cache(maxsize=4)
+def solid_angles(size: int = SIZE) -> np.ndarray:
+    """(size, size) steradians of a face's texels; six faces make 4 pi exactly."""
+    t = np.arange(size + 1) / size * 2 - 1
+    v, u = np.meshgrid(t, t, indexing="ij")
+    corner = np.arctan2(u * v, np.sqrt(u * u + v * v + 1))
+    out: np.ndarray = corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
+    out.setflags(write=False)
+    return out
+
+
+def soft_light(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
+    """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its normal (core.light.Light.soft).
+
+    faces : (6, n, n, 3) of `fold`;  world_from_camera : (3, 3) rotation
+    """
+    n = faces.shape[1]
+    basis = _basis(n, np.asarray(world_from_camera, float).round(12).tobytes())
+    return _COSINE[:, None] * (basis.T @ faces.reshape(-1, 3))
+
+
+@lru_cache(maxsize=2)
+def _basis(size: int, rotation: bytes) -> np.ndarray:
+    """(6 n n, 9) harmonics of the texels' world directions times their solid angles."""
+    directions = face_directions(size).reshape(-1, 3) @ np.frombuffer(rotation).reshape(3, 3).T
+    return harmonics(directions) * np.tile(solid_angles(size).ravel(), 6)[:, None]
+
+
+class Surroundings:
+    """Soft light over the frames of a clip: each frame's, smoothed over `seconds`, so that it does not flicker."""
+
+    def __init__(self, seconds: float = 0.5) -> None:
+        self.seconds = seconds
+        self.soft: np.ndarray | None = None
+        self.time_s = 0.0
+
+    def step(self, time_s: float, image: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
+        """Take the next frame (times ascend); returns (9, 3) as `soft_light`."""
+        now = soft_light(fold(image), world_from_camera)
+        if self.soft is None:
+            self.soft = now
+        else:
+            share = 1 - np.exp(-max(time_s - self.time_s, 0.0) / self.seconds)
+            self.soft = self.soft + share * (now - self.soft)
+        self.time_s = time_s
+        return self.soft
+
+    def state(self) -> dict:
+        """JSON-able; `restore` continues from it exactly."""
+        return {"soft": None if self.soft is None else self.soft.tolist(), "time_s": self.time_s}
+
+    def restore(self, state: dict) -> None:
+        self.soft = None if state["soft"] is None else np.array(state["soft"])
+        self.time_s = state["time_s"]
+
+
+def scaled_to(soft: np.ndarray, normals: np.ndarray, radiance: np.ndarray) -> np.ndarray:
+    """Soft light times one factor per channel, so that white surfaces with `normals` show `radiance` on average.
+
+    soft : (9, 3);  normals : (k, 3) unit, WORLD;  radiance : (k, 3) measured. Where the soft light has nothing there
+    (a black picture) the light is made even instead.
+    """
+    have = np.clip(harmonics(np.atleast_2d(normals)) @ soft, 0, None).mean(0)
+    want = np.atleast_2d(radiance).mean(0)
+    out = np.zeros((9, 3))
+    for c in range(3):
+        even = want[c] / 0.28209479177387814
+        if have[c] > 1e-3 * max(want[c], 1e-6):
+            out[:, c] = soft[:, c] * (want[c] / have[c])
+        else:
+            out[0, c] = even
+    return out
