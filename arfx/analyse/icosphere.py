@@ -1,0 +1,117 @@
+"""Directions in even steps: the icosahedron, its faces cut into four again and again, all vertices on the unit sphere.
+
+All triangles are acute, so the vertex nearest to a direction is a corner of the triangle that holds it: a k-d tree and
+at most six candidate faces locate a direction. Vertex spacing: 16, 8, 4 and 2 degrees at levels 2 to 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from arfx.core.numerics import normalise
+
+LEVELS = range(6)
+
+
+@dataclass(frozen=True, eq=False)
+class Icosphere:
+    """vertices : (v, 3) float64 unit, v = 10 * 4^level + 2;  faces : (20 * 4^level, 3) vertex numbers, counter-clockwise
+    seen from outside. Arrays are read-only."""
+
+    level: int
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    @cached_property
+    def centres(self) -> np.ndarray:
+        """(f, 3) unit, the faces' middles."""
+        return normalise(self.vertices[self.faces].mean(1))
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.vertices)
+
+    @cached_property
+    def _around(self) -> np.ndarray:
+        """(v, 6) faces at each vertex; the first is repeated where there are five."""
+        order = np.argsort(self.faces, axis=None, kind="stable")
+        counts = np.bincount(self.faces.ravel(), minlength=len(self.vertices))
+        starts = np.cumsum(counts) - counts
+        take = starts[:, None] + np.minimum(np.arange(6), np.where(counts == 5, 4, 5)[:, None])
+        return (order // 3)[take]
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """(f, 3, 3): direction to the weights of its face's corners, before they are scaled to the sum 1."""
+        return np.linalg.inv(np.swapaxes(self.vertices[self.faces], 1, 2))
+
+    def nearest(self, directions: np.ndarray) -> np.ndarray:
+        """(...) number of the nearest vertex for directions (..., 3), which need not be of unit length.
+
+        -1 where a direction is zero or not finite.
+        """
+        d = normalise(np.asarray(directions, float))
+        fine = d.any(-1)
+        found = self._tree.query(np.where(fine[..., None], d, self.vertices[0]))[1]
+        return np.where(fine, found, -1)
+
+    def locate(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(face (...), weights (..., 3) >= 0 of its corners, sum 1) for directions (..., 3).
+
+        The weights are those of the point where the direction meets the flat face. Face -1 and weights 0 where a direction
+        is zero or not finite.
+        """
+        d = normalise(np.asarray(directions, float))
+        shape = d.shape[:-1]
+        d = d.reshape(-1, 3)
+        near = self.nearest(d)
+        faces = self._around[np.maximum(near, 0)]
+        weights = np.einsum("nkij,nj->nki", self._inverse[faces], d)
+        best = weights.min(-1).argmax(-1)
+        rows = np.arange(len(d))
+        w = np.clip(weights[rows, best], 0, None)
+        total = w.sum(-1, keepdims=True)
+        w = np.where((near >= 0)[:, None], w / np.where(total > 0, total, 1), 0)
+        return np.where(near >= 0, faces[rows, best], -1).reshape(shape), w.reshape(*shape, 3)
+
+    def interpolate(self, values: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(..., *rest) of values (v, *rest) at directions (..., 3); 0 where a direction is zero or not finite."""
+        values = np.asarray(values, float)
+        face, w = self.locate(directions)
+        corners = values[self.faces[np.maximum(face, 0)]]  # (..., 3, *rest)
+        return (w.reshape(*w.shape, *(1,) * (values.ndim - 1)) * corners).sum(face.ndim)
+
+
+@lru_cache(maxsize=8)
+def icosphere(level: int) -> Icosphere:
+    """The icosahedron cut `level` times (0 to 5). Raises ValueError beyond. Made once per process."""
+    if level not in LEVELS:
+        raise ValueError(f"icosphere level {level} is not one of 0 to {LEVELS[-1]}")
+    g = (1 + 5**0.5) / 2
+    vertices = np.array(
+        [
+            [-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g],
+            [0, -1, -g], [0, 1, -g], [g, 0, -1], [g, 0, 1], [-g, 0, -1], [-g, 0, 1],
+        ]
+    )  # fmt: skip
+    faces = np.array(
+        [
+            [0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8],
+            [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1],
+        ]
+    )  # fmt: skip
+    vertices = normalise(vertices.astype(float))
+    for _ in range(level):
+        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        unique, number = np.unique(edges, axis=0, return_inverse=True)
+        a, b, c = (number.reshape(3, -1) + len(vertices)).astype(faces.dtype)  # middles of 01, 12, 20
+        vertices = np.concatenate([vertices, normalise(vertices[unique].sum(1))])
+        i, j, k = faces.T
+        faces = np.concatenate([np.stack(f, 1) for f in ((i, a, c), (j, b, a), (k, c, b), (a, b, c))])
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
+    return Icosphere(level, vertices, faces)

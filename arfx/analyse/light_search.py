@@ -1,0 +1,147 @@
+"""Searches over the directions of light_model.py's lights: best ones, how far each may turn, what else explains the data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.analyse import light_model
+from arfx.analyse.icosphere import icosphere
+from arfx.analyse.light_samples import Samples
+from arfx.core.numerics import angle_between, normalise
+
+AZIMUTHS = np.arange(12) * np.pi / 6
+RINGS_DEG = np.array([0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 45])
+NO_CONE_DEG = 180.0
+SOFT_DEG = (10.0, 20.0, 35.0)  # half-angles of a large light, tried beside a point
+RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
+_APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """dirs : (q, 3) unit, towards the lights;  chi2;  soft : sine of their discs' half-angle;  at : the samples fitted"""
+
+    dirs: np.ndarray
+    chi2: float
+    at: Samples
+    soft: float = 0.0
+
+    @property
+    def count(self) -> int:
+        return len(self.dirs)
+
+    def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(ambient and lights (g, 3, q + 1) in units of the samples' scale, residuals (k, 3) in deviations)"""
+        q, s = self.count, self.at
+        amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((len(s.normals), 3))
+        light_model.evaluate(*s.data, self.dirs, np.arange(q), np.ones(q), self.soft, q, amp, residual)
+        return amp, residual
+
+
+def refine(s: Samples, dirs: np.ndarray, soft: float = 0.0, held: int | None = None, passes: int = 25) -> Model:
+    """Nearest minimum over all directions, the one with number `held` kept."""
+    d = np.array(dirs, float).reshape(-1, 3)
+    q = len(d)
+    body = np.arange(q)
+    if held is not None:
+        body[held + 1 :] -= 1
+        body[held] = -1
+    chi = light_model.refine(*s.data, d, np.arange(q), np.ones(q), body, soft, q, passes)
+    return Model(d, float(chi), s, soft)
+
+
+def search(s: Samples, count: int, first: Model | None = None) -> list[Model]:
+    """Local minima with `count` lights (0 to 2), best first, from a grid over the whole sphere.
+
+    first : the best single light, for pairs that it belongs to
+    """
+    if count == 0:
+        return [refine(s, np.zeros((0, 3)))]
+    if count == 1:
+        many = icosphere(3).vertices[:, None]
+    else:
+        coarse, fine = icosphere(1).vertices, icosphere(2).vertices
+        i, j = np.triu_indices(len(coarse), 1)
+        many = np.stack([coarse[i], coarse[j]], 1)
+        if first is not None:
+            many = np.concatenate([many, np.stack([np.broadcast_to(first.dirs[0], fine.shape), fine], 1)])
+    chi = _scan(s, many, np.arange(count), np.ones(count), 0.0, count)
+    found: list[Model] = []
+    tried: list[np.ndarray] = []
+    for i in np.argsort(chi, kind="stable"):
+        if any(apart_deg(many[i], t) < _APART_DEG for t in tried):
+            continue
+        tried.append(many[i])
+        found.append(refine(s, many[i]))
+        if len(found) == 4 * count:
+            break
+    return sorted(found, key=lambda m: m.chi2)
+
+
+def apart_deg(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest angle between two sets of as many directions (q, 3), matched as is best (q is 1 or 2)."""
+    return float(min(np.degrees(angle_between(a, b[order])).max() for order in ([0], [0, 1], [1, 0]) if len(order) == len(a)))
+
+
+def cone_deg(model: Model, light: int, bound: float) -> float:
+    """Radius of the cone outside which chi squared, minimised over all else, exceeds `bound`; NO_CONE_DEG if it never does.
+
+    Profile likelihood on rings of 12 azimuths: the radius is that of the first ring that is wholly outside.
+    """
+    for radius in RINGS_DEG:
+        for d in around(model.dirs[light], radius):
+            dirs = model.dirs.copy()
+            dirs[light] = d
+            if refine(model.at, dirs, model.soft, light, 8).chi2 <= bound:
+                break
+        else:
+            return float(radius)
+    return NO_CONE_DEG
+
+
+def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound: float) -> tuple[float, float]:
+    """(lowest chi squared with two lights of one colour in the place of one, angle between the two in degrees).
+
+    The stronger of the two is held at `least_deg` or more from the light that it replaces; everything else is free. The
+    search ends at the first that is not above `bound`. Normals that are all lit by both can never tell them from one.
+    """
+    q = model.count
+    others = np.delete(model.dirs, light, 0)
+    column = np.concatenate([[0, 0], np.arange(1, q)])
+    body = np.concatenate([[-1, 0], np.arange(1, q)])
+    starts = []
+    for ratio in RATIOS:
+        strength = np.concatenate([[1, ratio], np.ones(q - 1)])
+        for radius in least_deg * np.array([1, 1.4, 2, 3, 4.5]):
+            sine = np.sin(np.radians(radius)) / ratio  # the two balance about the light that they replace
+            if sine < 1:
+                a = around(model.dirs[light], radius)
+                b = around(model.dirs[light], float(np.degrees(np.arcsin(sine))), np.pi)
+                many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
+                chi = _scan(s, many, column, strength, model.soft, q)
+                starts += [(float(c), m, strength) for c, m in zip(chi, many, strict=True)]
+    starts.sort(key=lambda t: t[0])
+    best, apart = np.inf, 0.0
+    for _, dirs, strength in starts[:30]:
+        d = np.array(dirs)
+        chi = float(light_model.refine(*s.data, d, column, strength, body, model.soft, q, 12))
+        if chi < best:
+            best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
+        if best <= bound:
+            break
+    return best, apart
+
+
+def around(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
+    """(12, 3) directions at `radius_deg` from the unit vector d, at AZIMUTHS + turn."""
+    u = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
+    a, azimuth = np.radians(radius_deg), (AZIMUTHS + turn)[:, None]
+    return np.cos(a) * d + np.sin(a) * (np.cos(azimuth) * u + np.sin(azimuth) * np.cross(d, u))
+
+
+def _scan(s: Samples, many: np.ndarray, column: np.ndarray, strength: np.ndarray, soft: float, lights: int) -> np.ndarray:
+    out = np.empty(len(many))
+    light_model.scan(*s.data, np.ascontiguousarray(many), column, strength, soft, lights, out)
+    return out
