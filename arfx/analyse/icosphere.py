@@ -55,7 +55,7 @@ class Icosphere:
         -1 where a direction is zero or not finite.
         """
         d = normalise(np.asarray(directions, float))
-        fine = d.any(-1)
+        fine = np.asarray(d.any(-1))
         found = self._tree.query(np.where(fine[..., None], d, self.vertices[0]))[1]
         return np.where(fine, found, -1)
 

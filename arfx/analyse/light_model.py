@@ -6,7 +6,8 @@ have amplitudes of their own. Several directions may form one light (`column`) w
 together as one `body`: so a light is replaced by a rigid pair, to see whether the data would have noticed.
 
 Arrays: normals (k, 3), mean of unit vectors; value (k, 3); weight (k,); starts (g + 1,) of the groups; dirs (q, 3) unit;
-column (q,) int 0..m-1; strength (q,); body (q,) int, -1 = held; amp (g, 3, m + 1), ambient first.
+column (q,) int 0..m-1; strength (q,);
+soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,) int, -1 = held; amp (g, 3, m + 1), ambient first.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def evaluate(normals, value, weight, starts, dirs, column, strength, soft, m, am
             A[i, j + 1] = 0.0
         for q in range(len(dirs)):
             c = normals[i, 0] * dirs[q, 0] + normals[i, 1] * dirs[q, 1] + normals[i, 2] * dirs[q, 2]
-            A[i, column[q] + 1] += strength[q] * shade(c, soft)
+            A[i, column[q] + 1] += strength[q] * shade(c, soft[q])
     G = np.empty((m + 1, m + 1))
     h = np.empty(m + 1)
     total = 0.0

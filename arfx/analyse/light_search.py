@@ -15,18 +15,21 @@ AZIMUTHS = np.arange(12) * np.pi / 6
 RINGS_DEG = np.array([0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 45])
 NO_CONE_DEG = 180.0
 SOFT_DEG = (10.0, 20.0, 35.0)  # half-angles of a large light, tried beside a point
+SKY = 1.0
 RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
+RADII = np.array([1, 1.5, 2.2, 3.3, 4.5])  # of the stronger from the light that they replace, over the least
 _APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """dirs : (q, 3) unit, towards the lights;  chi2;  soft : sine of their discs' half-angle;  at : the samples fitted"""
+    """dirs : (q, 3) unit, towards the lights;  chi2;  at : the samples fitted
+    soft : (q,) sine of their discs' half-angle; SKY = ambient light that is brighter from one side"""
 
     dirs: np.ndarray
     chi2: float
     at: Samples
-    soft: float = 0.0
+    soft: np.ndarray
 
     @property
     def count(self) -> int:
@@ -39,11 +42,20 @@ class Model:
         light_model.evaluate(*s.data, self.dirs, np.arange(q), np.ones(q), self.soft, q, amp, residual)
         return amp, residual
 
+    def shares(self) -> np.ndarray:
+        """(q,) of each light in all the light that was seen."""
+        s = self.at
+        amp = np.repeat(self.amplitudes()[0], np.diff(s.starts), 0).sum(1)  # (k, q + 1)
+        c, h = s.normals @ self.dirs.T, np.maximum(self.soft, 1e-9)
+        seen = np.where(c < h, np.clip(c + h, 0, None) ** 2 / (4 * h), c) * amp[:, 1:]
+        return (s.weight @ seen) / max(float(s.weight @ (seen.sum(1) + amp[:, 0])), 1e-300)
 
-def refine(s: Samples, dirs: np.ndarray, soft: float = 0.0, held: int | None = None, passes: int = 25) -> Model:
+
+def refine(s: Samples, dirs: np.ndarray, soft: np.ndarray | float = 0.0, held: int | None = None, passes: int = 25) -> Model:
     """Nearest minimum over all directions, the one with number `held` kept."""
     d = np.array(dirs, float).reshape(-1, 3)
     q = len(d)
+    soft = np.array(np.broadcast_to(soft, q), float)
     body = np.arange(q)
     if held is not None:
         body[held + 1 :] -= 1
@@ -67,15 +79,27 @@ def search(s: Samples, count: int, first: Model | None = None) -> list[Model]:
         many = np.stack([coarse[i], coarse[j]], 1)
         if first is not None:
             many = np.concatenate([many, np.stack([np.broadcast_to(first.dirs[0], fine.shape), fine], 1)])
-    chi = _scan(s, many, np.arange(count), np.ones(count), 0.0, count)
+    return _minima(s, many, np.zeros(count), 4 * count)
+
+
+def search_sky(s: Samples, first: list[Model]) -> list[Model]:
+    """Local minima of one light beside a sky, started from those of one light alone."""
+    v = icosphere(1).vertices
+    many = np.concatenate([np.stack([np.broadcast_to(m.dirs[0], v.shape), v], 1) for m in first])
+    return _minima(s, many, np.array([0, SKY]), 6)
+
+
+def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[Model]:
+    count = len(soft)
+    chi = _scan(s, many, np.arange(count), np.ones(count), soft, count)
     found: list[Model] = []
     tried: list[np.ndarray] = []
     for i in np.argsort(chi, kind="stable"):
         if any(apart_deg(many[i], t) < _APART_DEG for t in tried):
             continue
         tried.append(many[i])
-        found.append(refine(s, many[i]))
-        if len(found) == 4 * count:
+        found.append(refine(s, many[i], soft))
+        if len(found) == most:
             break
     return sorted(found, key=lambda m: m.chi2)
 
@@ -101,36 +125,44 @@ def cone_deg(model: Model, light: int, bound: float) -> float:
     return NO_CONE_DEG
 
 
+def sky_beside(model: Model, s: Samples, radius_deg: float) -> float:
+    """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a sky wherever that helps most."""
+    best = np.inf
+    for d, opposite in zip(around(model.dirs[0], radius_deg), around(model.dirs[0], 60.0, np.pi), strict=True):
+        for start in (opposite, -d):
+            moved = refine(s, np.array([d, start]), np.append(model.soft, SKY), 0, 12)
+            best = min(best, moved.chi2)
+    return best
+
+
 def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound: float) -> tuple[float, float]:
     """(lowest chi squared with two lights of one colour in the place of one, angle between the two in degrees).
 
-    The stronger of the two is held at `least_deg` or more from the light that it replaces; everything else is free. The
-    search ends at the first that is not above `bound`. Normals that are all lit by both can never tell them from one.
+    Both stand `least_deg` or more from the light that they replace, the stronger is held there; everything else is free.
+    The search ends at the first that is not above `bound`. Normals that are all lit by both can never tell them from one.
     """
-    q = model.count
+    q, place = model.count, model.dirs[light]
     others = np.delete(model.dirs, light, 0)
+    soft = np.concatenate([model.soft[[light, light]], np.delete(model.soft, light)])
     column = np.concatenate([[0, 0], np.arange(1, q)])
     body = np.concatenate([[-1, 0], np.arange(1, q)])
-    starts = []
+    best, apart = np.inf, 0.0
     for ratio in RATIOS:
         strength = np.concatenate([[1, ratio], np.ones(q - 1)])
-        for radius in least_deg * np.array([1, 1.4, 2, 3, 4.5]):
+        for radius in least_deg * RADII:
             sine = np.sin(np.radians(radius)) / ratio  # the two balance about the light that they replace
-            if sine < 1:
-                a = around(model.dirs[light], radius)
-                b = around(model.dirs[light], float(np.degrees(np.arcsin(sine))), np.pi)
-                many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
-                chi = _scan(s, many, column, strength, model.soft, q)
-                starts += [(float(c), m, strength) for c, m in zip(chi, many, strict=True)]
-    starts.sort(key=lambda t: t[0])
-    best, apart = np.inf, 0.0
-    for _, dirs, strength in starts[:30]:
-        d = np.array(dirs)
-        chi = float(light_model.refine(*s.data, d, column, strength, body, model.soft, q, 12))
-        if chi < best:
-            best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
-        if best <= bound:
-            break
+            if sine >= 1:
+                continue
+            a, b = around(place, radius), around(place, float(np.degrees(np.arcsin(sine))), np.pi)
+            many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
+            for i in np.argsort(_scan(s, many, column, strength, soft, q), kind="stable")[:2]:
+                d = np.array(many[i])
+                chi = float(light_model.refine(*s.data, d, column, strength, body, soft, q, 12))
+                # one that has moved to where the light was leaves it in its place, beside one that no normal sees
+                if chi < best and np.degrees(angle_between(d[1], place)) > 0.9 * least_deg:
+                    best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
+                    if best <= bound:
+                        return best, apart
     return best, apart
 
 
@@ -141,7 +173,7 @@ def around(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
     return np.cos(a) * d + np.sin(a) * (np.cos(azimuth) * u + np.sin(azimuth) * np.cross(d, u))
 
 
-def _scan(s: Samples, many: np.ndarray, column: np.ndarray, strength: np.ndarray, soft: float, lights: int) -> np.ndarray:
+def _scan(s: Samples, many: np.ndarray, column: np.ndarray, strength: np.ndarray, soft: np.ndarray, lights: int) -> np.ndarray:
     out = np.empty(len(many))
     light_model.scan(*s.data, np.ascontiguousarray(many), column, strength, soft, lights, out)
     return out

@@ -25,8 +25,8 @@ NULL = 1e-10  # of the largest singular value: below it one counts as zero (1e-7
 class SmallestVector:
     """gain, bias : of the solution, g = 1/g' (free scale: the vector has length 1, g' > 0)
 
-    bias : b'/g', in units of I (what dividing (2) by g gives);  bias_printed : 1/b' (as printed)
-    y : (t,) x_t / g', so that I = rho y + bias;  nullity, rank : of the system;  smallest : its singular value
+    bias : b'/g', in units of grey (what dividing (2) by g gives);  bias_printed : 1/b' (as printed)
+    y : (t,) x_t / g', so that grey = rho y + bias;  nullity, rank : of the system;  smallest : its singular value
     condition : largest singular value over the smallest but one, the smallest being the solution's; at most 1e12
     """
 
@@ -51,17 +51,17 @@ def smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = DENS
     seen = fine.any(1)
     if not seen.any():
         raise ValueError("no finite intensity")
-    I, r, m = np.where(fine, value, 0)[seen], np.where(fine, rho, 0)[seen], fine[seen].astype(float)
-    frames = len(I)
+    grey, r, m = np.where(fine, value, 0)[seen], np.where(fine, rho, 0)[seen], fine[seen].astype(float)
+    frames = len(grey)
     if frames <= dense:
-        rows = np.zeros((I.size, frames + 2))
-        rows[:, 0], rows[:, 1] = -I.ravel(), m.ravel()
-        rows[np.arange(I.size), 2 + np.repeat(np.arange(frames), I.shape[1])] = r.ravel()
+        rows = np.zeros((grey.size, frames + 2))
+        rows[:, 0], rows[:, 1] = -grey.ravel(), m.ravel()
+        rows[np.arange(grey.size), 2 + np.repeat(np.arange(frames), grey.shape[1])] = r.ravel()
         _, s, vt = np.linalg.svd(rows, full_matrices=True)
         s = np.append(s, np.zeros(max(frames + 2 - len(s), 0)))
         v, smallest, null = vt[-1], float(s[-1]), NULL
     else:
-        v, s = _secular(I, r, m)
+        v, s = _secular(grey, r, m)
         smallest, null = float(s[-1]), 1e3 * NULL
     nullity = int((s <= null * s[0]).sum())
     v = v * (np.sign(v[0]) or 1.0)
@@ -88,16 +88,16 @@ def solve_paper(
     w, _, ignored = weights(value, None, rho)
     parts = []
     for c in range(3):
-        I, weight = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c]
+        grey, weight = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c]
         if not weight.any():
-            parts.append(fallback(I, weight, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12))
+            parts.append(fallback(grey, weight, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12))
             continue
-        found = smallest_vector(np.where(weight > 0, I, np.nan), rho)
+        found = smallest_vector(np.where(weight > 0, grey, np.nan), rho)
         seen = weight.any(1)
-        part = fallback(I, weight, rho, f"the system has nullity {found.nullity}, not 1", found.rank, found.condition)
+        part = fallback(grey, weight, rho, f"the system has nullity {found.nullity}, not 1", found.rank, found.condition)
         if found.nullity < 2 and found.gain != 0:
             b = found.bias_printed if printed_bias else found.bias
-            residual = (I - rho * found.y[:, None] - found.bias) * weight
+            residual = (grey - rho * found.y[:, None] - found.bias) * weight
             spread = float((residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1))
             own = np.where(seen, divide(spread, (weight * rho * rho).sum(1)), part["var_y_own"])
             part |= {
@@ -109,27 +109,27 @@ def solve_paper(
     return assemble("paper", parts, share, ignored)
 
 
-def _secular(I: np.ndarray, r: np.ndarray, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _secular(grey: np.ndarray, r: np.ndarray, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(smallest singular vector (t + 2,), a few singular values, largest first, the two smallest last).
 
     The normal matrix is [[G, F], [F^T, D]] with G 2 x 2 and D diagonal. Below the smallest of D its eigenvalues are the
     roots of the eigenvalues of G - l - F (D - l)^-1 F^T, which fall with l.
     """
-    G = np.array([[(I * I).sum(), -(I * m).sum()], [-(I * m).sum(), m.sum()]])
-    F = np.stack([-(r * I).sum(1), (r * m).sum(1)])
+    G = np.array([[(grey * grey).sum(), -(grey * m).sum()], [-(grey * m).sum(), m.sum()]])
+    F = np.stack([-(r * grey).sum(1), (r * m).sum(1)])
     D = (r * r).sum(1)
 
-    def rest(l: float) -> np.ndarray:
-        return G - l * np.eye(2) - (F / (D - l)) @ F.T
+    def rest(low: float) -> np.ndarray:
+        return G - low * np.eye(2) - (F / (D - low)) @ F.T
 
     end = float(D.min()) * (1 - 1e-9)
     roots = []
     for k in range(2):
-        at = [float(np.linalg.eigvalsh(rest(l))[k]) for l in (0.0, end)]
+        at = [float(np.linalg.eigvalsh(rest(low))[k]) for low in (0.0, end)]
         if at[0] <= 0:
             roots.append(0.0)
         elif at[1] < 0:
-            roots.append(float(brentq(lambda l, k=k: np.linalg.eigvalsh(rest(l))[k], 0.0, end, xtol=1e-300, rtol=1e-14)))
+            roots.append(float(brentq(lambda low, k=k: np.linalg.eigvalsh(rest(low))[k], 0.0, end, xtol=1e-300, rtol=1e-14)))
         else:
             roots.append(end)
     vector = np.linalg.eigh(rest(roots[0]))[1][:, 0]

@@ -125,54 +125,54 @@ def assemble(formula: str, parts: list[dict], clipped: float, ignored: int) -> P
 
 
 def _channel(
-    I: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, albedos: str, ink_sigma: float
+    grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, albedos: str, ink_sigma: float
 ) -> dict:  # fmt: skip
-    """One channel. I, w0, rho, dark : (t, p). See Photometry for what comes back."""
+    """One channel. grey, w0, rho, dark : (t, p). See Photometry for what comes back."""
     seen = (w0 > 0).any(1)
     count = int((w0 > 0).sum())
     free_ink = albedos == "unknown" and bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
     unknowns = int(seen.sum()) + 1 + free_ink
     spare = count - unknowns
     if not count:
-        return fallback(I, w0, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12)
+        return fallback(grey, w0, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12)
     w, scale = w0.copy(), 1.0
     k = float(rho[dark].mean()) if free_ink else 0.0
     for _ in range(_PASSES):
         r = np.where(dark, k, rho) if free_ink else rho
         A, B, C = (w * r * r).sum(1), (w * r).sum(1), w.sum(1)
         inverse = divide(1.0, A)
-        y0, lean = (w * r * I).sum(1) * inverse, B * inverse  # y = y0 - lean * b
+        y0, lean = (w * r * grey).sum(1) * inverse, B * inverse  # y = y0 - lean * b
         left = float((C - B * lean).sum())
         share = left / max(float(C.sum()), 1e-300)
         if share < LEAST_SHARE:
-            return fallback(I, w0, rho, "all usable patches have one albedo", unknowns - 1 - free_ink, 1e12)
-        b = float((w * (I - r * y0[:, None])).sum()) / left
+            return fallback(grey, w0, rho, "all usable patches have one albedo", unknowns - 1 - free_ink, 1e12)
+        b = float((w * (grey - r * y0[:, None])).sum()) / left
         y = y0 - lean * b
         spread_b = 1 / left
         if free_ink:
-            joint = _ink_step(I, w, r, dark, inverse, b, y)
+            joint = _ink_step(grey, w, r, dark, inverse, b, y)
             if joint is None:
                 why = "albedos unknown and the light constant: bias and ink cannot be told apart"
-                return fallback(I, w0, rho, why, unknowns - 1, 1e12)
+                return fallback(grey, w0, rho, why, unknowns - 1, 1e12)
             db, dk, spread_b = joint
             b, k = b + db, k + dk
             r = np.where(dark, k, rho)
-            y = divide((w * r * (I - b)).sum(1), (w * r * r).sum(1))
-        z = (I - r * y[:, None] - b) * np.sqrt(w0)
+            y = divide((w * r * (grey - b)).sum(1), (w * r * r).sum(1))
+        z = (grey - r * y[:, None] - b) * np.sqrt(w0)
         size = float(np.median(np.abs(z[w0 > 0]))) / 0.6745 * np.sqrt(count / spare) if spare > 0 else 0.0
         scale = max(1.0, size) if known else size
         last, w = w, w0 * np.minimum(1.0, divide(_HUBER * scale, np.abs(z), where_zero=1.0))
         if np.abs(w - last).max() <= 1e-6 * w0.max() and not free_ink:
             break
     r = np.where(dark, k, rho) if free_ink else rho
-    score = w * (I - r * y[:, None] - b) * np.where(w > 0, 1 - r * lean[:, None], 0)  # of b, y_t eliminated
+    score = w * (grey - r * y[:, None] - b) * np.where(w > 0, 1 - r * lean[:, None], 0)  # of b, y_t eliminated
     groups = np.count_nonzero((w > 0).any(0))
     noise_b = scale**2 * spread_b  # if all residuals are independent; or by patch, or by frame
     if spare > 0:
         noise_b = max(noise_b, ((score.sum(0) * spread_b) ** 2).sum() * groups / max(groups - 1, 1))
         noise_b = max(noise_b, ((score.sum(1) * spread_b) ** 2).sum())
     quantile = float(student.ppf(0.975, spare)) if spare > 0 else 1.96
-    top = np.where(w0 > 0, I, -np.inf).max(1)
+    top = np.where(w0 > 0, grey, -np.inf).max(1)
     level = float(np.median(top[seen]))
     bright = float(np.median(y[seen]))
     half = quantile * float(np.sqrt(noise_b + (0 if free_ink else ink_sigma * bright) ** 2))
@@ -186,7 +186,7 @@ def _channel(
     elif np.median(y[seen]) < -3 * float(np.sqrt(np.median(own[seen]) + lean[seen].max() ** 2 * noise_b)):
         why = "dark cells are brighter than bright ones"
     if why:
-        return fallback(I, w0, rho, why, rank, condition)
+        return fallback(grey, w0, rho, why, rank, condition)
     return {
         "y": np.where(seen, y, 0.0), "var_y_own": np.where(seen, own, UNKNOWN_VARIANCE), "seen": seen, "bias": b,
         "var_y": np.where(seen, own + lean**2 * noise_b, UNKNOWN_VARIANCE), "bias_95": (b - half, b + half),
@@ -196,13 +196,13 @@ def _channel(
 
 
 def _ink_step(
-    I: np.ndarray, w: np.ndarray, r: np.ndarray, dark: np.ndarray, inverse: np.ndarray, b: float, y: np.ndarray
+    grey: np.ndarray, w: np.ndarray, r: np.ndarray, dark: np.ndarray, inverse: np.ndarray, b: float, y: np.ndarray
 ) -> tuple[float, float, float] | None:
     """Gauss-Newton step of (b, ink) with every y_t eliminated, and the variance of b; None where singular."""
     jac = np.stack([np.ones_like(r), np.where(dark, y[:, None], 0.0)], -1)  # of the model, by b and ink
     cross = np.einsum("tp,tpi->ti", w * r, jac)
     S = np.einsum("tp,tpi,tpj->ij", w, jac, jac) - np.einsum("t,ti,tj->ij", inverse, cross, cross)
-    residual = I - r * y[:, None] - b
+    residual = grey - r * y[:, None] - b
     g = np.einsum("tp,tpi->i", w * residual, jac) - cross.T @ ((w * r * residual).sum(1) * inverse)
     scale = np.sqrt(np.maximum(np.diag(S), 0))
     if not scale.all() or not np.isfinite(S).all():
@@ -214,13 +214,13 @@ def _ink_step(
     return float(step[0]), float(np.clip(step[1], -0.05, 0.05)), float(np.linalg.inv(unit)[0, 0] / scale[0] ** 2)
 
 
-def fallback(I: np.ndarray, w: np.ndarray, rho: np.ndarray, why: str, rank: int, condition: float) -> dict:
+def fallback(grey: np.ndarray, w: np.ndarray, rho: np.ndarray, why: str, rank: int, condition: float) -> dict:
     """Bias 0 assumed; light from the brightest albedo's patches, of a frame's others where it has none of them."""
     seen = (w > 0).any(1)
     usable = np.where(w > 0, rho, -1.0)
     take = w * (usable >= usable.max(1, keepdims=True) * (1 - 1e-2)) if rho.size else w
     information = (take * rho * rho).sum(1)
-    y = divide((take * rho * I).sum(1), information)
+    y = divide((take * rho * grey).sum(1), information)
     lean = divide((take * rho).sum(1), information)
     own = np.where(seen & (information > 0), divide(1.0, information), UNKNOWN_VARIANCE)
     return {

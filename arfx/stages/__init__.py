@@ -5,7 +5,7 @@ Modules are imported on first use of `stage_class`, so that help and configurati
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -33,9 +33,18 @@ STAGES: Mapping[str, Any] = _Table(
         "raster": "arfx.stages.raster.Raster",
         "plain": "arfx.stages.plain.Plain",
         "contact": "arfx.stages.contact.Contact",
+        "lightmap": "arfx.stages.lightmap.Lightmap",
         "composite": "arfx.stages.composite.Composite",
     }
 )
 # Stages that every job has; the others are effects that a pipeline names.
 IMPLICIT = ("raster", "plain", "contact", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
+# What an effect does itself and better: left out of a job that has it.
+REPLACES: Mapping[str, tuple[str, ...]] = {"lightmap": ("plain", "contact")}
+
+
+def stages_with(effects: Collection[str]) -> tuple[str, ...]:
+    """Names of the stages of a job with these effects, in running order."""
+    replaced = {name for effect in effects for name in REPLACES.get(effect, ())}
+    return tuple(name for name in STAGES if (name in IMPLICIT and name not in replaced) or name in effects)

@@ -1,4 +1,5 @@
-"""Virtual over real, in linear light: IMAGE = PLATE x SHADOW x (1 - COVERAGE) + VIRTUAL, faded by the facts' opacity.
+"""Virtual over real, in linear light: IMAGE = (b + (PLATE - b) x SHADOW) x (1 - COVERAGE) + VIRTUAL, faded by the facts'
+opacity. b is what the camera adds where no light falls (the facts' bias): a shadow takes light, not that.
 
 Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, SYSTEMS.md S1. Cost: O(pixels), memory bound.
 Leaves out: depth order against real objects (no depth of the real scene here).
@@ -56,15 +57,17 @@ class Composite:
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         now: Layers = window.now
+        facts = window.facts[-1]
         out = _over(
-            now[Layer.PLATE], now[Layer.VIRTUAL], now[Layer.COVERAGE], now[Layer.SHADOW], np.float32(window.facts[-1].opacity)
-        )
+            now[Layer.PLATE], now[Layer.VIRTUAL], now[Layer.COVERAGE], now[Layer.SHADOW], np.float32(facts.opacity),
+            np.array(facts.bias_rgb, np.float32),
+        )  # fmt: skip
         return {Layer.IMAGE: out}
 
 
 @numba.njit(cache=True, fastmath=False, nogil=True)
 def _over(
-    plate: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, shadow: np.ndarray, opacity: np.float32
+    plate: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, shadow: np.ndarray, opacity: np.float32, bias: np.ndarray
 ) -> np.ndarray:  # pragma: no cover - compiled
     out = np.empty_like(plate)
     for y in range(plate.shape[0]):
@@ -73,5 +76,6 @@ def _over(
             for c in range(3):
                 p = plate[y, x, c]
                 # as a difference, so that a pixel with nothing virtual keeps its exact value
-                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (shadow[y, x, c] * left - np.float32(1)))
+                kept = bias[c] * (left - shadow[y, x, c] * left)
+                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (shadow[y, x, c] * left - np.float32(1)) + kept)
     return out

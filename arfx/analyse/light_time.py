@@ -1,0 +1,123 @@
+"""Lights that change: the simplest account of a whole clip that holds.
+
+1. constant: one fit for all;
+2. segments: the directions of the clip, and colours and brightness of their own between one step of the light and the next
+   (lamps that are switched);
+3. shared: the same, in windows of a few seconds (lamps that fade, exposure that drifts);
+4. windows: a fit for each window alone (a light that swings).
+The next one is tried where the one before does not explain the observations: its model error is large (light_fit.Params).
+A light that is refused for another reason stays refused: cut into pieces, its evidence only gets less.
+
+The freer an account, the better a light that moves while the marker turns can pose as one that rests elsewhere. So
+whatever does not explain the observations well with few freedoms has to be found by both halves of its time as well; the
+cone grows to hold all answers, and what is found once only is refused. One marker turned by hand beside a light that swings
+ends there; several markers at different tilts, that show many normals at once, do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from arfx.analyse.light_explain import Params
+from arfx.analyse.light_fit import MEASURED, REFUSED, LightFit, fit
+from arfx.core.numerics import angle_between
+
+CONSTANT, SEGMENTS, SHARED, WINDOWS = "constant", "segments", "shared", "windows"
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """From start_s up to stop_s the light is that of `group` of `fit`."""
+
+    start_s: float
+    stop_s: float
+    fit: LightFit
+    group: int
+
+
+def fit_over_time(
+    times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None = None,
+    breaks_s: Sequence[float] = (), window_s: float = 2.0, params: Params | None = None, good_error: float = 0.006,
+) -> tuple[str, list[Span]]:  # fmt: skip
+    """(CONSTANT, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to the last observation).
+
+    times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in light_fit.fit
+    breaks_s : times at which the light steps (light_map.changes); no span crosses one
+    window_s : length of a window, at most;  good_error : model error up to which an account holds
+    Observations without a finite time are left out.
+    """
+    p = params or Params()
+    times = np.asarray(times_s, float).ravel()
+    n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
+    v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
+    fine = np.isfinite(times) & np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
+    n, E, v = n[fine], E[fine], v[fine]
+    if not fine.any():
+        return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, p), ignored=len(fine)), 0)]
+    times = times[fine]
+
+    def run(rows: np.ndarray, group: np.ndarray | None) -> LightFit:
+        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p)
+
+    def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
+        return _confirmed(found, [run(rows, group) for rows in halves], p.limit_deg) if found.verdict == MEASURED else found
+
+    every = np.ones(len(times), bool)
+    start, stop = float(times.min()), float(times.max())
+    late = times > (start + stop) / 2
+    constant = run(every, None)
+    if constant.model_error <= good_error:
+        return CONSTANT, [Span(start, stop, constant, 0)]
+    segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
+    for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
+        group = _group(times, edges)
+        if name == SEGMENTS and len(edges) < 3:
+            continue
+        shared = run(every, group)
+        if shared.verdict == MEASURED and shared.model_error <= good_error:
+            if name == SHARED:
+                shared = confirmed(shared, [~late, late], group)
+            if shared.verdict == MEASURED:
+                present = np.unique(group)  # the groups that fit numbers
+                return name, [Span(a, b, shared, int(np.abs(present - g).argmin())) for g, (a, b) in enumerate(pairwise(edges))]
+    group = _group(times, windows)
+    spans = []
+    for g, (a, b) in enumerate(pairwise(windows)):
+        alone, second = run(group == g, None), times > (a + b) / 2
+        spans.append(Span(a, b, confirmed(alone, [(group == g) & ~second, (group == g) & second], None), 0))
+    if any(s.fit.verdict == MEASURED for s in spans):
+        return WINDOWS, spans
+    return CONSTANT, [Span(start, stop, confirmed(constant, [~late, late], None), 0)]
+
+
+def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float) -> list[float]:
+    """Ascending times from start to stop: every break inside, and even cuts between that are at most window_s apart."""
+    inside = sorted({float(b) for b in breaks_s if np.isfinite(b) and start_s < b < stop_s})
+    out = [start_s]
+    for a, b in pairwise([start_s, *inside, stop_s]):
+        pieces = max(1, int(np.ceil((b - a) / max(window_s, 1e-6) - 1e-9)))
+        out += [a + (b - a) * (i + 1) / pieces for i in range(pieces)]
+    return out
+
+
+def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
+    return np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
+
+
+def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) -> LightFit:
+    """`found` with its first light's cone widened to what the halves say, or refused."""
+    first = found.lights[0]
+    off = max(
+        float(np.degrees(angle_between(np.array([li.direction for li in h.lights]), first.direction).min()))
+        if h.verdict == MEASURED
+        else np.inf
+        for h in halves
+    )
+    if off > limit_deg:
+        why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
+        return replace(found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb)
+    return replace(found, lights=(replace(first, confidence_deg=max(first.confidence_deg, off)), *found.lights[1:]))

@@ -1,0 +1,161 @@
+"""The model as something that casts shadows: triangles in the axes of the plane that it stands on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.numerics import arccos, divide, normalise
+from arfx.core.scene import Scene
+
+_SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
+_SAME_PLACE = 1e-6  # of the extent: a seam's two vertices differ by rounding
+_COARSEST_SAG = 0.02  # of the extent; facets that stand off further are not taken for a smooth surface
+_HULL_POINTS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Caster:
+    """Axes of the anchor: z out of the plane, metres.
+
+    vertices (n, 3) float32, faces (m, 3) int32 : every triangle
+    above (m', 3) int32, above_vertices (n', 3) : those over the plane, cut where they pass through it
+    edges (e, 5) int32 : of those, see `_edges`;  across (3, m') float32 : their normals, as long as twice their area
+    outline (k, 3) float64 : points whose hull holds everything above the plane
+    extent_m : largest side;  height_m : highest point over the plane, >= 0
+    sag_m, facet_slope : how far flat facets lie below the smooth surface that their normals tell of, and by what slope
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    above_vertices: np.ndarray
+    above: np.ndarray
+    edges: np.ndarray
+    across: np.ndarray
+    outline: np.ndarray
+    extent_m: float
+    height_m: float
+    sag_m: float
+    facet_slope: float
+
+
+def make_caster(scene: Scene) -> Caster:
+    """All parts of the scene's model together, whatever their material: what is transparent casts a full shadow."""
+    anchor_from_world = scene.world_from_anchor.inverse()
+    vertices = anchor_from_world.apply(scene.model_points_m)
+    faces, start = [], 0
+    for part in scene.model.parts:
+        faces.append(part.faces + start)
+        start += len(part.vertices)
+    every = np.concatenate(faces).astype(np.int32)
+    used = vertices[np.unique(every)]
+    extent = float(np.ptp(used, axis=0).max())
+    sunk = -_SUNK * extent
+    cut = bool((used[:, 2] < sunk).any())
+    over, over_faces = _above_plane(vertices, every) if cut else (vertices, every)
+    a, b, c = (over[over_faces[:, i]] for i in range(3))
+    top = float(over[:, 2].max(initial=0.0))
+    linear = scene.world_from_model[:3, :3]
+    normals = np.concatenate([p.normals for p in scene.model.parts]) @ (linear / np.cbrt(abs(np.linalg.det(linear)))).T
+    sag, slope = _faceting(vertices, every, normals @ anchor_from_world.rotation.T, extent)
+    return Caster(
+        vertices.astype(np.float32), every, over.astype(np.float32), over_faces, _edges(over, over_faces),
+        np.cross(b - a, c - a).T.astype(np.float32), _outline(over[np.unique(over_faces)]), extent, max(top, 0.0), sag, slope,
+    )  # fmt: skip
+
+
+def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(e, 5) int32: two vertices, the face that runs from the first to the second, another or -1, and +1 where that one
+    runs the same way, -1 where against it. Vertices at the same place count as one; of more than two faces some pair up."""
+    low, size = vertices.min(0), float(np.ptp(vertices, axis=0).max())
+    grid = np.round(divide(vertices - low, _SAME_PLACE * size))
+    _, first, place = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    at = first[place.ravel()[faces]]
+    run = np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]])
+    face = np.tile(np.arange(len(faces)), 3)
+    keep = run[:, 0] != run[:, 1]
+    run, face = run[keep], face[keep]
+    way = np.where(run[:, 0] < run[:, 1], 1, -1)
+    run = np.sort(run, 1)
+    order = np.lexsort((way, run[:, 1], run[:, 0]))
+    run, face, way = run[order], face[order], way[order]
+    new = np.r_[True, (run[1:] != run[:-1]).any(1)]
+    start = np.flatnonzero(new)
+    rank = np.arange(len(run)) - np.repeat(start, np.diff(np.r_[start, len(run)]))
+    one = np.flatnonzero(rank % 2 == 0)
+    paired = np.r_[rank[1:], 0][one] % 2 == 1
+    two = np.where(paired, np.minimum(one + 1, len(run) - 1), one)
+    ends = np.where(way[one, None] > 0, run[one], run[one, ::-1])
+    return np.column_stack([ends, face[one], np.where(paired, face[two], -1), way[one] * way[two]]).astype(np.int32)
+
+
+def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles over z = 0; those that pass through it are cut there."""
+    high = vertices[:, 2] > 0
+    whole = faces[high[faces].all(1)]
+    crossing = faces[high[faces].any(1) & ~high[faces].all(1)]
+    # turned so that the first corner is the one that is alone on its side
+    count = high[crossing].sum(1)
+    alone = np.where((count == 1)[:, None], high[crossing], ~high[crossing]).argmax(1)
+    crossing = np.take_along_axis(crossing, (alone[:, None] + np.arange(3)) % 3, 1)
+    a, b, c = (vertices[crossing[:, i]] for i in range(3))
+
+    def meet(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        t = divide(p[:, 2], p[:, 2] - q[:, 2])[:, None]
+        m = p + t * (q - p)
+        m[:, 2] = 0
+        return m
+
+    ab, ac = meet(a, b), meet(a, c)
+    one = count == 1
+    triangles = np.concatenate(
+        [
+            np.stack([a[one], ab[one], ac[one]], 1),
+            np.stack([ab[~one], b[~one], c[~one]], 1),
+            np.stack([ab[~one], c[~one], ac[~one]], 1),
+        ]
+    )
+    n = len(vertices)
+    new = np.arange(n, n + 3 * len(triangles)).reshape(-1, 3)
+    return np.concatenate([vertices, triangles.reshape(-1, 3)]), np.concatenate([whole, new]).astype(np.int32)
+
+
+def _outline(points: np.ndarray) -> np.ndarray:
+    """Vertices of the convex hull; the corners of the box where the points are few, many or flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if not len(points):
+        return np.zeros((1, 3))
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError:
+        hull = points
+    if len(hull) <= _HULL_POINTS:
+        return hull
+    # extreme points in spread directions, pushed out to the planes that bound the rest: a slightly larger hull
+    middle = (hull.min(0) + hull.max(0)) / 2
+    grown = middle + (hull[_extreme(hull - middle)] - middle) * 1.02
+    grown[:, 2] = np.maximum(grown[:, 2], 0)
+    return grown
+
+
+def _extreme(points: np.ndarray) -> np.ndarray:
+    """Indices of the points that lie farthest in 400 even directions."""
+    i = np.arange(400) + 0.5
+    z, phi = 1 - 2 * i / 400, i * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z * z)
+    return np.unique((points @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0))
+
+
+def _faceting(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, extent: float) -> tuple[float, float]:
+    """95 % of the facets lie less than this below their smooth surface (metres), and lean from it by less than this slope."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    face = normalise(np.cross(b - a, c - a))
+    cosine = np.abs((normals[faces] * face[:, None]).sum(-1)).min(1)
+    angle = np.minimum(arccos(cosine), np.radians(45))
+    side = np.sqrt(np.stack([((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]).max(0))
+    # a chord of length L that leans by the angle from the arc's tangent at its end lies L / 2 tan(angle / 2) below the arc
+    sag = float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0
+    slope = float(np.quantile(np.tan(angle), 0.95)) if len(faces) else 0.0
+    return min(sag, _COARSEST_SAG * extent), slope

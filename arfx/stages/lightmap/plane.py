@@ -1,0 +1,127 @@
+"""What the object takes from the plane that it stands on, as small pictures of the plane: one of the ambient light, made
+once per clip, and one of each directional light, kept while the light stands still.
+
+Each picture lies along its own light, so that a long shadow wastes no texels and its penumbra is a box in rows and
+columns. Values are the share of that light that is taken, 0..1; the border is 0, and so is everything outside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from arfx.core.numerics import normalise
+from arfx.stages.lightmap.beams import Beam, disc, disc_directions
+from arfx.stages.lightmap.caster import Caster
+from arfx.stages.lightmap.penumbra import smoothed
+from arfx.stages.lightmap.rays import Rays
+from arfx.stages.lightmap.silhouette import hidden_share
+from arfx.stages.occlusion import hemisphere
+
+_LIFT = 1e-4  # of the extent, off the plane: a base that lies in it would hide every ray or none, by rounding
+_MARGIN = 3  # texels without shadow around it
+
+
+@dataclass(frozen=True)
+class PlaneLevel:
+    """texels : of a light's picture, about;  silhouettes : directions over the light's disc, 1 = its middle, antialiased
+    rays : per texel of the penumbra, 0 = the silhouettes are enough;  ambient_texels a side, ambient_rays"""
+
+    texels: int
+    silhouettes: int
+    rays: int
+    ambient_texels: int
+    ambient_rays: int
+
+
+PLANE_LEVELS = {
+    "draft": PlaneLevel(256 * 256, 1, 0, 96, 48),
+    "standard": PlaneLevel(400 * 400, 16, 0, 192, 96),
+    "high": PlaneLevel(512 * 512, 16, 64, 256, 144),
+    "reference": PlaneLevel(640 * 640, 32, 400, 384, 400),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneTexture:
+    """dark (rows, columns) float32;  texel_from_m (2, 3) : plane coordinates (x, y, 1), metres, to column and row"""
+
+    dark: np.ndarray
+    texel_from_m: np.ndarray
+
+
+def ambient_texture(caster: Caster, rays: Rays, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
+    """The share of the hemisphere, weighted by its cosine, that is hidden. centre, half (2,) : the box, metres."""
+    n = level.ambient_texels
+    t = (np.arange(n) + 0.5) / n * 2 - 1
+    x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
+    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, _LIFT * caster.extent_m)], -1)
+    dark = 1 - rays.visible_share(points, hemisphere(level.ambient_rays)).reshape(n, n)
+    dark = cv2.GaussianBlur(dark.astype(np.float32), (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
+    scale = n / (2 * half)
+    low = centre - half
+    return PlaneTexture(
+        _rimmed(dark), np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]])
+    )
+
+
+def beam_texture(caster: Caster, rays: Rays, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
+    """The share of a directional light's disc that is hidden. hard : by its middle alone."""
+    middle = disc_directions(beam, np.zeros((1, 2)))[0]
+    away = normalise(-middle[:2])
+    if not away.any():
+        away = np.array([1.0, 0.0])
+    axes = np.stack([away, [-away[1], away[0]]])  # column axis falls away from the light
+    soft = level.silhouettes > 1 and not hard
+    rim = disc_directions(beam, np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4]))
+    outer = np.concatenate([middle[None], rim]) if soft or level.rays else middle[None]
+    slopes = -(outer[:, :2] @ axes.T) / outer[:, 2:]
+    ground = caster.outline[:, :2] @ axes.T
+    spread = (ground[None] + slopes[:, None] * caster.outline[None, :, 2:]).reshape(-1, 2)
+    low, high = spread.min(0), spread.max(0)
+    pitch = max(float(np.sqrt(np.prod(high - low) / level.texels)), 1e-6 * caster.extent_m, 1e-9)
+    columns = -(-int(np.ceil((high[0] - low[0]) / pitch) + 2 * _MARGIN) // 64) * 64
+    rows = int(np.ceil((high[1] - low[1]) / pitch)) + 2 * _MARGIN
+    low = (low + high) / 2 - pitch * (np.array([columns, rows]) - 1) / 2  # place of texel (0, 0)
+    matrix = np.column_stack([axes / pitch, -low / pitch])
+    points = np.column_stack(
+        [caster.above_vertices[:, :2] @ (axes / pitch).T - low / pitch, caster.above_vertices[:, 2] / pitch]
+    ).astype(np.float32)
+    if soft:
+        towards = disc_directions(beam, disc(level.silhouettes))
+    else:
+        towards = np.repeat(middle[None], 8, 0)  # 8 shifted sample points: antialiased
+    displaced = -(towards[:, :2] @ axes.T) / towards[:, 2:]
+    dark = hidden_share(points, caster.edges, caster.across, towards, displaced, (rows, columns))
+    if level.rays and not hard:
+        dark = _traced(dark, rays, beam, level.rays, matrix, caster.extent_m)
+    if soft:
+        radii = np.abs(slopes[1:] - slopes[0]).max(0)
+        count = level.rays or level.silhouettes
+        dark = smoothed(dark, points, caster.above, slopes[0], (float(radii[0]), float(radii[1])), count)
+    return PlaneTexture(_rimmed(dark), matrix)
+
+
+def _traced(dark: np.ndarray, rays: Rays, beam: Beam, count: int, matrix: np.ndarray, extent_m: float) -> np.ndarray:
+    """`dark` with the penumbra by rays: wherever the silhouettes do not agree, and two texels around."""
+    low, high = cv2.erode(dark, np.ones((5, 5))), cv2.dilate(dark, np.ones((5, 5)))
+    v, u = np.nonzero(high - low > 0)
+    if not len(u):
+        return dark
+    places = np.linalg.solve(matrix[:, :2], np.stack([u, v]) - matrix[:, 2:]).T
+    out: np.ndarray = dark.copy()
+    points = np.column_stack([places, np.full(len(u), _LIFT * extent_m)])
+    out[v, u] = 1 - rays.visible_share(points, disc_directions(beam, disc(count)))
+    return out
+
+
+def _rimmed(dark: np.ndarray) -> np.ndarray:
+    """float32, contiguous, 0 along the border: what is looked up outside meets nothing."""
+    out: np.ndarray = np.ascontiguousarray(np.clip(dark, 0, 1), np.float32)
+    out[[0, -1]] = 0
+    out[:, [0, -1]] = 0
+    return out
+
+

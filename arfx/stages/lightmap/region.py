@@ -1,0 +1,99 @@
+"""Where on the plane the shadow shows: points around it, for the rectangle of a frame. Found without the picture.
+
+A darkening shows when it takes more than `faint` of the plane's light. Ambient light: a coarse map of the plane, made
+once per clip with rays. Directional lights: the hull of the object, cast from the rim of the light's disc.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from arfx.core.scene import Scene
+from arfx.stages.lightmap.beams import Beam, disc_directions
+from arfx.stages.lightmap.caster import Caster, make_caster
+from arfx.stages.lightmap.rays import Rays
+from arfx.stages.occlusion import hemisphere
+
+_TEXELS, _RAYS = 64, 400
+_BORDER = 2.5  # heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less
+_SHARE_STEP = 32  # outlines are kept for shares of the light in steps of 1 / 32, rounded up
+_SIDES = 4  # points a side of an outline: a lens bends it
+
+
+class Ground:
+    """The plane around one scene's object. caster, rays : the object;  centre_m, half_m (2,) : the map's box"""
+
+    def __init__(self, scene: Scene) -> None:
+        self.caster: Caster = make_caster(scene)
+        self.rays = Rays(self.caster)
+        ground = self.caster.outline[:, :2]
+        border = max(_BORDER * self.caster.height_m, 1e-3 * self.caster.extent_m)
+        low, high = ground.min(0) - border, ground.max(0) + border
+        self.centre_m, self.half_m = (low + high) / 2, (high - low) / 2
+        t = (np.arange(_TEXELS) + 0.5) / _TEXELS * 2 - 1
+        x, y = np.meshgrid(self.centre_m[0] + self.half_m[0] * t, self.centre_m[1] + self.half_m[1] * t)
+        points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 1e-4 * self.caster.extent_m)], -1)
+        self.hidden = (1 - self.rays.visible_share(points, hemisphere(_RAYS))).reshape(_TEXELS, _TEXELS)
+        self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
+        self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
+
+    def outline_m(self, ambient_share: float, beams: list[tuple[Beam, float]], faint: float) -> np.ndarray:
+        """(k, 2) metres: points around the shadow; none where nothing shows.
+
+        ambient_share, and beside each beam its share : of the plane's light, 0..1
+        """
+        parts = [self.ambient_outline_m(int(np.ceil(ambient_share * _SHARE_STEP)), faint)]
+        parts += [self.beam_outline_m(beam) for beam, share in beams if share > faint and beam.on_plane]
+        points = np.concatenate(parts)
+        return _sides(_hull(points)) if len(points) else points
+
+    def ambient_box_m(self, faint: float) -> tuple[np.ndarray, np.ndarray]:
+        """Centre and half sides (2,), metres, of the box in which ambient light can be taken visibly."""
+        points = self.ambient_outline_m(_SHARE_STEP, faint)
+        if not len(points):
+            return self.centre_m, self.half_m
+        low, high = points.min(0), points.max(0)
+        return (low + high) / 2, (high - low) / 2
+
+    def _ambient_outline_m(self, share: int, faint: float) -> np.ndarray:
+        dark = np.argwhere(self.hidden * share / _SHARE_STEP > faint)[:, ::-1]
+        if not len(dark):
+            return np.zeros((0, 2))
+        # a texel and its neighbours: the coarse map may miss the border by one
+        grown = _hull((dark[:, None] + np.array([[-1, -1], [2, -1], [2, 2], [-1, 2]])).reshape(-1, 2).astype(float))
+        return self.centre_m + self.half_m * (grown / _TEXELS * 2 - 1)
+
+    def _beam_outline_m(self, beam: Beam) -> np.ndarray:
+        angle = np.arange(12) * np.pi / 6
+        d = disc_directions(beam, np.concatenate([np.zeros((1, 2)), 1.04 * np.column_stack([np.cos(angle), np.sin(angle)])]))
+        p = self.caster.outline
+        return _hull((p[None, :, :2] - (d[:, :2] / d[:, 2:])[:, None] * p[None, :, 2:]).reshape(-1, 2))
+
+
+_GROUNDS: WeakKeyDictionary[Scene, Ground] = WeakKeyDictionary()
+
+
+def ground_of(scene: Scene) -> Ground:
+    """Made once per scene."""
+    found = _GROUNDS.get(scene)
+    if found is None:
+        found = _GROUNDS[scene] = Ground(scene)
+    return found
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # a point, or a line
+        low, high = points.min(0), points.max(0)
+        return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+
+
+def _sides(hull: np.ndarray) -> np.ndarray:
+    t = np.linspace(0, 1, _SIDES + 1)[:-1, None, None]
+    out: np.ndarray = (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)
+    return out

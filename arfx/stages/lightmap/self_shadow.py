@@ -1,0 +1,191 @@
+"""What the object leaves itself of a directional light: a depth map along the light, asked around each pixel's place.
+
+The blockers found within the light's cone tell how wide the penumbra is there, and so how far around the map is asked
+again (Fernando 2005, "Percentage-closer soft shadows"). Every answer is compared with the depth of the receiver's own
+tangent plane at that very texel, from a place lifted off the surface by more than the texels and facets are coarse: no acne,
+and nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high` and `reference` send rays.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from arfx.core.numerics import normalise
+from arfx.core.pose import Pose
+from arfx.stages.lightmap.beams import Beam, disc, disc_directions
+from arfx.stages.lightmap.caster import Caster
+from arfx.stages.lightmap.rays import Rays
+from arfx.stages.lightmap.silhouette import highest
+
+
+_EMPTY = -1e9
+_LIFT_TEXELS = 1.5
+_LIFT_SAGS = 2.0
+_LIFT_RAYS = 2e-4  # of the extent
+_NARROWEST, _WIDEST = 1.7, 40.0  # texels, radius in which the map is asked: under it the texels' steps show
+
+
+@dataclass(frozen=True)
+class SelfLevel:
+    """texels : of the depth map, a side;  search, taps : questions to it for blockers, and where some are found for light
+    rays : in place of the map, 0 = none; `search` of them first, the others where those do not agree
+    soft : penumbrae as wide as the light's disc makes them"""
+
+    texels: int
+    search: int
+    taps: int
+    rays: int
+    soft: bool = True
+
+
+SELF_LEVELS = {
+    "draft": SelfLevel(256, 6, 16, 0, False),
+    "standard": SelfLevel(384, 14, 64, 0),
+    "high": SelfLevel(0, 16, 0, 96),
+    "reference": SelfLevel(0, 0, 0, 400),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """depth (n, n) float32 : nearest to the light, in texels along it;  texel_from_anchor (3, 4) : column, row, depth
+    spread : penumbra radius per depth;  lift, lean : texels, and slope by which facets may deviate"""
+
+    depth: np.ndarray
+    texel_from_anchor: np.ndarray
+    spread: float
+    lift: float
+    lean: float
+
+
+def depth_map(caster: Caster, beam: Beam, level: SelfLevel) -> DepthMap:
+    """Of every triangle, over the square around them."""
+    w = np.array(beam.direction)
+    s = normalise(np.cross([0.0, 0, 1] if abs(w[2]) < 0.9 else [1.0, 0, 0], w))
+    axes = np.stack([s, np.cross(w, s), w])
+    p = caster.vertices @ axes.T
+    low, high = p[:, :2].min(0), p[:, :2].max(0)
+    pitch = max(float((high - low).max()) / (level.texels - 5), 1e-9)
+    origin = (low + high) / 2 - pitch * (level.texels - 1) / 2
+    matrix = np.column_stack([axes, [-origin[0], -origin[1], 0.0]]) / pitch
+    u, v, h = (np.ascontiguousarray(a, np.float32) for a in (caster.vertices @ matrix[:, :3].T + matrix[:, 3]).T)
+    depth = highest(u, v, h, caster.faces, level.texels, level.texels, np.float32(_EMPTY))
+    spread = float(np.tan(np.radians(beam.size_deg / 2))) if level.soft else 0.0
+    return DepthMap(depth, matrix, spread, _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch, caster.facet_slope)
+
+
+def by_map(
+    coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, found: DepthMap, anchor_from_world: Pose, level: SelfLevel
+) -> np.ndarray:
+    """(h, w) float32, 0..1: the share of the light that is left; 1 where the pixel is not covered or turned away."""
+    turn = found.texel_from_anchor[:, :3] @ anchor_from_world.rotation
+    shift = found.texel_from_anchor[:, :3] @ anchor_from_world.translation_m + found.texel_from_anchor[:, 3]
+    matrix = np.column_stack([turn, shift]).astype(np.float32)
+    unit = (turn / np.linalg.norm(turn[0])).astype(np.float32)
+    top = float(found.depth.max())
+    return _ask(
+        coverage, normal, position, found.depth, matrix, unit, disc(level.search).astype(np.float32),
+        disc(level.taps).astype(np.float32), np.float32(found.spread), np.float32(found.lift), np.float32(found.lean), np.float32(top),
+    )  # fmt: skip
+
+
+def by_rays(
+    coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Rays, caster: Caster, beam: Beam,
+    anchor_from_world: Pose, level: SelfLevel,
+) -> np.ndarray:  # fmt: skip
+    """The same with rays over the light's disc, weighted by their cosine to the normal."""
+    out = np.ones(coverage.shape, np.float32)
+    directions = disc_directions(beam, disc(level.rays if beam.size_deg > 0 else 1), over_plane=False)
+    n = normal.astype(float) @ anchor_from_world.rotation.T
+    y, x = np.nonzero((coverage > 0) & (n @ np.array(beam.direction) > 0))
+    lift = max(_LIFT_SAGS * caster.sag_m, _LIFT_RAYS * caster.extent_m)
+    n = n[y, x]
+    points = anchor_from_world.apply(position[y, x]) + lift * n
+    if not level.search or len(directions) <= level.search:
+        out[y, x] = rays.weighted_share(points, n, directions)
+        return out
+    share = rays.weighted_share(points, n, directions[:: len(directions) // level.search])
+    mixed = (share > 0) & (share < 1)
+    share[mixed] = rays.weighted_share(points[mixed], n[mixed], directions)
+    out[y, x] = share
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def _ask(coverage, normal, position, depth, matrix, unit, search, taps, spread, lift, lean, top):  # pragma: no cover - compiled
+    rows, columns = coverage.shape
+    out = np.ones((rows, columns), np.float32)
+    size = depth.shape[0]
+    texels = depth.reshape(-1)
+    zero, one, half, far = np.float32(0), np.float32(1), np.float32(0.5), np.float32(size - 1)
+    least = np.float32(_NARROWEST)
+    at = np.empty(columns, np.uintp)
+    s, t, z = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    gs, gt, radius = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    found, total = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    place = np.empty(columns, np.int32)
+    edge = np.empty(columns, np.float32)
+    across = np.int32(size)
+    for y in range(rows):
+        n = 0
+        for x in range(columns):
+            facing = unit[2, 0] * normal[y, x, 0] + unit[2, 1] * normal[y, x, 1] + unit[2, 2] * normal[y, x, 2]
+            at[n] = x
+            n += (coverage[y, x] > zero) & (facing > zero)
+        if n == 0:
+            continue
+        for i in range(n):
+            x = at[i]
+            a, b, c = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+            px, py, pz = position[y, x, 0], position[y, x, 1], position[y, x, 2]
+            ns = unit[0, 0] * a + unit[0, 1] * b + unit[0, 2] * c
+            nt = unit[1, 0] * a + unit[1, 1] * b + unit[1, 2] * c
+            nw = max(unit[2, 0] * a + unit[2, 1] * b + unit[2, 2] * c, np.float32(0.15))
+            s[i] = matrix[0, 0] * px + matrix[0, 1] * py + matrix[0, 2] * pz + matrix[0, 3] + lift * ns
+            t[i] = matrix[1, 0] * px + matrix[1, 1] * py + matrix[1, 2] * pz + matrix[1, 3] + lift * nt
+            z[i] = matrix[2, 0] * px + matrix[2, 1] * py + matrix[2, 2] * pz + matrix[2, 3] + lift * nw
+            gs[i], gt[i] = -ns / nw, -nt / nw
+        for i in range(n):
+            radius[i] = min(max(spread * (top - z[i]), least), np.float32(_WIDEST))
+            found[i], total[i] = zero, zero
+        for k in range(search.shape[0]):
+            ox, oy = search[k, 0], search[k, 1]
+            for i in range(n):
+                u, v = min(max(s[i] + ox * radius[i], zero), far), min(max(t[i] + oy * radius[i], zero), far)
+                iu, iv = np.int32(u + half), np.int32(v + half)
+                du, dv = np.float32(iu) - s[i], np.float32(iv) - t[i]
+                place[i] = iv * across + iu
+                edge[i] = z[i] + gs[i] * du + gt[i] * dv + lean * (abs(du) + abs(dv))
+            for i in range(n):
+                d = texels[np.uintp(place[i])]
+                hit = one if d > edge[i] else zero
+                found[i] += hit
+                total[i] += hit * d
+        # only where some of them are hidden is there more to ask
+        every, m = np.float32(search.shape[0]), 0
+        for i in range(n):
+            if found[i] > zero:
+                out[y, at[i]] = zero
+            if (found[i] > zero) & (found[i] < every):
+                mean = total[i] / found[i]
+                radius[m] = min(max(spread * (mean - z[i]), least), radius[i])
+                s[m], t[m], z[m], gs[m], gt[m], at[m], total[m] = s[i], t[i], z[i], gs[i], gt[i], at[i], zero
+                m += 1
+        for k in range(taps.shape[0]):
+            ox, oy = taps[k, 0], taps[k, 1]
+            for i in range(m):
+                u, v = min(max(s[i] + ox * radius[i], zero), far), min(max(t[i] + oy * radius[i], zero), far)
+                iu, iv = np.int32(u + half), np.int32(v + half)
+                du, dv = np.float32(iu) - s[i], np.float32(iv) - t[i]
+                place[i] = iv * across + iu
+                edge[i] = z[i] + gs[i] * du + gt[i] * dv + lean * (abs(du) + abs(dv))
+            for i in range(m):
+                total[i] += one if texels[np.uintp(place[i])] > edge[i] else zero
+        share = one / np.float32(taps.shape[0])
+        for i in range(m):
+            out[y, at[i]] = one - share * total[i]
+    return out

@@ -1,0 +1,170 @@
+"""Radiance of every covered pixel of the virtual object under the light of its frame.
+
+Diffuse: albedo times the light's radiance for the normal (soft harmonics and directional lights, `core.light`), each
+directional light times what the object leaves of it. Gloss: Blinn and Phong's lobe of the half-vector, Schlick's Fresnel,
+metals and dielectrics as in glTF 2.0; a light of some size widens it. Source of the `paper` formula: SYSTEMS.md S1, I = g rho M(n) + b and Phong's
+lobe of the mirrored direction. What a camera adds where no light falls is added to the object too.
+Cost: O(covered pixels). Leaves out: the surroundings' picture in metals, light from the plane onto the object.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+_FAST = {"contract", "nsz", "arcp"}
+
+
+def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
+    """(9, 3) float32 factors of 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2; without harmonics the first alone."""
+    out = np.zeros((9, 3))
+    if len(soft):
+        c = [0.28209479177387814, *[0.4886025119029199] * 3, 1.0925484305920792, 1.0925484305920792, 0.31539156525252005]
+        out[:] = soft * np.array([*c, 1.0925484305920792, 0.5462742152960396])[:, None]
+    else:
+        out[0] = ambient
+    return out.astype(np.float32)
+
+
+def highlight_width(size_deg: np.ndarray) -> np.ndarray:
+    """What a light's disc (full angle) adds to roughness^4: a disc of radius a spreads half-vectors by a^2 / 16, the lobe's
+    own spread is roughness^4 / 2."""
+    out: np.ndarray = np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8
+    return out.astype(np.float32)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def shade(
+    coverage, normal, position, albedo, material, emissive, left, eye, towards, rgb, widths, soft, constant, bias, paper
+):  # pragma: no cover - compiled
+    """(h, w, 3) float32, premultiplied by the coverage.
+
+    left : (l, h, w) share of each directional light that the object leaves itself;  eye (3,) : the camera, WORLD frame
+    towards, rgb (l, 3);  widths (l,);  soft (9, 3), constant : only its first row counts;  bias (3,)
+    """
+    rows, columns = coverage.shape
+    out = np.zeros((rows, columns, 3), np.float32)
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
+    at = np.empty(columns, np.uintp)
+    nx, ny, nz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    vx, vy, vz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    dr, dg, db = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    fr, fg, fb = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    r, g, b = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    width4, shine = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    lit, lobe, graze = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    mantissa, whole = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    cosine = np.empty(columns, np.float32)
+    cosine_bits, mantissa_bits, whole_bits = cosine.view(np.int32), mantissa.view(np.int32), whole.view(np.int32)
+    for y in range(rows):
+        n = 0
+        for x in range(columns):
+            at[n] = x
+            n += coverage[y, x] > zero
+        if n == 0:
+            continue
+        for i in range(n):
+            x = at[i]
+            nx[i], ny[i], nz[i] = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+            vx[i], vy[i], vz[i] = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1], eye[2] - position[y, x, 2]
+        for i in range(n):
+            length = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i] + vz[i] * vz[i])
+            scale = one / max(length, np.float32(1e-12))
+            vx[i] *= scale
+            vy[i] *= scale
+            vz[i] *= scale
+        for i in range(n):
+            x = at[i]
+            metal = material[y, x, 0]
+            base = np.float32(0.08) * material[y, x, 2] * (one - metal)
+            matt = one - metal if paper else (one - metal) * (one - base)
+            dr[i], dg[i], db[i] = albedo[y, x, 0] * matt, albedo[y, x, 1] * matt, albedo[y, x, 2] * matt
+            fr[i], fg[i], fb[i] = base + albedo[y, x, 0] * metal, base + albedo[y, x, 1] * metal, base + albedo[y, x, 2] * metal
+            rough = max(material[y, x, 1], np.float32(0.05))
+            width4[i] = rough * rough * rough * rough
+        gloss = zero if paper else one
+        if constant:
+            for i in range(n):
+                r[i] = (dr[i] + gloss * fr[i]) * soft[0, 0]
+                g[i] = (dg[i] + gloss * fg[i]) * soft[0, 1]
+                b[i] = (db[i] + gloss * fb[i]) * soft[0, 2]
+        else:
+            _soft_channel(r, dr, fr, gloss, nx, ny, nz, soft[:, 0], n)
+            _soft_channel(g, dg, fg, gloss, nx, ny, nz, soft[:, 1], n)
+            _soft_channel(b, db, fb, gloss, nx, ny, nz, soft[:, 2], n)
+        for k in range(towards.shape[0]):
+            lx, ly, lz = towards[k, 0], towards[k, 1], towards[k, 2]
+            lr, lg, lb, wide = rgb[k, 0], rgb[k, 1], rgb[k, 2], widths[k]
+            if paper:
+                for i in range(n):
+                    nl = nx[i] * lx + ny[i] * ly + nz[i] * lz
+                    nv = nx[i] * vx[i] + ny[i] * vy[i] + nz[i] * vz[i]
+                    lv = lx * vx[i] + ly * vy[i] + lz * vz[i]
+                    cosine[i] = max(two * nl * nv - lv, np.float32(1e-8))
+                    lit[i] = max(nl, zero)
+                    graze[i] = zero
+                    # a lobe about the mirrored direction is four times as wide as one about the half-vector
+                    shine[i] = min(max((two / width4[i] - two) * np.float32(0.25), one), np.float32(500))
+            else:
+                for i in range(n):
+                    hx, hy, hz = lx + vx[i], ly + vy[i], lz + vz[i]
+                    scale = one / np.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
+                    cosine[i] = max((nx[i] * hx + ny[i] * hy + nz[i] * hz) * scale, np.float32(1e-8))
+                    away = one - min(max((vx[i] * hx + vy[i] * hy + vz[i] * hz) * scale, zero), one)
+                    graze[i] = away * away * away * away * away
+                    lit[i] = max(nx[i] * lx + ny[i] * ly + nz[i] * lz, zero)
+                    # Blinn's exponent of the GGX width roughness^2
+                    shine[i] = min(max(two / (width4[i] + wide) - two, one), np.float32(2000))
+            # lobe = cosine ^ shine, as 2 ^ (shine log2 cosine)
+            for i in range(n):
+                mantissa_bits[i] = (cosine_bits[i] & np.int32(0x007FFFFF)) | np.int32(0x3F800000)
+            for i in range(n):
+                power = np.float32((cosine_bits[i] >> np.int32(23)) - np.int32(127))
+                m = mantissa[i]
+                upper = m > np.float32(1.41421356)
+                m = m * np.float32(0.5) if upper else m
+                power = power + one if upper else power
+                z = (m - one) / (m + one)
+                q = z * z
+                series = z * (np.float32(2.88539008) + q * (np.float32(0.96179669) + q * (np.float32(0.57707802) + q * np.float32(0.41219858))))
+                exponent = max(shine[i] * (power + series), np.float32(-126))
+                nearest = np.floor(exponent + np.float32(0.5))
+                f = exponent - nearest
+                lobe[i] = one + f * (np.float32(0.69314718) + f * (np.float32(0.24022651) + f * (np.float32(0.05550411) + f * (
+                    np.float32(0.00961813) + f * (np.float32(0.00133336) + f * np.float32(0.00015404))))))
+                whole_bits[i] = (np.int32(nearest) + np.int32(127)) << np.int32(23)
+            if paper:
+                for i in range(n):
+                    lobe[i] = lobe[i] * whole[i] if lit[i] > zero else zero
+            else:
+                for i in range(n):
+                    lobe[i] *= whole[i] * (shine[i] + np.float32(8)) * np.float32(0.125) * lit[i]
+            for i in range(n):
+                open_ = left[k, y, at[i]]
+                lit[i] *= open_
+                lobe[i] *= open_
+            for i in range(n):
+                r[i] += lr * (dr[i] * lit[i] + (fr[i] + (one - fr[i]) * graze[i]) * lobe[i])
+            for i in range(n):
+                g[i] += lg * (dg[i] * lit[i] + (fg[i] + (one - fg[i]) * graze[i]) * lobe[i])
+            for i in range(n):
+                b[i] += lb * (db[i] * lit[i] + (fb[i] + (one - fb[i]) * graze[i]) * lobe[i])
+        for i in range(n):
+            x = at[i]
+            c = coverage[y, x]
+            out[y, x, 0] = c * (r[i] + emissive[y, x, 0] + bias[0])
+            out[y, x, 1] = c * (g[i] + emissive[y, x, 1] + bias[1])
+            out[y, x, 2] = c * (b[i] + emissive[y, x, 2] + bias[2])
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _soft_channel(out, diffuse, mirror, gloss, nx, ny, nz, s, n):  # pragma: no cover - compiled
+    """One line of one colour: (diffuse + gloss x mirror) x the soft light of the normals, which is never below 0."""
+    s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]
+    for i in range(n):
+        x, y, z = nx[i], ny[i], nz[i]
+        light = s0 + s1 * y + s2 * z + s3 * x + (s4 * y + s7 * z + s8 * x) * x + (s5 * z - s8 * y) * y
+        light = light + s6 * (np.float32(3) * z * z - np.float32(1))
+        out[i] = (diffuse[i] + gloss * mirror[i]) * max(light, np.float32(0))

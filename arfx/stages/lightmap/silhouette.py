@@ -1,0 +1,200 @@
+"""Silhouettes of the triangles on the plane along directions of a light: one bit a texel and direction, counted.
+
+The silhouette is what the contour winds around: the edges between triangles that face the light and triangles that do not.
+Those are few (some 300 of 6,000 triangles), and any model has them, whether its surface is closed or not.
+Every direction shifts the texels' sample points a little, so that the mean over the directions is antialiased even where
+the object touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the contour crosses)).
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+_MANY = 48  # crossings of a row from which on counting is quicker than sorting
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+def jitter(n: int) -> np.ndarray:
+    """(n, 2) offsets within +-0.5 that fill a texel evenly (R2 sequence, Roberts 2018), their mean 0."""
+    g = 1.32471795724474602596
+    i = np.arange(1, n + 1)[:, None]
+    at = np.mod(0.5 + i * np.array([1 / g, 1 / g**2]), 1) - 0.5
+    return at - at.mean(0)
+
+
+def hidden_share(
+    points: np.ndarray, edges: np.ndarray, across: np.ndarray, directions: np.ndarray, slopes: np.ndarray, shape: tuple[int, int]
+) -> np.ndarray:
+    """(rows, columns) float32: in what share of the directions a texel is covered.
+
+    points (n, 3) float32 : column, row (texel centres at integers) and height above the plane, in texels
+    edges (e, 5), across (3, m) : see Caster;  directions (k, 3) : towards the light, in the axes of `across`
+    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape : columns a multiple of 64
+    """
+    rows, columns = shape
+    offsets = jitter(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
+    return _count(
+        points, edges, across, directions.astype(np.float32), slopes.astype(np.float32), offsets.astype(np.float32),
+        rows, columns // 64,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def _count(points, edges, across, directions, slopes, offsets, rows, words):  # pragma: no cover - compiled
+    used = 1
+    while (1 << used) <= slopes.shape[0]:
+        used += 1
+    counters = np.zeros((used, rows * words), np.uint64)
+    bits = np.empty(rows * words, np.uint64)
+    u, v = np.empty(points.shape[0], np.float32), np.empty(points.shape[0], np.float32)
+    side = np.empty(across.shape[1] + 1, np.int32)
+    contour, weight = np.empty(edges.shape[0], np.int32), np.empty(edges.shape[0], np.int32)
+    for k in range(slopes.shape[0]):
+        su, sv, ou, ov = slopes[k, 0], slopes[k, 1], offsets[k, 0], offsets[k, 1]
+        for i in range(points.shape[0]):
+            u[i] = points[i, 0] + su * points[i, 2] + ou
+            v[i] = points[i, 1] + sv * points[i, 2] + ov
+        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
+        for f in range(across.shape[1]):
+            side[f] = np.int32(1) if across[0, f] * dx + across[1, f] * dy + across[2, f] * dz > 0 else np.int32(-1)
+        side[across.shape[1]] = 0  # the face that an open edge lacks, found as -1
+        n = 0
+        for e in range(edges.shape[0]):
+            w = side[edges[e, 2]] + edges[e, 4] * side[edges[e, 3]]
+            contour[n], weight[n] = e, w
+            n += w != 0
+        bits[:] = 0
+        _fill(bits, u, v, edges, contour[:n], weight[:n], rows, words)
+        for i in range(bits.shape[0]):
+            carry = bits[i]
+            for p in range(used):
+                both = counters[p, i] & carry
+                counters[p, i] ^= carry
+                carry = both
+    out = np.zeros((rows, words * 64), np.float32)
+    scale = np.float32(1.0 / slopes.shape[0])
+    line = out.reshape(-1)
+    for p in range(used):
+        value = scale * np.float32(1 << p)
+        for i in range(bits.shape[0]):
+            word = counters[p, i]
+            if word != 0:
+                for b in range(64):
+                    line[i * 64 + b] += np.float32((word >> np.uint64(b)) & np.uint64(1)) * value
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover - compiled
+    """Set the bits of the texels around which the contour winds: the sum of its edges to the left of them is not 0.
+
+    Each row keeps the columns in which edges cross it, sorted. A vertex belongs to the row above it, whichever edge asks,
+    so that the sums of every row end at 0.
+    """
+    zero, columns = np.int64(0), np.int64(words * 64)
+    start = np.zeros(rows + 1, np.int64)
+    for c in range(contour.shape[0]):
+        e = contour[c]
+        va, vb = v[edges[e, 0]], v[edges[e, 1]]
+        first = max(np.int64(np.ceil(min(va, vb))), zero)
+        last = min(np.int64(np.ceil(max(va, vb))), np.int64(rows))
+        for y in range(first, last):
+            start[y + 1] += 1
+    for y in range(rows):
+        start[y + 1] += start[y]
+    crossing = np.empty(start[rows], np.int64)
+    free = start[:rows].copy()
+    for c in range(contour.shape[0]):
+        e = contour[c]
+        ua, va, ub, vb = u[edges[e, 0]], v[edges[e, 0]], u[edges[e, 1]], v[edges[e, 1]]
+        w = weight[c]
+        if vb < va:
+            ua, va, ub, vb, w = ub, vb, ua, va, -w
+        first, last = max(np.int64(np.ceil(va)), zero), min(np.int64(np.ceil(vb)), np.int64(rows))
+        if first >= last:
+            continue
+        slope = (ub - ua) / (vb - va)
+        for y in range(first, last):
+            x = min(max(np.int64(np.ceil(ua + (np.float32(y) - va) * slope)), zero), columns)
+            crossing[free[y]] = x * 16 + (w + 8)  # weights are -2, -1, 1 or 2
+            free[y] += 1
+    row = np.zeros(columns + 1, np.int32)
+    for y in range(rows):
+        a, b = start[y], start[y + 1]
+        if b - a > _MANY:
+            for i in range(a, b):
+                row[crossing[i] >> 4] += np.int32((crossing[i] & 15) - 8)
+            total = np.int32(0)
+            for x in range(columns):
+                total += row[x]
+                row[x] = 0
+                bits[y * words + (x >> 6)] |= np.uint64(total != 0) << np.uint64(x & 63)
+            row[columns] = 0
+            continue
+        for i in range(a + 1, b):
+            key, j = crossing[i], i
+            while j > a and crossing[j - 1] > key:
+                crossing[j] = crossing[j - 1]
+                j -= 1
+            crossing[j] = key
+        total = np.int64(0)
+        for i in range(a, b):
+            x0 = crossing[i] >> 4
+            total += (crossing[i] & 15) - 8
+            if total == 0 or i + 1 == b:
+                continue
+            x1 = crossing[i + 1] >> 4
+            if x0 >= x1:
+                continue
+            w0, w1 = y * words + (x0 >> 6), y * words + ((x1 - 1) >> 6)
+            head, tail = _ALL << np.uint64(x0 & 63), _ALL >> np.uint64(63 - ((x1 - 1) & 63))
+            if w0 == w1:
+                bits[w0] |= head & tail
+            else:
+                bits[w0] |= head
+                for w in range(w0 + 1, w1):
+                    bits[w] = _ALL
+                bits[w1] |= tail
+
+
+@numba.njit(cache=True, nogil=True)
+def highest(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
+    """(rows, columns) float32: the greatest height of the triangles at each texel's centre; `empty` where there is none.
+
+    u, v, height : (n,) float32 of the vertices, texels (centres at integers)
+    """
+    out = np.full((rows, columns), empty, np.float32)
+    zero = np.int64(0)
+    for f in range(faces.shape[0]):
+        i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        ua, va, ha, ub, vb, hb, uc, vc, hc = u[i], v[i], height[i], u[j], v[j], height[j], u[k], v[k], height[k]
+        area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
+        if vb < va:
+            ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
+        if vc < vb:
+            ub, vb, hb, uc, vc, hc = uc, vc, hc, ub, vb, hb
+            if vb < va:
+                ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
+        first, last = max(np.int64(np.ceil(va)), zero), min(np.int64(np.ceil(vc)), np.int64(rows))
+        if first >= last or area == 0:
+            continue
+        across = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
+        du = ((hb - ha) * (vc - va) - (vb - va) * (hc - ha)) / across
+        dv = ((ub - ua) * (hc - ha) - (hb - ha) * (uc - ua)) / across
+        top, low = max(ha, hb, hc), min(ha, hb, hc)
+        long = (uc - ua) / (vc - va)
+        lower = (ub - ua) / (vb - va) if vb > va else np.float32(0)
+        upper = (uc - ub) / (vc - vb) if vc > vb else np.float32(0)
+        for y in range(first, last):
+            at = np.float32(y)
+            p = ua + (at - va) * long
+            q = ua + (at - va) * lower if at < vb else ub + (at - vb) * upper
+            x0, x1 = max(np.int64(np.ceil(min(p, q))), zero), min(np.int64(np.ceil(max(p, q))), np.int64(columns))
+            start = ha + (at - va) * dv - ua * du
+            for x in range(x0, x1):
+                # slivers have slopes without bound: never beyond the triangle's own corners
+                h = min(max(start + np.float32(x) * du, low), top)
+                out[y, np.uintp(x)] = max(out[y, np.uintp(x)], h)
+    return out

@@ -1,0 +1,242 @@
+"""Lightmap: the object in the light of the frame, its shadow on itself, and what it takes from its plane, as a ratio.
+
+Takes the place of `plain` and `contact`. The light comes from the facts (measured, given or refused: `Light.source`), or is
+the scene's. Shadows are kept by the direction of their light: a still light costs nothing per frame but the look-up.
+Cost: O(pixels of the shadow + covered pixels x taps); a light that moves adds O(directions x edges) a frame.
+Leaves out: other real surfaces, transparent shadows, light from the plane onto the object, caustics.
+Source: SYSTEMS.md S1 (paper and corrections).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.light import Light
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.errors import ConfigError
+from arfx.stages.lightmap.beams import Beam, FrameLight, frame_light
+from arfx.stages.lightmap.blocked import blocked_texture
+from arfx.stages.lightmap.caster import Caster
+from arfx.stages.lightmap.lookup import direction_grid, light_left
+from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, ambient_texture, beam_texture
+from arfx.stages.lightmap.rays import Rays
+from arfx.stages.lightmap.region import ground_of
+from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
+from arfx.stages.lightmap.shading import harmonic_terms, highlight_width, shade
+
+PAD_PX = 2  # around the model's box: the raster may write there
+_KEPT = 8  # lights whose shadows are kept; at the standard level 1.3 MB each
+
+
+@dataclass(frozen=True)
+class LightmapParams:
+    """formula : corrected, or paper: Phong's highlights, lights without size, diffuse albedo x light
+    shadow_strength : share of the computed darkening of the plane that is shown, 0..1
+    self_shadow : the same of the object's shadow on itself, 0..1
+    faint : darkening of the plane by less than this share of its light is left out, up to 3 times as much is faded, 0..0.3
+    plane_blocks : what is behind the marker's plane does not light the object
+    """
+
+    formula: str = "corrected"
+    shadow_strength: float = 1.0
+    self_shadow: float = 1.0
+    faint: float = 0.02
+    plane_blocks: bool = True
+
+    def __post_init__(self) -> None:
+        if self.formula not in ("corrected", "paper"):
+            raise ConfigError(f"lightmap.formula {self.formula!r} is unknown", "one of corrected, paper")
+        for name in ("shadow_strength", "self_shadow"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise ConfigError(f"lightmap.{name} must be between 0 and 1, is {value:g}")
+        if not 0 <= self.faint <= 0.3:
+            raise ConfigError(f"lightmap.faint must be between 0 and 0.3, is {self.faint:g}")
+
+
+class Kept:
+    """The last few things that were made, by key. Making is pure, so a thing that two threads make is the same twice."""
+
+    def __init__(self, most: int = _KEPT) -> None:
+        self._most, self._lock = most, Lock()
+        self._things: OrderedDict[Hashable, Any] = OrderedDict()
+        self.made = 0
+
+    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        with self._lock:
+            if key in self._things:
+                self._things.move_to_end(key)
+                return self._things[key]
+        thing = make()
+        with self._lock:
+            self.made += 1
+            self._things[key] = thing
+            while len(self._things) > self._most:
+                self._things.popitem(last=False)
+        return thing
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Of one clip, worker and level. grid : viewing directions;  kept : shadows by their light"""
+
+    caster: Caster
+    rays: Rays
+    ambient: PlaneTexture
+    grid: np.ndarray
+    kept: Kept = field(default_factory=Kept)
+
+
+class Lightmap:
+    name = "lightmap"
+    reads = frozenset({Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE})
+    writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
+    levels = (Level("draft", 0.012), Level("standard", 0.016), Level("high", 0.8), Level("reference", 5.0))
+    needs_facts = frozenset({"pose", "light"})
+    reach = 0
+    Params = LightmapParams
+
+    def __init__(self, params: LightmapParams | None = None) -> None:
+        self.params = params or LightmapParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        if facts.camera_from_world is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        model = facts.model_box.pad(PAD_PX).clip(frame)
+        light = self._light(facts, scene)
+        shadow, why = self._shadow_rect(facts, scene, frame, light)
+        if model.empty and shadow.empty:
+            return Demand(EMPTY, f"model out of view; {why}")
+        lit = f"model lit ({_source(facts, scene).source})" if not model.empty else "model out of view"
+        return Demand(model.union(shadow), f"{lit}; {why}")
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        return out
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        """Of a light that stands still, as shadows are kept: what a moving one adds is not known from one frame."""
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 23)
+
+    def prepare(self, scene: Scene, level: Level) -> Prepared:
+        ground = ground_of(scene)
+        centre, half = ground.ambient_box_m(self.params.faint)
+        ambient = ambient_texture(ground.caster, ground.rays, centre, half, PLANE_LEVELS[level.name])
+        return Prepared(ground.caster, ground.rays, ambient, direction_grid(scene.camera))
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        facts, now = window.facts[-1], window.now
+        light = self._light(facts, scene)
+        return {
+            Layer.VIRTUAL: self._virtual(now, facts, scene, prepared, level, light),
+            Layer.SHADOW: self._shadow(now.rect, facts, scene, prepared, level, light),
+        }
+
+    def _virtual(
+        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, light: FrameLight
+    ) -> np.ndarray:
+        box = facts.model_box.pad(PAD_PX).clip(now.rect)
+        if box.empty:
+            return neutral(Layer.VIRTUAL, now.rect)
+        part, pose = now.crop(box), facts.camera_from_world
+        assert pose is not None
+        coverage, normal, position = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.POSITION]
+        reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
+        left = np.ones((len(reaching), box.height, box.width), np.float32)
+        anchor_from_world = scene.world_from_anchor.inverse()
+        if self.params.self_shadow > 0:
+            at = SELF_LEVELS[level.name]
+            for i, k in enumerate(reaching):
+                beam = light.beams[k]
+                if at.rays:
+                    left[i] = by_rays(
+                        coverage, normal, position, prepared.rays, prepared.caster, beam, anchor_from_world, at
+                    )
+                else:
+                    found = prepared.kept.get(("depth", beam), lambda b=beam: depth_map(prepared.caster, b, at))
+                    left[i] = by_map(coverage, normal, position, found, anchor_from_world, at)
+            if self.params.self_shadow < 1:
+                left = 1 + np.float32(self.params.self_shadow) * (left - 1)
+        f32 = np.float32
+        virtual: np.ndarray = shade(
+            coverage, normal, position, part[Layer.ALBEDO], part[Layer.MATERIAL], part[Layer.EMISSIVE], left,
+            pose.inverse().translation_m.astype(f32), light.towards[reaching].astype(f32),
+            (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
+            harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32), self._paper,
+        )  # fmt: skip
+        if box == now.rect:
+            return virtual
+        out = neutral(Layer.VIRTUAL, now.rect)
+        out[box.slices_in(now.rect)] = virtual
+        return out
+
+    def _shadow(
+        self, rect: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, light: FrameLight
+    ) -> np.ndarray:
+        pose = facts.camera_from_world
+        assert pose is not None
+        anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
+        strength = self.params.shadow_strength
+        if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
+            return neutral(Layer.SHADOW, rect)
+        textures, shares = [prepared.ambient], [light.ambient_share]
+        for beam, share in zip(light.beams, light.direct_shares, strict=True):
+            if beam.on_plane and share.max() > 0:
+                make = lambda b=beam: beam_texture(  # noqa: E731
+                    prepared.caster, prepared.rays, b, PLANE_LEVELS[level.name], self._paper
+                )
+                textures.append(prepared.kept.get(("plane", beam), make))
+                shares.append(share)
+        blocked = blocked_texture(facts.extra, light.ambient_share)
+        return light_left(
+            rect, prepared.grid, anchor_from_camera, textures, np.array(shares), blocked, self.params.faint, strength
+        )
+
+    def _shadow_rect(self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight) -> tuple[Rect, str]:
+        """Pixels in which the shadow may show, and why those or none."""
+        pose, faint = facts.camera_from_world, self.params.faint
+        assert pose is not None
+        eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+        if eye[2] <= 0:
+            return EMPTY, "no shadow: plane seen from behind"
+        most = self.params.shadow_strength * _darkest(light, scene)
+        if most <= faint:
+            return EMPTY, f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light"
+        beams = [(b, float(s.max())) for b, s in zip(light.beams, light.direct_shares, strict=True)]
+        outline = ground_of(scene).outline_m(float(light.ambient_share.max()), beams, faint)
+        if not len(outline):
+            return EMPTY, f"no shadow: nowhere does the object take {100 * faint:.1f} % of the plane's light"
+        points = np.column_stack([outline, np.zeros(len(outline))])
+        seen = scene.camera.project(pose.apply(scene.world_from_anchor.apply(points)))
+        rect = frame if not np.isfinite(seen).all() else Rect.around(seen, 1.0).clip(frame)
+        return rect, f"shadow takes up to {100 * most:.0f} % of the plane's light" if not rect.empty else "shadow out of view"
+
+    @property
+    def _paper(self) -> bool:
+        return self.params.formula == "paper"
+
+    def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
+        return frame_light(_source(facts, scene), scene.world_from_anchor, self._paper, self.params.plane_blocks)
+
+
+def _source(facts: FrameFacts, scene: Scene) -> Light:
+    return scene.light if facts.light is None else facts.light
+
+
+def _darkest(light: FrameLight, scene: Scene) -> float:
+    """The largest share of the plane's light, 0..1, that the object can take: every directional light, and of the ambient
+    one what it hides where it hides most."""
+    hidden = float(ground_of(scene).hidden.max())
+    return float((light.ambient_share * hidden + light.direct_shares.sum(0)).max())
