@@ -26,6 +26,8 @@ from arfx.core.numerics import HALF_GREY
 PATCHES = 8  # black top left, top right, bottom left, bottom right, then white in the same order
 MARGIN = 0.2  # of a cell that is left out at each side: the inner 60 % remain
 MOST_MARGIN = 0.45
+# A bilinear sample has 4/9 of a pixel's noise variance, on average; samples nearer than 1.5 px have that noise in common.
+SHARED_PX2 = 9 / 4
 FEWEST = 4  # samples that make a patch
 BLURS = 2.5  # margin in standard deviations of the blur
 MOST_SAMPLES = 5  # per cell and axis
@@ -96,21 +98,23 @@ def measure(
     n = len(cells)
     raw = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 5))
     mean, spread, tally = raw
-    leak = 0.0
+    leak, shared = 0.0, 1.0
     if image.size and np.isfinite(quad).all() and cv2.isContourConvex(quad.astype(np.float32)):
         h = _homography(quad, n)
         middle = h @ [n / 2, n / 2, 1]
         jacobian = (h[:2, :2] - np.outer(middle[:2] / middle[2], h[2, :2])) / middle[2]
-        cell_px = float(np.linalg.svd(jacobian, compute_uv=False)[1])
+        wide_px, cell_px = (float(x) for x in np.linalg.svd(jacobian, compute_uv=False))
         margin = float(np.clip(BLURS * blur_px / max(cell_px, 1e-6), MARGIN, MOST_MARGIN))
         k = int(np.clip(round((1 - 2 * margin) * cell_px), 1, MOST_SAMPLES))
         offsets = margin + (1 - 2 * margin) * (np.arange(k) + 0.5) / k
+        area = (1 - 2 * margin) ** 2 * wide_px * cell_px / k**2  # px^2 per sample
+        shared = max(1.0, SHARED_PX2 / max(area, 1e-6))
         nearest = float(min(offsets[0], 1 - offsets[-1])) * cell_px
         leak = 2 * float(ndtr(-nearest / blur_px)) if blur_px > 0 else 0.0
         _kernel(image, h, np.asarray(cells, bool) ^ inverted, offsets, clip_low, clip_high, HALF_GREY, *raw)
     used, clipped, bright, bad, every = tally.T
     share = np.maximum(every, 1)
-    variance = _variance(mean, spread, used, clipped / share, leak)
+    variance = _variance(mean, spread, used / shared, clipped / share, leak)
     return Patches(mean, variance, WHITE.copy(), used.astype(int), clipped / share, bright / share, int(bad.sum()))
 
 
@@ -145,7 +149,7 @@ def _variance(mean: np.ndarray, spread: np.ndarray, used: np.ndarray, clipped: n
     cut = np.where(p > 0, np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p), 0)[:, None] * spread
     bright, dark = (mean[w & (used > 0)] for w in (WHITE, ~WHITE))
     contrast = bright.mean(0) - dark.mean(0) if len(bright) and len(dark) else np.abs(mean).max(0)
-    out = spread**2 / np.maximum(used, 1)[:, None] + rounding + cut**2 + (leak * contrast) ** 2
+    out = spread**2 / np.maximum(used, 1e-9)[:, None] + rounding + cut**2 + (leak * contrast) ** 2
     return np.where(used[:, None] > 0, out, 0)
 
 

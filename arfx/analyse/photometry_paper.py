@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from arfx.analyse.photometry_solve import INK, PAPER, Photometry, assemble, fallback, weights
+from arfx.analyse.photometry_channel import fallback
+from arfx.analyse.photometry_solve import INK, PAPER, Photometry, assemble, weights
 from arfx.core.numerics import divide
 
 DENSE = 300  # frames
+LEAST_GAP = 3.0  # of the two smallest singular values: less is nullity 2 beside noise
 NULL = 1e-10  # of the largest singular value: below it one counts as zero (1e-7 by the normal matrix)
 
 
@@ -28,6 +30,7 @@ class SmallestVector:
     bias : b'/g', in units of grey (what dividing (2) by g gives);  bias_printed : 1/b' (as printed)
     y : (t,) x_t / g', so that grey = rho y + bias;  nullity, rank : of the system;  smallest : its singular value
     condition : largest singular value over the smallest but one, the smallest being the solution's; at most 1e12
+    gap : the smallest but one over the smallest, at most 1e12: near 1 where noise alone tells the solution apart
     """
 
     gain: float
@@ -38,6 +41,7 @@ class SmallestVector:
     rank: int
     smallest: float
     condition: float
+    gap: float
 
 
 def smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = DENSE) -> SmallestVector:
@@ -71,7 +75,7 @@ def smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = DENS
     condition = min(float(divide(others[0], others[-1], where_zero=1e12)), 1e12)
     return SmallestVector(
         float(divide(1, v[0])), float(divide(v[1], v[0])), float(divide(1, v[1])), y, nullity, frames + 2 - nullity,
-        smallest, condition,
+        smallest, condition, min(float(divide(others[-1], smallest, where_zero=1e12)), 1e12),
     )  # fmt: skip
 
 
@@ -94,8 +98,10 @@ def solve_paper(
             continue
         found = smallest_vector(np.where(weight > 0, grey, np.nan), rho)
         seen = weight.any(1)
-        part = fallback(grey, weight, rho, f"the system has nullity {found.nullity}, not 1", found.rank, found.condition)
-        if found.nullity < 2 and found.gain != 0:
+        why = f"the system has nullity {found.nullity}, not 1" if found.nullity > 1 else "only noise tells the solution apart"
+        blank = abs(found.gain) > 1e8 * float(np.abs(grey).max()) or found.gain == 0  # g' = 0: b' and x alone, of one albedo
+        part = fallback(grey, weight, rho, why, found.rank, found.condition)
+        if found.nullity < 2 and not blank and found.gap > LEAST_GAP:
             b = found.bias_printed if printed_bias else found.bias
             residual = (grey - rho * found.y[:, None] - found.bias) * weight
             spread = float((residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1))
