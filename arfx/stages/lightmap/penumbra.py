@@ -17,7 +17,7 @@ from arfx.stages.lightmap.silhouette import highest
 COARSE = 8  # texels a side of a cell of the height map
 # Width of the box in radii of the penumbra, for K directions: the mean distance of K points on a unit disc is
 # sqrt(pi / K); less than that leaves steps, more blurs beyond the true penumbra.
-_PITCHES = 0.7
+_PITCHES = 1.0
 
 
 def smoothed(

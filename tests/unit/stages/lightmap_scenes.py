@@ -128,8 +128,8 @@ def true_ratio(light: Light, hides: Any, points: np.ndarray, samples: int = 16, 
     out = np.empty((len(points), 3))
     sky = hemisphere_samples(2 * samples)
     discs = [(disc_samples(li.unit, li.angular_size_deg, samples), li) for li in light.lights if li.unit[2] > 0]
-    for a in range(0, len(points), 2000):
-        p = points[a : a + 2000]
+    for a in range(0, len(points), 500):
+        p = points[a : a + 500]
         ambient = np.asarray(light.ambient_rgb)
         left = ambient * (1 - hides(p, sky, height_m).mean(1))[:, None]
         whole = ambient.copy()
@@ -138,5 +138,5 @@ def true_ratio(light: Light, hides: Any, points: np.ndarray, samples: int = 16, 
             open_ = ((1 - hides(p, rays, height_m)) * weight).sum(1) / weight.sum()
             left = left + np.asarray(li.rgb) * li.unit[2] * open_[:, None]
             whole = whole + np.asarray(li.rgb) * li.unit[2]
-        out[a : a + 2000] = left / whole
+        out[a : a + 500] = left / whole
     return out
