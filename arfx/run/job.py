@@ -33,6 +33,7 @@ from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
 from arfx.run.parameters import make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import build_report
+from arfx.run.warm import warming
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
@@ -92,7 +93,8 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         raise ConfigError(f"output {inputs.output.path} lies in the job folder {folder.path}", "name another place with -o")
     folder.open(options.resume, options.overwrite)
     with _interruptible(folder):
-        planned = plan_job(inputs, folder, options, started)
+        with warming(config, inputs, options.workers in (None, 1) and not options.resume):
+            planned = plan_job(inputs, folder, options, started)
         chunks = _chunks(planned)
         _render(planned, chunks, options)
         start = time.perf_counter()
