@@ -33,8 +33,8 @@ from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
 from arfx.run.parameters import make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import build_report
-from arfx.run.warm import warming
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
+from arfx.run.warm import warming
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead

@@ -23,7 +23,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, level_named
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.frames import Frame
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter
@@ -32,6 +32,7 @@ from arfx.run.frame import Canvas, run_frame
 from arfx.run.inputs import make_scene
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.preview import save_preview
+from arfx.run.source import source_at
 
 Tick = Callable[[], None]
 _OPENING = threading.Lock()  # what threads share is made once
@@ -114,31 +115,23 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
     final = Path(target)
     aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}")
     try:
-        with ClipReader(context.info) as reader, ChunkWriter(context.output, context.info, aside) as writer:
-            wanted = iter(range(begin, last + 1))
-            index = next(wanted)
-            frames = reader.frames(context.pts[begin], context.pts[last], first_index=begin)
-            while True:
+        source = source_at(context.info, context.pts, begin)
+        with ChunkWriter(context.output, context.info, aside) as writer:
+            for index in range(begin, last + 1):
                 start = time.perf_counter()
-                frame = next(frames, None)
+                frame = source.next()
                 seconds["decode"] += time.perf_counter() - start
-                if frame is None or index > last:
-                    break
-                if frame.pts != context.pts[index]:
-                    if frame.pts < context.pts[index]:
-                        continue
+                if frame is None:
                     raise _changed(context, index)
                 out = _frame(context, frame, facts[index], plans[index], past, seconds, stage_seconds)
-                if index >= first:
-                    if index in context.previews:
-                        save_preview(place.previews, index, frame, out)
-                    start = time.perf_counter()
-                    writer.write(out)
-                    seconds["encode"] += time.perf_counter() - start
-                    tick()
-                index = next(wanted, last + 1)
-            if index <= last:
-                raise _changed(context, index)
+                if index < first:
+                    continue
+                if index in context.previews:
+                    save_preview(place.previews, index, frame, out)
+                start = time.perf_counter()
+                writer.write(out)
+                seconds["encode"] += time.perf_counter() - start
+                tick()
             start = time.perf_counter()
         seconds["encode"] += time.perf_counter() - start
         aside.replace(final)
