@@ -119,6 +119,18 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
     assert unlikeness(one, np.clip(one * 0.5 + 30, 0, 255).astype(np.uint8)) < 0.02
 
 
+def test_the_midst_of_a_quick_move_is_no_cut() -> None:
+    # as measured: a camera swung about, in a second
+    before = [0.0, 0.48, 0.44, 0.2, 0.1, 0.4, 0.55, 0.57, 0.44, 0.17, 0.04, 0.03, 0.04, 0.12]
+    last = [0.0, 0.0, 0.73, 0.58, 0.3, 0.52, 0.68, 0.74, 0.77, 0.69, 0.29, 0.09, 0.09, 0.23]
+    assert find_cuts(before, last, [False] * len(before)) == []
+    before[7], last[8] = 1.0, 1.0  # the same with a cut in it
+    before[6] = before[8] = 0.3
+    assert find_cuts(before, last, [False] * len(before)) == [7]
+    still = [0.0, *[0.01] * 12]
+    assert find_cuts([*still[:5], 0.9, 0.8, *still[7:]], [*still[:5], 0.9, 0.7, 0.8, *still[8:]], [False] * 13) == [5, 6]
+
+
 def test_a_flicker_is_no_presence() -> None:
     measured = np.zeros(40, bool)
     measured[[0, 12, 13, 25, 26, 27, 39]] = True
