@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +94,14 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     if folder.path.absolute() in inputs.output.path.absolute().parents:
         raise ConfigError(f"output {inputs.output.path} lies in the job folder {folder.path}", "name another place with -o")
     folder.open(options.resume, options.overwrite)
-    with _interruptible(folder):
+    with _interruptible(folder) as check:
+        told = options.progress
+
+        def progress(phase: str, done: int, total: int | None) -> None:
+            check()
+            told(phase, done, total)
+
+        options = replace(options, progress=progress)
         with warming(config, inputs, options.workers in (None, 1) and not options.resume):
             planned = plan_job(inputs, folder, options, started)
         chunks = _chunks(planned)
@@ -270,12 +279,32 @@ def _join(planned: Planned, chunks: list[Chunk]) -> None:
 
 
 @contextlib.contextmanager
-def _interruptible(folder: JobFolder) -> Iterator[None]:
+def _interruptible(folder: JobFolder) -> Iterator[Callable[[], None]]:
+    """Ctrl-C and disk errors in the body become one message. Yields a check to be called often: a library may swallow
+    the KeyboardInterrupt that is raised inside one of its callbacks, so it is raised again there."""
+    pressed = False
+
+    def handler(*_: object) -> None:
+        nonlocal pressed
+        pressed = True
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    here = threading.current_thread() is threading.main_thread()
+    ours = here and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if ours:
+        signal.signal(signal.SIGINT, handler)
     try:
-        yield
+        yield check
     except KeyboardInterrupt:
         raise JobInterruptedError(
             f"interrupted; what is done is kept in {folder.path}", "the same command with --resume goes on"
         ) from None
     except OSError as e:
         raise disk_error(e, Path(e.filename) if e.filename else folder.path) from None
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -266,6 +266,8 @@ def test_read_only_output_and_full_disk_are_one_message(material: Material, arfx
         pytest.skip("needs /dev/full")
     folder = tmp_path / "ro"
     folder.mkdir()
+    if os.geteuid() == 0 and not Path("/proc/self").exists():
+        pytest.skip("root, and no /proc: nothing here is read-only")
     if os.geteuid() == 0:  # root writes through permissions: a file in place of the folder stands in for read-only
         r = arfx(*material.arguments("-o", "/proc/out.mp4"))
     else:

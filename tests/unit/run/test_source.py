@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import threading
 import time
 from pathlib import Path
 
 import pytest
 
-from arfx.errors import RenderError
+from arfx.errors import JobInterruptedError, RenderError
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.run import executors
+from arfx.run.folder import JobFolder
+from arfx.run.job import _interruptible
 from arfx.run.source import Source, release, source_at
 from tests.clips import write_clip
 
@@ -93,3 +97,11 @@ def test_a_failing_chunk_stops_all_threads(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(RenderError):
         list(executors.run_threads(fake_tasks(8), 2, lambda n: None))
     assert time.monotonic() - start < 1.9 and not ended
+
+
+def test_an_interrupt_that_a_library_swallows_still_ends_the_job(tmp_path: Path) -> None:
+    with pytest.raises(JobInterruptedError), _interruptible(JobFolder(tmp_path)) as check:
+        with contextlib.suppress(KeyboardInterrupt):  # as compiled code does that clears errors
+            signal.raise_signal(signal.SIGINT)
+        check()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
