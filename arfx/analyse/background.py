@@ -2,7 +2,7 @@
 
 A few times a second corners are followed (pyramidal Lucas-Kanade) over about a third of a second on a reduced image.
 * They rest: the camera stands still.
-* They move as points of the marker's world do, anywhere from just in front of the camera to infinity along the
+* They move as points of the marker's world do, anywhere from a third of the marker's distance to infinity along the
   epipolar line of the two camera poses: the marker stands still.
 * Neither: both move.
 Source: SYSTEMS.md S1, "Which frame are the lights fixed in?".
@@ -26,6 +26,9 @@ WIDTH_PX = 320  # of the reduced image
 INTERVAL_S = 0.33
 MAX_SAMPLES = 120  # older ones are thinned out evenly beyond that: memory does not grow with the clip
 POINTS = 40
+LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
+NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
+DRIFT = 0.02  # of a point's way by which it may be missed: the patch around it is seen from elsewhere
 STILL_PX = 0.35  # in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
 _MIN_POINTS = 6
 
@@ -112,14 +115,16 @@ def decide_static(
     evidence : samples, share of background points at rest, share that move with the marker's world, marker_moves_px.
     Without evidence the answer is "both": nothing is known to stand still.
     """
+    posed = [s for s in samples if s["a"] in camera_from_world and s["b"] in camera_from_world]
+    every = [np.zeros((0, 2)), *(np.asarray(s[end], float) for s in posed for end in ("from", "to"))]
+    ideal = np.split(camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])[1:]
     rest, along, moves = [], [], []
-    for s in samples:
-        a, b = camera_from_world.get(s["a"]), camera_from_world.get(s["b"])
-        if a is None or b is None:
-            continue
-        still = STILL_PX * s["px"]
-        rest.append(float((np.linalg.norm(s["to"] - s["from"], axis=1) < still).mean()))
-        along.append(float((epipolar_distance(s["from"], s["to"], b @ a.inverse(), camera) < 2 * still).mean()))
+    for s, from_, to in zip(posed, ideal[::2], ideal[1::2], strict=True):
+        a, b = camera_from_world[s["a"]], camera_from_world[s["b"]]
+        still, way = STILL_PX * s["px"], np.linalg.norm(s["to"] - s["from"], axis=1)
+        rest.append(float((way < still).mean()))
+        missed = camera.fx * epipolar_distance(from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2]))
+        along.append(float((missed < 2 * still + DRIFT * way).mean()))
         moves.append(float(np.linalg.norm(camera.project(b.translation_m) - camera.project(a.translation_m))))
     evidence = {
         "samples": float(len(rest)),
@@ -134,18 +139,15 @@ def decide_static(
     return ("marker" if evidence["with_marker"] > 0.6 else "both"), evidence
 
 
-def epipolar_distance(a_px: np.ndarray, b_px: np.ndarray, b_from_a: Pose, camera: Camera) -> np.ndarray:
-    """(n,) px from b to the segment on which a point seen at a lies in the second picture, nearest to infinite depth.
+def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: float) -> np.ndarray:
+    """(n,) from b to the segment on which a point seen at a lies in the second picture, `nearest_m` to infinite depth.
 
-    a_px, b_px : (n, 2);  b_from_a : motion of the camera frame. Distances are taken in ideal coordinates times fx.
+    a, b : (n, 2) ideal normalised coordinates;  b_from_a : motion of the camera frame. inf where there is no direction.
     """
-    rays = camera.directions(a_px)
-    far = rays @ b_from_a.rotation.T
-    # nearest depth: ten times the camera's own displacement, at least 10 cm (nothing filmed stands closer)
-    near = far + b_from_a.translation_m / max(10 * float(np.linalg.norm(b_from_a.translation_m)), 0.1)
+    far = np.column_stack([a, np.ones(len(a))]) @ b_from_a.rotation.T
+    near = far + b_from_a.translation_m / max(nearest_m, LEAST_DEPTH_M)
     p, q = (divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near))
-    x = camera.normalised(b_px)
     d = q - p
-    t = np.clip(divide(((x - p) * d).sum(1), (d * d).sum(1)), 0, 1)
-    distance = np.linalg.norm(x - p - t[:, None] * d, axis=1) * camera.fx
+    t = np.clip(divide(((b - p) * d).sum(1), (d * d).sum(1)), 0, 1)
+    distance = np.linalg.norm(b - p - t[:, None] * d, axis=1)
     return np.where(np.isfinite(distance), distance, np.inf)

@@ -69,4 +69,5 @@ def evidence(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.n
 
 
 def _contiguous(*arrays: np.ndarray) -> list[np.ndarray]:
-    return [np.ascontiguousarray(a, float) for a in arrays]
+    """Copies, all of one type to the compiler: contiguous and writable."""
+    return [np.array(a, float, order="C") for a in arrays]

@@ -46,6 +46,15 @@ def solve_in_place(a, b):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _keep(x, p, means, covs):  # pragma: no cover - compiled
+    """Copy a state; in loops, because slices of arrays take seconds to compile."""
+    for i in range(DIM):
+        means[i] = x[i]
+        for j in range(DIM):
+            covs[i, j] = p[i, j]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _ahead(x, p, move, gate, shift, q, dt, w):  # pragma: no cover - compiled
     """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (6,) densities.
 
@@ -144,16 +153,17 @@ def _update(x, p, m, g, inner, s, t, n):  # pragma: no cover - compiled
 def filter_and_smooth(measured, pull, move, gate, shift, dt, density, start, means, covs):  # pragma: no cover - compiled
     """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the rest as for smooth_chain."""
     n = len(measured)
-    x, p = np.zeros(DIM), start.copy()
+    x, p, none = np.zeros(DIM), np.empty((DIM, DIM)), np.zeros(DIM)
+    _keep(none, start, x, p)
     upper = np.empty((max(n - 1, 0), 6, DIM))
     ahead_x, ahead_p = np.empty((n, DIM)), np.empty((n, DIM, DIM))
     inner, s, t, c = np.empty((6, 6)), np.empty((6, 6)), np.empty((DIM, 6)), np.empty((DIM, 6))
     for k in range(n):
         if k:
             _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], density[k - 1], dt[k - 1], upper[k - 1])
-        ahead_x[k], ahead_p[k] = x, p
+        _keep(x, p, ahead_x[k], ahead_p[k])
         _update(x, p, measured[k], pull[k], inner, s, t, c)
-        means[k], covs[k] = x, p
+        _keep(x, p, means[k], covs[k])
     size, scaled, gain, change = np.empty(DIM), np.empty((DIM, DIM)), np.empty((DIM, DIM)), np.empty((DIM, DIM))
     for k in range(n - 2, -1, -1):
         # gain^T = ahead^-1 move p, each axis scaled to its own size first
@@ -188,11 +198,10 @@ def filter_and_smooth(measured, pull, move, gate, shift, dt, density, start, mea
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def log_evidence(measured, pull, move, gate, shift, dt, density, start, out):  # pragma: no cover - compiled
     """Fill out (c,): log evidence, up to a constant, of c candidates of density (c, n - 1, 6)."""
-    x, p, upper = np.empty(DIM), np.empty((DIM, DIM)), np.empty((6, DIM))
+    x, p, none, upper = np.empty(DIM), np.empty((DIM, DIM)), np.zeros(DIM), np.empty((6, DIM))
     inner, s, t, n = np.empty((6, 6)), np.empty((6, 6)), np.empty((DIM, 6)), np.empty((DIM, 6))
     for c in range(len(density)):
-        x[:] = 0.0
-        p[:] = start
+        _keep(none, start, x, p)
         total = 0.0
         for k in range(len(measured)):
             if k:

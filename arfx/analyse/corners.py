@@ -6,7 +6,9 @@ blurred black-white edge is symmetric there and only there: in coded values corn
 through it, the lines meet in the corners; repeated until it stands still. Straight sides are bent by the lens: the
 samples follow the bend. Measured against exact renderings (side 40 / 80 / 160 px, noise 3 grey levels):
 rms .04 / .02 / .02 px, bias below .01 px; cv2.cornerSubPix on the same images .66 / .65 / .82 px.
-Cost: about .15 ms per marker (edge_kernels.py). Leaves out: rolling shutter.
+Two errors are told apart: what scatters along a side (sigma_px), and what all of its samples share because a side that
+runs along the pixels meets each at the same place (aliasing_px).
+Cost: about .2 ms per marker (edge_kernels.py). Leaves out: rolling shutter.
 """
 
 from __future__ import annotations
@@ -25,6 +27,11 @@ from arfx.core.numerics import divide
 # OpenCV thresholds against a neighbourhood of up to 23 px: of a large marker it may report the inner border of the dark
 # rim that is left of a wide black one, 11 px inside the edge. So far is looked where the first try finds no edge.
 REACH_PX = 16.0
+HALF_PX = (1.8, 8.0)  # least and most that is looked at to either side of an edge; between them .6 of a cell
+# Measured: error of an edge that lies along the pixels, by its blur (which holds the pixel's own width and that of the
+# interpolation, together .5 px); and the directions in which rows of pixels lie.
+_STEP_BLUR_PX, _STEP_PX = (0.455, 0.49, 0.65, 1.0), (0.3, 0.04, 0.03, 0.015)
+_ROWS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
 FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
 
 
@@ -32,7 +39,7 @@ FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
 class Corners:
     """Refined corners of n markers.
 
-    corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner coordinate;
+    corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner coordinate, without aliasing_px
     blur_px : (n,) standard deviation of the edge's blur, median of sides;  inverted : (n,) white on black
     refined : (n,) False where no clear edge was found and the input corners are returned (sigma 1 px)
     skew : (n,) third moment of the edge's gradient over blur^3: near 0 where `table` makes the edge symmetric
@@ -63,17 +70,19 @@ def refine_corners(
     start = np.array(quads_px, float).reshape(-1, 4, 2)
     n = len(start)
     cell = np.linalg.norm(start - start[:, [1, 2, 3, 0]], axis=-1).mean(-1) / np.asarray(cells, float).reshape(n)
-    half = np.clip(0.6 * cell, 1.8, 8.0)
+    half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
     quad, said, ok = start.copy(), np.zeros((n, 6)), np.zeros(n, bool)
     if n and min(luma.shape) > 1:
-        light, bend = np.asarray(table, float), _bend(start, camera)
-        kernels.settle(luma, light, quad, bend, half, half, np.where(reach > half, FAINT, 0.0), said)
+        light, bend = np.array(table, float), _bend(start, camera)
+        luma = luma.view()
+        luma.flags.writeable = False  # whoever made it, it is one type to the compiler
+        kernels.settle(luma, light, quad, bend, half, half, np.where(reach > half, FAINT, 0.0), FRACTIONS, said)
         ok = _clear(start, quad, said, half, half)
         again = np.flatnonzero(~ok & (reach > half))
         if len(again):
             far, told = start[again], said[again]
-            kernels.settle(luma, light, far, bend[again], half[again], reach[again], np.zeros(len(again)), told)
+            kernels.settle(luma, light, far, bend[again], half[again], reach[again], np.zeros(len(again)), FRACTIONS, told)
             ok[again] = _clear(start[again], far, told, half[again], reach[again])
             quad[again], said[again] = far, told
     # a corner is where two lines meet, each known at its end to about twice the error of its mean
@@ -82,6 +91,26 @@ def refine_corners(
         np.where(ok[:, None, None], quad, start), np.where(ok, sigma, 1.0), np.where(ok, said[:, kernels.BLUR], np.nan),
         said[:, kernels.INVERTED] > 0, ok, np.where(ok, said[:, kernels.SKEW], np.nan),
     )  # fmt: skip
+
+
+def aliasing_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """(n,) standard deviation of a corner coordinate from the steps of the pixels, beside Corners.sigma_px.
+
+    corners_px : (n, 4, 2);  blur_px : (n,) of Corners, NaN gives 0;  cells : (n,) cells along a side, border included
+    The position of a step between pixels is known as well as the blur spreads it over several: to .3 px in a picture with
+    one sample per pixel, to .04 px where pixels integrate. A side that crosses many rows of pixels averages that away;
+    one that keeps within a row, be it a diagonal one, does not.
+    """
+    side = np.roll(corners_px, -1, 1) - corners_px
+    shared = np.zeros(side.shape[:2])
+    for x, y in _ROWS:
+        crossed = np.abs(side[..., 0] * y - side[..., 1] * x)  # rows of pixels along (x, y): 1 / |(x, y)| apart
+        shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
+    cell = np.linalg.norm(side, axis=-1).mean(1) / cells
+    window = np.clip(kernels.WINDOW_SHARE * np.clip(0.6 * cell, *HALF_PX), *kernels.WINDOW_PX)
+    step = np.minimum(np.interp(blur_px, _STEP_BLUR_PX, _STEP_PX) * (kernels.WINDOW_PX[1] / window) ** 2, _STEP_PX[0])
+    # the line that runs to a corner from the samples on its side carries their error on, and more of it if they disagree
+    return np.where(np.isfinite(blur_px), 1.3 * step * np.sqrt(shared.mean(1)), 0.0)
 
 
 def _clear(start: np.ndarray, quad: np.ndarray, said: np.ndarray, half: np.ndarray, reach: np.ndarray) -> np.ndarray:

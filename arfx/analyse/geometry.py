@@ -85,7 +85,7 @@ def refine_poses(
     rotation, translation = np.array(rotation, float, order="C"), np.array(translation, float, order="C")
     cost = np.empty(len(rotation))
     points, ideal, scale, weight = (
-        np.ascontiguousarray(v, float) for v in (seen.points_m, seen.ideal, seen.px_per_ideal, seen.weight)
+        np.array(v, float, order="C") for v in (seen.points_m, seen.ideal, seen.px_per_ideal, seen.weight)
     )
     pose_kernels.refine(rotation, translation, points, ideal, scale, weight, iterations, cost)
     return rotation, translation, cost

@@ -38,7 +38,10 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
             still = still + 1 if abs(best - now) < _SETTLED * (1 + best) else 0
             if now < best:
                 best = now
-                r[:], t[:] = new_r, new_t
+                for i in range(3):
+                    t[i] = new_t[i]
+                    for j in range(3):
+                        r[i, j] = new_r[i, j]
                 damping = max(damping * 0.2, 1e-9)
             else:
                 damping = min(damping * 10, 1e6)
@@ -54,7 +57,10 @@ def _system(r, t, points, ideal, px_per_ideal, weight, a, g, derive):  # pragma:
     """Cost of a pose with Huber's loss; derive : also its normal matrix a (6, 6) and gradient g (6,)."""
     cost = 0.0
     if derive:
-        a[:], g[:] = 0.0, 0.0
+        for i in range(6):
+            g[i] = 0.0
+            for k in range(6):
+                a[i, k] = 0.0
     j = np.empty((2, 6))
     for p in range(len(points)):
         if weight[p] == 0.0:

@@ -19,6 +19,7 @@ from arfx.core.numerics import divide
 THUMBNAIL = (32, 18)
 UNLIKE = 0.45  # 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie around 1
 _STANDS_OUT = 3.0
+_CALM = 0.6  # of a cut's unlikeness: on one side of it at least, frames follow each other with less
 
 
 class CutSignal:
@@ -74,5 +75,8 @@ def find_cuts(before: Sequence[float], before_last: Sequence[float], followed: S
         near = [before[i] for i in range(max(1, k - 4), min(n, k + 5)) if i != k]
         if near and before[k] < _STANDS_OUT * float(np.median(near)):
             continue
+        beside = [before[i] for i in (k - 1, k + 1) if 1 <= i < n]
+        if beside and min(beside) > _CALM * before[k]:
+            continue  # the midst of a quick move
         cuts.append(k)
     return cuts

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.background import decide_static
+from arfx.analyse.corners import aliasing_px
+from arfx.analyse.detect import cells_per_side
 from arfx.analyse.geometry import Observed, information, lens_scale, residuals, rms_px, stack
 from arfx.analyse.hypotheses import hypotheses
 from arfx.analyse.mapping import MarkerMap, View, map_markers
@@ -31,7 +33,7 @@ class Views:
     """All sightings with their geometry, frame by frame."""
 
     def __init__(self, records: Sequence[Record], markers: Sequence[MarkerSpec], camera: Camera) -> None:
-        spec = {m.key: m for m in markers}
+        spec, cells = {m.key: m for m in markers}, {m.key: cells_per_side(m.family) for m in markers}
         seen = [(k, s) for k, r in enumerate(records) for s in r.seen]
         corners = np.array([s.corners_px for _, s in seen]).reshape(-1, 4, 2)
         ideal = camera.normalised(corners)
@@ -39,12 +41,13 @@ class Views:
         sigma = np.array([s.sigma_px for _, s in seen])
         good = np.isfinite(ideal).all((1, 2))
         points = [spec[s.key].corners_m for _, s in seen]
-        ways = hypotheses(points, ideal, scale, np.maximum(sigma, _LEAST_SIGMA_PX)) if seen else []
+        shared = aliasing_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
+        ways = hypotheses(points, ideal, scale, np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)) if seen else []
         self.sigma_factor = self._calibrate(seen, ways, sigma, ideal, scale, points)
         self.frames: list[list[View]] = [[] for _ in records]
         self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
         for i, (k, s) in enumerate(seen):
-            px = float(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX))
+            px = float(np.hypot(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX), shared[i]))
             if good[i] and ways[i]:
                 poses = tuple(h.camera_from_marker for h in ways[i])
                 self.frames[k].append(View(s.key, points[i], ideal[i], scale[i], px, poses))

@@ -4,6 +4,7 @@ Cost on one core: see docs; about one table lookup per sample. Left out: nothing
 beyond black and white (limited range, out-of-gamut chroma) come out below 0 and above 1.
 """
 
+# mypy: no-check-untyped-defs
 from __future__ import annotations
 
 from functools import lru_cache

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import itertools
 import os
+import queue
 import signal
+import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from arfx.errors import RenderError
+from arfx.run.source import release
 from arfx.run.worker import render_chunk
 
 # one chunk's arguments: folder, job key, first, last, target
@@ -29,8 +33,11 @@ def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Iterat
         done += 1
         progress(done)
 
-    for task in tasks:
-        yield render_chunk(*task, tick)
+    try:
+        for task in tasks:
+            yield render_chunk(*task, tick)
+    finally:
+        release()
 
 
 class _StoppedError(Exception):
@@ -43,6 +50,12 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
 
     ticks = itertools.count(1)  # one step of it is atomic
     done, stopped = 0, False
+    # each thread has a stretch of the clip, so that it reads on from chunk to chunk; one that is through takes from the
+    # end of the longest that is left
+    size = -(-len(tasks) // workers)
+    lanes = [deque(tasks[i : i + size]) for i in range(0, len(tasks), size)]
+    choosing = threading.Lock()
+    results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
     def tick() -> None:
         nonlocal done
@@ -50,14 +63,30 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
             raise _StoppedError
         done = max(done, next(ticks))
 
-    pool = futures.ThreadPoolExecutor(workers, "render")
+    def work(lane: deque[Task]) -> None:
+        try:
+            while True:
+                with choosing:
+                    longest = max(lanes, key=len)
+                    if not longest:
+                        return
+                    task = lane.popleft() if lane else longest.pop()
+                results.put(render_chunk(*task, tick))
+        finally:
+            release()
+
+    pool = futures.ThreadPoolExecutor(len(lanes), "render")
     try:
-        waiting = {pool.submit(render_chunk, *task, tick) for task in tasks}
-        while waiting:
-            ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
+        running = {pool.submit(work, lane) for lane in lanes}
+        while running:
+            ready, running = futures.wait(running, timeout=0.2, return_when=futures.FIRST_COMPLETED)
             progress(done)
+            while not results.empty():
+                yield results.get()
             for future in ready:
-                yield future.result()
+                future.result()
+        while not results.empty():
+            yield results.get()
     finally:
         stopped = True
         pool.shutdown(wait=True, cancel_futures=True)

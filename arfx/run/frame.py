@@ -122,9 +122,8 @@ def run_frame(
 def _require_finite(array: np.ndarray, layer: Layer, stage: str, index: int, rect: Rect) -> None:
     if array.dtype.kind != "f":
         return
-    if array.dtype == np.float32 and array.flags.c_contiguous:
-        if _finite(array.reshape(-1).view(np.int32)):
-            return
+    if array.dtype == np.float32 and array.flags.c_contiguous and _finite(array.reshape(-1).view(np.int32)):
+        return
     bad = count_non_finite(array)
     if bad:
         wrong = ~np.isfinite(array.reshape(*array.shape[:2], -1)).all(-1)
@@ -137,9 +136,9 @@ def _require_finite(array: np.ndarray, layer: Layer, stage: str, index: int, rec
 
 
 @numba.njit(cache=True, nogil=True)
-def _finite(bits):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _finite(bits: np.ndarray) -> bool:  # pragma: no cover - compiled
     """Whether all float32 with these bits are finite: none has all bits of its exponent set. One pass at memory speed."""
     highest = np.int32(0)
     for k in range(bits.shape[0]):
         highest = max(highest, bits[k] & np.int32(0x7F800000))
-    return highest < np.int32(0x7F800000)
+    return bool(highest < np.int32(0x7F800000))

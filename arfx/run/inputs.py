@@ -6,6 +6,7 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +51,23 @@ def open_inputs(config: JobConfig) -> Inputs:
     for read in (config.input.clip, config.input.camera, config.input.marker_map, config.model.file):
         if read is not None and read.absolute().resolve() == output.path.absolute().resolve():
             raise ConfigError(f"output {output.path} is also an input: it would be lost", "name another with -o")
-    model = load_model(config.model.file, config.model.up)
+    model = job_model(config)
     check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
     return Inputs(config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices))
+
+
+def job_model(config: JobConfig) -> Model:
+    """The job's model; read once in a process, unless the file changes. Raises as load_model does."""
+    path = config.model.file
+    if path is None or not path.is_file():
+        return load_model(path, config.model.up)  # which says what is wrong
+    stat = path.stat()
+    return _model_of(path, config.model.up, stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=1)
+def _model_of(path: Path, up: str | None, time_ns: int, size: int) -> Model:
+    return load_model(path, up)
 
 
 def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,7 @@ from arfx.run.parameters import make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
+from arfx.run.warm import warming
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
@@ -91,8 +94,16 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     if folder.path.absolute() in inputs.output.path.absolute().parents:
         raise ConfigError(f"output {inputs.output.path} lies in the job folder {folder.path}", "name another place with -o")
     folder.open(options.resume, options.overwrite)
-    with _interruptible(folder):
-        planned = plan_job(inputs, folder, options, started)
+    with _interruptible(folder) as check:
+        told = options.progress
+
+        def progress(phase: str, done: int, total: int | None) -> None:
+            check()
+            told(phase, done, total)
+
+        options = replace(options, progress=progress)
+        with warming(config, inputs, options.workers in (None, 1) and not options.resume):
+            planned = plan_job(inputs, folder, options, started)
         chunks = _chunks(planned)
         _render(planned, chunks, options)
         start = time.perf_counter()
@@ -268,12 +279,32 @@ def _join(planned: Planned, chunks: list[Chunk]) -> None:
 
 
 @contextlib.contextmanager
-def _interruptible(folder: JobFolder) -> Iterator[None]:
+def _interruptible(folder: JobFolder) -> Iterator[Callable[[], None]]:
+    """Ctrl-C and disk errors in the body become one message. Yields a check to be called often: a library may swallow
+    the KeyboardInterrupt that is raised inside one of its callbacks, so it is raised again there."""
+    pressed = False
+
+    def handler(*_: object) -> None:
+        nonlocal pressed
+        pressed = True
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    here = threading.current_thread() is threading.main_thread()
+    ours = here and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if ours:
+        signal.signal(signal.SIGINT, handler)
     try:
-        yield
+        yield check
     except KeyboardInterrupt:
         raise JobInterruptedError(
             f"interrupted; what is done is kept in {folder.path}", "the same command with --resume goes on"
         ) from None
     except OSError as e:
         raise disk_error(e, Path(e.filename) if e.filename else folder.path) from None
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -28,7 +28,8 @@ def save_preview(folder: Path, index: int, before: Frame, after: Frame) -> None:
         if rgb.shape[1] > WIDEST_PX:
             size = (WIDEST_PX, max(round(rgb.shape[0] * WIDEST_PX / rgb.shape[1]), 1))
             rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-        cv2.imwrite(str(folder / f"{index:06d}.{kind}.png"), rgb[..., ::-1])
+        quick = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # the file lives as long as the job folder
+        cv2.imwrite(str(folder / f"{index:06d}.{kind}.png"), rgb[..., ::-1], quick)
 
 
 def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:

@@ -23,15 +23,15 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, level_named
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
-from arfx.media.frames import ClipReader, Frame
-from arfx.media.models import load_model
+from arfx.media.frames import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter
 from arfx.run.folder import JobFolder, disk_error, read_lines
 from arfx.run.frame import Canvas, run_frame
-from arfx.run.inputs import make_scene
+from arfx.run.inputs import job_model, make_scene
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.preview import save_preview
+from arfx.run.source import source_at
 
 Tick = Callable[[], None]
 _OPENING = threading.Lock()  # what threads share is made once
@@ -78,11 +78,11 @@ def open_context(folder: str, job_key: str) -> Context:
     frames = json.loads(place.frames.read_text(encoding="utf-8"))
     from arfx.core.colour import Transfer
 
-    assert config.input.clip is not None and config.model.file is not None
+    assert config.input.clip is not None
     info = probe(config.input.clip, Transfer(config.input.transfer))
     world = {k: Pose.from_json(v) for k, v in frames["world_from_marker"].items()}
     scene = make_scene(
-        config, Camera.from_json(inputs["camera"]), load_model(config.model.file, config.model.up), world,
+        config, Camera.from_json(inputs["camera"]), job_model(config), world,
         frames["anchor"], config.pipeline.seed,
     )  # fmt: skip
     stages = make_stages(config)
@@ -106,39 +106,33 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
     facts = {f.index: f for f in map(FrameFacts.from_json, read_lines(place.facts, begin + 1, last + 1))}  # line 0: header
     plans = {p.index: p for p in map(FramePlan.from_json, read_lines(place.plan, begin, last))}
     start = time.perf_counter()
-    with _OPENING:
-        context.prepare({s.stage for p in plans.values() for s in p.steps})
+    needed = {s.stage for p in plans.values() for s in p.steps}
+    if needed - context.prepared.keys():  # a chunk without work need not wait for another's preparation
+        with _OPENING:
+            context.prepare(needed)
     seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
     stage_seconds: dict[str, float] = {}
     past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=max(reach, 1))
     final = Path(target)
     aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}")
     try:
-        with ClipReader(context.info) as reader, ChunkWriter(context.output, context.info, aside) as writer:
-            wanted = iter(range(begin, last + 1))
-            index = next(wanted)
-            frames = reader.frames(context.pts[begin], context.pts[last], first_index=begin)
-            while True:
+        source = source_at(context.info, context.pts, begin)
+        with ChunkWriter(context.output, context.info, aside) as writer:
+            for index in range(begin, last + 1):
                 start = time.perf_counter()
-                frame = next(frames, None)
+                frame = source.next()
                 seconds["decode"] += time.perf_counter() - start
-                if frame is None or index > last:
-                    break
-                if frame.pts != context.pts[index]:
-                    if frame.pts < context.pts[index]:
-                        continue
+                if frame is None:
                     raise _changed(context, index)
                 out = _frame(context, frame, facts[index], plans[index], past, seconds, stage_seconds)
-                if index >= first:
-                    if index in context.previews:
-                        save_preview(place.previews, index, frame, out)
-                    start = time.perf_counter()
-                    writer.write(out)
-                    seconds["encode"] += time.perf_counter() - start
-                    tick()
-                index = next(wanted, last + 1)
-            if index <= last:
-                raise _changed(context, index)
+                if index < first:
+                    continue
+                if index in context.previews:
+                    save_preview(place.previews, index, frame, out)
+                start = time.perf_counter()
+                writer.write(out)
+                seconds["encode"] += time.perf_counter() - start
+                tick()
             start = time.perf_counter()
         seconds["encode"] += time.perf_counter() - start
         aside.replace(final)

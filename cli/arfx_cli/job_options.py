@@ -41,7 +41,7 @@ _RUN_OPTIONS = [
     click.option("--report", "report_dir", type=FOLDER, help="Folder for report.json and report.html."),
     click.option("--job", "job_dir", type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),
     click.option("--resume", is_flag=True, help="Go on with an interrupted or killed job."),
-    click.option("--workers", type=click.IntRange(1), help="Worker processes; default by the length of the job."),
+    click.option("--workers", type=click.IntRange(1), help="Worker processes; default: threads on up to 4 cores."),
 ]  # fmt: skip
 
 

@@ -68,7 +68,7 @@ def check_extent(model: Model, corners_m: np.ndarray) -> None:
     extent = float(np.ptp(corners_m, axis=0).max())
     if not extent <= MAX_EXTENT_M:
         raise InputError(
-            f"model {model.source} is {extent:.4g} m large in the scene",
+            f"model {model.source} is {extent:.6g} m large in the scene, more than {MAX_EXTENT_M:g} m",
             "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit",
         )
 

@@ -109,9 +109,7 @@ class RayRenderer:
         pixel = np.float32(self.pixel * _SHARPER)
         ident = None
         if not m.layered:
-            surface.write_centres(
-                *seen, edge, lens, rotation, pixel, h, w, eye_world, self.glows, *self._surfaces, *arrays
-            )
+            surface.write_centres(*(*seen, edge, lens, rotation, pixel, h, w, eye_world, self.glows, *self._surfaces, *arrays))
         else:
             directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
             acc, depth, ident, masked = self._trace(eye, directions, valid, seen, pixel)

@@ -1,0 +1,107 @@
+"""Reading on from chunk to chunk, and the threads that render them."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from arfx.errors import JobInterruptedError, RenderError
+from arfx.media.clip import probe
+from arfx.media.frames import ClipReader
+from arfx.run import executors
+from arfx.run.folder import JobFolder
+from arfx.run.job import _interruptible
+from arfx.run.source import Source, release, source_at
+from tests.clips import write_clip
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_clip(tmp_path_factory.mktemp("source") / "clip.mp4", 24, pts=[2 * i + i % 2 for i in range(24)])
+
+
+def test_a_source_gives_the_frames_of_the_job_and_skips_others(clip: Path) -> None:
+    info = probe(clip)
+    with ClipReader(info) as reader:
+        pts = [f.pts for f in reader.frames()]
+    wanted = pts[3::2]
+    source = Source(info, wanted, 1)
+    got = [source.next() for _ in wanted[1:]]
+    assert [f.pts for f in got if f is not None] == wanted[1:]
+
+
+def test_a_frame_that_is_not_there_is_told_and_nothing_after_it_is_given(clip: Path) -> None:
+    info = probe(clip)
+    with ClipReader(info) as reader:
+        pts = [f.pts for f in reader.frames()]
+    source = Source(info, [pts[0], pts[1] + 1, pts[3]], 0)
+    assert source.next() is not None
+    assert source.next() is None and source.next() is None
+
+
+def test_the_next_chunk_reads_on_and_any_other_starts_anew(clip: Path) -> None:
+    info = probe(clip)
+    with ClipReader(info) as reader:
+        pts = [f.pts for f in reader.frames()]
+    first = source_at(info, pts, 0)
+    first.next()
+    assert source_at(info, pts, 1) is first
+    other = source_at(info, pts, 10)
+    assert other is not first and (frame := other.next()) is not None and frame.pts == pts[10]
+    assert source_at(info, list(pts), 11) is not other, "another job's source was taken"
+    release()
+
+
+def fake_tasks(n: int) -> list[executors.Task]:
+    return [("folder", "key", i, i, "target") for i in range(n)]
+
+
+def test_threads_render_every_chunk_once_in_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+    order: dict[int, list[int]] = {}
+
+    def render(folder: str, key: str, first: int, last: int, target: str, tick: executors.Callable[[], None]) -> dict:
+        order.setdefault(threading.get_ident(), []).append(first)
+        time.sleep(0.05 if first < 6 else 0.01)
+        tick()
+        return {"first": first}
+
+    monkeypatch.setattr(executors, "render_chunk", render)
+    told: list[int] = []
+    results = list(executors.run_threads(fake_tasks(12), 2, told.append))
+    assert sorted(r["first"] for r in results) == list(range(12))
+    quick = next(o for o in order.values() if o[0] == 6)
+    assert quick[:6] == [6, 7, 8, 9, 10, 11], "a thread leaves its stretch"
+    assert len(quick) > 6, "a thread that is through does not help"
+    assert told[-1] <= 12
+
+
+def test_a_failing_chunk_stops_all_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended: list[int] = []
+
+    def render(folder: str, key: str, first: int, last: int, target: str, tick: executors.Callable[[], None]) -> dict:
+        if first == 4:
+            raise RenderError("no")
+        for _ in range(200):
+            time.sleep(0.01)
+            tick()
+        ended.append(first)
+        return {"first": first}
+
+    monkeypatch.setattr(executors, "render_chunk", render)
+    start = time.monotonic()
+    with pytest.raises(RenderError):
+        list(executors.run_threads(fake_tasks(8), 2, lambda n: None))
+    assert time.monotonic() - start < 1.9 and not ended
+
+
+def test_an_interrupt_that_a_library_swallows_still_ends_the_job(tmp_path: Path) -> None:
+    with pytest.raises(JobInterruptedError), _interruptible(JobFolder(tmp_path)) as check:
+        with contextlib.suppress(KeyboardInterrupt):  # as compiled code does that clears errors
+            signal.raise_signal(signal.SIGINT)
+        check()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
