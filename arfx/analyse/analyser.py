@@ -15,6 +15,9 @@ import numpy as np
 from arfx.analyse.background import BackgroundFlow
 from arfx.analyse.detect import Candidate
 from arfx.analyse.edge_domain import EdgeRefiner
+from arfx.analyse.lighting import lighted
+from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.meter import LightMeter, Picture
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.records import Analysis, Record, Seen
 from arfx.analyse.shots import CutSignal
@@ -27,7 +30,7 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
-__all__ = ["AnalyseParams", "Analyser", "Analysis"]
+__all__ = ["AnalyseParams", "Analyser", "Analysis", "LightParams"]
 
 
 class Analyser:
@@ -35,6 +38,7 @@ class Analyser:
 
     markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
     marker_map : world_from_marker of a known layout; None = mapped from the clip
+    light : read the light too, from the pictures that `step` then needs;  panorama : of LightParams.environment
     Raises ConfigError for no marker, the same one twice, or a map that lacks one.
     """
 
@@ -44,6 +48,8 @@ class Analyser:
         camera: Camera,
         params: AnalyseParams | None = None,
         marker_map: Mapping[str, Pose] | None = None,
+        light: LightParams | None = None,
+        panorama: np.ndarray | None = None,
     ) -> None:
         if not markers:
             raise ConfigError("no marker is configured", "for example --marker 36h11:3:165mm")
@@ -58,12 +64,16 @@ class Analyser:
         self._tracker = Tracker([m.key for m in markers], self.params)
         self._refiner = EdgeRefiner(self.params.transfer)
         self._cut, self._flow, self._survey = CutSignal(), BackgroundFlow(), Survey()
+        self.light, self.panorama, self._meter = light, panorama, LightMeter()
         self._records: list[Record] = []
         self._others: Counter[str] = Counter()
         self._ever_seen = False
 
-    def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
-        """Take the next frame. luma : (h, w) uint8, upright. Raises InputError for another size or order."""
+    def step(self, index: int, time_s: float, luma: np.ndarray, picture: Picture | None = None) -> None:
+        """Take the next frame. luma : (h, w) uint8, upright;  picture : its colours, for the light; None = it tells none
+
+        Raises InputError for another size or order.
+        """
         if luma.ndim != 2 or luma.dtype != np.uint8:
             raise InputError(f"frame {index}: luma is {luma.dtype} of shape {luma.shape}", "uint8 of shape (height, width)")
         if (luma.shape[1], luma.shape[0]) != (self.camera.width, self.camera.height):
@@ -83,6 +93,8 @@ class Analyser:
         if self.params.static == "auto":
             boxes = (Rect.around(s.corners_px) for s in (*seen, *rivals))  # rarely asked for
             self._flow.step(index, time_s, luma, boxes, bool(seen))
+        if self.light is not None and picture is not None:
+            self._meter.step(len(self._records), time_s, seen, picture)
         self._records.append(Record(index, time_s, seen, rivals, found.whole, self._cut.step(luma)))
         for k, replaced in self._refiner.corrections():
             r = self._records[k]
@@ -103,7 +115,7 @@ class Analyser:
         return {
             "records": [r.to_json() for r in self._records], "tracker": self._tracker.state(), "cut": self._cut.state(),
             "flow": self._flow.state(), "survey": self._survey.state(), "others": dict(self._others),
-            "refiner": self._refiner.state(), "ever_seen": self._ever_seen, "camera": self.camera.to_json(),
+            "refiner": self._refiner.state(), "meter": self._meter.state(), "ever_seen": self._ever_seen, "camera": self.camera.to_json(),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -114,6 +126,7 @@ class Analyser:
         self._flow.restore(state["flow"])
         self._survey.restore(state["survey"])
         self._refiner.restore(state["refiner"])
+        self._meter.restore(state["meter"])
         self._others = Counter(state["others"])
         self._ever_seen = state["ever_seen"]
         self.camera = Camera.from_json(state["camera"])
@@ -125,6 +138,8 @@ class Analyser:
         if not self._ever_seen:
             raise self._nothing()
         analysis = solve(self._records, self.markers, self.camera, self.params, self.marker_map, self._flow.samples)
+        if self.light is not None:
+            analysis = lighted(analysis, self._meter, self.markers, self.light, self.panorama)
         return replace(analysis, summary={**analysis.summary, "edge_transfer": self._refiner.transfer})
 
     def _nothing(self) -> NothingToDoError:

@@ -39,6 +39,9 @@ def frozen(config: JobConfig) -> dict[str, Any]:
         if path is not None:
             tree[section][key] = str(Path(path).absolute())
     result: dict[str, Any] = plain({**tree, **config.params})
+    environment = result.get("light", {}).get("environment")
+    if environment is not None:
+        result["light"]["environment"] = str(Path(environment).absolute())
     return result
 
 

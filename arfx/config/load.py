@@ -23,6 +23,7 @@ _PATHS: tuple[KeyPath, ...] = (
     ("input", "camera"),
     ("input", "marker_map"),
     ("model", "file"),
+    ("light", "environment"),
     ("output", "path"),
 )
 

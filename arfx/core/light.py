@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,6 +56,18 @@ class Light:
             return np.broadcast_to(np.asarray(self.ambient_rgb, float), n.shape).copy()
         return np.clip(harmonics(n) @ np.asarray(self.soft, float), 0, None)
 
+    def scaled(self, factor: np.ndarray) -> Light:
+        """The light times a factor (3,), one per channel."""
+        lights = tuple(replace(li, rgb=_triple(np.array(li.rgb) * factor)) for li in self.lights)
+        soft = tuple(_triple(np.array(row) * factor) for row in self.soft)
+        return Light(_triple(np.array(self.ambient_rgb) * factor), lights, self.source, soft)
+
+    def turned(self, rotation: np.ndarray) -> Light:
+        """The light in other axes. rotation : (3, 3), to those from the light's."""
+        lights = tuple(replace(li, direction=_triple(np.asarray(rotation) @ li.unit)) for li in self.lights)
+        soft = tuple(_triple(row) for row in turned_harmonics(np.array(self.soft, float), rotation)) if self.soft else ()
+        return Light(self.ambient_rgb, lights, self.source, soft)
+
     def to_json(self) -> dict:
         return {
             "source": self.source,
@@ -96,3 +108,22 @@ def harmonics(n: np.ndarray) -> np.ndarray:
         ],
         -1,
     )  # fmt: skip
+
+
+def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree. rotation : as in Light.turned"""
+    at = _evenly()
+    out: np.ndarray = np.linalg.pinv(harmonics(at)) @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
+    return out
+
+
+def _evenly() -> np.ndarray:
+    """(24, 3) unit directions that tell all nine harmonics apart (a spiral of even height)."""
+    k = np.arange(24) + 0.5
+    z, phi = 1 - 2 * k / 24, k * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
+
+
+def _triple(v: np.ndarray) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])

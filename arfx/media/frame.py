@@ -101,6 +101,17 @@ class Frame:
         )  # fmt: skip
         return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
 
+    def reduced(self, width: int) -> np.ndarray:
+        """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px wide; averaged in coded values."""
+        f = self.format
+        small = min(1.0, width / self.rect.width)
+        shown = self.picture.reformat(
+            max(round(f.width * small), 1), max(round(f.height * small), 1), "rgb24", interpolation="AREA",
+            src_colorspace=SWS_MATRIX.get(f.matrix), src_color_range=2 if f.full_range else 1, dst_color_range=2,
+        )  # fmt: skip
+        coded = f.orientation.upright(shown.to_ndarray())
+        return np.take(f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded)
+
     def _coded(self, rect: Rect) -> Rect:
         if rect.empty or not self.rect.contains(rect):
             raise RenderError(f"frame {self.index}: rectangle {rect.to_json()} is not inside the picture {self.rect.to_json()}")

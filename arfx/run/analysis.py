@@ -8,7 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from arfx.analyse.analyser import Analyser, Analysis
+import numpy as np
+
+from arfx.analyse.analyser import Analyser, Analysis, LightParams
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 from arfx.errors import NothingToDoError
@@ -41,13 +43,16 @@ def analyse_clip(
     progress: Progress,
     folder: JobFolder | None = None,
     key: str = "",
+    light: LightParams | None = None,
+    panorama: np.ndarray | None = None,
 ) -> Pass:
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
+    light, panorama : as in Analyser
     folder, key : where the state is checkpointed and what it must match to be taken up again
     Raises NothingToDoError if the span holds no frame or no marker is seen.
     """
-    analyser = Analyser(markers, camera, params, marker_map)
+    analyser = Analyser(markers, camera, params, marker_map, light, panorama)
     pts: list[int] = []
     origin: int | None = None
     if folder is not None and (saved := _saved(folder, key)):
@@ -74,7 +79,7 @@ def analyse_clip(
             if span_s[1] is not None and since_s > span_s[1] + 1e-9:
                 break
             start = time.perf_counter()
-            analyser.step(len(pts), frame.time_s, frame.luma())
+            analyser.step(len(pts), frame.time_s, frame.luma(), frame)
             analyse_s += time.perf_counter() - start
             pts.append(frame.pts)
             progress("analyse", len(pts), expected)

@@ -23,6 +23,7 @@ from arfx.core.units import length_m
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import load_camera
 from arfx.media.clip import ClipInfo, probe
+from arfx.media.images import load_image
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.stages.raster.mesh import check_extent
@@ -37,6 +38,7 @@ class Inputs:
     marker_map: Mapping[str, Pose] | None
     output: OutputPlan
     notices: tuple[str, ...]
+    panorama: np.ndarray | None = None
 
 
 def open_inputs(config: JobConfig) -> Inputs:
@@ -48,12 +50,34 @@ def open_inputs(config: JobConfig) -> Inputs:
         raise ConfigError("no output is named", "-o out.mp4")
     settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
     output = plan_output(clip, config.output.path, settings)
-    for read in (config.input.clip, config.input.camera, config.input.marker_map, config.model.file):
+    for read in (
+        config.input.clip,
+        config.input.camera,
+        config.input.marker_map,
+        config.model.file,
+        config.params["light"].environment,
+    ):
         if read is not None and read.absolute().resolve() == output.path.absolute().resolve():
             raise ConfigError(f"output {output.path} is also an input: it would be lost", "name another with -o")
     model = job_model(config)
     check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
-    return Inputs(config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices))
+    return Inputs(
+        config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices), panorama(config)
+    )
+
+
+def panorama(config: JobConfig) -> np.ndarray | None:
+    """(h, w, 3) linear radiance of the job's environment picture. Raises InputError."""
+    path = config.params["light"].environment
+    if path is None:
+        return None
+    picture = load_image(path)
+    if not np.isfinite(picture).all() or picture.min() < 0:
+        raise InputError(f"environment {path} holds values that are not finite and >= 0", "an HDR picture of radiance")
+    if abs(picture.shape[1] - 2 * picture.shape[0]) > 2:
+        size = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise InputError(f"environment {path} is {size}, not twice as wide as high", "an equirectangular panorama")
+    return picture
 
 
 def job_model(config: JobConfig) -> Model:

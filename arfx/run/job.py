@@ -32,7 +32,7 @@ from arfx.run.chunks import Chunk, borders
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, write_lines, write_text
 from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
-from arfx.run.parameters import make_stages
+from arfx.run.parameters import light_wanted, make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
@@ -166,9 +166,12 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         tree["input"],
         tree["marker"],
         tree["analyse"],
+        tree["light"],
     ]
     if config.input.marker_map:
         base.append(file_digest(config.input.marker_map))
+    if config.params["light"].environment:
+        base.append(file_digest(config.params["light"].environment))
     analysis_key = digest(*base)
     job_key = digest(*base, tree, model_key, inputs.output.to_json())
     stages = make_stages(config)
@@ -206,7 +209,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
     done = analyse_clip(
         inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
-        clock, folder, analysis_key,
+        clock, folder, analysis_key, light_wanted(config), inputs.panorama,
     )  # fmt: skip
     world = done.analysis.world_from_marker
     anchor = anchor_key(config.markers, world)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from arfx.analyse.analyser import AnalyseParams
+from arfx.analyse.analyser import AnalyseParams, LightParams
 from arfx.config.load import near
 from arfx.config.sections import JobConfig
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.stages import EFFECTS, IMPLICIT, STAGES
+from arfx.stages import EFFECTS, STAGES, stages_with
 
 
 def parameters() -> Mapping[str, type]:
-    """Section name -> frozen dataclass, for every stage and for the analysis."""
-    return {"analyse": AnalyseParams, **{name: STAGES[name].Params for name in STAGES}}
+    """Section name -> frozen dataclass, for every stage, the analysis and the light that it reads."""
+    return {"analyse": AnalyseParams, "light": LightParams, **{name: STAGES[name].Params for name in STAGES}}
 
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:
@@ -30,9 +30,15 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
         raise ConfigError(
             f"effects run in the order {','.join(ordered)}, not {','.join(asked)}", "write them in that order, once each"
         )
-    return tuple(name for name in STAGES if name in IMPLICIT or name in asked)
+    return stages_with(asked)
 
 
 def make_stages(config: JobConfig) -> dict[str, Stage]:
     """One instance per stage, in running order."""
     return {name: STAGES[name](config.params[name]) for name in pipeline(config)}
+
+
+def light_wanted(config: JobConfig) -> LightParams | None:
+    """How the analysis reads the light, or None where no stage of the job asks for it."""
+    params: LightParams = config.params["light"]
+    return params if any("light" in STAGES[name].needs_facts for name in pipeline(config)) else None

@@ -93,11 +93,15 @@ def _pose(planned: Planned) -> dict[str, Any]:
 
 
 def _light(planned: Planned) -> dict[str, Any]:
+    told = planned.meta["summary"].get("light")
+    if told is not None:
+        return dict(told)
     light = planned.scene.light.to_json()
     return {
         "source": light["source"], "frame": "marker", "normals_seen": 0, "normal_span_deg": 0.0, "rank": None, "condition": None,
         "gain": None, "bias": None, "bias_ci95": None, "clipped_fraction": None, "ambient_rgb": light["ambient_rgb"],
-        "lights": light["lights"], "verdict": "refused", "reason": "the light is not estimated: a plain default light is used",
+        "lights": light["lights"], "verdict": "refused",
+        "reason": "no effect of the job asks for it: a plain default light is used",
     }  # fmt: skip
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,9 @@ _OPTIONS = [
     click.option("--pipeline", metavar="A,B,C", help="Effects allowed, in order; default auto = all that exist."),
     click.option("--no-skip", is_flag=True, help="Force every stage on every frame that has a pose."),
     click.option("--quality", type=click.Choice(["draft", "standard", "high", "reference"]), help="Level of every effect."),
+    click.option("--light", metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation; degrees."),
+    click.option("--environment", type=FILE, help="A known light: HDR panorama, its top the marker's z, its middle x."),
+    click.option("--formula", type=click.Choice(["paper", "corrected"]), help="As printed, or with its defects removed."),
     click.option("--set", "settings", multiple=True, metavar="STAGE.KEY=VALUE", help="Any setting, repeatable."),
     click.option("--start", metavar="T", help="First moment to process, from the clip's first frame: 1.5s, 0:10."),
     click.option("--end", metavar="T", help="Last moment to process."),
@@ -67,20 +71,22 @@ def job_config(given: dict[str, Any], output: Path | None = None) -> Any:
     from arfx.config.presets import find
     from arfx.run.parameters import parameters, pipeline
 
+    kinds = parameters()
+    formulas = [name for name, kind in kinds.items() if any(f.name == "formula" for f in dataclasses.fields(kind))]
     tree: dict[str, Any] = {}
     settings = [(text, *parse_setting(text)) for text in given["settings"]]
     for text, parts, value in settings:
         put_setting(tree, parts, value, f"--set {text}")
-    for path, value, words in _by_option(given, output):
+    for path, value, words in _by_option(given, output, formulas):
         _agree(path, value, words, settings)
         put_setting(tree, list(path), value, words)
     file = given["config_file"]
-    config = load(None if file is None else find(file), tree, parameters())
+    config = load(None if file is None else find(file), tree, kinds)
     pipeline(config)
     return config
 
 
-def _by_option(given: dict[str, Any], output: Path | None) -> Iterator[tuple[tuple[str, ...], Any, str]]:
+def _by_option(given: dict[str, Any], output: Path | None, formulas: Sequence[str]) -> Iterator[tuple[tuple[str, ...], Any, str]]:
     """(key in a job file, value, the words that gave it) of every ordinary option on the command line."""
     files = {"clip": "input.clip", "camera": "input.camera", "marker_map": "input.marker_map", "model": "model.file"}
     plain = {
@@ -104,6 +110,15 @@ def _by_option(given: dict[str, Any], output: Path | None) -> Iterator[tuple[tup
         yield ("pipeline", "stages"), "auto" if names == ["auto"] else names, f"--pipeline {given['pipeline']}"
     if given["no_skip"]:
         yield ("pipeline", "skip"), False, "--no-skip"
+    if given["light"]:
+        from arfx.analyse.lighting_params import parse_light
+
+        yield ("light", "given"), parse_light(given["light"]), f"--light {given['light']}"
+    if given["environment"]:
+        yield ("light", "environment"), str(given["environment"]), f"--environment {given['environment']}"
+    if given["formula"]:
+        for name in formulas:
+            yield (name, "formula"), given["formula"], f"--formula {given['formula']}"
     if output is not None:
         yield ("output", "path"), str(output), f"-o {output}"
 

@@ -1,0 +1,135 @@
+"""The light of every frame: from the markers in the picture if they tell it, else the next best cue, out loud.
+
+Cues in order: a light that is given (`assumed`); a direction that the markers' normals tell (`measured`); else `refused`:
+the surroundings folded from the picture, as soft light without a direction; ambient light alone. Whatever the cue,
+brightness and colour of each frame are those that the markers show (exposure and light together: from one normal the two
+cannot be told apart, and only their product is used).
+The frame in which lights are fixed is the room's: the camera's where the camera stands still, else the marker map's.
+Source: Tan, Chen, Sun 2010; SYSTEMS.md S1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse import given_light
+from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.lighting_room import Readings, RoomLight
+from arfx.analyse.meter import LightMeter
+from arfx.analyse.photometry import WHITE, stack
+from arfx.analyse.photometry_paper import solve_paper
+from arfx.analyse.photometry_solve import Photometry, solve
+from arfx.analyse.records import Analysis
+from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.light import Light
+from arfx.core.marker import MarkerSpec
+
+LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
+
+
+def lighted(
+    analysis: Analysis, meter: LightMeter, markers: Sequence[MarkerSpec], params: LightParams,
+    panorama: np.ndarray | None = None,
+) -> Analysis:  # fmt: skip
+    """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was found in summary["light"].
+
+    panorama : (h, w, 3) linear radiance, of LightParams.environment
+    """
+    facts = analysis.facts
+    room = _rooms(analysis)
+    readings, photometry = _readings(analysis, meter, room, params)
+    anchor = next((m.key for m in markers if m.key in analysis.world_from_marker), markers[0].key)
+    out: dict[int, Light] = {}
+    reports: list[tuple[int, dict[str, Any]]] = []
+    for shots in _parts(facts, analysis.static):
+        part = RoomLight(shots, facts, room, readings, params)
+        given = _given(analysis, anchor, room, shots, params, panorama)
+        lights, report = part.given(*given) if given else part.told(analysis.static != "both", meter.looks)
+        out |= lights
+        reports.append((len(shots), report))
+    report = max(reports, key=lambda r: r[0])[1] if reports else {}
+    bias = photometry.bias if photometry.determined.all() else np.zeros(3)
+    lit = tuple(
+        f.with_(light=out[k].turned(room[k].T), bias_rgb=tuple(float(b) for b in bias)) if k in out else f
+        for k, f in enumerate(facts)
+    )
+    about = _about_photometry(photometry, params) | {"frame": "camera" if analysis.static == "camera" else "marker"} | report
+    return replace(analysis, facts=lit, summary={**analysis.summary, "light": about})
+
+
+def _rooms(analysis: Analysis) -> dict[int, np.ndarray]:
+    """(3, 3) rotation to the room's axes from the world's, by frame number, of frames with a pose."""
+    return {
+        k: f.camera_from_world.rotation if analysis.static == "camera" else np.eye(3)
+        for k, f in enumerate(analysis.facts)
+        if f.camera_from_world is not None
+    }
+
+
+def _readings(
+    analysis: Analysis, meter: LightMeter, room: dict[int, np.ndarray], params: LightParams
+) -> tuple[Readings, Photometry]:
+    """The markers' light in frames whose pose was measured, normals in ROOM axes, and how it was solved."""
+    rows = []
+    for frame, key, patches in meter.readings:
+        fact, marker = analysis.facts[frame], analysis.world_from_marker.get(key)
+        if fact.status != MEASURED or fact.camera_from_world is None or marker is None:
+            continue
+        stands = fact.camera_from_world @ marker
+        facing = -float(stands.rotation[:, 2] @ stands.translation_m) / max(float(np.linalg.norm(stands.translation_m)), 1e-9)
+        if facing >= LEAST_FACING:
+            rows.append((frame, room[frame] @ marker.rotation[:, 2], patches))
+    intensity, variance, clipped = stack([p for _, _, p in rows])
+    if params.formula == "paper":
+        photometry = solve_paper(intensity, WHITE, clipped=clipped, ink=params.ink, paper=params.paper)
+    else:
+        photometry = solve(intensity, variance, WHITE, None, clipped, params.albedos, params.ink, params.paper)
+    frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
+    used = photometry.seen
+    return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used]), photometry
+
+
+def _parts(facts: Sequence[FrameFacts], static: str) -> list[list[int]]:
+    """Frame numbers that share one room: the whole clip, or each shot where the camera's axes are the room's."""
+    posed = [k for k, f in enumerate(facts) if f.camera_from_world is not None]
+    if static != "camera":
+        return [posed] if posed else []
+    shots = sorted({facts[k].shot for k in posed})
+    return [[k for k in posed if facts[k].shot == s] for s in shots]
+
+
+def _given(
+    analysis: Analysis, anchor: str, room: dict[int, np.ndarray], frames: Sequence[int], params: LightParams,
+    panorama: np.ndarray | None,
+) -> tuple[Light, bool, str] | None:  # fmt: skip
+    """(light in ROOM axes, whether its lamps' brightness is stated, why) of a light that the user gave, or None."""
+    if panorama is not None:
+        light, stated, why = given_light.from_panorama(panorama), False, f"environment {params.environment} given"
+    elif params.given:
+        light, stated = given_light.from_direction(params.given, params.size_deg)
+        why = f"light given: azimuth {params.given[0]:g}, elevation {params.given[1]:g} degrees"
+    else:
+        return None
+    marker = analysis.world_from_marker.get(anchor)
+    turn = room[frames[0]] @ (marker.rotation if marker is not None else np.eye(3))
+    return light.turned(turn), stated, why
+
+
+def _about_photometry(p: Photometry, params: LightParams) -> dict[str, Any]:
+    known = bool(p.determined.all())
+    return {
+        "formula": params.formula,
+        "gain": [1.0, 1.0, 1.0],  # the free scale: gain and light are known as a product only
+        "bias": p.bias.tolist() if known else None,
+        "bias_ci95": p.bias_95.tolist() if known else None,
+        "clipped_fraction": p.clipped,
+        "photometry": {
+            "verdict": p.verdict, "reason": p.reason, "rank": p.rank.tolist(), "unknowns": p.unknowns.tolist(),
+            "condition": p.condition.tolist(), "misfit": p.misfit.tolist(), "readings": len(p.seen),
+            "readings_used": int(p.seen.sum()), "not_finite": p.ignored,
+        },
+    }  # fmt: skip

@@ -1,0 +1,66 @@
+"""Lights as the paper finds them: peaks of each frame's light map, on the hemisphere that the markers face.
+
+The map M shades by its harmonics of degree 2; what the lights at its peaks give is taken out of it, so that a surface
+with everything in its light shows M. The paper states no brightness of a light: here M at the peak less its smallest
+value where something was seen.
+Source: Tan, Chen, Sun 2010, eq. (7) to (9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from arfx.analyse import light_map
+from arfx.analyse.icosphere import icosphere
+from arfx.analyse.light_fit import paper_lights
+from arfx.analyse.lighting_params import LightParams
+from arfx.core.light import DirectionalLight, Light, harmonics
+from arfx.core.numerics import normalise
+
+_RIDGE = 1e-3  # of the harmonics' own weight: directions that no marker faced say nothing
+
+
+def paper_lights_of(
+    seen: Sequence[light_map.Observation], map_params: light_map.Params, params: LightParams
+) -> list[Light]:  # fmt: skip
+    """One light per observation, in the axes of the normals.
+
+    The hemisphere's axis is the mean of all normals.
+    """
+    up = normalise(np.concatenate([o.normals for o in seen]).sum(0))
+    turn = _upright(up)
+    sphere = icosphere(map_params.level)
+    rows = [light_map.Observation(o.time_s, o.normals @ turn.T, o.irradiance, o.variance) for o in seen]
+    basis = harmonics(sphere.vertices)
+    out = []
+    for value, variance in light_map.smooth(rows, map_params):
+        known = (variance < light_map.UNKNOWN).all(1) & (value.max(1) > 0)
+        level = value.mean(1)
+        peaks = paper_lights(value, map_params.level, params.peak * float(level.max()), params.peak_apart_deg)
+        least = value[known].min(0) if known.any() else np.zeros(3)
+        lamps, rest = [], value.copy()
+        for d in peaks[:2]:
+            rgb = np.clip(sphere.interpolate(value, d) - least, 0, None)
+            towards = turn.T @ d
+            lamps.append(DirectionalLight(_triple(towards), _triple(rgb), 0.0))
+            rest -= np.clip(sphere.vertices @ d, 0, None)[:, None] * rgb
+        weight = known.astype(float)
+        normal = basis.T @ (basis * weight[:, None]) + _RIDGE * max(weight.sum(), 1.0) * np.eye(9)
+        soft = np.linalg.solve(normal, basis.T @ (rest * weight[:, None]))
+        ambient = soft[0] * basis[0, 0]
+        light = Light(_triple(ambient), (), "marker", tuple(_triple(row) for row in soft)).turned(turn.T)
+        out.append(Light(light.ambient_rgb, tuple(lamps), "marker", light.soft))
+    return out
+
+
+def _upright(up: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation that turns `up` into z."""
+    across = np.array([1.0, 0, 0]) if abs(up[0]) < 0.9 else np.array([0.0, 1, 0])
+    x = normalise(across - (across @ up) * up)
+    return np.stack([x, np.cross(up, x), up])
+
+
+def _triple(v: np.ndarray) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])

@@ -1,0 +1,85 @@
+"""What each frame tells about its light: patches of the markers' cells, and now and then a small picture of the surroundings.
+
+A fold: fed frame by frame, it keeps some hundred numbers per marker and frame, and no pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from arfx.analyse.environment import fold, soft_light
+from arfx.analyse.photometry import Patches, cells, measure
+from arfx.analyse.records import Seen
+from arfx.core.rect import Rect
+
+SURROUNDINGS_S = 0.5  # between two looks at the surroundings
+SURROUNDINGS_PX = 96  # width of the picture that is looked at
+MOST_LOOKS = 240  # beyond that every second one is dropped, and the interval doubled
+SHARP_PX = 0.7  # blur assumed where it could not be measured
+_AROUND_PX = 2
+
+
+class Picture(Protocol):
+    """One frame's pixels, as the meter reads them (media.frame.Frame is one)."""
+
+    @property
+    def rect(self) -> Rect: ...
+
+    def linear(self, rect: Rect) -> np.ndarray: ...
+
+    def reduced(self, width: int) -> np.ndarray: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The surroundings in one frame. frame : number;  soft : (9, 3) harmonics, CAMERA frame (environment.soft_light)"""
+
+    frame: int
+    soft: np.ndarray
+
+
+class LightMeter:
+    """readings : (frame, marker key, Patches) in order;  looks : of the surroundings"""
+
+    def __init__(self) -> None:
+        self.readings: list[tuple[int, str, Patches]] = []
+        self.looks: list[Look] = []
+        self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
+
+    def step(self, frame: int, time_s: float, seen: Sequence[Seen], picture: Picture) -> None:
+        """frame : its number;  seen : configured markers in it;  picture : its pixels"""
+        for s in seen:
+            rect = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
+            if rect.empty:
+                continue
+            family, _, number = s.key.rpartition(":")
+            blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
+            patches = measure(
+                picture.linear(rect), (rect.x0, rect.y0), s.corners_px, cells(family, int(number)), s.inverted, blur_px=blur
+            )
+            self.readings.append((frame, s.key, patches))
+        if seen and time_s >= self._next_s:
+            self._next_s = time_s + self._interval_s
+            small = picture.reduced(SURROUNDINGS_PX)
+            if min(small.shape[:2]) >= 3:
+                self.looks.append(Look(frame, soft_light(fold(small), np.eye(3))))
+            if len(self.looks) > MOST_LOOKS:
+                self.looks, self._interval_s = self.looks[::2], 2 * self._interval_s
+
+    def state(self) -> dict:
+        """JSON-able, exact."""
+        return {
+            "readings": [[k, key, p.to_json()] for k, key, p in self.readings],
+            "looks": [[look.frame, look.soft.tolist()] for look in self.looks],
+            "next_s": None if np.isinf(self._next_s) else self._next_s, "interval_s": self._interval_s,
+        }  # fmt: skip
+
+    def restore(self, state: dict) -> None:
+        self.readings = [(k, key, Patches.from_json(p)) for k, key, p in state["readings"]]
+        self.looks = [Look(k, np.array(soft, float)) for k, soft in state["looks"]]
+        self._next_s = -np.inf if state["next_s"] is None else state["next_s"]
+        self._interval_s = state["interval_s"]
