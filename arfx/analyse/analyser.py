@@ -115,7 +115,8 @@ class Analyser:
         return {
             "records": [r.to_json() for r in self._records], "tracker": self._tracker.state(), "cut": self._cut.state(),
             "flow": self._flow.state(), "survey": self._survey.state(), "others": dict(self._others),
-            "refiner": self._refiner.state(), "meter": self._meter.state(), "ever_seen": self._ever_seen, "camera": self.camera.to_json(),
+            "refiner": self._refiner.state(), "meter": self._meter.state(), "ever_seen": self._ever_seen,
+            "camera": self.camera.to_json(),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse import light_map
-from arfx.analyse.environment import scaled_to
 from arfx.analyse.given_light import fitted_to
 from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_explain import Params as FitParams
@@ -17,10 +16,10 @@ from arfx.analyse.light_fit import MEASURED, REFUSED
 from arfx.analyse.light_time import CONSTANT, SEGMENTS, SHARED, WINDOWS, Span, fit_over_time
 from arfx.analyse.lighting_paper import paper_lights_of
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.meter import Look
+from arfx.analyse.surroundings import Look, soft_light
 from arfx.core.facts import FrameFacts
-from arfx.core.light import Light, harmonics
-from arfx.core.numerics import divide
+from arfx.core.light import Light
+from arfx.core.numerics import divide, normalise
 
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
@@ -127,17 +126,14 @@ class RoomLight:
         if not looks:
             level = np.median(measured, 0) if len(measured) else np.array(Light().ambient_rgb)
             return Light(_triple(level), (), "ambient"), "ambient"
-        turned = []
-        for look in looks:
-            pose = self.facts[look.frame].camera_from_world
+        turns = []
+        for one in looks:
+            pose = self.facts[one.frame].camera_from_world
             assert pose is not None
-            light = Light(soft=tuple(_triple(row) for row in look.soft), lights=())
-            turned.append(np.array(light.turned(self.room[look.frame] @ pose.rotation.T).soft))
-        soft = np.mean(turned, 0)
-        if len(measured):
-            soft = scaled_to(soft, self.normals[shows], measured)
-        ambient = soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]
-        return Light(_triple(ambient), (), "environment", tuple(_triple(row) for row in soft)), "environment"
+            turns.append(self.room[one.frame] @ pose.rotation.T)
+        n = self.normals[shows]
+        up = normalise((n if len(n) else -np.array([t[:, 2] for t in turns])).sum(0))
+        return soft_light(looks, turns, up, np.median(measured, 0) if len(measured) else None), "environment"
 
     def _follow(self, model: Callable[[int], Light]) -> Lights:
         """`model` of each frame, times a factor per channel so that the markers look as the light map says they do.

@@ -6,14 +6,13 @@ A fold: fed frame by frame, it keeps some hundred numbers per marker and frame, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from arfx.analyse.environment import fold, soft_light
 from arfx.analyse.photometry import Patches, cells, measure
 from arfx.analyse.records import Seen
+from arfx.analyse.surroundings import Look, look
 from arfx.core.rect import Rect
 
 SURROUNDINGS_S = 0.5  # between two looks at the surroundings
@@ -32,14 +31,6 @@ class Picture(Protocol):
     def linear(self, rect: Rect) -> np.ndarray: ...
 
     def reduced(self, width: int) -> np.ndarray: ...
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """The surroundings in one frame. frame : number;  soft : (9, 3) harmonics, CAMERA frame (environment.soft_light)"""
-
-    frame: int
-    soft: np.ndarray
 
 
 class LightMeter:
@@ -66,7 +57,9 @@ class LightMeter:
             self._next_s = time_s + self._interval_s
             small = picture.reduced(SURROUNDINGS_PX)
             if min(small.shape[:2]) >= 3:
-                self.looks.append(Look(frame, soft_light(fold(small), np.eye(3))))
+                shrink = small.shape[1] / picture.rect.width
+                largest = max(seen, key=lambda s: s.side_px)
+                self.looks.append(look(frame, small, (largest.corners_px + 0.5) * shrink - 0.5))
             if len(self.looks) > MOST_LOOKS:
                 self.looks, self._interval_s = self.looks[::2], 2 * self._interval_s
 
@@ -74,12 +67,12 @@ class LightMeter:
         """JSON-able, exact."""
         return {
             "readings": [[k, key, p.to_json()] for k, key, p in self.readings],
-            "looks": [[look.frame, look.soft.tolist()] for look in self.looks],
+            "looks": [[one.frame, one.cube.tolist(), one.plane.tolist()] for one in self.looks],
             "next_s": None if np.isinf(self._next_s) else self._next_s, "interval_s": self._interval_s,
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
         self.readings = [(k, key, Patches.from_json(p)) for k, key, p in state["readings"]]
-        self.looks = [Look(k, np.array(soft, float)) for k, soft in state["looks"]]
+        self.looks = [Look(k, np.array(cube, float), np.array(plane, float)) for k, cube, plane in state["looks"]]
         self._next_s = -np.inf if state["next_s"] is None else state["next_s"]
         self._interval_s = state["interval_s"]
