@@ -152,8 +152,10 @@ def job_toml(scene: SceneFile) -> str:
     for marker in scene.configured:
         lines += ["[[marker]]", f"spec = {json.dumps(str(marker.spec))}", ""]
     lines += ["[model]", 'file = "model.glb"', f"fit = {json.dumps(scene.model.fit)}", ""]
-    lines += ["[pipeline]", f"stages = {json.dumps(list(scene.job.stages))}", f"quality = {json.dumps(scene.job.quality)}", ""]
+    lines += ["[pipeline]", f"stages = {json.dumps(scene.job.stages)}", f"quality = {json.dumps(scene.job.quality)}", ""]
     lines += ["[output]", f"codec = {json.dumps(scene.job.codec)}"]
+    for section, keys in scene.job.settings.items():
+        lines += ["", f"[{section}]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
     return "\n".join(lines) + "\n"
 
 

@@ -236,7 +236,8 @@ class ModelPart(Part):
 
 
 class Job(Part):
-    stages: tuple[str, ...] = ()
+    stages: tuple[str, ...] | Literal["auto"] = Field(default="auto", description="effects, as in a job file")
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="further sections of the job file")
     quality: Literal["draft", "standard", "high", "reference"] = "standard"
     codec: str = "h264"
 
