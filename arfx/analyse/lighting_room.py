@@ -16,7 +16,7 @@ from arfx.analyse.light_fit import MEASURED, REFUSED
 from arfx.analyse.light_time import CONSTANT, SEGMENTS, SHARED, WINDOWS, Span, fit_over_time
 from arfx.analyse.lighting_paper import paper_lights_of
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.surroundings import Look, soft_light
+from arfx.analyse.surroundings import Look, matched, soft_light
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
@@ -133,7 +133,8 @@ class RoomLight:
             turns.append(self.room[one.frame] @ pose.rotation.T)
         n = self.normals[shows]
         up = normalise((n if len(n) else -np.array([t[:, 2] for t in turns])).sum(0))
-        return soft_light(looks, turns, up, np.median(measured, 0) if len(measured) else None), "environment"
+        light = soft_light(looks, turns, up, np.median(measured, 0) if len(measured) else None)
+        return (matched(light, n, measured) if len(n) else light), "environment"
 
     def _follow(self, model: Callable[[int], Light]) -> Lights:
         """`model` of each frame, times a factor per channel so that the markers look as the light map says they do.

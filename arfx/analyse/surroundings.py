@@ -14,11 +14,13 @@ import cv2
 import numpy as np
 
 from arfx.analyse.environment import face_directions, fold, solid_angles
+from arfx.analyse.icosphere import icosphere
 from arfx.core.light import Light, harmonics
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, normalise
 
 FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
+RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 % of the light is left to noise
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
 _COSINE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])  # as in environment.py
 
@@ -77,6 +79,25 @@ def soft_light(
     if shown is None:
         return light
     return light.scaled(divide(shown, light.radiance(up), where_zero=1.0))  # what degree 2 rounds off
+
+
+def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
+    """The soft light bent so that white surfaces with `normals` look as measured, as little as that takes.
+
+    normals : (k, 3) unit, ROOM axes;  shown : (k, 3). Ridge regression of what is missing on the harmonics: one normal moves
+    the whole light, many shape it. Never below 0 where it was measured to be above.
+    """
+    cell = icosphere(3).nearest(normals)
+    rows, where = np.unique(cell, return_inverse=True)
+    count = np.bincount(where, minlength=len(rows))
+    n = normalise(np.stack([np.bincount(where, normals[:, i]) for i in range(3)], -1))
+    want = np.stack([np.bincount(where, shown[:, c]) for c in range(3)], -1) / count[:, None]
+    basis = harmonics(n)
+    soft = np.array(light.soft, float)
+    rough = np.diag(np.repeat([0.0, 1.0, 4.0], [1, 3, 5])) * RIDGE + 1e-9 * np.eye(9)
+    soft = soft + np.linalg.solve(basis.T @ basis / len(rows) + rough, basis.T @ (want - basis @ soft) / len(rows))
+    ambient = soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]
+    return Light(_triple(ambient), (), light.source, tuple(_triple(row) for row in soft))
 
 
 def _triple(v: np.ndarray) -> tuple[float, float, float]:
