@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse import given_light
+from arfx.analyse.light_fit import REFUSED
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.lighting_room import Readings, RoomLight
 from arfx.analyse.meter import LightMeter
@@ -53,12 +54,16 @@ def lighted(
         reports.append((len(shots), report))
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = photometry.bias if photometry.determined.all() else np.zeros(3)
+    turns = analysis.static == "camera"
     lit = tuple(
-        f.with_(light=out[k].turned(room[k].T), bias_rgb=tuple(float(b) for b in bias)) if k in out else f
+        f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
         for k, f in enumerate(facts)
     )
     about = _about_photometry(photometry, params) | {"frame": "camera" if analysis.static == "camera" else "marker"} | report
-    return replace(analysis, facts=lit, summary={**analysis.summary, "light": about})
+    notices = list(analysis.notices)
+    if report and report["verdict"] == REFUSED:
+        notices.append(f"light: no direction is known: {report['reason']}. --light AZ,EL or --environment FILE gives one")
+    return replace(analysis, facts=lit, summary={**analysis.summary, "light": about}, notices=tuple(notices))
 
 
 def _rooms(analysis: Analysis) -> dict[int, np.ndarray]:

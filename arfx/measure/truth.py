@@ -13,8 +13,9 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, FrameFacts
 from arfx.core.marker import MarkerSpec
-from arfx.core.numerics import angle_between, normalise
+from arfx.core.numerics import normalise
 from arfx.core.pose import Pose, rotation_angle_rad
+from arfx.measure.truth_light import light_errors
 from arfx.synth.truth import Truth
 
 FLIP_DEG = 3.0  # nearer to the mirrored solution but off by less: at a frontal view both are the same to the eye
@@ -145,21 +146,6 @@ def map_errors(world_from_marker: Mapping[str, Pose], truth: Truth, world: str) 
     return {"markers": out, "position_mm_max": worst[0], "rotation_deg_max": worst[1]}
 
 
-def light_errors(facts: Sequence[FrameFacts], truth: Truth, key: str) -> dict[str, Any] | None:
-    """Angle between the strongest estimated light and the strongest true lamp, in the world marker's axes.
-
-    None unless some frame carries a measured light (facts.light with source "marker") and the scene has a lamp.
-    """
-    angles = []
-    for fact, frame in zip(facts, truth.frames, strict=True):
-        if fact.light is None or fact.light.source != "marker" or not fact.light.lights or not frame.lights["lights"]:
-            continue
-        lamp = max(frame.lights["lights"], key=lambda li: sum(li["rgb"]))
-        estimate = max(fact.light.lights, key=lambda li: sum(li.rgb))
-        angles.append(float(np.degrees(angle_between(estimate.unit, np.array(lamp["marker"][key])))))
-    return {"frames": len(angles), "direction_deg": _spread(np.array(angles))} if angles else None
-
-
 def compare(
     facts: Sequence[FrameFacts],
     world_from_marker: Mapping[str, Pose],
@@ -186,7 +172,7 @@ def compare(
         out["single_frame"] = pose_errors(single_frame, truth, world, size)
     if (mapped := map_errors(world_from_marker, truth, world)) is not None:
         out["map"] = mapped
-    if (light := light_errors(facts, truth, world)) is not None:
+    if (light := light_errors(facts, world_from_marker, truth)) is not None:
         out["light"] = light
     return out
 

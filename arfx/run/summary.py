@@ -109,6 +109,25 @@ def _check(check: str, value: Any, limit: Any, ok: bool, action: str) -> dict[st
     return {"check": check, "value": value, "limit": limit, "verdict": "ok" if ok else "warn", "action": "none" if ok else action}
 
 
+def _light_health(light: dict[str, Any] | None) -> list[dict[str, Any]]:
+    if light is None:
+        return []
+    photometry = light["photometry"]
+    condition = max((c for c in photometry["condition"] if c is not None), default=None)
+    ok = photometry["verdict"] == "measured"
+    rows = [_check("photometry condition number", condition, 1e6, ok, f"bias taken for 0: {photometry['reason']}")]
+    # what the markers' normals say of a direction beside ambient light; a given light does not need it
+    known = light["verdict"] != "refused"
+    rows.append(_check("light direction", light["verdict"], "measured or given", known, light["reason"]))
+    if light["normals_seen"]:
+        rows.append(_check("light fit condition number", light["condition"], 1e3, known, "no direction claimed"))
+    rows.append(
+        _check("clipped share of the markers", light["clipped_fraction"], 0.5, light["clipped_fraction"] <= 0.5,
+               "clipped samples left out: brightness rests on the others")
+    )  # fmt: skip
+    return rows
+
+
 def _health(planned: Planned) -> list[dict[str, Any]]:
     """Every estimate of the job with its limit and what was done about it."""
     camera, summary, meta = planned.inputs.camera, planned.meta["summary"], planned.meta
@@ -129,6 +148,7 @@ def _health(planned: Planned) -> list[dict[str, Any]]:
     if not summary["map"]["given"] and summary["map"].get("condition") is not None:
         value = summary["map"]["condition"]
         rows.append(_check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
+    rows += _light_health(summary.get("light"))
     absent = sum(f.status == ABSENT for f in planned.facts)
     rows.append(_check("frames without a pose", absent, 0, absent == 0, "object left out there"))
     whole = meta["truncated"] is None

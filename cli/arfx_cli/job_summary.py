@@ -30,6 +30,8 @@ def detail_job(report: dict[str, Any]) -> None:
         levels = ", ".join(s["levels"]) or "no level"
         area = f"{s['area_fraction']:.1%} of the picture"
         detail(f"stage {s['name']}: {s['frames_run']} frames, {levels}, {area}, {s['measured_s']:.2f} s{why}")
+    light = report["light"]
+    detail(f"light: {light['verdict']}, from {light['source']}: {light['reason']}")
     phases = ("decode", "analyse", "plan", "prepare", "render", "encode")
     detail("seconds: " + ", ".join(f"{p} {timing[f'{p}_s']:.2f}" for p in phases) + f"; peak {timing['peak_rss_mb']:.0f} MB")
     for h in report["health"]:
