@@ -29,7 +29,9 @@ POINTS = 40
 LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
 NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
 DRIFT = 0.02  # of a point's way by which it may be missed: the patch around it is seen from elsewhere
+NEAR_PX, FLAT = 17, 4.0  # neighbourhood that contrast is told against, and grey levels of contrast that are noise
 STILL_PX = 0.35  # in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
+AT_REST = 0.45  # share of points: moving shadows and what a hand moves beside the marker are the others
 _MIN_POINTS = 6
 
 
@@ -53,6 +55,7 @@ class BackgroundFlow:
             return
         factor = max(1, luma.shape[1] // WIDTH_PX)
         small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        small = _evened(small)
         if recent:
             self._follow(index, small, factor)
         if not fresh:
@@ -106,6 +109,14 @@ class BackgroundFlow:
         self.samples = [{**s, "from": np.array(s["from"]), "to": np.array(s["to"])} for s in state["samples"]]
 
 
+def _evened(image: np.ndarray) -> np.ndarray:
+    """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves it nearly as it was."""
+    value = image.astype(np.float32)
+    off = value - cv2.blur(value, (NEAR_PX, NEAR_PX))
+    size = np.sqrt(cv2.blur(off * off, (NEAR_PX, NEAR_PX))) + FLAT
+    return np.clip(128 + 48 * off / size, 0, 255).astype(np.uint8)
+
+
 def decide_static(
     samples: Sequence[Mapping], camera_from_world: Mapping[int, Pose], camera: Camera
 ) -> tuple[str, dict[str, float]]:
@@ -134,7 +145,7 @@ def decide_static(
     }
     if not rest:
         return "both", evidence
-    if evidence["at_rest"] > 0.6:
+    if evidence["at_rest"] > AT_REST:
         return "camera", evidence
     return ("marker" if evidence["with_marker"] > 0.6 else "both"), evidence
 
