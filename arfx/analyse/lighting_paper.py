@@ -37,8 +37,8 @@ def paper_lights_of(
     out = []
     for value, variance in light_map.smooth(rows, map_params):
         known = (variance < light_map.UNKNOWN).all(1) & (value.max(1) > 0)
-        level = value.mean(1)
-        peaks = paper_lights(value, map_params.level, params.peak * float(level.max()), params.peak_apart_deg)
+        brightest = float(value[sphere.faces].mean((1, 2)).max())
+        peaks = paper_lights(value, map_params.level, params.peak * brightest, params.peak_apart_deg)
         least = value[known].min(0) if known.any() else np.zeros(3)
         lamps, rest = [], value.copy()
         for d in peaks[:2]:

@@ -23,6 +23,9 @@ from arfx.core.numerics import divide, normalise
 
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
+JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
+UNKNOWN = light_map.UNKNOWN  # variance
+MODEL_ERROR = 0.003  # of a model's irradiance, relative: a reading of one normal is no better
 LEAST_SEEN = 0.02  # of the brightest irradiance seen: darker normals say nothing about a frame's brightness
 _ACCOUNTS = {
     CONSTANT: "constant over the clip",
@@ -137,23 +140,27 @@ class RoomLight:
         return (matched(light, n, measured) if len(n) else light), "environment"
 
     def _follow(self, model: Callable[[int], Light]) -> Lights:
-        """`model` of each frame, times a factor per channel so that the markers look as the light map says they do.
+        """`model` of each frame, times a factor per channel so that the markers look as they were measured.
 
-        model(frame number). Frames without a reading take the factor between those before and after, up to a step of the
-        light. The light map is smoothed over both past and future.
+        model(frame number). Factors are smoothed over both past and future, but never over a step of the light; frames
+        without a reading take that between those before and after, up to a step.
         """
-        factors = np.ones((len(self.lit), 3))
+        count = len(self.lit)
+        factors, variance = np.ones((count, 3)), np.full((count, 3), UNKNOWN)
         bright = float(np.percentile(self.y.max(1), 90)) if len(self.y) else 0.0
-        sphere = icosphere(self.params.map_level)
-        maps = light_map.smooth(self.observations, self.map_params, self.kinds)
-        for i, (k, o, (value, _)) in enumerate(zip(self.lit, self.observations, maps, strict=True)):
-            seen, made = sphere.interpolate(value, o.normals), model(k).radiance(o.normals)
-            usable = np.where(made > LEAST_SEEN * bright, made, 0)
-            factors[i] = divide((usable * seen).sum(0), (usable * made).sum(0), where_zero=1.0)
+        for i, (k, o) in enumerate(zip(self.lit, self.observations, strict=True)):
+            made = model(k).radiance(o.normals)
+            weight = np.where(made > LEAST_SEEN * bright, divide(made, o.variance + (MODEL_ERROR * made) ** 2), 0)
+            share = (weight * made).sum(0)
+            factors[i] = divide((weight * o.irradiance).sum(0), share, where_zero=1.0)
+            variance[i] = divide(1.0, share, where_zero=UNKNOWN)
+        at = np.array([self.facts[k].time_s for k in self.lit])
+        stepped = (self.kinds == light_map.STEP) | jumps(factors)
+        variance[(self.kinds == light_map.STRAY) & ~stepped] = UNKNOWN
+        factors = smoothed(at, factors, variance, stepped, self.params.drift_per_s)
         factors = np.clip(factors, LEAST_FACTOR, MOST_FACTOR)
         out = {}
-        steps = {k for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP}
-        at = np.array([self.facts[k].time_s for k in self.lit])
+        steps = {k for k, new in zip(self.lit, stepped, strict=True) if new}
         for k in self.frames:
             i = int(np.searchsorted(self.lit, k))
             if i < len(self.lit) and self.lit[i] == k:
@@ -181,6 +188,50 @@ class RoomLight:
             "normals_seen": len(set(cells.tolist())), "normal_span_deg": span_deg,
             "rank": int((size > 1e-2 * size[0]).sum()), "condition": condition if condition < 1e12 else None,
         }  # fmt: skip
+
+
+def jumps(factors: np.ndarray) -> np.ndarray:
+    """(n,) True where factors (n, 3) change by more than JUMP from one to the next, in all channels, and stay so."""
+    out = np.zeros(len(factors), bool)
+    low = np.maximum(np.abs(factors), 1e-6)
+    for i in range(1, len(factors)):
+        before, here, after = low[i - 1], low[i], low[min(i + 1, len(low) - 1)]
+        stays = (np.abs(np.log(after / here)) < np.abs(np.log(after / before))).all()
+        out[i] = stays and (np.abs(np.log(here / before)) > JUMP).all()
+    return out
+
+
+def smoothed(
+    time_s: np.ndarray, value: np.ndarray, variance: np.ndarray, step: np.ndarray, drift_per_s: float
+) -> np.ndarray:  # fmt: skip
+    """(n, 3) values of a random walk seen with noise, from all of the past and the future (Kalman filters from both ends).
+
+    time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk begins anew there
+    drift_per_s : its relative standard deviation over one second
+    """
+
+    def filtered(order: np.ndarray, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Means and variances before each value is taken in."""
+        mean, spread = np.zeros(value.shape), np.full(value.shape, UNKNOWN)
+        m, v = np.zeros(3), np.full(3, UNKNOWN)
+        for i, k in enumerate(order):
+            if begins[k]:
+                v = np.full(3, UNKNOWN)
+            elif i:
+                v = np.minimum(v + drift_per_s**2 * abs(time_s[k] - time_s[order[i - 1]]) * m * m, UNKNOWN)
+            mean[k], spread[k] = m, v
+            gain = divide(v, v + variance[k])
+            known = variance[k] < UNKNOWN
+            m = np.where(known, m + gain * (value[k] - m), m)
+            v = np.where(known, divide(v * variance[k], v + variance[k]), v)
+        return mean, spread
+
+    order = np.arange(len(value))
+    m0, v0 = filtered(order, step)
+    m1, v1 = filtered(order[::-1], np.append(step[1:], False))
+    weights = np.stack([divide(1.0, v) * (v < UNKNOWN) for v in (v0, v1, variance)])
+    total = weights.sum(0)
+    return np.where(total > 0, divide((weights * np.stack([m0, m1, value])).sum(0), total), value)
 
 
 def _span_at(spans: Sequence[Span], time_s: float) -> Light:

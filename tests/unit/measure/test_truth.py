@@ -9,7 +9,8 @@ from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
-from arfx.measure.truth import compare, cuts, exceeded, light_errors, map_errors, pose_errors, presence, world_key
+from arfx.measure.truth import compare, cuts, exceeded, map_errors, pose_errors, presence, world_key
+from arfx.measure.truth_light import light_errors
 from arfx.synth.clip import frame_truth
 from arfx.synth.truth import Truth
 from tests.unit.synth.little_scenes import little_scene, picture_of
@@ -160,15 +161,32 @@ def test_map_errors_and_world_of_either_marker(truth: Truth) -> None:
     assert figures["world"] == "36h11:4" and figures["arfx"]["position_mm"]["max"] < 1e-6
 
 
-def test_light_error_is_the_angle_to_the_true_lamp(truth: Truth) -> None:
-    def light(azimuth: float, elevation: float) -> Light:
-        a, e = np.radians([azimuth, elevation])
-        unit = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-        return Light((0.3, 0.3, 0.3), (DirectionalLight(unit, (0.5, 0.5, 0.5)),), source="marker")
+def lit(azimuth: float, elevation: float, cone: float = 5.0, brightness: float = 1.0) -> Light:
+    a, e = np.radians([azimuth, elevation])
+    unit = (float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e)))
+    rgb = (0.5 * brightness,) * 3
+    return Light((0.3 * brightness,) * 3, (DirectionalLight(unit, rgb, 2.0, cone),), source="marker")
 
-    e = light_errors(facts_of(truth, exact(truth), light=light(30, 72)), truth, KEY)
+
+def test_light_error_is_the_angle_to_the_true_lamp(truth: Truth) -> None:
+    world = {KEY: Pose.identity()}
+    e = light_errors(facts_of(truth, exact(truth), light=lit(30, 72)), world, truth)
     assert e is not None and e["direction_deg"]["median"] == pytest.approx(12, abs=1e-6)
-    assert light_errors(facts_of(truth, exact(truth)), truth, KEY) is None
+    assert e["false"] == len(truth.frames) and e["measured"] == len(truth.frames)  # off by more than twice its cone
+    wide = light_errors(facts_of(truth, exact(truth), light=lit(30, 72, cone=8)), world, truth)
+    assert wide is not None and wide["false"] == 0
+    assert light_errors(facts_of(truth, exact(truth)), world, truth) is None
+
+
+def test_irradiance_and_bias_are_judged_on_the_markers_themselves(truth: Truth) -> None:
+    world = {KEY: Pose.identity()}
+    right = light_errors(facts_of(truth, exact(truth), light=lit(30, 60)), world, truth)
+    bright = light_errors(facts_of(truth, exact(truth), light=lit(30, 60, brightness=1.1)), world, truth)
+    assert right is not None and bright is not None
+    assert right["irradiance"]["p95"] < 1e-9 and bright["irradiance"]["median"] == pytest.approx(0.1)
+    off = facts_of(truth, exact(truth), light=lit(30, 60))
+    biased = light_errors([f.with_(bias_rgb=(0.0, 0.0, 2 / 255 / 12.92)) for f in off], world, truth)
+    assert biased is not None and biased["bias_grey"] == pytest.approx(2)
 
 
 def test_bounds_name_what_breaks_them() -> None:

@@ -10,7 +10,7 @@ from arfx.config.load import load
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError
 from arfx.run.inputs import anchor_key, marker_map, placement
-from arfx.run.parameters import parameters, pipeline
+from arfx.run.parameters import light_wanted, parameters, pipeline
 
 
 def job(tmp_path: Path, layout: Path) -> object:
@@ -59,7 +59,10 @@ def test_pipelines_name_existing_effects_in_order() -> None:
     config = load(None, {"pipeline": {"stages": ["watercolour"]}}, parameters())
     with pytest.raises(ConfigError, match="watercolour"):
         pipeline(config)
-    assert pipeline(load(None, {}, parameters())) == ("raster", "plain", "contact", "composite")
+    assert pipeline(load(None, {}, parameters()))[:2] == ("raster", "lightmap")  # all there is, and what it replaces is left out
+    plain = load(None, {"pipeline": {"stages": []}}, parameters())
+    assert pipeline(plain) == ("raster", "plain", "contact", "composite")
+    assert light_wanted(plain) is None and light_wanted(load(None, {}, parameters())) is not None
 
 
 @pytest.mark.parametrize(("up", "tip"), [("z", (0, 0, 1)), ("y", (0, 1, 0)), ("x", (1, 0, 0))])
