@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light_map import (
-    NEVER_S, STEADY, STEP, STRAY, UNKNOWN, LightMap, Observation, Params, changes, smooth, weight,
+    NEVER_S,
+    STEADY,
+    STEP,
+    STRAY,
+    UNKNOWN,
+    LightMap,
+    Observation,
+    Params,
+    changes,
+    smooth,
+    weight,
 )  # fmt: skip
 
 UP = np.array([[0.0, 0, 1]])
