@@ -62,8 +62,14 @@ def lighted(
     about = _about_photometry(photometry, params) | {"frame": "camera" if analysis.static == "camera" else "marker"} | report
     notices = list(analysis.notices)
     if report and report["verdict"] == REFUSED:
-        notices.append(f"light: no direction is known: {report['reason']}. --light AZ,EL or --environment FILE gives one")
+        notices.append(f"light: no direction is known: {report['reason']}. {_ways(report)}")
     return replace(analysis, facts=lit, summary={**analysis.summary, "light": about}, notices=tuple(notices))
+
+
+def _ways(report: dict[str, Any]) -> str:
+    """What a user can do about a light that is refused."""
+    one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
+    return f"--light AZ,EL or --environment FILE gives one{one}"
 
 
 def _rooms(analysis: Analysis) -> dict[int, np.ndarray]:
