@@ -95,7 +95,15 @@ def frame_light(light: Light, world_from_anchor: Pose, hard: bool, plane_blocks:
 
 def rounded(direction: np.ndarray, size_deg: float) -> Beam:
     """The beam that stands for a direction (3,), unit, anchor axes: within QUANTUM of it."""
-    d = normalise(np.round(np.asarray(direction, float) / QUANTUM) * QUANTUM)
+    d = np.asarray(direction, float)
+    steps = np.round(d / QUANTUM)
+    # rounded and scaled to a unit again it may round to a neighbour: until it stays, so that equal lights are equal keys
+    for _ in range(4):
+        d = normalise(steps * QUANTUM)
+        again = np.round(d / QUANTUM)
+        if (again == steps).all():
+            break
+        steps = again
     return Beam((float(d[0]), float(d[1]), float(d[2])), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG)
 
 

@@ -68,6 +68,8 @@ def make_caster(scene: Scene) -> Caster:
 def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(e, 5) int32: two vertices, the face that runs from the first to the second, another or -1, and +1 where that one
     runs the same way, -1 where against it. Vertices at the same place count as one; of more than two faces some pair up."""
+    if not len(faces):
+        return np.zeros((0, 5), np.int32)
     low, size = vertices.min(0), float(np.ptp(vertices, axis=0).max())
     grid = np.round(divide(vertices - low, _SAME_PLACE * size))
     _, first, place = np.unique(grid, axis=0, return_index=True, return_inverse=True)
@@ -118,7 +120,9 @@ def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
     )
     n = len(vertices)
     new = np.arange(n, n + 3 * len(triangles)).reshape(-1, 3)
-    return np.concatenate([vertices, triangles.reshape(-1, 3)]), np.concatenate([whole, new]).astype(np.int32)
+    every = np.concatenate([vertices, triangles.reshape(-1, 3)])
+    kept, place = np.unique(np.concatenate([whole, new]), return_inverse=True)
+    return every[kept], place.reshape(-1, 3).astype(np.int32)
 
 
 def _outline(points: np.ndarray) -> np.ndarray:

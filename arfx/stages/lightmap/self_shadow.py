@@ -21,11 +21,11 @@ from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.silhouette import highest
 
-
 _EMPTY = -1e9
 _LIFT_TEXELS = 1.5
 _LIFT_SAGS = 2.0
-_LIFT_RAYS = 2e-4  # of the extent
+_LIFT_RAYS = 1e-3  # of the extent
+_LIFT_FAR = 4e-4  # of the distance: embree's hit points, and so the rays raster's places, are 1.5e-4 of it wrong
 _NARROWEST, _WIDEST = 1.7, 40.0  # texels, radius in which the map is asked: under it the texels' steps show
 
 
@@ -95,16 +95,18 @@ def by_map(
 
 def by_rays(
     coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Rays, caster: Caster, beam: Beam,
-    anchor_from_world: Pose, level: SelfLevel,
+    anchor_from_world: Pose, level: SelfLevel, eye: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """The same with rays over the light's disc, weighted by their cosine to the normal."""
+    """The same with rays over the light's disc, weighted by their cosine to the normal. eye (3,) : the camera, WORLD frame"""
     out = np.ones(coverage.shape, np.float32)
     directions = disc_directions(beam, disc(level.rays if beam.size_deg > 0 else 1), over_plane=False)
     n = normal.astype(float) @ anchor_from_world.rotation.T
     y, x = np.nonzero((coverage > 0) & (n @ np.array(beam.direction) > 0))
-    lift = max(_LIFT_SAGS * caster.sag_m, _LIFT_RAYS * caster.extent_m)
-    n = n[y, x]
-    points = anchor_from_world.apply(position[y, x]) + lift * n
+    n, seen = n[y, x], position[y, x].astype(float)
+    lift = np.maximum(
+        max(_LIFT_SAGS * caster.sag_m, _LIFT_RAYS * caster.extent_m), _LIFT_FAR * np.linalg.norm(seen - eye, axis=1)
+    )
+    points = anchor_from_world.apply(seen) + lift[:, None] * n
     if not level.search or len(directions) <= level.search:
         out[y, x] = rays.weighted_share(points, n, directions)
         return out

@@ -153,6 +153,7 @@ class Lightmap:
         part, pose = now.crop(box), facts.camera_from_world
         assert pose is not None
         coverage, normal, position = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.POSITION]
+        eye = pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
         left = np.ones((len(reaching), box.height, box.width), np.float32)
         anchor_from_world = scene.world_from_anchor.inverse()
@@ -162,7 +163,7 @@ class Lightmap:
                 beam = light.beams[k]
                 if at.rays:
                     left[i] = by_rays(
-                        coverage, normal, position, prepared.rays, prepared.caster, beam, anchor_from_world, at
+                        coverage, normal, position, prepared.rays, prepared.caster, beam, anchor_from_world, at, eye
                     )
                 else:
                     found = prepared.kept.get(("depth", beam), lambda b=beam: depth_map(prepared.caster, b, at))
@@ -172,7 +173,7 @@ class Lightmap:
         f32 = np.float32
         virtual: np.ndarray = shade(
             coverage, normal, position, part[Layer.ALBEDO], part[Layer.MATERIAL], part[Layer.EMISSIVE], left,
-            pose.inverse().translation_m.astype(f32), light.towards[reaching].astype(f32),
+            eye.astype(f32), light.towards[reaching].astype(f32),
             (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
             harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32), self._paper,
         )  # fmt: skip
