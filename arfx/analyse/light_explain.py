@@ -58,16 +58,17 @@ class Explanations:
     best, best_cost, bic : by number of lights;  count : the number that the criterion chose;  plain : samples as they came
     """
 
-    def __init__(self, s: Samples, params: Params) -> None:
+    def __init__(self, s: Samples, params: Params, start: Explanations | None = None) -> None:
+        """start : of the same observations under other weights; its minima are followed, none is searched again."""
         self.params, most = params, max(0, min(params.most_lights, 2))
+        found = self._search(s, most) if start is None else self._follow(s, start.plain_models, 0.0)
         for _ in range(2):
-            found = self._search(s, most)
             calmer = s.damped(found[most][0].amplitudes()[1])
             if (calmer.weight >= 0.5 * s.weight).all():
                 break
             s = calmer
-        else:
-            found = self._search(s, most)
+            found = self._follow(s, found, 0.0)
+        self.plain_models = found
         self.plain, self.groups, self.effective = s, s.groups, s.effective
         self.nodes: list[tuple[float, list[list[Model]]]] = [(0.0, found)]  # (prior's cost, models by count)
         steps = _GAMMA_STEPS[1:] if params.gamma_sigma > 0 else ()

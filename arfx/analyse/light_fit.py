@@ -138,9 +138,9 @@ def fit(
         return LightFit(REFUSED, f"one normal only: all lie within {about['span_deg']:.2g} degrees", seen, seen, **about)
     if len(s.normals) < 4:
         return LightFit(REFUSED, f"{len(s.normals)} normals only: a direction beside ambient light takes 4", seen, seen, **about)
-    error = params.model_error
+    error, found = params.model_error, None
     for _ in range(4):  # what no lights explain is an error of the model, and not one that averages out
-        found = Explanations(s, params)
+        found = Explanations(s, params, found)
         misfit = min(found.misfit(k) for k in range(len(found.best)))
         if misfit <= 1.5:
             break

@@ -93,20 +93,17 @@ def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[M
     count = len(soft)
     chi = _scan(s, many, np.arange(count), np.ones(count), soft, count)
     found: list[Model] = []
-    tried: list[np.ndarray] = []
+    free, near = np.ones(len(many), bool), np.cos(np.radians(_APART_DEG))
     for i in np.argsort(chi, kind="stable"):
-        if any(apart_deg(many[i], t) < _APART_DEG for t in tried):
+        if not free[i]:
             continue
-        tried.append(many[i])
+        for order in ([0], [0, 1], [1, 0]):
+            if len(order) == count:
+                free &= (many * many[i][order]).sum(-1).min(-1) <= near
         found.append(refine(s, many[i], soft))
         if len(found) == most:
             break
     return sorted(found, key=lambda m: m.chi2)
-
-
-def apart_deg(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest angle between two sets of as many directions (q, 3), matched as is best (q is 1 or 2)."""
-    return float(min(np.degrees(angle_between(a, b[order])).max() for order in ([0], [0, 1], [1, 0]) if len(order) == len(a)))
 
 
 def cone_deg(model: Model, light: int, bound: float) -> float:
