@@ -3,7 +3,8 @@
 1. constant: one fit for all;
 2. segments: the directions of the clip, and colours and brightness of their own between one step of the light and the next
    (lamps that are switched);
-3. shared: the same, in windows of a few seconds (lamps that fade, exposure that drifts);
+3. shared: the same, with a factor for every frame where frames show several normals (exposure that pumps), else in windows
+   of a few seconds (lamps that fade, exposure that drifts);
 4. windows: a fit for each window alone (a light that swings).
 The next one is tried where the one before does not explain the observations: its model error is large (light_fit.Params).
 A light that is refused for another reason stays refused: cut into pieces, its evidence only gets less.
@@ -24,9 +25,11 @@ import numpy as np
 
 from arfx.analyse.light_explain import Params
 from arfx.analyse.light_fit import MEASURED, REFUSED, LightFit, fit
+from arfx.analyse.light_gain import drift, gains, matched
 from arfx.core.numerics import angle_between
 
 CONSTANT, SEGMENTS, SHARED, WINDOWS = "constant", "segments", "shared", "windows"
+_MOST_DRIFT = 0.02  # of the level, light_gain.drift: an account under which normals change more does not hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +73,22 @@ def fit_over_time(
     start, stop = float(times.min()), float(times.max())
     late = times > (start + stop) / 2
     constant = run(every, None)
-    if constant.model_error <= good_error:
+    if constant.model_error <= good_error and drift(times, n, E) <= _MOST_DRIFT:
         return CONSTANT, [Span(start, stop, constant, 0)]
     segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
     for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
         group = _group(times, edges)
         if name == SEGMENTS and len(edges) < 3:
             continue
+        if name == SHARED:
+            pumped = _pumped(times, n, E, v, p)
+            if pumped is not None and pumped.model_error <= good_error:
+                halves = [_pumped(times[part], n[part], E[part], v[part], p) for part in (~late, late)]
+                pumped = _confirmed(pumped, [h for h in halves if h is not None], p.limit_deg)
+                if pumped.verdict == MEASURED and None not in halves:
+                    return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
-        if shared.verdict == MEASURED and shared.model_error <= good_error:
+        if shared.verdict == MEASURED and shared.model_error <= good_error and drift(times, n, E, group) <= _MOST_DRIFT:
             if name == SHARED:
                 shared = confirmed(shared, [~late, late], group)
             if shared.verdict == MEASURED:
@@ -108,14 +118,34 @@ def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
     return np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
 
 
+def _pumped(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params) -> LightFit | None:
+    """The light under one factor per frame (light_gain); None where that is not to be had, does not hold, or is refused."""
+    g = gains(times, n, E) if len(times) else None
+    if g is None:
+        return None
+    frame, found = np.unique(times, return_inverse=True)[1], None
+    for _ in range(3):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
+        found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, params)
+        if found.verdict != MEASURED:
+            return None
+        g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
+        if not (g > 1e-3).all():
+            return None
+    return found if drift(times, n, E / g[:, None]) <= _MOST_DRIFT else None
+
+
 def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) -> LightFit:
     """`found` with its first light's cone widened to what the halves say, or refused."""
     first = found.lights[0]
-    off = max(
-        float(np.degrees(angle_between(np.array([li.direction for li in h.lights]), first.direction).min()))
-        if h.verdict == MEASURED
+    off = (
+        max(
+            float(np.degrees(angle_between(np.array([li.direction for li in h.lights]), first.direction).min()))
+            if h.verdict == MEASURED
+            else np.inf
+            for h in halves
+        )
+        if halves
         else np.inf
-        for h in halves
     )
     if off > limit_deg:
         why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
