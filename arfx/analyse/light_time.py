@@ -83,10 +83,7 @@ def fit_over_time(
         if name == SHARED:
             pumped = _pumped(times, n, E, v, p)
             if pumped is not None and pumped.model_error <= good_error:
-                halves = [_pumped(times[part], n[part], E[part], v[part], p) for part in (~late, late)]
-                pumped = _confirmed(pumped, [h for h in halves if h is not None], p.limit_deg)
-                if pumped.verdict == MEASURED and None not in halves:
-                    return SHARED, [Span(start, stop, pumped, 0)]
+                return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
         if shared.verdict == MEASURED and shared.model_error <= good_error and drift(times, n, E, group) <= _MOST_DRIFT:
             if name == SHARED:
@@ -124,8 +121,9 @@ def _pumped(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, para
     if g is None:
         return None
     frame, found = np.unique(times, return_inverse=True)[1], None
-    for _ in range(3):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
-        found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, params)
+    rough = replace(params, gamma_sigma=0.0)
+    for p in (rough, params):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
+        found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, p)
         if found.verdict != MEASURED:
             return None
         g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
