@@ -53,6 +53,7 @@ def shade(
     fr, fg, fb = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     r, g, b = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     width4, shine = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    edge = np.empty(columns, np.float32)
     lit, lobe, graze = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     mantissa, whole = np.empty(columns, np.float32), np.empty(columns, np.float32)
     cosine = np.empty(columns, np.float32)
@@ -81,6 +82,8 @@ def shade(
             matt = one - metal if paper else (one - metal) * (one - base)
             dr[i], dg[i], db[i] = albedo[y, x, 0] * matt, albedo[y, x, 1] * matt, albedo[y, x, 2] * matt
             fr[i], fg[i], fb[i] = base + albedo[y, x, 0] * metal, base + albedo[y, x, 1] * metal, base + albedo[y, x, 2] * metal
+            # at grazing angles all is mirrored, unless the material is told not to be glossy at all (F0 under 4 %)
+            edge[i] = metal + (one - metal) * min(two * material[y, x, 2], one)
             rough = max(material[y, x, 1], np.float32(0.05))
             width4[i] = rough * rough * rough * rough
         gloss = zero if paper else one
@@ -112,7 +115,7 @@ def shade(
                     scale = one / np.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
                     cosine[i] = max((nx[i] * hx + ny[i] * hy + nz[i] * hz) * scale, np.float32(1e-8))
                     away = one - min(max((vx[i] * hx + vy[i] * hy + vz[i] * hz) * scale, zero), one)
-                    graze[i] = away * away * away * away * away
+                    graze[i] = edge[i] * (away * away * away * away * away)
                     lit[i] = max(nx[i] * lx + ny[i] * ly + nz[i] * lz, zero)
                     # Blinn's exponent of the GGX width roughness^2
                     shine[i] = min(max(two / (width4[i] + wide) - two, one), np.float32(2000))
