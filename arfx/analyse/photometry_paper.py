@@ -61,7 +61,7 @@ def smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = DENS
         rows = np.zeros((grey.size, frames + 2))
         rows[:, 0], rows[:, 1] = -grey.ravel(), m.ravel()
         rows[np.arange(grey.size), 2 + np.repeat(np.arange(frames), grey.shape[1])] = r.ravel()
-        _, s, vt = np.linalg.svd(rows, full_matrices=True)
+        _, s, vt = np.linalg.svd(rows, full_matrices=len(rows) < frames + 2)
         s = np.append(s, np.zeros(max(frames + 2 - len(s), 0)))
         v, smallest, null = vt[-1], float(s[-1]), NULL
     else:
