@@ -123,5 +123,3 @@ def _rimmed(dark: np.ndarray) -> np.ndarray:
     out[[0, -1]] = 0
     out[:, [0, -1]] = 0
     return out
-
-

@@ -130,12 +130,25 @@ def shade(
                 power = power + one if upper else power
                 z = (m - one) / (m + one)
                 q = z * z
-                series = z * (np.float32(2.88539008) + q * (np.float32(0.96179669) + q * (np.float32(0.57707802) + q * np.float32(0.41219858))))
+                series = z * (
+                    np.float32(2.88539008)
+                    + q * (np.float32(0.96179669) + q * (np.float32(0.57707802) + q * np.float32(0.41219858)))
+                )
                 exponent = max(shine[i] * (power + series), np.float32(-126))
                 nearest = np.floor(exponent + np.float32(0.5))
                 f = exponent - nearest
-                lobe[i] = one + f * (np.float32(0.69314718) + f * (np.float32(0.24022651) + f * (np.float32(0.05550411) + f * (
-                    np.float32(0.00961813) + f * (np.float32(0.00133336) + f * np.float32(0.00015404))))))
+                lobe[i] = one + f * (
+                    np.float32(0.69314718)
+                    + f
+                    * (
+                        np.float32(0.24022651)
+                        + f
+                        * (
+                            np.float32(0.05550411)
+                            + f * (np.float32(0.00961813) + f * (np.float32(0.00133336) + f * np.float32(0.00015404)))
+                        )
+                    )
+                )
                 whole_bits[i] = (np.int32(nearest) + np.int32(127)) << np.int32(23)
             if paper:
                 for i in range(n):

@@ -25,7 +25,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
-from arfx.stages.lightmap.beams import Beam, FrameLight, frame_light
+from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.lookup import direction_grid, light_left

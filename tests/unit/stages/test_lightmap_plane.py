@@ -94,8 +94,8 @@ def test_draft_is_exact_for_a_small_light() -> None:
 def test_half_the_light_makes_146_of_200() -> None:
     """The umbra of a light that is half of what lights the plane, away from what the ambient light loses."""
     from arfx.stages import STAGES
-    from tests.contract.stage_laws import run as run_law
     from tests.contract.stage_laws import random_layers
+    from tests.contract.stage_laws import run as run_law
     from tests.scenes import facts
 
     sine = np.sin(np.radians(40))
@@ -109,7 +109,13 @@ def test_half_the_light_makes_146_of_200() -> None:
     ones = np.ones_like(shadow)
     plate = (SRGB.decode(np.array(200 / 255)) * ones).astype(np.float32)
     layers = layers.adding(
-        {Layer.PLATE: plate, Layer.IMAGE: plate, Layer.VIRTUAL: 0 * ones, Layer.COVERAGE: 0 * ones[..., 0], Layer.SHADOW: 0.5 * ones}
+        {
+            Layer.PLATE: plate,
+            Layer.IMAGE: plate,
+            Layer.VIRTUAL: 0 * ones,
+            Layer.COVERAGE: 0 * ones[..., 0],
+            Layer.SHADOW: 0.5 * ones,
+        }
     )
     made = run_law(composite, layers, facts(s), s, None, composite.levels[0])[Layer.IMAGE]
     assert np.round(255 * SRGB.encode(made[y, x])).tolist() == [146] * 3
@@ -313,7 +319,9 @@ def test_many_crossings_of_a_row_are_counted_as_well_as_sorted() -> None:
     from arfx.stages.lightmap.caster import _edges
 
     x = np.arange(60) * 2.0 + 2
-    vertices = np.concatenate([np.column_stack([x + dx, np.full(60, y), np.zeros(60)]) for dx, y in ((0.5, 2), (1.5, 2), (1, 30))])
+    vertices = np.concatenate(
+        [np.column_stack([x + dx, np.full(60, y), np.zeros(60)]) for dx, y in ((0.5, 2), (1.5, 2), (1, 30))]
+    )
     faces = np.column_stack([np.arange(60), np.arange(60) + 60, np.arange(60) + 120]).astype(np.int32)
     up = np.tile([[0.0], [0], [1]], 60).astype(np.float32)
     made = hidden_share(
@@ -341,9 +349,7 @@ def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str)
     x = np.linspace(-0.12, 0.0, 61)
     places = np.column_stack([x, np.zeros(61), np.ones(61)]) @ texture.texel_from_m.T
     made = cv2.remap(texture.dark, *(places[:, i : i + 1].astype(np.float32) for i in (0, 1)), cv2.INTER_LINEAR)[:, 0]
-    truth = HIDES["box"](
-        np.column_stack([x, np.zeros((61, 2))]), disc_samples(np.array([0, 0, 1.0]), 10.0, 64), 0.5
-    ).mean(1)
+    truth = HIDES["box"](np.column_stack([x, np.zeros((61, 2))]), disc_samples(np.array([0, 0, 1.0]), 10.0, 64), 0.5).mean(1)
     assert ((truth > 0.05) & (truth < 0.95)).sum() > 20
     assert np.abs(made - truth).max() < {"standard": 0.06, "high": 0.045}[level]
     assert np.diff(made).min() > -0.01, "a ramp without steps back"

@@ -187,7 +187,7 @@ def test_no_shadow_is_asked_for_below_the_threshold(light: Light, params: Lightm
 def test_a_shadow_out_of_view_and_a_plane_from_behind_ask_for_nothing() -> None:
     s = on_plane(box_model(), lamp(0, 45, 5.0))
     aside = from_above()
-    aside = type(aside)(aside.rotation, aside.translation_m + [3.0, 0, 0])
+    aside = type(aside)(aside.rotation, aside.translation_m + np.array([3.0, 0, 0]))
     demand = Lightmap().demand(facts(s, aside).with_(model_box=EMPTY), s, s.camera.rect)
     assert demand.rect.empty and "shadow out of view" in demand.reason
     behind = from_above(180.0)
