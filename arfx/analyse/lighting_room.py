@@ -74,8 +74,7 @@ class RoomLight:
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
             return dict.fromkeys(self.frames, soft), _report(REFUSED, source, why, soft)
         if self.params.formula == "paper":
-            lights = paper_lights_of(self.observations, self.map_params, self.params)
-            return self._as_printed(lights)
+            return self._as_printed(paper_lights_of(self.observations, self.map_params, self.params))
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
         account, spans = fit_over_time(

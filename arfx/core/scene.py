@@ -61,6 +61,7 @@ class Scene:
     world_from_model : (4, 4), rigid times a uniform scale
     world_from_marker : pose of each marker by key
     world_from_anchor : the marker that the model stands on; its plane z = 0 is the real surface below it
+    surface_m : extent (x0, y0, x1, y1) of that surface, anchor axes; None = unknown, taken for unlimited
     """
 
     camera: Camera
@@ -71,6 +72,7 @@ class Scene:
     world_from_anchor: Pose = field(default_factory=Pose.identity)
     light: Light = field(default_factory=Light)
     seed: int = 0
+    surface_m: tuple[float, float, float, float] | None = None
 
     @cached_property
     def model_points_m(self) -> np.ndarray:

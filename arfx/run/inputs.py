@@ -28,6 +28,8 @@ from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.stages.raster.mesh import check_extent
 
+CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
+
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
@@ -128,9 +130,14 @@ def placement(config: JobConfig) -> Placement:
 
 
 def make_scene(
-    config: JobConfig, camera: Camera, model: Model, world_from_marker: Mapping[str, Pose], anchor: str, seed: int
-) -> Scene:
-    """The scene of a job. anchor : key of the marker that the model stands on. The default light hangs above it."""
+    config: JobConfig, camera: Camera, model: Model, world_from_marker: Mapping[str, Pose], anchor: str, seed: int,
+    static: str = "marker",
+) -> Scene:  # fmt: skip
+    """The scene of a job. anchor : key of the marker that the model stands on. The default light hangs above it.
+
+    static : what stands still (Analysis.static). A marker that is moved before a camera at rest is a sheet or a card: its
+    surface ends a little beyond the print.
+    """
     stand = world_from_marker.get(anchor, Pose.identity())
     light = Light()
     lights = tuple(
@@ -139,8 +146,14 @@ def make_scene(
     world_from_model = stand.matrix @ placement(config).world_from_model(model, config.model.up)
     return Scene(
         camera, model, world_from_model, config.markers, dict(world_from_marker), stand,
-        Light(light.ambient_rgb, lights, light.source), seed,
+        Light(light.ambient_rgb, lights, light.source), seed, _card_m(config, anchor) if static == "camera" else None,
     )  # fmt: skip
+
+
+def _card_m(config: JobConfig, anchor: str) -> tuple[float, float, float, float]:
+    size_m = next((m.size_m for m in config.markers if m.key == anchor), config.markers[0].size_m)
+    half = size_m * (0.5 + CARD)
+    return -half, -half, half, half
 
 
 def anchor_key(markers: tuple[MarkerSpec, ...], world_from_marker: Mapping[str, Pose]) -> str:

@@ -183,7 +183,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     meta = json.loads(folder.frames.read_text(encoding="utf-8"))
     facts = list(read_facts(folder.facts))
     world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
-    scene = make_scene(config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed)
+    scene = make_scene(config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed, meta["static"])
     frame = inputs.camera.rect
     start = time.perf_counter()
     levels = {name: level_named(s.levels, config.pipeline.quality) for name, s in stages.items()}
@@ -213,7 +213,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     )  # fmt: skip
     world = done.analysis.world_from_marker
     anchor = anchor_key(config.markers, world)
-    scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed)
+    scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed, done.analysis.static)
     facts = with_model(done.analysis.facts, scene)
     notices = list(done.analysis.notices)
     seen = done.analysis.summary["markers_seen"]
@@ -243,7 +243,7 @@ def _chunks(planned: Planned) -> list[Chunk]:
     for first, last in borders(len(planned.facts)):
         part = slice(first, last + 1)
         parts = [facts[part], plans[part], planned.meta["pts"][part]]
-        out.append(Chunk(first, last, digest(planned.key, parts, planned.meta["world_from_marker"])))
+        out.append(Chunk(first, last, digest(planned.key, parts, planned.meta["world_from_marker"], planned.meta["static"])))
     return out
 
 

@@ -83,7 +83,7 @@ def open_context(folder: str, job_key: str) -> Context:
     world = {k: Pose.from_json(v) for k, v in frames["world_from_marker"].items()}
     scene = make_scene(
         config, Camera.from_json(inputs["camera"]), job_model(config), world,
-        frames["anchor"], config.pipeline.seed,
+        frames["anchor"], config.pipeline.seed, frames["static"],
     )  # fmt: skip
     stages = make_stages(config)
     levels = {name: level_named(stage.levels, config.pipeline.quality) for name, stage in stages.items()}

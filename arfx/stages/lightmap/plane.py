@@ -89,10 +89,8 @@ def beam_texture(caster: Caster, rays: Rays, beam: Beam, level: PlaneLevel, hard
     points = np.column_stack(
         [caster.above_vertices[:, :2] @ (axes / pitch).T - low / pitch, caster.above_vertices[:, 2] / pitch]
     ).astype(np.float32)
-    if soft:
-        towards = disc_directions(beam, disc(level.silhouettes))
-    else:
-        towards = np.repeat(middle[None], 8, 0)  # 8 shifted sample points: antialiased
+    # without a size: 8 shifted sample points, antialiased
+    towards = disc_directions(beam, disc(level.silhouettes)) if soft else np.repeat(middle[None], 8, 0)
     displaced = -(towards[:, :2] @ axes.T) / towards[:, 2:]
     dark = hidden_share(points, caster.edges, caster.across, towards, displaced, (rows, columns))
     if level.rays and not hard:
@@ -102,6 +100,21 @@ def beam_texture(caster: Caster, rays: Rays, beam: Beam, level: PlaneLevel, hard
         count = level.rays or level.silhouettes
         dark = smoothed(dark, points, caster.above, slopes[0], (float(radii[0]), float(radii[1])), count)
     return PlaneTexture(_rimmed(dark), matrix)
+
+
+def bounded(texture: PlaneTexture, surface_m: tuple[float, float, float, float] | None) -> PlaneTexture:
+    """The same, with nothing beyond the surface (x0, y0, x1, y1), which ends within a texel; None = unlimited."""
+    if surface_m is None:
+        return texture
+    rows, columns = texture.dark.shape
+    v, u = np.mgrid[:rows, :columns]
+    inverse = np.linalg.inv(texture.texel_from_m[:, :2])
+    at = np.stack([u, v], -1) - texture.texel_from_m[:, 2]
+    place = at @ inverse.T
+    x0, y0, x1, y1 = surface_m
+    inside = np.minimum(np.minimum(place[..., 0] - x0, x1 - place[..., 0]), np.minimum(place[..., 1] - y0, y1 - place[..., 1]))
+    pitch = float(np.sqrt(abs(np.linalg.det(inverse))))
+    return PlaneTexture((texture.dark * np.clip(inside / pitch + 0.5, 0, 1)).astype(np.float32), texture.texel_from_m)
 
 
 def _traced(dark: np.ndarray, rays: Rays, beam: Beam, count: int, matrix: np.ndarray, extent_m: float) -> np.ndarray:

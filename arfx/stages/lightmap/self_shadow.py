@@ -89,7 +89,8 @@ def by_map(
     top = float(found.depth.max())
     return _ask(
         coverage, normal, position, found.depth, matrix, unit, disc(level.search).astype(np.float32),
-        disc(level.taps).astype(np.float32), np.float32(found.spread), np.float32(found.lift), np.float32(found.lean), np.float32(top),
+        disc(level.taps).astype(np.float32), np.float32(found.spread), np.float32(found.lift), np.float32(found.lean),
+        np.float32(top),
     )  # fmt: skip
 
 

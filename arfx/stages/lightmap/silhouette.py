@@ -6,7 +6,7 @@ Every direction shifts the texels' sample points a little, so that the mean over
 the object touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the contour crosses)).
 """
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, assignment"
 from __future__ import annotations
 
 import numba

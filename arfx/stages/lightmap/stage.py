@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -29,7 +30,7 @@ from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.lookup import direction_grid, light_left
-from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, ambient_texture, beam_texture
+from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, ambient_texture, beam_texture, bounded
 from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.region import ground_of
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
@@ -132,7 +133,7 @@ class Lightmap:
         ground = ground_of(scene)
         centre, half = ground.ambient_box_m(self.params.faint)
         ambient = ambient_texture(ground.caster, ground.rays, centre, half, PLANE_LEVELS[level.name])
-        return Prepared(ground.caster, ground.rays, ambient, direction_grid(scene.camera))
+        return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), direction_grid(scene.camera))
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
@@ -166,7 +167,7 @@ class Lightmap:
                         coverage, normal, position, prepared.rays, prepared.caster, beam, anchor_from_world, at, eye
                     )
                 else:
-                    found = prepared.kept.get(("depth", beam), lambda b=beam: depth_map(prepared.caster, b, at))
+                    found = prepared.kept.get(("depth", beam), partial(depth_map, prepared.caster, beam, at))
                     left[i] = by_map(coverage, normal, position, found, anchor_from_world, at)
             if self.params.self_shadow < 1:
                 left = 1 + np.float32(self.params.self_shadow) * (left - 1)
@@ -195,8 +196,8 @@ class Lightmap:
         textures, shares = [prepared.ambient], [light.ambient_share]
         for beam, share in zip(light.beams, light.direct_shares, strict=True):
             if beam.on_plane and share.max() > 0:
-                make = lambda b=beam: beam_texture(  # noqa: E731
-                    prepared.caster, prepared.rays, b, PLANE_LEVELS[level.name], self._paper
+                make = lambda b=beam: bounded(  # noqa: E731
+                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[level.name], self._paper), scene.surface_m
                 )
                 textures.append(prepared.kept.get(("plane", beam), make))
                 shares.append(share)
@@ -219,9 +220,10 @@ class Lightmap:
         outline = ground_of(scene).outline_m(float(light.ambient_share.max()), beams, faint)
         if not len(outline):
             return EMPTY, f"no shadow: nowhere does the object take {100 * faint:.1f} % of the plane's light"
-        points = np.column_stack([outline, np.zeros(len(outline))])
-        seen = scene.camera.project(pose.apply(scene.world_from_anchor.apply(points)))
-        rect = frame if not np.isfinite(seen).all() else Rect.around(seen, 1.0).clip(frame)
+        rect = _around(outline, facts, scene).clip(frame)
+        if scene.surface_m is not None:
+            x0, y0, x1, y1 = scene.surface_m
+            rect = rect.clip(_around(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene))
         return rect, f"shadow takes up to {100 * most:.0f} % of the plane's light" if not rect.empty else "shadow out of view"
 
     @property
@@ -234,6 +236,14 @@ class Lightmap:
 
 def _source(facts: FrameFacts, scene: Scene) -> Light:
     return scene.light if facts.light is None else facts.light
+
+
+def _around(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
+    """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are not before the camera."""
+    assert facts.camera_from_world is not None
+    points = np.column_stack([points_m, np.zeros(len(points_m))])
+    seen = scene.camera.project(facts.camera_from_world.apply(scene.world_from_anchor.apply(points)))
+    return Rect.around(seen, 1.0) if np.isfinite(seen).all() else scene.camera.rect
 
 
 def _darkest(light: FrameLight, scene: Scene) -> float:
