@@ -1,6 +1,7 @@
 """Which of camera and marker stands still: told from picture corners outside the markers.
 
 A few times a second corners are followed (pyramidal Lucas-Kanade) over about a third of a second on a reduced image.
+Points are taken twice, from the image and from its contrast against the neighbourhood, which a change of light leaves.
 * They rest: the camera stands still.
 * They move as points of the marker's world do, anywhere from a third of the marker's distance to infinity along the
   epipolar line of the two camera poses: the marker stands still.
@@ -40,7 +41,7 @@ class BackgroundFlow:
 
     def __init__(self) -> None:
         self._image: np.ndarray | None = None
-        self._points = np.zeros((0, 2), np.float32)
+        self._points = [np.zeros((0, 2), np.float32)] * 2  # in the image itself, and in the evened one
         self._index, self._time_s = 0, -np.inf
         self._count, self._stride = 0, 1
         self.samples: list[dict] = []  # {"a": frame, "b": frame, "from": (n, 2), "to": (n, 2)}
@@ -49,13 +50,12 @@ class BackgroundFlow:
         """markers : rectangles that hold configured or other markers;  fresh : a marker was measured in this frame."""
         if time_s - self._time_s < INTERVAL_S:
             return
-        recent = self._image is not None and time_s - self._time_s < 3 * INTERVAL_S and len(self._points) >= _MIN_POINTS
+        recent = self._image is not None and time_s - self._time_s < 3 * INTERVAL_S and max(map(len, self._points)) >= _MIN_POINTS
         if not fresh and not recent:
             self._image, self._time_s = None, -np.inf
             return
         factor = max(1, luma.shape[1] // WIDTH_PX)
         small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
-        small = _evened(small)
         if recent:
             self._follow(index, small, factor)
         if not fresh:
@@ -66,8 +66,10 @@ class BackgroundFlow:
             grown = r.pad(max(r.width, r.height) // 3)
             part = Rect(grown.x0 // factor, grown.y0 // factor, grown.x1 // factor + 1, grown.y1 // factor + 1)
             mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
-        found = cv2.goodFeaturesToTrack(small, POINTS, 0.02, 8, mask=mask)
-        self._points = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+        self._points = []
+        for view in (small, _evened(small)):
+            found = cv2.goodFeaturesToTrack(view, POINTS, 0.02, 8, mask=mask)
+            self._points.append(np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32))
         self._image, self._index, self._time_s = small, index, time_s
 
     def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
@@ -75,13 +77,19 @@ class BackgroundFlow:
         self._count += 1
         if self._count % self._stride:
             return
-        options = {"winSize": (11, 11), "maxLevel": 3}
-        there, good, _ = cv2.calcOpticalFlowPyrLK(self._image, small, self._points, None, **options)  # type: ignore[call-overload]
-        back, good_back, _ = cv2.calcOpticalFlowPyrLK(small, self._image, there, None, **options)  # type: ignore[call-overload]
-        keep = (good.ravel() > 0) & (good_back.ravel() > 0) & (np.linalg.norm(back - self._points, axis=1) < 0.3)
-        if keep.sum() < _MIN_POINTS:
+        from_, to = [], []
+        for points, before, now in zip(
+            self._points, (self._image, _evened(self._image)), (small, _evened(small)), strict=True
+        ):  # fmt: skip
+            if len(points) < _MIN_POINTS:
+                continue
+            there, keep = _tracked(before, now, points)
+            if keep.sum() >= _MIN_POINTS:
+                from_.append(points[keep])
+                to.append(there[keep])
+        if not from_:
             return
-        a, b = ((p[keep].astype(float) + 0.5) * factor - 0.5 for p in (self._points, there))
+        a, b = ((np.concatenate(p).astype(float) + 0.5) * factor - 0.5 for p in (from_, to))
         self.samples.append({"a": self._index, "b": index, "px": factor, "from": a.round(3), "to": b.round(3)})
         if len(self.samples) > MAX_SAMPLES:
             self.samples = self.samples[::2]
@@ -92,7 +100,7 @@ class BackgroundFlow:
         if self._image is not None:
             image = [list(self._image.shape), base64.b64encode(zlib.compress(self._image.tobytes())).decode()]
         return {
-            "image": image, "points": self._points.tolist(), "index": self._index,
+            "image": image, "points": [p.tolist() for p in self._points], "index": self._index,
             "time_s": None if np.isinf(self._time_s) else self._time_s, "count": self._count, "stride": self._stride,
             "samples": [{**s, "from": s["from"].tolist(), "to": s["to"].tolist()} for s in self.samples],
         }  # fmt: skip
@@ -103,10 +111,18 @@ class BackgroundFlow:
         if image is not None:
             data = zlib.decompress(base64.b64decode(image[1]))
             self._image = np.frombuffer(data, np.uint8).reshape(image[0]).copy()
-        self._points = np.array(state["points"], np.float32).reshape(-1, 2)
+        self._points = [np.array(p, np.float32).reshape(-1, 2) for p in state["points"]]
         self._index, self._count, self._stride = state["index"], state["count"], state["stride"]
         self._time_s = -np.inf if state["time_s"] is None else state["time_s"]
         self.samples = [{**s, "from": np.array(s["from"]), "to": np.array(s["to"])} for s in state["samples"]]
+
+
+def _tracked(before: np.ndarray, now: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((n, 2) where points went, (n,) which of them lead back to where they came from)"""
+    options = {"winSize": (11, 11), "maxLevel": 3}
+    there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
+    back, good_back, _ = cv2.calcOpticalFlowPyrLK(now, before, there, None, **options)  # type: ignore[call-overload]
+    return there, (good.ravel() > 0) & (good_back.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < 0.3)
 
 
 def _evened(image: np.ndarray) -> np.ndarray:

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse import given_light
+from arfx.analyse.blocked_light import already_blocked, quarters
+from arfx.analyse.light_fit import MEASURED as LIT
 from arfx.analyse.light_fit import REFUSED
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.lighting_room import Readings, RoomLight
@@ -46,12 +48,15 @@ def lighted(
     anchor = next((m.key for m in markers if m.key in analysis.world_from_marker), markers[0].key)
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
+    known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
     for shots in _parts(facts, analysis.static):
         part = RoomLight(shots, facts, room, readings, params)
         given = _given(analysis, anchor, room, shots, params, panorama)
         lights, report = part.given(*given) if given else part.told(analysis.static != "both", meter.looks)
         out |= lights
         reports.append((len(shots), report))
+        if report["verdict"] == LIT:
+            known |= set(lights)
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = photometry.bias if photometry.determined.all() else np.zeros(3)
     turns = analysis.static == "camera"
@@ -59,7 +64,19 @@ def lighted(
         f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
         for k, f in enumerate(facts)
     )
-    about = _about_photometry(photometry, params) | {"frame": "camera" if analysis.static == "camera" else "marker"} | report
+    size_m = next(m.size_m for m in markers if m.key == anchor)
+    shaded = {
+        frame: found
+        for frame, key, patches in meter.readings
+        if frame in known and key == anchor and (found := already_blocked(quarters(patches, bias), size_m))
+    }
+    lit = tuple(f.with_(extra={**f.extra, "already_blocked": shaded[k]}) if k in shaded else f for k, f in enumerate(lit))
+    about = (
+        {"frames_shaded": len(shaded)}
+        | _about_photometry(photometry, params)
+        | {"frame": "camera" if analysis.static == "camera" else "marker"}
+        | report
+    )
     notices = list(analysis.notices)
     if report and report["verdict"] == REFUSED:
         notices.append(f"light: no direction is known: {report['reason']}. {_ways(report)}")
@@ -94,6 +111,9 @@ def _readings(
         facing = -float(stands.rotation[:, 2] @ stands.translation_m) / max(float(np.linalg.norm(stands.translation_m)), 1e-9)
         if facing >= LEAST_FACING:
             rows.append((frame, room[frame] @ marker.rotation[:, 2], patches))
+    # a print that lies partly in a real shadow tells the lamps' light of no frame; where most do, they are all there is
+    whole = [r for r in rows if already_blocked(quarters(r[2], np.zeros(3)), 1.0) is None]
+    rows = whole if 2 * len(whole) > len(rows) else rows
     intensity, variance, clipped = stack([p for _, _, p in rows])
     if params.formula == "paper":
         photometry = solve_paper(intensity, WHITE, clipped=clipped, ink=params.ink, paper=params.paper)

@@ -185,10 +185,10 @@ def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
     return next(k for k in truth.header["markers"] if k in world_from_marker)
 
 
-def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …}, "min": {…}}, dotted keys.
+def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …}, "min": {…}, "is": {"static": "camera"}}.
 
-    A figure that is bounded but missing breaks its bound.
+    Keys are dotted. A figure that is bounded but missing breaks its bound.
     """
     broken = []
     for kind, entries in bounds.items():
@@ -196,7 +196,10 @@ def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, float
             value: Any = figures
             for part in dotted.split("."):
                 value = value.get(part) if isinstance(value, Mapping) else None
-            if value is None:
+            if kind == "is":
+                if value != limit:
+                    broken.append(f"{dotted} is {value!r}, it should be {limit!r}")
+            elif value is None:
                 broken.append(f"{dotted}: there is no such figure, its bound is {limit:g}")
             elif (kind == "max" and not value <= limit) or (kind == "min" and not value >= limit):
                 broken.append(f"{dotted} is {value:.4g}, {'at most' if kind == 'max' else 'at least'} {limit:g} is allowed")

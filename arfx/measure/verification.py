@@ -78,7 +78,7 @@ def verify(
     figures = compare(facts, world, truth, plain)
     figures["static"] = meta["static"]
     figures["time_error_s"] = max(abs(f.time_s - t.time_s) for f, t in zip(facts, truth.frames, strict=True))
-    limits = {k: v for k, v in bounds.items() if k in ("max", "min")}
+    limits = {k: v for k, v in bounds.items() if k in ("max", "min", "is")}
     return Verified(figures, exceeded(figures, limits), output, report)
 
 

@@ -103,6 +103,20 @@ def test_a_marker_at_rest_tells_no_direction_but_brightness_and_colour() -> None
         assert f.light.radiance(UP) == pytest.approx(expected, rel=0.01)
 
 
+def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
+    analysis, meter = Clip().made()
+    for k, key, patches in meter.readings[10:15]:
+        patches.mean[[0, 2, 4, 6]] = 0.4 * (patches.mean[[0, 2, 4, 6]] - 0.004) + 0.004  # the left half
+        assert key == KEY and k in range(10, 15)
+    done = lighted(analysis, meter, (MARKER,), LightParams())
+    assert done.summary["light"]["verdict"] == "measured" and done.summary["light"]["frames_shaded"] == 5
+    told = done.facts[12].extra["already_blocked"]
+    assert told["box_m"] == [-0.05, -0.05, 0.05, 0.05] and np.array(told["ratio"]) == pytest.approx(
+        np.array([[0.4, 1], [0.4, 1]]), abs=0.02
+    )
+    assert "already_blocked" not in done.facts[20].extra
+
+
 def test_nothing_that_rests_means_no_direction() -> None:
     clip = Clip()
     analysis, meter = clip.made()
