@@ -103,7 +103,7 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
                 if prim[k] == prim[m] or before[k] or before[m]:
                     continue
                 differ = prim[k] < 0 or prim[m] < 0 or part[prim[k]] != part[prim[m]]
-                if not differ:
+                if not differ and abs(depth[m] - depth[k]) > depth[k] * (8.0 * pixel):  # else no slope makes it one
                     # depth that the plane of k's face has at m
                     f = prim[k]
                     here, there = 0.0, 0.0
