@@ -78,7 +78,7 @@ def _forget(part: Path) -> None:
 
 def _packets_of(chunk: Path) -> Any:
     """The opened file for reading packets only: FFmpeg would else decode a picture of each to tell its format (14 ms)."""
-    return av.open(str(chunk), stream_options=[{"skip_frame": "all"}])
+    return av.open(str(chunk), options={"skip_frame": "all"})
 
 
 def _order_of(chunks: Sequence[Path], count: int) -> _Order:
