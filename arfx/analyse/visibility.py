@@ -94,8 +94,8 @@ def _seen_box(q: np.ndarray, camera: Camera) -> tuple[Rect, tuple[float, float]]
     if not ahead.any():
         return EMPTY, (0.0, 0.0)
     px = camera.project(q)
-    good = np.isfinite(px).all(1)
-    box = Rect.around(px[good], 1.0)
+    good = np.isfinite(px).all(1) if not np.isfinite(px).all() else np.ones(len(px), bool)
+    box = Rect.around(px, 1.0)
     if not good.all():
         # behind the camera or beyond the lens's fold: such a point says nothing about where the surface between it and
         # a visible one ends, so the frame bounds it. If none is visible the model is out of view or around the camera.

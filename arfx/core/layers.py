@@ -50,8 +50,11 @@ _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
 
 def neutral(name: Layer, rect: Rect) -> np.ndarray:
     """A new array over `rect` as if nothing virtual were there. PLATE and IMAGE have no neutral value: KeyError."""
+    channels, dtype, value = _NEUTRAL[name]
+    if value == 0:  # several times as fast as filling
+        return np.zeros((rect.height, rect.width, channels) if channels else (rect.height, rect.width), dtype)
     out = unset(name, rect)
-    out.fill(_NEUTRAL[name][2])
+    out.fill(value)
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -82,13 +83,16 @@ class Rect:
         points_px : (n, 2) float, pixel centres at integers. No finite point gives EMPTY.
         """
         p = np.asarray(points_px, float).reshape(-1, 2)
-        p = p[np.isfinite(p).all(1)]
+        finite = np.isfinite(p)
+        if not finite.all():
+            p = p[finite.all(1)]
         if not len(p):
             return EMPTY
+        x, y = p[:, 0], p[:, 1]  # column by column: many times as fast as over the first axis of two columns
         limit = 1 << 24  # beyond any picture; keeps the integers small
-        lo = np.clip(np.floor(p.min(0) - pad_px + 0.5), -limit, limit).astype(int)
-        hi = np.clip(np.floor(p.max(0) + pad_px + 0.5), -limit, limit).astype(int)
-        return Rect(int(lo[0]), int(lo[1]), int(hi[0]) + 1, int(hi[1]) + 1)
+        x0, y0 = (min(max(math.floor(float(v.min()) - pad_px + 0.5), -limit), limit) for v in (x, y))
+        x1, y1 = (min(max(math.floor(float(v.max()) + pad_px + 0.5), -limit), limit) for v in (x, y))
+        return Rect(x0, y0, x1 + 1, y1 + 1)
 
     @staticmethod
     def of(width: int, height: int) -> Rect:

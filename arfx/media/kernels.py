@@ -113,6 +113,60 @@ def encode_bits(bits, table, out):
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def _all_finite(before, after):
+    """Whether all float32 with these bits are finite: none has all bits of its exponent set."""
+    infinite, highest = np.int32(0x7F800000), np.int32(0)
+    for k in range(before.shape[0]):
+        highest = max(highest, max(before[k] & infinite, after[k] & infinite))
+    return highest < infinite
+
+
+@numba.njit(cache=True, nogil=True)
+def _blank_odd(before, after):
+    """Sets pixels with a value that is not finite to 0 in both lines, in place; returns how many."""
+    infinite = np.int32(0x7F800000)
+    bad = 0
+    for k in range(0, before.shape[0], 3):
+        odd = False
+        for c in range(k, k + 3):
+            odd |= ((before[c] & infinite) == infinite) | ((after[c] & infinite) == infinite)
+        if odd:
+            bad += 1
+            before[k : k + 3] = 0
+            after[k : k + 3] = 0
+    return bad
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def _clipped_differences(before, after):
+    """after = after - before (n,), coded, with `after` kept between black and white or where `before` already lay beyond."""
+    zero, one = np.float32(0), np.float32(1)
+    for k in range(before.shape[0]):
+        b = before[k]
+        after[k] = min(max(after[k], min(b, zero)), max(b, one)) - b
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def _to_yuv(diff, to_yuv, dy, d_cb, d_cr):
+    """R'G'B' differences (3 n,) to luma and chroma (n,)."""
+    one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
+    for k in range(dy.shape[0]):
+        i = np.uintp(k) * three
+        r, g, b = diff[i], diff[i + one], diff[i + two]
+        dy[k] = to_yuv[0, 0] * r + to_yuv[0, 1] * g + to_yuv[0, 2] * b
+        d_cb[k] = to_yuv[1, 0] * r + to_yuv[1, 1] * g + to_yuv[1, 2] * b
+        d_cr[k] = to_yuv[2, 0] * r + to_yuv[2, 1] * g + to_yuv[2, 2] * b
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def _add_steps(line, diff, factor, low, high):
+    """Adds diff (n,) x factor, rounded, to stored samples; legal ones stay legal, others go no further out."""
+    for k in range(diff.shape[0]):
+        old = np.int32(line[k])
+        line[k] = min(max(old + np.int32(np.rint(diff[k] * factor)), min(old, low)), max(old, high))
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
 def edit_luma(y, x0, y0, before_bits, after_bits, table, to_yuv, factor, low, high, d_cb, d_cr, spans):
     """Adds the luma difference to plane y in place and leaves the chroma differences (per pixel, -0.5..0.5) in d_cb, d_cr.
 
@@ -123,42 +177,29 @@ def edit_luma(y, x0, y0, before_bits, after_bits, table, to_yuv, factor, low, hi
     """
     h, w = d_cb.shape
     bad = 0
-    zero, one = np.float32(0), np.float32(1)
-    infinite = np.int32(0x7F800000)
-    which = np.empty(w, np.int32)
-    bits, coded = np.empty(6 * w, np.int32), np.empty(6 * w, np.float32)
+    before, after = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
+    dy = np.empty(w, np.float32)
+    # a line at a time from the first pixel that changes to the last, in steps of which the compiler makes vector code
+    # (it does not where they stand together in one function); a pixel between them that does not change has difference 0
     for j in range(h):
-        n = 0
-        for k in range(w):
-            odd = False
-            same = True
-            for c in range(3):
-                b, a = before_bits[j, k, c], after_bits[j, k, c]
-                odd |= ((b & infinite) == infinite) | ((a & infinite) == infinite)
-                same &= a == b
-            if odd:
-                bad += 1
-            elif not same:
-                for c in range(3):
-                    bits[6 * n + 2 * c], bits[6 * n + 2 * c + 1] = before_bits[j, k, c], after_bits[j, k, c]
-                which[n] = k
-                n += 1
-        spans[j, 0], spans[j, 1] = (which[0], which[n - 1] + 1) if n else (0, 0)
-        d_cb[j, spans[j, 0] : spans[j, 1]] = 0
-        d_cr[j, spans[j, 0] : spans[j, 1]] = 0
-        encode_bits(bits[: 6 * n], table, coded)
-        for q in range(n):
-            k = np.uintp(which[q])
-            dy, db, dr = zero, zero, zero
-            for c in range(3):
-                b, a = coded[np.uintp(6 * q + 2 * c)], coded[np.uintp(6 * q + 2 * c + 1)]
-                d = min(max(a, min(b, zero)), max(b, one)) - b
-                dy += to_yuv[0, c] * d
-                db += to_yuv[1, c] * d
-                dr += to_yuv[2, c] * d
-            d_cb[j, k], d_cr[j, k] = db, dr
-            old = np.int32(y[y0 + j, x0 + k])
-            y[y0 + j, x0 + k] = min(max(old + np.int32(np.rint(dy * factor)), min(old, low)), max(old, high))
+        b, a = before_bits[j].reshape(-1), after_bits[j].reshape(-1)
+        if not _all_finite(b, a):
+            b, a = b.copy(), a.copy()
+            bad += _blank_odd(b, a)
+        first, last = 0, 3 * w
+        while first < last and b[first] == a[first]:
+            first += 1
+        while last > first and b[last - 1] == a[last - 1]:
+            last -= 1
+        first, last = first // 3, (last + 2) // 3
+        n = max(last - first, 0)
+        spans[j, 0], spans[j, 1] = (first, last) if n else (0, 0)
+        if n:
+            encode_bits(b[3 * first : 3 * last], table, before)
+            encode_bits(a[3 * first : 3 * last], table, after)
+            _clipped_differences(before[: 3 * n], after)
+            _to_yuv(after, to_yuv, dy[:n], d_cb[j, first:last], d_cr[j, first:last])
+            _add_steps(y[y0 + j, x0 + first : x0 + last], dy[:n], factor, low, high)
     return bad
 
 

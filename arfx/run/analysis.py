@@ -16,6 +16,7 @@ from arfx.core.pose import Pose
 from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import ClipReader
+from arfx.run.ahead import Ahead
 from arfx.run.folder import JobFolder, write_text
 
 CHECKPOINT_S = 20.0  # at most this much analysis is lost to a kill
@@ -58,17 +59,11 @@ def analyse_clip(
     if folder is not None and (saved := _saved(folder, key)):
         analyser.restore(saved["state"])
         pts, origin = saved["pts"], saved["origin"]
-    decode_s = analyse_s = 0.0
+    analyse_s = 0.0
     last_save = time.monotonic()
     expected = info.frame_count_stated if span_s == (None, None) else None
-    with ClipReader(info) as reader:
-        frames = reader.frames(first_pts=pts[-1] if pts else None)
-        while True:
-            start = time.perf_counter()
-            frame = next(frames, None)
-            decode_s += time.perf_counter() - start
-            if frame is None:
-                break
+    with ClipReader(info) as reader, Ahead(reader.frames(first_pts=pts[-1] if pts else None)) as frames:
+        for frame in frames:
             if origin is None:
                 origin = frame.pts
             if pts and frame.pts <= pts[-1]:
@@ -86,7 +81,7 @@ def analyse_clip(
             if folder is not None and time.monotonic() - last_save > CHECKPOINT_S:
                 write_text(folder.checkpoint, json.dumps({"key": key, "pts": pts, "origin": origin, "state": analyser.state()}))
                 last_save = time.monotonic()
-        truncated = reader.truncated
+        truncated, decode_s = reader.truncated, frames.seconds
     if not pts:
         raise NothingToDoError(
             f"{info.path} has no frame between {span_s[0] or 0:g} s and {'its end' if span_s[1] is None else f'{span_s[1]:g} s'}",

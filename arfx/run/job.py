@@ -37,6 +37,7 @@ from arfx.run.preview import pick
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
 from arfx.run.warm import warming
+from arfx.run.worker import keep_memory
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
@@ -86,6 +87,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed.
     """
     started = time.perf_counter()
+    keep_memory()
     inputs = open_inputs(config)
     for notice in inputs.notices:
         options.notice(notice)

@@ -28,8 +28,8 @@ def save_preview(folder: Path, index: int, before: Frame, after: Frame) -> None:
         if rgb.shape[1] > WIDEST_PX:
             size = (WIDEST_PX, max(round(rgb.shape[0] * WIDEST_PX / rgb.shape[1]), 1))
             rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-        quick = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # the file lives as long as the job folder
-        cv2.imwrite(str(folder / f"{index:06d}.{kind}.png"), rgb[..., ::-1], quick)
+        # as it is: a PNG would take as long as a frame's rendering, for a file that lives as long as the job folder
+        cv2.imwrite(str(folder / f"{index:06d}.{kind}.bmp"), rgb[..., ::-1])
 
 
 def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
@@ -37,7 +37,7 @@ def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
     import cv2
 
     out = []
-    for path in sorted(folder.glob("*.in.png")):
+    for path in sorted(folder.glob("*.in.bmp")):
         after = path.with_name(path.name.replace(".in.", ".out."))
         if after.exists():
             pair = [cv2.imread(str(p)) for p in (path, after)]

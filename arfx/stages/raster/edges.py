@@ -29,46 +29,79 @@ def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarra
     depth : (h, w) metres at the pixel centres
     """
     mask = np.zeros((rect.height, rect.width), bool)
-    e = mesh.edges[_shown(mesh.edges, mesh.sharp, front, mesh.hidden)]
-    e = e[(points[e[:, 0], 2] > EPS_DEPTH_M) & (points[e[:, 1], 2] > EPS_DEPTH_M)]
-    if not len(e):
-        return mask
-    a, b = points[e[:, 0]], points[e[:, 1]]
-    na, nb = a[:, :2] / a[:, 2:], b[:, :2] / b[:, 2:]
-    inside = _meets(camera, rect, na, nb)
-    a, b, na, nb = a[inside], b[inside], na[inside], nb[inside]
-    length = np.abs((nb - na) * [camera.fx, camera.fy]).max(1)
-    steps = np.minimum(np.ceil(length * _POINTS_PER_PX), 4.0 * (rect.width + rect.height)).astype(int) + 1
-    if steps.sum() > _MAX_POINTS:
-        steps = np.maximum((steps * (_MAX_POINTS / steps.sum())).astype(int), 1)
-    of = np.repeat(np.arange(len(steps)), steps)
-    t = (np.arange(len(of)) - np.repeat(np.cumsum(steps) - steps, steps) + 0.5) / np.repeat(steps, steps)
-    t = t[:, None]
-    xy = na[of] * (1 - t) + nb[of] * t  # straight in the ideal picture, bent by the lens after
-    z = 1 / ((1 - t[:, 0]) / a[of, 2] + t[:, 0] / b[of, 2])
-    fold = camera.max_radius
-    keep = (xy**2).sum(1) <= fold * fold
-    px = np.floor(camera.distort(xy[keep]) * [camera.fx, camera.fy] + [camera.cx + 0.5, camera.cy + 0.5])
-    z = z[keep]
-    ok = (px[:, 0] >= rect.x0) & (px[:, 0] < rect.x1) & (px[:, 1] >= rect.y0) & (px[:, 1] < rect.y1)
-    col, row, z = (px[ok, 0] - rect.x0).astype(int), (px[ok, 1] - rect.y0).astype(int), z[ok]
-    seen = z <= depth[row, col] * (1 + _BEHIND)
-    mask[row[seen], col[seen]] = True
+    low, high = _bounds(camera, rect)
+    shown = _shown(mesh.edges, mesh.sharp, front, mesh.hidden)
+    longest = 4.0 * (rect.width + rect.height)
+    xy, z = _points_along(mesh.edges, shown, points, low, high, camera.fx, camera.fy, longest, camera.max_radius**2)
+    if len(z):
+        px = camera.distort(xy) * [camera.fx, camera.fy] + [camera.cx + 0.5, camera.cy + 0.5]
+        _mark_seen(mask, px, z, depth, rect.x0, rect.y0, np.float32(1 + _BEHIND))
     return mask
 
 
-def _meets(camera: Camera, rect: Rect, na: np.ndarray, nb: np.ndarray) -> np.ndarray:
-    """Edges whose box in the ideal picture meets that of `rect`, generously."""
+def _bounds(camera: Camera, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest (x/z, y/z) of the ideal picture of `rect`, generously; infinite where the lens folds."""
     x, y = np.linspace(rect.x0 - 1, rect.x1, 9), np.linspace(rect.y0 - 1, rect.y1, 9)
     border = np.concatenate(
         [np.stack([x, np.full(9, v)], 1) for v in (y[0], y[-1])] + [np.stack([np.full(9, u), y], 1) for u in (x[0], x[-1])]
     )
     n = camera.normalised(border)
     if not np.isfinite(n).all():
-        return np.ones(len(na), bool)
+        return np.full(2, -np.inf), np.full(2, np.inf)
     low, high = n.min(0), n.max(0)
     slack = 0.05 * (high - low)
-    return ((np.maximum(na, nb) >= low - slack) & (np.minimum(na, nb) <= high + slack)).all(1)
+    return low - slack, high + slack
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _points_along(edges, shown, points, low, high, fx, fy, longest, fold2):  # pragma: no cover - compiled
+    """Points along the edges `shown` whose box meets low .. high: (n, 2) in the ideal picture, and their depths (n,).
+
+    longest : steps of one edge at most;  fold2 : squared radius from which on the lens shows nothing
+    """
+    steps = np.zeros(edges.shape[0], np.int64)
+    for k in range(edges.shape[0]):
+        i, j = np.uintp(edges[k, 0]), np.uintp(edges[k, 1])
+        za, zb = points[i, 2], points[j, 2]
+        if not (shown[k] and za > EPS_DEPTH_M and zb > EPS_DEPTH_M):
+            continue
+        ax, ay, bx, by = points[i, 0] / za, points[i, 1] / za, points[j, 0] / zb, points[j, 1] / zb
+        if max(ax, bx) >= low[0] and max(ay, by) >= low[1] and min(ax, bx) <= high[0] and min(ay, by) <= high[1]:
+            length = max(abs((bx - ax) * fx), abs((by - ay) * fy))
+            steps[k] = np.int64(min(np.ceil(length * _POINTS_PER_PX), longest)) + 1
+    total = steps.sum()
+    if total > _MAX_POINTS:
+        share = _MAX_POINTS / total
+        for k in range(edges.shape[0]):
+            if steps[k] > 0:
+                steps[k] = max(np.int64(steps[k] * share), 1)
+        total = steps.sum()
+    xy, depth = np.empty((total, 2)), np.empty(total)
+    n = 0
+    for k in range(edges.shape[0]):
+        if steps[k] == 0:
+            continue
+        i, j = np.uintp(edges[k, 0]), np.uintp(edges[k, 1])
+        za, zb = points[i, 2], points[j, 2]
+        ax, ay, bx, by = points[i, 0] / za, points[i, 1] / za, points[j, 0] / zb, points[j, 1] / zb
+        for q in range(steps[k]):
+            t = (q + 0.5) / steps[k]
+            x, y = ax * (1 - t) + bx * t, ay * (1 - t) + by * t  # straight in the ideal picture, bent by the lens after
+            if x * x + y * y <= fold2:
+                xy[n, 0], xy[n, 1], depth[n] = x, y, 1 / ((1 - t) / za + t / zb)
+                n += 1
+    return xy[:n], depth[:n]
+
+
+@numba.njit(cache=True, nogil=True)
+def _mark_seen(mask, px, z, depth, x0, y0, behind):  # pragma: no cover - compiled
+    """Mark the pixels of points px (n, 2), counted from the corner of pixel 0, that do not lie far behind `depth`."""
+    for k in range(px.shape[0]):
+        x, y = np.floor(px[k, 0]) - x0, np.floor(px[k, 1]) - y0
+        if 0 <= x < mask.shape[1] and 0 <= y < mask.shape[0]:
+            row, col = np.uintp(y), np.uintp(x)
+            if z[k] <= depth[row, col] * behind:
+                mask[row, col] = True
 
 
 @numba.njit(cache=True, nogil=True)
@@ -103,7 +136,7 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
                 if prim[k] == prim[m] or before[k] or before[m]:
                     continue
                 differ = prim[k] < 0 or prim[m] < 0 or part[prim[k]] != part[prim[m]]
-                if not differ:
+                if not differ and abs(depth[m] - depth[k]) > depth[k] * (8.0 * pixel):  # else no slope makes it one
                     # depth that the plane of k's face has at m
                     f = prim[k]
                     here, there = 0.0, 0.0
