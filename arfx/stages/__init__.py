@@ -35,6 +35,7 @@ STAGES: Mapping[str, Any] = _Table(
         "contact": "arfx.stages.contact.Contact",
         "lightmap": "arfx.stages.lightmap.Lightmap",
         "composite": "arfx.stages.composite.Composite",
+        "dof": "arfx.stages.dof.Dof",
     }
 )
 # Stages that every job has; the others are effects that a pipeline names.
