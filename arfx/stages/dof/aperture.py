@@ -1,7 +1,7 @@
 """What one blur circle looks like on the pixel grid: rows of the disc, or of an n-blade polygon of the same area.
 
-A row is a run of pixels with fractional ends, so that the shape has its exact area in every row at any radius. A disc of
-at most half a pixel's radius lies within its own pixel: no blur.
+A row is a run of pixels with fractional ends, in eighths of a pixel so that float32 sums of them stay exact (spread.py).
+A disc of at most half a pixel's radius lies within its own pixel: no blur.
 """
 
 from __future__ import annotations
@@ -17,19 +17,16 @@ _SUBROWS = 8  # lines by which a row's ends are averaged
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Rows of the blur circle by radius; index q = round(radius px * STEPS), row j + reach[q] for j = -reach..reach.
+    """Rows of the blur circle by radius: index q = round(radius px * STEPS), row j + reach[q] for j = -reach..reach.
 
-    first, last : (q, rows) int32, pixels in which the row begins and ends, from the centre
-    share_first, share_last : (q, rows) float32, 0..1, how much of those pixels is covered
-    weight : (q, rows) float32, of a fully covered pixel of the row; all covered shares times weight sum to 1
-    reach : (q,) int32, rows beyond the centre's
+    ends : (q, rows, 2) int32, first and last pixel of the row, from the centre; last > first
+    shares : (q, rows, 3) float32, multiples of 1/8 in 0..1: of the row's height; of the first and of the last pixel
+    unit : (q,) float32, 1 / area: all covered shares times it sum to 1;  reach : (q,) int32, rows beyond the centre's
     """
 
-    first: np.ndarray
-    last: np.ndarray
-    share_first: np.ndarray
-    share_last: np.ndarray
-    weight: np.ndarray
+    ends: np.ndarray
+    shares: np.ndarray
+    unit: np.ndarray
     reach: np.ndarray
 
 
@@ -38,24 +35,29 @@ def shape(largest_px: int, blades: int = 0, turn_deg: float = 0.0) -> Shape:
     """Table for radii 0..largest_px. blades : 0 = disc, else corners of the polygon, the first at turn_deg from x."""
     count = largest_px * STEPS + 1
     radius = np.arange(count) / STEPS
-    grow = _circumradius(blades)
-    reach = np.ceil(radius * grow - 0.5).clip(0).astype(np.int32)
+    reach = np.ceil(radius * _circumradius(blades) - 0.5).clip(0).astype(np.int32)
     rows = 2 * int(reach.max()) + 1
-    first, last = np.zeros((count, rows), np.int32), np.zeros((count, rows), np.int32)
-    share_first, share_last, weight = (np.zeros((count, rows), np.float32) for _ in range(3))
+    ends = np.zeros((count, rows, 2), np.int32)
+    shares = np.zeros((count, rows, 3), np.float32)
+    unit = np.zeros(count, np.float32)
     for q in range(count):
         n = 2 * int(reach[q]) + 1
         left, right, covered = _rows(radius[q], int(reach[q]), blades, turn_deg)
-        total = float(((right - left) * covered).sum())
-        if total <= 0:
-            left, right, covered, total = np.full(n, -0.5), np.full(n, 0.5), np.ones(n), 1.0
+        if radius[q] <= 0.5:
+            left, right, covered = np.full(n, -0.5), np.full(n, 0.5), np.ones(n)
+        left, right = _eighths(left), _eighths(np.maximum(right, left + 1 / 8))
         a, b = np.floor(left + 0.5), np.ceil(right - 0.5)
-        one = a >= b  # within one pixel: it is covered by the run's length
-        first[q, :n], last[q, :n] = a, np.where(one, a, b)
-        share_first[q, :n] = np.where(one, right - left, a + 0.5 - left)
-        share_last[q, :n] = np.where(one, 0.0, right - (b - 0.5))
-        weight[q, :n] = covered / total
-    return Shape(first, last, share_first, share_last, weight, reach)
+        one = a >= b  # all within one pixel: it is covered by the run's length
+        ends[q, :n, 0], ends[q, :n, 1] = a, np.where(one, a + 1, b)
+        shares[q, :n, 0] = covered
+        shares[q, :n, 1] = np.where(one, right - left, a + 0.5 - left)
+        shares[q, :n, 2] = np.where(one, 0.0, right - (b - 0.5))
+        unit[q] = 1 / float(((right - left) * covered).sum())
+    return Shape(ends, shares, unit, reach)
+
+
+def _eighths(x: np.ndarray) -> np.ndarray:
+    return np.round(x * 8) / 8
 
 
 def _circumradius(blades: int) -> float:

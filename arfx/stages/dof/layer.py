@@ -48,14 +48,14 @@ class Spread:
 
     @property
     def sink(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int, np.ndarray]:
-        """Arguments of `deposit` after the pixel."""
+        """Arguments of the deposit kernels: where light goes."""
         return self.ladder.fade, self.cells, self.meta, self.lead_y, self.lead_x, self.near
 
     def rows(self, top: int, bottom: int) -> tuple[np.ndarray, int, int]:
         """Light (rows, w, 4) that reaches rows top..bottom, and the columns lo..hi outside of which it is 0."""
         h, w = self.radius.shape
         s = self.shape
-        table = s.first, s.last, s.share_first, s.share_last, s.weight, s.reach
+        table = s.ends, s.shares, s.unit, s.reach
         until = float(self.ladder.fade[0, 1]) if self.rungs > 1 else np.inf
         out = np.zeros((bottom - top, w + 1, 4), np.float32)
         lo, hi = w, 0

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.ladder import SHARP_PX
-from arfx.stages.dof.spread import deposit
+from arfx.stages.dof.spread import TILE_PX, deposit_tile
 
 _FLAGS = {"contract", "nsz", "arcp"}
 CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
@@ -46,17 +46,25 @@ def deposit_real(
 ):  # fmt: skip  # pragma: no cover - compiled
     """Rows top..bottom of the real scene. kept : (h, w) share that is not cut out, or (0, 0) = all"""
     whole = kept.shape[0] == 0
-    for y in range(top, bottom):
-        for x in range(radius.shape[1]):
-            r = radius[y, x]
-            if r <= SHARP_PX:
-                continue
-            red = _behind(plate[y, x, 0], shadow[y, x, 0], opacity, bias[0])
-            green = _behind(plate[y, x, 1], shadow[y, x, 1], opacity, bias[1])
-            blue = _behind(plate[y, x, 2], shadow[y, x, 2], opacity, bias[2])
-            weight = np.float32(1) if whole else kept[y, x]
-            k = weight if boost <= 0 else weight * _boosted(red, green, blue, boost)
-            deposit(r, red * k, green * k, blue * k, weight, y, x, fade, cells, meta, lead_y, lead_x, near)
+    width = radius.shape[1]
+    source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    j, i = y - ya, x - xa
+                    red = _behind(plate[y, x, 0], shadow[y, x, 0], opacity, bias[0])
+                    green = _behind(plate[y, x, 1], shadow[y, x, 1], opacity, bias[1])
+                    blue = _behind(plate[y, x, 2], shadow[y, x, 2], opacity, bias[2])
+                    weight, k = np.float32(1), np.float32(1)
+                    if not whole:
+                        weight = kept[y, x]
+                        k = weight
+                    if boost > 0:
+                        k *= _boosted(red, green, blue, boost)
+                    source[j, i, 0], source[j, i, 1], source[j, i, 2], source[j, i, 3] = red * k, green * k, blue * k, weight
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -64,13 +72,23 @@ def deposit_cut(
     top, bottom, radius, colour, coverage, opacity, fade, cells, meta, lead_y, lead_x, near
 ):  # fmt: skip  # pragma: no cover - compiled
     """Rows top..bottom of a layer of premultiplied colour (h, w, 3), coverage (h, w)."""
-    for y in range(top, bottom):
-        for x in range(radius.shape[1]):
-            r = radius[y, x]
-            if r <= SHARP_PX:
-                continue
-            red, green, blue = colour[y, x, 0] * opacity, colour[y, x, 1] * opacity, colour[y, x, 2] * opacity
-            deposit(r, red, green, blue, coverage[y, x] * opacity, y, x, fade, cells, meta, lead_y, lead_x, near)
+    width = radius.shape[1]
+    source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            any_ = False
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    weight = coverage[y, x] * opacity
+                    for c in range(3):
+                        source[y - ya, x - xa, c] = colour[y, x, c] * opacity
+                    source[y - ya, x - xa, 3] = weight
+                    any_ |= weight > 0
+            if any_:
+                deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
+            else:
+                _nothing(near, ya, yb, xa, xb)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -78,14 +96,28 @@ def deposit_gap(
     top, bottom, radius, coverage, opacity, fade, cells, meta, lead_y, lead_x, near
 ):  # fmt: skip  # pragma: no cover - compiled
     """Rows top..bottom of what a layer lets through: weight only, in the last channel."""
-    zero = np.float32(0)
-    for y in range(top, bottom):
-        for x in range(radius.shape[1]):
-            r = radius[y, x]
-            if r <= SHARP_PX:
-                continue
-            open_ = np.float32(1) - coverage[y, x] * opacity
-            deposit(r, zero, zero, zero, open_, y, x, fade, cells, meta, lead_y, lead_x, near)
+    width = radius.shape[1]
+    source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            any_ = False
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    open_ = np.float32(1) - coverage[y, x] * opacity
+                    source[y - ya, x - xa, 3] = open_
+                    any_ |= open_ > 0
+            if any_:
+                deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
+            else:
+                _nothing(near, ya, yb, xa, xb)
+
+
+@numba.njit(cache=True, nogil=True)
+def _nothing(near, ya, yb, xa, xb):  # pragma: no cover - compiled
+    for y in range(ya, yb):
+        for x in range(xa, xb):
+            near[y, x, 3] = 0
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)

@@ -1,7 +1,7 @@
 """Compiled: each pixel's light spread over its disc. Row ends are marked and summed along the rows, O(radius) a pixel.
 
-What is marked is rounded to multiples of 2^-20: sums below 16 are then exact in float32, so a row's running sum comes
-back to exactly 0 behind the last disc, and neither the order nor the rectangle it is computed in changes a bit.
+What is marked is a multiple of 2^-23 (light of 2^-17, shares of a row in eighths): sums below 2 are exact in float32. So a
+row's running sum is exactly 0 behind the last disc, and neither the order nor the rectangle changes a bit of it.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -14,102 +14,122 @@ from arfx.stages.dof.aperture import STEPS
 from arfx.stages.dof.ladder import SHARP_PX
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
-_SNAP = np.float32(1.5 * 2**3)  # adding and taking it away rounds to 2^-20
+_SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
+TILE_PX = 16  # deposited at once; a power of two
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _snap(v):  # pragma: no cover - compiled
-    return (v + _SNAP) - _SNAP
+def deposit_tile(
+    source, radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x, near
+):  # fmt: skip  # pragma: no cover - compiled
+    """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two rungs that their radii ask for.
 
-
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def deposit(r, red, green, blue, weight, y, x, fade, cells, meta, lead_y, lead_x, near):  # pragma: no cover - compiled
-    """Hand one pixel's light (premultiplied) and weight to the one or two rungs that its radius asks for.
-
-    near : (h, w, 4) light of rung 0, set where SHARP_PX < r < fade[0, 1]
+    source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none
+    near : (h, w, 4) light of rung 0, set where SHARP_PX < radius < fade[0, 1]
     cells : (n, 5) red, green, blue, weight, weight x radius of all further rungs;  meta : (rungs, 3) first cell, width,
     height;  lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
     rungs = meta.shape[0]
+    least, most = radius[y0, x0], radius[y0, x0]
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            least, most = min(least, radius[y, x]), max(most, radius[y, x])
+    if most <= SHARP_PX:
+        return
     k = 0
-    while k < rungs - 1 and r >= fade[k, 1]:
+    while k < rungs - 1 and least >= fade[k, 1]:
         k += 1
-    onward = np.float32(0)
-    if k < rungs - 1 and r > fade[k, 0]:
-        onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
-    for step in range(2):
-        share = np.float32(1) - onward if step == 0 else onward
-        at = k + step
-        if share <= 0 or at >= rungs:
-            continue
-        if at == 0:
-            near[y, x, 0], near[y, x, 1], near[y, x, 2] = red * share, green * share, blue * share
-            near[y, x, 3] = weight * share
-        else:
-            c = meta[at, 0] + ((y + lead_y) >> at) * meta[at, 1] + ((x + lead_x) >> at)
-            cells[c, 0] += red * share
-            cells[c, 1] += green * share
-            cells[c, 2] += blue * share
-            cells[c, 3] += weight * share
-            cells[c, 4] += weight * share * r
+    if k > 0 and (k == rungs - 1 or most <= fade[k, 0]):
+        side = 1 << k
+        for top in range(y0 - ((y0 + lead_y) & (side - 1)), y1, side):
+            for left in range(x0 - ((x0 + lead_x) & (side - 1)), x1, side):
+                a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+                for y in range(max(top, y0), min(top + side, y1)):
+                    for x in range(max(left, x0), min(left + side, x1)):
+                        j, i = np.uintp(y - y0), np.uintp(x - x0)
+                        a += source[j, i, 0]
+                        b += source[j, i, 1]
+                        c += source[j, i, 2]
+                        d += source[j, i, 3]
+                        e += source[j, i, 3] * radius[np.uintp(y), np.uintp(x)]
+                at = np.uintp(meta[k, 0] + ((top + lead_y) >> k) * meta[k, 1] + ((left + lead_x) >> k))
+                cells[at, 0] += a
+                cells[at, 1] += b
+                cells[at, 2] += c
+                cells[at, 3] += d
+                cells[at, 4] += e
+        return
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            r = radius[np.uintp(y), np.uintp(x)]
+            if r <= SHARP_PX:
+                continue
+            k = 0
+            while k < rungs - 1 and r >= fade[k, 1]:
+                k += 1
+            onward = np.float32(0)
+            if k < rungs - 1 and r > fade[k, 0]:
+                onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
+            j, i = np.uintp(y - y0), np.uintp(x - x0)
+            for step in range(2):
+                share = np.float32(1) - onward if step == 0 else onward
+                rung = k + step
+                if share <= 0:
+                    continue
+                if rung == 0:
+                    for c in range(4):
+                        near[np.uintp(y), np.uintp(x), c] = source[j, i, c] * share
+                else:
+                    at = np.uintp(meta[rung, 0] + ((y + lead_y) >> rung) * meta[rung, 1] + ((x + lead_x) >> rung))
+                    for c in range(4):
+                        cells[at, c] += source[j, i, c] * share
+                    cells[at, 4] += source[j, i, 3] * share * r
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _mark(
-    marks, q, y, x, low, high, width, red, green, blue, weight, first, last, share_first, share_last, row_weight, reach
-):  # fmt: skip  # pragma: no cover - compiled
-    """Mark the row ends of one disc in rows low..high (marks begin at row low)."""
-    n = reach[q]
+def _mark(marks, q, y, x, low, high, width, red, green, blue, weight, ends, shares, n):  # pragma: no cover - compiled
+    """Mark the row ends of one disc in rows low..high. marks : flat, (rows, width + 1, 4), from row low"""
+    red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
+    red, green, blue, weight = red - _SNAP, green - _SNAP, blue - _SNAP, weight - _SNAP
+    stride = width + 1
+    inside = x >= n and x + n + 2 <= width
     for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
         i = j + n
-        g = row_weight[q, i]
-        if g <= 0:
-            continue
-        f, e = share_first[q, i], share_last[q, i]
-        a = min(max(x + first[q, i], 0), width)
-        b = min(max(x + first[q, i] + 1, 0), width)
-        c = min(max(x + last[q, i], 0), width)
-        d = min(max(x + last[q, i] + 1, 0), width)
-        row = marks[y + j - low]
-        r0, g0, b0, w0 = _snap(red * g), _snap(green * g), _snap(blue * g), _snap(weight * g)
-        r1, g1, b1, w1 = _snap(r0 * f), _snap(g0 * f), _snap(b0 * f), _snap(w0 * f)
-        m = row[a]
-        m[0] += r1
-        m[1] += g1
-        m[2] += b1
-        m[3] += w1
-        if last[q, i] > first[q, i]:
-            r2, g2, b2, w2 = _snap(r0 * e), _snap(g0 * e), _snap(b0 * e), _snap(w0 * e)
-            m = row[b]
-            m[0] += r0 - r1
-            m[1] += g0 - g1
-            m[2] += b0 - b1
-            m[3] += w0 - w1
-            m = row[c]
-            m[0] -= r0 - r2
-            m[1] -= g0 - g2
-            m[2] -= b0 - b2
-            m[3] -= w0 - w2
-            m = row[d]
-            m[0] -= r2
-            m[1] -= g2
-            m[2] -= b2
-            m[3] -= w2
-        else:
-            m = row[b]
-            m[0] -= r1
-            m[1] -= g1
-            m[2] -= b1
-            m[3] -= w1
+        first, last = x + ends[q, i, 0], x + ends[q, i, 1]
+        a, b, c, d = first, first + 1, last, last + 1
+        if not inside:
+            a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
+        line = (y + j - low) * stride
+        g, f, e = shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
+        r0, g0, b0, w0 = red * g, green * g, blue * g, weight * g
+        k = np.uintp((line + a) * 4)
+        marks[k] += r0 * f
+        marks[k + np.uintp(1)] += g0 * f
+        marks[k + np.uintp(2)] += b0 * f
+        marks[k + np.uintp(3)] += w0 * f
+        k = np.uintp((line + b) * 4)
+        marks[k] += r0 - r0 * f
+        marks[k + np.uintp(1)] += g0 - g0 * f
+        marks[k + np.uintp(2)] += b0 - b0 * f
+        marks[k + np.uintp(3)] += w0 - w0 * f
+        k = np.uintp((line + c) * 4)
+        marks[k] -= r0 - r0 * e
+        marks[k + np.uintp(1)] -= g0 - g0 * e
+        marks[k + np.uintp(2)] -= b0 - b0 * e
+        marks[k + np.uintp(3)] -= w0 - w0 * e
+        k = np.uintp((line + d) * 4)
+        marks[k] -= r0 * e
+        marks[k + np.uintp(1)] -= g0 * e
+        marks[k + np.uintp(2)] -= b0 * e
+        marks[k + np.uintp(3)] -= w0 * e
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def spread_pixels(
-    near, radius, until, low, high, far, marks, first, last, share_first, share_last, row_weight, reach
-):  # fmt: skip  # pragma: no cover - compiled
+def spread_pixels(near, radius, until, low, high, far, marks, ends, shares, unit, reach):  # pragma: no cover - compiled
     """Rung 0: light of pixels with SHARP_PX < radius < until onto rows low..high. Returns the columns marked (lo, hi)."""
     h, w = radius.shape
-    top = np.float32(row_weight.shape[0] - 1)
+    top = np.float32(unit.shape[0] - 1)
+    flat = marks.reshape(-1)
     lo, hi = w, 0
     for y in range(max(low - far, 0), min(high + far, h)):
         for x in range(w):
@@ -121,25 +141,25 @@ def spread_pixels(
             if y + n < low or y - n >= high:
                 continue
             lo, hi = min(lo, x - n), max(hi, x + n + 1)
-            _mark(
-                marks, q, y, x, low, high, w, near[y, x, 0], near[y, x, 1], near[y, x, 2], near[y, x, 3],
-                first, last, share_first, share_last, row_weight, reach,
-            )  # fmt: skip
+            u = unit[q]
+            a, b, c, d = near[y, x, 0] * u, near[y, x, 1] * u, near[y, x, 2] * u, near[y, x, 3] * u
+            _mark(flat, q, y, x, low, high, w, a, b, c, d, ends, shares, n)
     return max(lo, 0), min(hi, w)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def spread_cells(
-    cells, width, height, rung, cut_px2, low, high, far, marks, first, last, share_first, share_last, row_weight, reach
+    cells, width, height, rung, cut_px2, low, high, far, marks, ends, shares, unit, reach
 ):  # fmt: skip  # pragma: no cover - compiled
     """Further rungs: cells (height * width, 5) onto rows low..high of the rung. Returns the columns marked (lo, hi)."""
-    top = np.float32(row_weight.shape[0] - 1)
+    top = np.float32(unit.shape[0] - 1)
     side = np.float32(1 << rung)
     area = np.float32(1) / (side * side)
+    flat = marks.reshape(-1)
     lo, hi = width, 0
     for y in range(max(low - far, 0), min(high + far, height)):
         for x in range(width):
-            k = y * width + x
+            k = np.uintp(y * width + x)
             if cells[k, 3] <= 0:
                 continue
             r = cells[k, 4] / cells[k, 3]
@@ -149,10 +169,9 @@ def spread_cells(
             if y + n < low or y - n >= high:
                 continue
             lo, hi = min(lo, x - n), max(hi, x + n + 1)
-            _mark(
-                marks, q, y, x, low, high, width, cells[k, 0] * area, cells[k, 1] * area, cells[k, 2] * area,
-                cells[k, 3] * area, first, last, share_first, share_last, row_weight, reach,
-            )  # fmt: skip
+            u = area * unit[q]
+            a, b, c, d = cells[k, 0] * u, cells[k, 1] * u, cells[k, 2] * u, cells[k, 3] * u
+            _mark(flat, q, y, x, low, high, width, a, b, c, d, ends, shares, n)
     return max(lo, 0), min(hi, width)
 
 
@@ -162,12 +181,11 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
     for y in range(marks.shape[0]):
         a, b, c, d = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
         for x in range(lo, hi):
-            m = marks[y, x]
-            a += m[0]
-            b += m[1]
-            c += m[2]
-            d += m[3]
-            m[0], m[1], m[2], m[3] = a, b, c, d
+            a += marks[y, x, 0]
+            b += marks[y, x, 1]
+            c += marks[y, x, 2]
+            d += marks[y, x, 3]
+            marks[y, x, 0], marks[y, x, 1], marks[y, x, 2], marks[y, x, 3] = a, b, c, d
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
