@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.aperture import STEPS
+from arfx.stages.dof.four import mark_ends
 from arfx.stages.dof.ladder import SHARP_PX
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
@@ -100,28 +101,9 @@ def _mark(marks, q, y, x, low, high, width, red, green, blue, weight, ends, shar
         if not inside:
             a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
         line = (y + j - low) * stride
-        g, f, e = shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
-        r0, g0, b0, w0 = red * g, green * g, blue * g, weight * g
-        k = np.uintp((line + a) * 4)
-        marks[k] += r0 * f
-        marks[k + np.uintp(1)] += g0 * f
-        marks[k + np.uintp(2)] += b0 * f
-        marks[k + np.uintp(3)] += w0 * f
-        k = np.uintp((line + b) * 4)
-        marks[k] += r0 - r0 * f
-        marks[k + np.uintp(1)] += g0 - g0 * f
-        marks[k + np.uintp(2)] += b0 - b0 * f
-        marks[k + np.uintp(3)] += w0 - w0 * f
-        k = np.uintp((line + c) * 4)
-        marks[k] -= r0 - r0 * e
-        marks[k + np.uintp(1)] -= g0 - g0 * e
-        marks[k + np.uintp(2)] -= b0 - b0 * e
-        marks[k + np.uintp(3)] -= w0 - w0 * e
-        k = np.uintp((line + d) * 4)
-        marks[k] -= r0 * e
-        marks[k + np.uintp(1)] -= g0 * e
-        marks[k + np.uintp(2)] -= b0 * e
-        marks[k + np.uintp(3)] -= w0 * e
+        mark_ends(
+            marks, line + a, line + b, line + c, line + d, red, green, blue, weight, shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
+        )
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
