@@ -43,7 +43,7 @@ class Dof:
     name = "dof"
     reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.SHADOW})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.02), Level("standard", 0.03), Level("high", 0.1))
+    levels = (Level("draft", 0.02), Level("standard", 0.03), Level("high", 0.1), Level("reference", 60.0))
     needs_facts = frozenset({"pose"})
     reach = 0
     Params = DofParams
@@ -67,7 +67,11 @@ class Dof:
     def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
         return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 16)
 
-    def prepare(self, scene: Scene, level: Level) -> np.ndarray:
+    def prepare(self, scene: Scene, level: Level) -> Any:
+        if level.name == "reference":
+            from arfx.stages.dof import reference
+
+            return reference.prepare(scene)
         return grid_of(scene.camera)
 
     def run(
@@ -77,6 +81,10 @@ class Dof:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
         at, real = self._frame(facts, scene)
+        if level.name == "reference":
+            from arfx.stages.dof import reference
+
+            return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
         return {Layer.IMAGE: render(now, facts, real, prepared, at, LADDERS[level.name], self.params)}
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
