@@ -76,6 +76,7 @@ def render(
     optics = np.float32(at.px_per_dioptre), np.float32(at.focus), np.float32(at.limit_px)
     opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
     plate, shadow = now[Layer.PLATE], now[Layer.SHADOW]
+    flat = [np.ascontiguousarray(a).reshape(rect.height, -1) for a in (plate, shadow)]
     real_blurs = params.scope == "all"
     largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if real_blurs else 0.0
     base = Spread(rect, ladder, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
@@ -92,7 +93,7 @@ def render(
             return
         plane_radius(base.radius, *strip, rect.x0, rect.y0, nodes, background, *optics)
         light.deposit_real(
-            *strip, base.radius, plate, shadow, opacity, bias, kept, np.float32(params.highlight_boost), *base.sink
+            *strip, base.radius, flat[0], flat[1], opacity, bias, kept, np.float32(params.highlight_boost), *base.sink
         )
 
     on_all_cores(start, rows)

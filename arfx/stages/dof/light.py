@@ -42,27 +42,32 @@ def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_real(
-    top, bottom, radius, plate, shadow, opacity, bias, kept, boost, fade, cells, meta, lead_y, lead_x, near
+    top, bottom, radius, flat_plate, flat_shadow, opacity, bias, kept, boost, fade, cells, meta, lead_y, lead_x, near
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of the real scene. kept : (h, w) share that is not cut out, or (0, 0) = all"""
+    """Rows top..bottom of the real scene. flat_plate, flat_shadow : (h, 3 w);  kept : (h, w) share that is not cut out, (0, 0) = all"""
     whole = kept.shape[0] == 0
+    plain = whole and boost <= 0
     width = radius.shape[1]
     source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
+    line, biases = np.empty(3 * TILE_PX, np.float32), np.empty(3 * TILE_PX, np.float32)
+    for n in range(3 * TILE_PX):
+        biases[n] = bias[n % 3]
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
         for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
             ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            first = 3 * xa
             for y in range(ya, yb):
-                for x in range(xa, xb):
-                    j, i = y - ya, x - xa
-                    red = _behind(plate[y, x, 0], shadow[y, x, 0], opacity, bias[0])
-                    green = _behind(plate[y, x, 1], shadow[y, x, 1], opacity, bias[1])
-                    blue = _behind(plate[y, x, 2], shadow[y, x, 2], opacity, bias[2])
-                    weight, k = np.float32(1), np.float32(1)
-                    if not whole:
-                        weight = kept[y, x]
-                        k = weight
-                    if boost > 0:
-                        k *= _boosted(red, green, blue, boost)
+                for n in range(3 * (xb - xa)):  # over all channels alike: the compiler makes vectors of it
+                    line[n] = _behind(flat_plate[y, first + n], flat_shadow[y, first + n], opacity, biases[n])
+                for i in range(xb - xa):
+                    red, green, blue, weight, k = line[3 * i], line[3 * i + 1], line[3 * i + 2], np.float32(1), np.float32(1)
+                    if not plain:
+                        if not whole:
+                            weight = kept[y, xa + i]
+                            k = weight
+                        if boost > 0:
+                            k *= _boosted(red, green, blue, boost)
+                    j = y - ya
                     source[j, i, 0], source[j, i, 1], source[j, i, 2], source[j, i, 3] = red * k, green * k, blue * k, weight
             deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
 
