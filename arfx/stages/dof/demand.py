@@ -61,6 +61,14 @@ def blurred_rect(real: Real, grid: np.ndarray, at: Circles) -> Rect:
     return Rect(int(xs[0]) * GRID_PX, int(ys[0]) * GRID_PX, int(xs[-1]) * GRID_PX + 1, int(ys[-1]) * GRID_PX + 1).pad(pad)
 
 
+def paper_demand(facts: FrameFacts, frame: Rect, at: Circles, real: Real | None, grid: np.ndarray) -> Demand:
+    """As `demand`; where the formula `paper` blurs at all, it touches every pixel that is not exactly in the focus."""
+    asked = demand(facts, frame, at, real, grid)
+    if asked.rect.empty:
+        return asked
+    return Demand(frame if real is not None else object_box(facts, frame, 0.0), asked.reason)
+
+
 def needs(out: Rect, facts: FrameFacts, at: Circles, real: Real | None, grid: np.ndarray, frame: Rect) -> Rect:
     """Pixels whose light can reach `out`, and those that decide how far it is spread."""
     on_object = object_radius_px(facts, at)

@@ -23,6 +23,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.stages.dof import demand as called
+from arfx.stages.dof import paper
 from arfx.stages.dof.corrected import render
 from arfx.stages.dof.ladder import LADDERS
 from arfx.stages.dof.optics import Circles, circles
@@ -55,11 +56,14 @@ class Dof:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return Demand(EMPTY, "marker not visible")
         at, real = self._frame(facts, scene)
-        return called.demand(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
+        ask = called.paper_demand if self._paper else called.demand
+        return ask(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
         if facts.camera_from_world is None:
             return out
+        if self._paper:
+            return out.pad(paper.reach_px(self.params)).clip(scene.camera.rect)
         at, real = self._frame(facts, scene)
         grid = grid_of(scene.camera)
         return called.needs(out, facts, at, real if self.params.scope == "all" else None, grid, scene.camera.rect)
@@ -68,7 +72,7 @@ class Dof:
         return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 16)
 
     def prepare(self, scene: Scene, level: Level) -> Any:
-        if level.name == "reference":
+        if level.name == "reference" and not self._paper:
             from arfx.stages.dof import reference
 
             return reference.prepare(scene)
@@ -81,11 +85,20 @@ class Dof:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
         at, real = self._frame(facts, scene)
+        if self._paper:
+            shown = real if self.params.scope == "all" else None
+            if called.demand(facts, scene.camera.rect, at, shown, prepared).rect.empty:
+                return {Layer.IMAGE: now[Layer.IMAGE].copy()}
+            return {Layer.IMAGE: paper.render(now, facts, real, prepared, at, self.params)}
         if level.name == "reference":
             from arfx.stages.dof import reference
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
         return {Layer.IMAGE: render(now, facts, real, prepared, at, LADDERS[level.name], self.params)}
+
+    @property
+    def _paper(self) -> bool:
+        return self.params.formula == "paper"
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
         pose, p = facts.camera_from_world, self.params
