@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import light
@@ -50,7 +50,7 @@ class CutOut:
         at = slice(part.y0 - rows.y0, part.y1 - rows.y0)
         mine = slice(top, bottom)
         light.lay_cut(
-            out[at], touched[at], 0, self.rect.x0 - rows.x0, own, own_lo, own_hi, gap, gap_lo, gap_hi,
+            out[at], touched[at], part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0, own, own_lo, own_hi, gap, gap_lo, gap_hi,
             self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity,
         )  # fmt: skip
 
@@ -69,9 +69,9 @@ def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
 
 
 def render(
-    now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder, params: DofParams
+    now: Layers, facts: FrameFacts, frame: Rect, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder, params: DofParams
 ) -> np.ndarray:
-    """IMAGE (h, w, 3) of a frame with a pose."""
+    """IMAGE (h, w, 3) of a frame with a pose. frame : the whole picture"""
     image, rect = now[Layer.IMAGE], now.rect
     optics = np.float32(at.px_per_dioptre), np.float32(at.focus), np.float32(at.limit_px)
     opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
@@ -81,7 +81,7 @@ def render(
     largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if real_blurs else 0.0
     base = Spread(rect, ladder, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
     cuts, kept = _real_cut_outs(now, facts, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
-    boxed = _object(now, facts, optics, ladder, params)
+    boxed = _object(now, facts, frame, optics, ladder, params)
     cuts += [boxed] if boxed else []
     nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
     background = np.float32(real.background)
@@ -126,7 +126,7 @@ def _cut_out(
 
 
 def _object(
-    now: Layers, facts: FrameFacts, optics: Optics, ladder: Ladder, params: DofParams
+    now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder: Ladder, params: DofParams
 ) -> CutOut | None:
     """The virtual object; None where nothing of it is here or nothing of it is blurred."""
     box = facts.model_box.pad(OBJECT_PAD_PX).clip(now.rect)
@@ -139,14 +139,30 @@ def _object(
     if largest < 0:
         return None
     # sharp, it is still laid over the real scene anew where that is blurred
-    rect = object_box(facts, now.rect, 2 * largest) if largest > SHARP_PX else box
-    around = now.crop(rect)
+    rect = box if largest <= SHARP_PX else _around(facts, now.rect, frame, 2 * largest)
     padded = np.full((rect.height, rect.width), -1, np.float32)
     padded[box.slices_in(rect)] = radius
-    coverage = np.where(padded >= 0, around[Layer.COVERAGE], np.float32(0))
-    return _cut_out(
-        rect, padded, around[Layer.VIRTUAL], coverage, np.float32(facts.opacity), ladder, max(largest, SHARP_PX), params
-    )
+    colour, coverage = (_spanning(now, layer, rect) for layer in (Layer.VIRTUAL, Layer.COVERAGE))
+    coverage[padded < 0] = 0
+    return _cut_out(rect, padded, colour, coverage, np.float32(facts.opacity), ladder, max(largest, SHARP_PX), params)
+
+
+def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:
+    """What surrounds the object in `rect`; beyond the picture's edge too, except where the object may go on there."""
+    box, n = facts.model_box.pad(OBJECT_PAD_PX), int(np.ceil(reach_px)) + 1
+    grown = Rect(
+        rect.x0 - n if box.x0 > frame.x0 == rect.x0 else rect.x0, rect.y0 - n if box.y0 > frame.y0 == rect.y0 else rect.y0,
+        rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1, rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,
+    )  # fmt: skip
+    return box.pad(n).clip(grown)
+
+
+def _spanning(now: Layers, layer: Layer, rect: Rect) -> np.ndarray:
+    """A layer over `rect`, nothing where it passes the layers' own rectangle."""
+    out, both = neutral(layer, rect), rect.clip(now.rect)
+    if not both.empty:
+        out[both.slices_in(rect)] = now.crop(both)[layer]
+    return out
 
 
 def _real_cut_outs(

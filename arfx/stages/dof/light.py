@@ -155,17 +155,16 @@ def lay_real(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_cut(
-    out, touched, top, left, light, lo, hi, gap, gap_lo, gap_hi, radius, colour, coverage, opacity
+    out, touched, begin, end, left, light, lo, hi, gap, gap_lo, gap_hi, radius, colour, coverage, opacity
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Put a cut-out layer over out (rows, w, 3). Its arrays begin at row `top` and column `left` of out's.
+    """Put columns begin..end of a cut-out layer over out (rows, w, 3); its column 0 is `left` of out's.
 
     light, gap : (rows, w', 4) of `Spread.rows`;  touched : set where any of it is spread
     """
-    for j in range(light.shape[0]):
-        y = top + j
-        for x in range(radius.shape[1]):
-            w = light[j, x, 3] if lo <= x < hi else np.float32(0)
-            total = w + (gap[j, x, 3] if gap_lo <= x < gap_hi else np.float32(0))
+    for y in range(out.shape[0]):
+        for x in range(begin, end):
+            w = light[y, x, 3] if lo <= x < hi else np.float32(0)
+            total = w + (gap[y, x, 3] if gap_lo <= x < gap_hi else np.float32(0))
             c = coverage[y, x] * opacity
             own = np.float32(1) if radius[y, x] <= SHARP_PX and (c > 0 or w > 0) else np.float32(0)
             if w > 0:
@@ -181,7 +180,7 @@ def lay_cut(
             for k in range(3):
                 v = own * colour[y, x, k] * opacity
                 if lo <= x < hi:
-                    v += light[j, x, k]
+                    v += light[y, x, k]
                 out[y, left + x, k] = out[y, left + x, k] * through + v * inverse
 
 

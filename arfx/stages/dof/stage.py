@@ -94,7 +94,7 @@ class Dof:
             from arfx.stages.dof import reference
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
-        return {Layer.IMAGE: render(now, facts, real, prepared, at, LADDERS[level.name], self.params)}
+        return {Layer.IMAGE: render(now, facts, scene.camera.rect, real, prepared, at, LADDERS[level.name], self.params)}
 
     @property
     def _paper(self) -> bool:
