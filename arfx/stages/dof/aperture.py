@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 STEPS = 16  # radii a pixel in the table
+UNIT_BITS = 17  # fraction of the light that a disc adds to a pixel (spread.py)
 _SUBROWS = 8  # lines by which a row's ends are averaged
 
 
@@ -21,7 +22,7 @@ class Shape:
 
     ends : (q, rows, 2) int32, first and last pixel of the row, from the centre; last > first
     shares : (q, rows, 3) float32, multiples of 1/8 in 0..1: of the row's height; of the first and of the last pixel
-    unit : (q,) float32, 1 / area: all covered shares times it sum to 1;  reach : (q,) int32, rows beyond the centre's
+    unit : (q,) float32, 1 / area to UNIT_BITS, so that a full pixel's weight is not rounded again when it is spread;  reach : (q,) int32, rows beyond the centre's
     """
 
     ends: np.ndarray
@@ -52,7 +53,8 @@ def shape(largest_px: int, blades: int = 0, turn_deg: float = 0.0) -> Shape:
         shares[q, :n, 0] = covered
         shares[q, :n, 1] = np.where(one, right - left, a + 0.5 - left)
         shares[q, :n, 2] = np.where(one, 0.0, right - (b - 0.5))
-        unit[q] = 1 / float(((right - left) * covered).sum())
+        area = float(((right - left) * covered).sum())
+        unit[q] = max(np.round(2.0**UNIT_BITS / area), 1) / 2.0**UNIT_BITS
     return Shape(ends, shares, unit, reach)
 
 

@@ -149,12 +149,12 @@ def _object(
 
 def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:
     """What surrounds the object in `rect`; beyond the picture's edge too, except where the object may go on there."""
-    box, n = facts.model_box.pad(OBJECT_PAD_PX), int(np.ceil(reach_px)) + 1
+    box, n = facts.model_box.pad(OBJECT_PAD_PX), int(np.ceil(min(reach_px, max(frame.width, frame.height) / 4))) + 1
     grown = Rect(
         rect.x0 - n if box.x0 > frame.x0 == rect.x0 else rect.x0, rect.y0 - n if box.y0 > frame.y0 == rect.y0 else rect.y0,
         rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1, rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,
     )  # fmt: skip
-    return box.pad(n).clip(grown)
+    return box.pad(int(np.ceil(reach_px)) + 1).clip(grown)
 
 
 def _spanning(now: Layers, layer: Layer, rect: Rect) -> np.ndarray:

@@ -159,7 +159,8 @@ def spread_cells(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def run_sums(marks, lo, hi):  # pragma: no cover - compiled
-    """Marks to light: running sums along the rows, columns lo..hi, in place."""
+    """Marks to light: running sums along the rows, columns lo..hi, in place. Weights are exact, light brighter than 2 is
+    not: where no weight is left no light is, so that nothing of a highlight's rounding goes on along its row."""
     for y in range(marks.shape[0]):
         a, b, c, d = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
         for x in range(lo, hi):
@@ -167,6 +168,8 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
             b += marks[y, x, 1]
             c += marks[y, x, 2]
             d += marks[y, x, 3]
+            if d <= 0:
+                a, b, c = np.float32(0), np.float32(0), np.float32(0)
             marks[y, x, 0], marks[y, x, 1], marks[y, x, 2], marks[y, x, 3] = a, b, c, d
 
 

@@ -68,19 +68,23 @@ def test_agrees_with_a_thin_lens(name: str) -> None:
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
 @pytest.mark.parametrize("radius", [0.7, 2.3, 3.0, 7.0, 15.0, 26.0])
 def test_a_highlight_becomes_a_disc_and_keeps_its_energy(level: str, radius: float) -> None:
-    plate = np.zeros((120, 160, 3), np.float32)
-    plate[60, 80] = 1e4
-    out = blurred(flat(plate), level, aperture_px=aperture_for(radius), focus="2m", max_radius_px=80.0)
-    assert out.sum() == pytest.approx(plate.sum(), rel=0.005)
     y, x = np.indices((120, 160))
     away = np.hypot(x - 80, y - 60)
-    soft = 0.75 if level in ("high", "reference") or radius < 2 else 2 + 0.3 * radius
-    inside, outside = away < radius - soft, away > radius + soft
-    if inside.any():
-        assert out[inside].min() > 0.9 * 1e4 / (np.pi * radius**2)
-        assert out[inside].max() < 1.12 * 1e4 / (np.pi * radius**2)
-    assert np.abs(out[outside]).max() <= (0.0 if level != "reference" else 1e-3) or radius > 3
-    assert not out[away > 1.5 * radius + 8].any(), "light where no circle reaches"
+    for brightness in (1.0, 1e4):
+        plate = np.zeros((120, 160, 3), np.float32)
+        plate[60, 80] = brightness
+        out = blurred(flat(plate), level, aperture_px=aperture_for(radius), focus="2m", max_radius_px=80.0)
+        # one white pixel alone is rounded to 2^-17 of light in each that it reaches
+        assert out.sum() == pytest.approx(plate.sum(), rel=0.005 if brightness > 1 else 0.02)
+        sharp = level == "reference" or (level == "high" and radius < 14)
+        inside = away < radius - (0.75 if sharp else 2 + 0.3 * radius)
+        if level != "draft" and radius > 2 and inside.any():  # even, not a hill
+            even = brightness / (np.pi * radius**2)
+            least, most = (0.85, 1.15) if sharp else (0.7, 1.5)
+            assert least * even < out[inside].min() and out[inside].max() < most * even
+        # float32 keeps sums of light up to white exactly; of brighter light it leaves 1 part in 10^7 along the row
+        nothing = 0.0 if brightness == 1 else 1e-7 * brightness
+        assert out[away > (radius + 1.5 if sharp or radius < 1.5 else 1.5 * radius + 8)].max(initial=0.0) <= nothing
 
 
 def test_blades_shape_the_highlight() -> None:
@@ -111,12 +115,12 @@ def test_a_closed_aperture_is_the_identity_bit_for_bit(fnumber: float | str) -> 
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_only_what_a_circle_reaches_changes(level: str) -> None:
-    at = shot(tilt_deg=60.0)
+    at = shot(fit_m=0.02, tilt_deg=60.0)  # beyond 52 cm all is in focus
     frame = at.scene.camera.rect
-    stage = Dof(DofParams(aperture_px=9.0, focus="object"))
-    demand = stage.demand(at.facts, at.scene, frame)
+    params = {"aperture_px": 30.0, "focus": "52cm", "background_m": 0.52}
+    demand = Dof(DofParams(**params)).demand(at.facts, at.scene, frame)  # type: ignore[arg-type]
     assert not demand.rect.empty and demand.rect.area < 0.9 * frame.area and "blur circles up to" in demand.reason
-    out, image = blurred(at, level, aperture_px=9.0, focus="object"), at.layers[Layer.IMAGE]
+    out, image = blurred(at, level, **params), at.layers[Layer.IMAGE]
     outside = np.ones(image.shape[:2], bool)
     outside[demand.rect.slices] = False
     assert outside.any()
@@ -142,20 +146,20 @@ def test_a_crop_gives_the_same_bits(level: str) -> None:
 def test_a_blurred_object_before_a_sharp_plane() -> None:
     at = shot()
     out, image = blurred(at, "standard", aperture_px=40.0, focus="object", scope="virtual"), at.layers[Layer.IMAGE]
-    near = blurred(at, "standard", aperture_px=12.0, focus="3m", scope="virtual")
+    near = blurred(at, "standard", aperture_px=6.0, focus="3m", scope="virtual")
     box = at.facts.model_box
     far_off = np.ones(image.shape[:2], bool)
     far_off[box.pad(40).clip(at.scene.camera.rect).slices] = False
     np.testing.assert_array_equal(near[far_off], image[far_off])
     np.testing.assert_array_equal(out[far_off], image[far_off])
-    truth = blurred(at, "reference", aperture_px=12.0, focus="3m", scope="virtual")
-    assert psnr(near, truth, ~far_off) > 38
+    truth = blurred(at, "reference", aperture_px=6.0, focus="3m", scope="virtual")
+    assert psnr(near, truth, ~far_off) > 35
     # inside, by more than the radius from the edge, nothing of the plane shines through
     deep = _deep(at.layers[Layer.COVERAGE], 24)
     assert deep.any()
     dark = with_layers(at, plate=np.zeros_like(image))
     np.testing.assert_allclose(
-        blurred(dark, "standard", aperture_px=12.0, focus="3m", scope="virtual")[deep], near[deep], atol=1e-4
+        blurred(dark, "standard", aperture_px=6.0, focus="3m", scope="virtual")[deep], near[deep], atol=1e-4
     )
 
 
@@ -165,7 +169,7 @@ def test_a_sharp_object_before_a_blurred_plane() -> None:
     out, image = blurred(at, "standard", **params), at.layers[Layer.IMAGE]
     deep = _deep(at.layers[Layer.COVERAGE], 8)
     assert deep.any()
-    assert np.abs(out[deep] - image[deep]).mean() < 0.01
+    assert np.abs(out[deep] - image[deep]).mean() < 0.02
     # nothing of the object's colour leaks into the plane: another object, the same surroundings
     other = with_layers(at, virtual=np.asarray(at.layers[Layer.VIRTUAL]) * 0.1)
     beyond = ~_deep(at.layers[Layer.COVERAGE] > 0, -10)
@@ -251,7 +255,9 @@ def test_opacity_opens_the_lens_without_a_step() -> None:
     faint = Shot(at.scene, at.facts.with_(opacity=0.02), at.layers)
     assert Dof(DofParams(aperture_px=12.0)).demand(faint.facts, faint.scene, at.scene.camera.rect).rect.empty
     half = Shot(at.scene, at.facts.with_(opacity=0.5), at.layers)
-    change = [np.abs(blurred(s, "standard", aperture_px=12.0, focus="1m") - image).mean() for s in (faint, half, at)]
+    away = np.ones(image.shape[:2], bool)
+    away[at.facts.model_box.pad(30).clip(at.scene.camera.rect).slices] = False
+    change = [np.abs(blurred(s, "standard", aperture_px=12.0, focus="1m") - image)[away].mean() for s in (faint, half, at)]
     assert change[0] == 0.0 < change[1] < change[2]
 
 
