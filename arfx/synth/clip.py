@@ -153,6 +153,8 @@ def job_toml(scene: SceneFile) -> str:
         lines += ["[[marker]]", f"spec = {json.dumps(str(marker.spec))}", ""]
     lines += ["[model]", 'file = "model.glb"', f"fit = {json.dumps(scene.model.fit)}", ""]
     lines += ["[pipeline]", f"stages = {json.dumps(list(scene.job.stages))}", f"quality = {json.dumps(scene.job.quality)}", ""]
+    for stage, settings in scene.job.settings.items():
+        lines += [f"[{stage}]", *(f"{key} = {json.dumps(value)}" for key, value in settings.items()), ""]
     lines += ["[output]", f"codec = {json.dumps(scene.job.codec)}"]
     return "\n".join(lines) + "\n"
 

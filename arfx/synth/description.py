@@ -239,6 +239,7 @@ class Job(Part):
     stages: tuple[str, ...] = ()
     quality: Literal["draft", "standard", "high", "reference"] = "standard"
     codec: str = "h264"
+    settings: dict[str, dict[str, str | int | float | bool]] = Field(default={}, description="of stages, by stage and key")
 
 
 class SceneFile(Part):

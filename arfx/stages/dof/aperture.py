@@ -37,6 +37,7 @@ def shape(largest_px: int, blades: int = 0, turn_deg: float = 0.0) -> Shape:
     count = largest_px * STEPS + 1
     radius = np.arange(count) / STEPS
     reach = np.ceil(radius * _circumradius(blades) - 0.5).clip(0).astype(np.int32)
+    reach[radius <= 0.5] = 0
     rows = 2 * int(reach.max()) + 1
     ends = np.zeros((count, rows, 2), np.int32)
     shares = np.zeros((count, rows, 3), np.float32)
