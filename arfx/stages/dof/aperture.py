@@ -22,7 +22,8 @@ class Shape:
 
     ends : (q, rows, 2) int32, first and last pixel of the row, from the centre; last > first
     shares : (q, rows, 3) float32, multiples of 1/8 in 0..1: of the row's height; of the first and of the last pixel
-    unit : (q,) float32, 1 / area to UNIT_BITS, so that a full pixel's weight is not rounded again when it is spread;  reach : (q,) int32, rows beyond the centre's
+    unit : (q,) float32, 1 / area to UNIT_BITS, so that a full pixel's weight is not rounded again when it is spread
+    reach : (q,) int32, rows beyond the centre's
     """
 
     ends: np.ndarray

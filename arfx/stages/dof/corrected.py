@@ -45,12 +45,13 @@ class CutOut:
         if part.empty:
             return
         top, bottom = part.y0 - self.rect.y0, part.y1 - self.rect.y0
-        own, own_lo, own_hi = self.spread.rows(top, bottom)
-        gap, gap_lo, gap_hi = self.gap.rows(top, bottom)
+        own, own_lo, own_hi = self.spread.rows(top, bottom, "own")
+        gap, gap_lo, gap_hi = self.gap.rows(top, bottom, "gap")
         at = slice(part.y0 - rows.y0, part.y1 - rows.y0)
         mine = slice(top, bottom)
         light.lay_cut(
-            out[at], touched[at], part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0, own, own_lo, own_hi, gap, gap_lo, gap_hi,
+            out[at], touched[at], part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
+            own, own_lo, own_hi, gap, gap_lo, gap_hi,
             self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity,
         )  # fmt: skip
 
@@ -103,7 +104,7 @@ def render(
     def finish(strip: tuple[int, int]) -> None:
         top, bottom = strip
         out, touched = result[top:bottom], np.zeros((bottom - top, rect.width), np.bool_)
-        spread, lo, hi = base.rows(top, bottom)
+        spread, lo, hi = base.rows(top, bottom, "base")
         light.lay_real(out, touched, top, spread, lo, hi, base.radius, plate, shadow, opacity, bias, kept)
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
         for cut in cuts:
@@ -125,9 +126,7 @@ def _cut_out(
     return CutOut(rect, colour, coverage, opacity, spread, gap)
 
 
-def _object(
-    now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder: Ladder, params: DofParams
-) -> CutOut | None:
+def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder: Ladder, params: DofParams) -> CutOut | None:
     """The virtual object; None where nothing of it is here or nothing of it is blurred."""
     box = facts.model_box.pad(OBJECT_PAD_PX).clip(now.rect)
     if box.empty:

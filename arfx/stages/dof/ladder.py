@@ -55,6 +55,6 @@ def _ladder(*fade: tuple[float, float]) -> Ladder:
 
 LADDERS = {
     "draft": _ladder((1.6, 2.2), (6.0, 8.0), (18.0, 24.0), (48.0, 64.0)),
-    "standard": _ladder((2.4, 3.2), (12.0, 16.0), (40.0, 56.0)),
+    "standard": _ladder((2.0, 2.8), (12.0, 16.0), (40.0, 56.0)),
     "high": _ladder((14.0, 18.0), (40.0, 52.0), (80.0, 104.0)),
 }

@@ -6,12 +6,15 @@ to the caller: their light stays where it is.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from arfx.core.rect import Rect
 from arfx.stages.dof.aperture import STEPS, Shape, shape
-from arfx.stages.dof.ladder import ALIGN_PX, SHARP_PX, Ladder
+from arfx.stages.dof.ladder import ALIGN_PX, Ladder
 from arfx.stages.dof.spread import add_rung, run_sums, spread_cells, spread_pixels
+from arfx.stages.dof.work import zeros
 
 STRIP_PX = ALIGN_PX  # rows worked on at once: cells of every rung lie in one strip only
 
@@ -19,7 +22,7 @@ STRIP_PX = ALIGN_PX  # rows worked on at once: cells of every rung lie in one st
 def strips(rect: Rect) -> list[tuple[int, int]]:
     """Rows of `rect`, from its top, cut where the frame's rows are multiples of STRIP_PX."""
     cuts = [rect.y0, *range((rect.y0 // STRIP_PX + 1) * STRIP_PX, rect.y1, STRIP_PX), rect.y1]
-    return [(a - rect.y0, b - rect.y0) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return [(a - rect.y0, b - rect.y0) for a, b in pairwise(cuts)]
 
 
 class Spread:
@@ -51,26 +54,24 @@ class Spread:
         """Arguments of the deposit kernels: where light goes."""
         return self.ladder.fade, self.cells, self.meta, self.lead_y, self.lead_x, self.near
 
-    def rows(self, top: int, bottom: int) -> tuple[np.ndarray, int, int]:
-        """Light (rows, w, 4) that reaches rows top..bottom, and the columns lo..hi outside of which it is 0."""
-        h, w = self.radius.shape
+    def rows(self, top: int, bottom: int, name: str) -> tuple[np.ndarray, int, int]:
+        """Light (rows, w, 4) that reaches rows top..bottom, and the columns lo..hi outside of which it is 0.
+
+        The array is this thread's, until it asks for the same name again."""
+        w = self.radius.shape[1]
         s = self.shape
         table = s.ends, s.shares, s.unit, s.reach
         until = float(self.ladder.fade[0, 1]) if self.rungs > 1 else np.inf
-        out = np.zeros((bottom - top, w + 1, 4), np.float32)
-        lo, hi = w, 0
-        if (self.radius[max(top - self._far(0), 0) : bottom + self._far(0)] > SHARP_PX).any():
-            lo, hi = spread_pixels(self.near, self.radius, np.float32(until), top, bottom, self._far(0), out, *table)
-            run_sums(out, lo, hi)
+        out = zeros(name, (bottom - top, w + 1, 4))
+        lo, hi = spread_pixels(self.near, self.radius, np.float32(until), top, bottom, self._far(0), out, *table)
+        run_sums(out, lo, hi)
         for k in range(1, self.rungs):
             first, width, height = (int(v) for v in self.meta[k])
             low = max(((top + self.lead_y) >> k) - 1, 0)
             high = min(((bottom - 1 + self.lead_y) >> k) + 2, height)
-            marks = np.zeros((high - low, width + 1, 4), np.float32)
+            marks = zeros("rung", (high - low, width + 1, 4))
             cells = self.cells[first : first + width * height]
-            a, b = spread_cells(
-                cells, width, height, k, self.ladder.cut_px2[k], low, high, self._far(k), marks, *table
-            )
+            a, b = spread_cells(cells, width, height, k, self.ladder.cut_px2[k], low, high, self._far(k), marks, *table)
             if a >= b:
                 continue
             run_sums(marks, a, b)

@@ -44,7 +44,10 @@ def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
 def deposit_real(
     top, bottom, radius, flat_plate, flat_shadow, opacity, bias, kept, boost, fade, cells, meta, lead_y, lead_x, near
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of the real scene. flat_plate, flat_shadow : (h, 3 w);  kept : (h, w) share that is not cut out, (0, 0) = all"""
+    """Rows top..bottom of the real scene. flat_plate, flat_shadow : (h, 3 w)
+
+    kept : (h, w) share that is not cut out, (0, 0) = all
+    """
     whole = kept.shape[0] == 0
     plain = whole and boost <= 0
     width = radius.shape[1]
@@ -57,8 +60,9 @@ def deposit_real(
             ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
             first = 3 * xa
             for y in range(ya, yb):
+                p, s = flat_plate[y, first : first + 3 * (xb - xa)], flat_shadow[y, first : first + 3 * (xb - xa)]
                 for n in range(3 * (xb - xa)):  # over all channels alike: the compiler makes vectors of it
-                    line[n] = _behind(flat_plate[y, first + n], flat_shadow[y, first + n], opacity, biases[n])
+                    line[n] = _behind(p[n], s[n], opacity, biases[n])
                 for i in range(xb - xa):
                     red, green, blue, weight, k = line[3 * i], line[3 * i + 1], line[3 * i + 2], np.float32(1), np.float32(1)
                     if not plain:

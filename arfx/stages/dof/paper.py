@@ -49,7 +49,9 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
     out = np.full((rect.height, rect.width), real.background, np.float32)
     if real.base is not None:  # a radius of 1 px a dioptre from a focus at infinity is the dioptre itself
         one, zero, most = np.float32(1), np.float32(0), np.float32(np.inf)
-        plane_radius(out, 0, rect.height, rect.x0, rect.y0, real.base.dioptres(grid), np.float32(real.background), one, zero, most)
+        plane_radius(
+            out, 0, rect.height, rect.x0, rect.y0, real.base.dioptres(grid), np.float32(real.background), one, zero, most
+        )
     near, far = depth_range(facts)
     depth = np.clip(np.nan_to_num(now[Layer.DEPTH], nan=far, posinf=far), near, far)
     return np.where(now[Layer.COVERAGE] >= 0.5, divide(1.0, depth), out)

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 from arfx.core.units import length_m, time_s
@@ -135,7 +136,7 @@ def between(keys: list[tuple[float, float]], time: float) -> float:
     """Value at `time`: linear between key frames, the first and last held outside."""
     if time <= keys[0][0]:
         return keys[0][1]
-    for (t0, a), (t1, b) in zip(keys[:-1], keys[1:], strict=True):
+    for (t0, a), (t1, b) in pairwise(keys):
         if time < t1:
             return a + (b - a) * (time - t0) / (t1 - t0)
     return keys[-1][1]

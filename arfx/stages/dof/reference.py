@@ -49,7 +49,9 @@ def prepare(scene: Scene) -> Prepared:
     return Prepared(mesh, EmbreeScene(mesh), LensTable(scene.camera))
 
 
-def render(now: Layers, facts: FrameFacts, scene: Scene, real: Real, at: Circles, params: DofParams, made: Prepared) -> np.ndarray:
+def render(
+    now: Layers, facts: FrameFacts, scene: Scene, real: Real, at: Circles, params: DofParams, made: Prepared
+) -> np.ndarray:
     """IMAGE (h, w, 3) of a frame with a pose."""
     rect, opacity = now.rect, float(facts.opacity)
     plate, shadow = now[Layer.PLATE].astype(float), now[Layer.SHADOW].astype(float)

@@ -4,7 +4,7 @@ What is marked is a multiple of 2^-23 (light of 2^-17, shares of a row in eighth
 row's running sum is exactly 0 behind the last disc, and neither the order nor the rectangle changes a bit of it.
 """
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, call-arg, assignment"
 from __future__ import annotations
 
 import numba
@@ -34,7 +34,8 @@ def deposit_tile(
     least, most = radius[y0, x0], radius[y0, x0]
     for y in range(y0, y1):
         for x in range(x0, x1):
-            least, most = min(least, radius[y, x]), max(most, radius[y, x])
+            r = radius[np.uintp(y), np.uintp(x)]
+            least, most = min(least, r), max(most, r)
     if most <= SHARP_PX:
         return
     k = 0
@@ -95,14 +96,25 @@ def _mark(marks, q, y, x, low, high, width, red, green, blue, weight, ends, shar
     stride = width + 1
     inside = x >= n and x + n + 2 <= width
     for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
-        i = j + n
+        i = np.uintp(j + n)
         first, last = x + ends[q, i, 0], x + ends[q, i, 1]
         a, b, c, d = first, first + 1, last, last + 1
         if not inside:
             a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
         line = (y + j - low) * stride
         mark_ends(
-            marks, line + a, line + b, line + c, line + d, red, green, blue, weight, shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
+            marks,
+            line + a,
+            line + b,
+            line + c,
+            line + d,
+            red,
+            green,
+            blue,
+            weight,
+            shares[q, i, 0],
+            shares[q, i, 1],
+            shares[q, i, 2],
         )
 
 
@@ -118,7 +130,7 @@ def spread_pixels(near, radius, until, low, high, far, marks, ends, shares, unit
             r = radius[y, x]
             if r <= SHARP_PX or r >= until or near[y, x, 3] <= 0:
                 continue
-            q = int(min(r * STEPS + np.float32(0.5), top))
+            q = np.uintp(min(r * STEPS + np.float32(0.5), top))
             n = reach[q]
             if y + n < low or y - n >= high:
                 continue
@@ -146,7 +158,7 @@ def spread_cells(
                 continue
             r = cells[k, 4] / cells[k, 3]
             r = np.sqrt(max(r * r - cut_px2, np.float32(0))) / side
-            q = int(min(r * STEPS + np.float32(0.5), top))
+            q = np.uintp(min(r * STEPS + np.float32(0.5), top))
             n = reach[q]
             if y + n < low or y - n >= high:
                 continue
@@ -163,7 +175,7 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
     not: where no weight is left no light is, so that nothing of a highlight's rounding goes on along its row."""
     for y in range(marks.shape[0]):
         a, b, c, d = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-        for x in range(lo, hi):
+        for x in range(np.uintp(lo), np.uintp(hi)):
             a += marks[y, x, 0]
             b += marks[y, x, 1]
             c += marks[y, x, 2]

@@ -15,7 +15,6 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.pose import Pose
-from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 
 GRID_PX = 8

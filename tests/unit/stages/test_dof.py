@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -235,7 +237,7 @@ def test_a_focus_pull_through_the_object_does_not_pop() -> None:
     at = shot(width=240, height=180)
     focus = [1 / (1 / 0.38 + (1 / 0.65 - 1 / 0.38) * k / 9) for k in range(10)]
     pull = [blurred(at, "standard", aperture_px=40.0 * f, focus=f"{100 * f:.6g}cm") for f in focus]
-    steps = [float(np.abs(b - a).mean()) for a, b in zip(pull[:-1], pull[1:], strict=True)]
+    steps = [float(np.abs(b - a).mean()) for a, b in pairwise(pull)]
     assert max(steps) < PULL_LIMIT
     assert max(steps) < 3 * np.median(steps)
 
@@ -245,7 +247,10 @@ def test_a_slowly_growing_circle_does_not_jump(level: str) -> None:
     """Through the first hand-overs between resolutions: a hundredth of a pixel more changes next to nothing."""
     plate = texture(120, 160)
     for radius in (0.5, 1.6, 2.2, 2.4, 3.2, 6.0, 8.0, 12.0, 14.0, 16.0, 18.0):
-        a, b = (blurred(flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m", max_radius_px=99.0) for d in (-0.05, 0.05))
+        a, b = (
+            blurred(flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m", max_radius_px=99.0)
+            for d in (-0.05, 0.05)
+        )
         assert np.abs(a - b).mean() < 0.004, radius
 
 
@@ -264,7 +269,9 @@ def test_opacity_opens_the_lens_without_a_step() -> None:
 def test_the_highlight_boost_adds_light_to_clipped_pixels_only() -> None:
     plate = np.full((120, 160, 3), 0.2, np.float32)
     plate[60, 80] = 1.0
-    kept, more = (blurred(flat(plate), "standard", aperture_px=aperture_for(6), focus="2m", highlight_boost=b) for b in (0.0, 9.0))
+    kept, more = (
+        blurred(flat(plate), "standard", aperture_px=aperture_for(6), focus="2m", highlight_boost=b) for b in (0.0, 9.0)
+    )
     added = (more - kept).sum(axis=(0, 1))
     np.testing.assert_allclose(added, 9.0, rtol=0.02)
     assert float(divide(np.abs(more - kept)[:30].max(), 1.0)) == 0.0
