@@ -80,7 +80,7 @@ def test_a_highlight_becomes_a_disc_and_keeps_its_energy(level: str, radius: flo
         assert out.sum() == pytest.approx(plate.sum(), rel=0.005 if brightness > 1 else 0.02)
         sharp = level == "reference" or (level == "high" and radius < 14)
         inside = away < radius - (0.75 if sharp else 2 + 0.3 * radius)
-        if level != "draft" and radius > 2 and inside.any():  # even, not a hill
+        if level != "draft" and radius > (2 if sharp else 4) and inside.any():  # even, not a hill
             even = brightness / (np.pi * radius**2)
             least, most = (0.85, 1.15) if sharp else (0.7, 1.5)
             assert least * even < out[inside].min() and out[inside].max() < most * even
