@@ -14,6 +14,8 @@ from arfx.core.scene import Scene
 from arfx.errors import ConfigError
 from arfx.stages.dof.params import MARKER, OBJECT, DofParams, between, fnumber_keys, focus_keys
 
+# In the facts' extra: the fields of core.lens_fit.LensFit.
+FOOTAGE_LENS = "footage_lens"
 _BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is set
 
 
@@ -33,12 +35,27 @@ class Circles:
         return np.minimum(self.px_per_dioptre * np.abs(self.focus - np.asarray(dioptre, float)), self.limit_px)
 
 
+def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
+    """Why the footage's lens cannot be used, None where it can or none is asked for."""
+    if params.lens != "footage":
+        return None
+    fit = facts.extra.get(FOOTAGE_LENS)
+    if fit is None:
+        return "the lens of the footage was not measured"
+    return None if fit["known"] else f"the footage does not tell its lens: {fit['reason']}"
+
+
 def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:
     """Of a frame with a pose. While the object fades in or out the aperture opens or closes with it.
 
     Raises InputError where the focus lies within the focal length.
     """
     width = scene.camera.width
+    limit = params.max_radius_px or _BOUND_SHARE * width
+    fade, mm_per_px = min(facts.opacity, 1.0), 2 * params.sensor_width_mm / width
+    if params.lens == "footage":
+        fit = facts.extra[FOOTAGE_LENS]
+        return Circles(float(fit["px_per_dioptre"]) * fade, float(fit["focus"]), limit, mm_per_px)
     focus = focus_dioptre(params, facts, scene)
     focal_mm = params.focal_mm or scene.camera.fx * params.sensor_width_mm / width
     if params.aperture_px > 0:
@@ -47,8 +64,7 @@ def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:
         fnumber = 2.0 ** between([(t, math.log2(n)) for t, n in fnumber_keys(params.fnumber)], facts.time_s)
         lens = Lens(focal_mm, fnumber, 1e3 / focus if focus > 0 else math.inf)
         px_per_dioptre = 0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
-    limit = params.max_radius_px or _BOUND_SHARE * width
-    return Circles(px_per_dioptre * min(facts.opacity, 1.0), focus, limit, 2 * params.sensor_width_mm / width)
+    return Circles(px_per_dioptre * fade, focus, limit, mm_per_px)
 
 
 def focus_dioptre(params: DofParams, facts: FrameFacts, scene: Scene) -> float:

@@ -20,6 +20,7 @@ _T = TypeVar("_T")
 class DofParams:
     """formula : corrected, or paper: S2 as printed
     scope : all (the whole picture gets the lens's blur) or virtual (the footage has its own; only the object gets it)
+    lens : given (by the settings below), or footage: the one that the analysis measured, for scope virtual
     focal_mm : focal length; 0 = the one that the calibration and sensor_width_mm give
     fnumber : f-number, or key frames such as "2.8@0s, 11@3s" (steady in stops)
     sensor_width_mm : width of the sensor that the picture's width shows
@@ -40,6 +41,7 @@ class DofParams:
 
     formula: str = "corrected"
     scope: str = "all"
+    lens: str = "given"
     focal_mm: float = 0.0
     fnumber: float | str = 2.8
     sensor_width_mm: float = 36.0
@@ -59,6 +61,9 @@ class DofParams:
     def __post_init__(self) -> None:
         _one_of("formula", self.formula, ("corrected", "paper"))
         _one_of("scope", self.scope, ("all", "virtual"))
+        _one_of("lens", self.lens, ("given", "footage"))
+        if self.lens == "footage" and self.scope == "all":
+            raise ConfigError("dof.lens = footage blurs what is blurred already", "with it goes dof.scope = virtual")
         if not (self.sensor_width_mm > 0 and math.isfinite(self.sensor_width_mm)):
             raise ConfigError(f"dof.sensor_width_mm must be above 0, is {self.sensor_width_mm:g}")
         not_below_0 = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "max_radius_px", "highlight_boost",

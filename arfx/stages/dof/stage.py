@@ -26,7 +26,7 @@ from arfx.stages.dof import demand as called
 from arfx.stages.dof import paper
 from arfx.stages.dof.corrected import render
 from arfx.stages.dof.ladder import LADDERS
-from arfx.stages.dof.optics import Circles, circles
+from arfx.stages.dof.optics import Circles, circles, unknown_lens
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
 
@@ -55,12 +55,14 @@ class Dof:
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return Demand(EMPTY, "marker not visible")
+        if unknown := unknown_lens(self.params, facts):
+            return Demand(EMPTY, unknown)
         at, real = self._frame(facts, scene)
         ask = called.paper_demand if self._paper else called.demand
         return ask(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
-        if facts.camera_from_world is None:
+        if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
         if self._paper:
             return out.pad(paper.reach_px(self.params)).clip(scene.camera.rect)
@@ -82,7 +84,7 @@ class Dof:
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         facts, now = window.facts[-1], window.now
-        if facts.camera_from_world is None or facts.opacity <= 0:
+        if facts.camera_from_world is None or facts.opacity <= 0 or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
         at, real = self._frame(facts, scene)
         if self._paper:

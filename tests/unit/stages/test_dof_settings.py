@@ -19,7 +19,7 @@ from arfx.stages.dof.paper import bleed, blend_factor
 from arfx.stages.dof.params import DofParams, between, fnumber_keys, focus_keys
 from arfx.stages.dof.surfaces import direction_grid, plane_of, plane_radius, real_scene, square_radius
 from tests.scenes import facts, look_at, scene
-from tests.unit.stages.dof_scenes import blurred, shot
+from tests.unit.stages.dof_scenes import Shot, blurred, shot
 
 
 @pytest.mark.parametrize(
@@ -27,6 +27,7 @@ from tests.unit.stages.dof_scenes import blurred, shot
     [
         ({"formula": "papper"}, "one of corrected, paper"),
         ({"scope": "real"}, "one of all, virtual"),
+        ({"lens": "footage"}, "blurs what is blurred already"),
         ({"fnumber": 0.0}, "must be above 0"),
         ({"fnumber": "wide"}, "is not a number"),
         ({"sensor_width_mm": 0.0}, "must be above 0"),
@@ -188,3 +189,17 @@ def test_the_printed_formula_blurs_by_two_thirds_or_not_at_all() -> None:
     np.testing.assert_array_equal(blurred(at, "standard", formula="paper", fnumber=1e9), image)
     stage = Dof(DofParams(formula="paper", aperture_px=20.0, focus="object"))
     assert stage.demand(at.facts, at.scene, frame).rect == frame
+
+
+def test_the_footages_lens_is_used_where_it_is_known() -> None:
+    at = shot()
+    stage, frame = Dof(DofParams(lens="footage", scope="virtual")), at.scene.camera.rect
+    assert stage.demand(at.facts, at.scene, frame).reason == "the lens of the footage was not measured"
+    np.testing.assert_array_equal(blurred(at, "standard", lens="footage", scope="virtual"), at.layers[Layer.IMAGE])
+    refused = at.facts.with_(extra={"footage_lens": {"known": False, "reason": "too few edges"}})
+    assert stage.demand(refused, at.scene, frame).reason.endswith("tell its lens: too few edges")
+    fit = {"known": True, "reason": "", "px_per_dioptre": 9.0, "focus": 0.5}
+    known = Shot(at.scene, at.facts.with_(extra={"footage_lens": fit}), at.layers)
+    assert not stage.demand(known.facts, at.scene, frame).rect.empty
+    same = blurred(at, "standard", scope="virtual", aperture_px=9.0, focus="2m")  # 9 px a dioptre, radius
+    np.testing.assert_allclose(blurred(known, "standard", lens="footage", scope="virtual"), same, atol=1e-6)
