@@ -61,6 +61,13 @@ def deposit_tile(
                 cells[at, 3] += d
                 cells[at, 4] += e
         return
+    if rungs == 1 or most <= fade[0, 0]:
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                j, i = np.uintp(y - y0), np.uintp(x - x0)
+                for c in range(4):
+                    near[np.uintp(y), np.uintp(x), c] = source[j, i, c]
+        return
     for y in range(y0, y1):
         for x in range(x0, x1):
             r = radius[np.uintp(y), np.uintp(x)]
