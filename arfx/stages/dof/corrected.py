@@ -13,7 +13,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import light
 from arfx.stages.dof.cutout import continue_outside, object_radius
 from arfx.stages.dof.ladder import SHARP_PX, Ladder
-from arfx.stages.dof.layer import Spread, strips
+from arfx.stages.dof.layer import DARK, Spread, strips
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Real, plane_radius, square_radius
@@ -104,9 +104,16 @@ def render(
     def finish(strip: tuple[int, int]) -> None:
         top, bottom = strip
         out, touched = result[top:bottom], np.zeros((bottom - top, rect.width), np.bool_)
-        spread, lo, hi = base.rows(top, bottom, "base")
-        light.lay_real(out, touched, top, spread, lo, hi, base.radius, plate, shadow, opacity, bias, kept)
+        spread, lo, hi = base.rows(top, bottom, "base") if largest > SHARP_PX else (DARK, 0, 0)
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
+        active = EMPTY if lo >= hi else Rect(rect.x0 + lo, here.y0, rect.x0 + hi, here.y1)
+        for cut in cuts:
+            active = active.union(cut.rect.clip(here))
+        begin, end = active.x0 - rect.x0, active.x1 - rect.x0
+        if active.empty:
+            out[:] = image[top:bottom]
+            return
+        light.lay_real(out, touched, top, begin, end, spread, lo, hi, base.radius, plate, shadow, opacity, bias, kept)
         for cut in cuts:
             cut.lay(out, touched, here)
         light.keep_untouched(out, touched, image, top)

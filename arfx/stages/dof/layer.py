@@ -13,9 +13,10 @@ import numpy as np
 from arfx.core.rect import Rect
 from arfx.stages.dof.aperture import STEPS, Shape, shape
 from arfx.stages.dof.ladder import ALIGN_PX, Ladder
-from arfx.stages.dof.spread import add_rung, run_sums, spread_cells, spread_pixels
+from arfx.stages.dof.spread import add_rung, any_blurred, run_sums, spread_cells, spread_pixels
 from arfx.stages.dof.work import zeros
 
+DARK = np.zeros((1, 1, 4), np.float32)
 STRIP_PX = ALIGN_PX  # rows worked on at once: cells of every rung lie in one strip only
 
 
@@ -58,8 +59,12 @@ class Spread:
         """Light (rows, w, 4) that reaches rows top..bottom, and the columns lo..hi outside of which it is 0.
 
         The array is this thread's, until it asks for the same name again."""
-        w = self.radius.shape[1]
+        h, w = self.radius.shape
         s = self.shape
+        far = max(self._far(k) + 2 << k for k in range(self.rungs))
+        near_by = self.radius[max(top - far, 0) : min(bottom + far, h)]
+        if not any_blurred(near_by):
+            return DARK, 0, 0
         table = s.ends, s.shares, s.unit, s.reach
         until = float(self.ladder.fade[0, 1]) if self.rungs > 1 else np.inf
         out = zeros(name, (bottom - top, w + 1, 4))

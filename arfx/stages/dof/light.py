@@ -58,7 +58,12 @@ def deposit_real(
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
         for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
             ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
-            first = 3 * xa
+            first, most = 3 * xa, np.float32(0)
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    most = max(most, radius[np.uintp(y), np.uintp(x)])
+            if most <= SHARP_PX:
+                continue
             for y in range(ya, yb):
                 p, s = flat_plate[y, first : first + 3 * (xb - xa)], flat_shadow[y, first : first + 3 * (xb - xa)]
                 for n in range(3 * (xb - xa)):  # over all channels alike: the compiler makes vectors of it
@@ -131,13 +136,16 @@ def _nothing(near, ya, yb, xa, xb):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_real(
-    out, touched, top, light, lo, hi, radius, plate, shadow, opacity, bias, kept
+    out, touched, top, begin, end, light, lo, hi, radius, plate, shadow, opacity, bias, kept
 ):  # fmt: skip  # pragma: no cover - compiled
-    """out (rows, w, 3) = the real scene blurred; touched (rows, w) = where it is. light : of `Spread.rows`, columns lo..hi"""
+    """Columns begin..end of out (rows, w, 3) = the real scene blurred; touched (rows, w) = where it is.
+
+    light : of `Spread.rows`, columns lo..hi
+    """
     whole = kept.shape[0] == 0
     for j in range(out.shape[0]):
         y = top + j
-        for x in range(out.shape[1]):
+        for x in range(begin, end):
             w = light[j, x, 3] if lo <= x < hi else np.float32(0)
             own = radius[y, x] <= SHARP_PX
             share = np.float32(0)

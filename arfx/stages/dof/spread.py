@@ -176,6 +176,16 @@ def spread_cells(
     return max(lo, 0), min(hi, width)
 
 
+@numba.njit(cache=True, nogil=True)
+def any_blurred(radius):  # pragma: no cover - compiled
+    """Is any radius above SHARP_PX?"""
+    for y in range(radius.shape[0]):
+        for x in range(radius.shape[1]):
+            if radius[y, x] > SHARP_PX:
+                return True
+    return False
+
+
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def run_sums(marks, lo, hi):  # pragma: no cover - compiled
     """Marks to light: running sums along the rows, columns lo..hi, in place. Weights are exact, light brighter than 2 is

@@ -8,7 +8,9 @@ import pytest
 from arfx.core.lens_fit import FEWEST, lens_from_blur
 
 
-def edges(distance_m: np.ndarray, px_per_dioptre: float, focus_m: float, sharp_px: float, noise_px: float, seed: int = 0) -> np.ndarray:
+def edges(
+    distance_m: np.ndarray, px_per_dioptre: float, focus_m: float, sharp_px: float, noise_px: float, seed: int = 0
+) -> np.ndarray:
     """Standard deviations of edges that such a lens blurs, px."""
     radius = px_per_dioptre * np.abs(1 / distance_m - 1 / focus_m)
     clean = np.sqrt(sharp_px**2 + radius**2 / 4)
