@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from arfx.analyse.analyser import AnalyseParams, LightParams
 from arfx.config.load import near
 from arfx.config.sections import JobConfig
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.stages import EFFECTS, STAGES, stages_with
+from arfx.stages import ASKED_FOR, EFFECTS, STAGES, stages_with
 
 
 def parameters() -> Mapping[str, type]:
@@ -19,7 +20,10 @@ def parameters() -> Mapping[str, type]:
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:
     """Names of the stages that a job may run, in running order. Raises ConfigError for unknown or misordered effects."""
-    asked = list(EFFECTS) if config.pipeline.stages == "auto" else list(config.pipeline.stages)
+    if config.pipeline.stages == "auto":
+        asked = [n for n in EFFECTS if n not in ASKED_FOR or _set(config, n)]
+    else:
+        asked = list(config.pipeline.stages)
     for name in asked:
         if name not in EFFECTS:
             have = f"effects in this version: {', '.join(EFFECTS)}" if EFFECTS else "this version has no optional effects yet"
@@ -31,6 +35,14 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
             f"effects run in the order {','.join(ordered)}, not {','.join(asked)}", "write them in that order, once each"
         )
     return stages_with(asked)
+
+
+def _set(config: JobConfig, name: str) -> bool:
+    """Whether the job sets anything of an effect; which formula is used is no wish for it."""
+    given, usual = config.params.get(name), STAGES[name].Params()
+    if given is not None and hasattr(usual, "formula"):
+        given = replace(given, formula=usual.formula)
+    return bool(given != usual)
 
 
 def make_stages(config: JobConfig) -> dict[str, Stage]:

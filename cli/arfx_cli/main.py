@@ -30,6 +30,7 @@ COMMANDS = {
     "synth": ("arfx_cli.synth", "A synthetic clip with exact truth."),
     "verify": ("arfx_cli.verify", "Run a synthetic scene and report errors against its truth."),
     "report": ("arfx_cli.report", "The report of a finished job."),
+    "lens": ("arfx_cli.lens", "Depth-of-field limits of a thin lens, as printed and corrected."),
     "bench": ("arfx_cli.bench", "Cost of each stage and level on this machine."),
     "doctor": ("arfx_cli.doctor", "What works here: renderer back ends, codecs, cores; the fix for what does not."),
 }

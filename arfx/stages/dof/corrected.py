@@ -1,0 +1,203 @@
+"""The corrected formula, levels draft to high: layers on the ladder, strip by strip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.numerics import EPS_DEPTH_M
+from arfx.core.rect import EMPTY, Rect
+from arfx.stages.dof import light
+from arfx.stages.dof.cutout import continue_outside, object_radius
+from arfx.stages.dof.ladder import SHARP_PX, Ladder
+from arfx.stages.dof.layer import DARK, Spread, strips
+from arfx.stages.dof.optics import Circles
+from arfx.stages.dof.params import DofParams
+from arfx.stages.dof.surfaces import Real, plane_radius, square_radius
+from arfx.stages.dof.work import on_all_cores
+
+Optics = tuple[np.float32, np.float32, np.float32]  # px per dioptre, focus dioptre, limit px
+OBJECT_PAD_PX = 2  # around the model's box: the raster may write there
+_NONE = np.empty((0, 0), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class CutOut:
+    """A layer over `rect`: premultiplied colour, coverage, opacity, its own light and what it lets through."""
+
+    rect: Rect
+    colour: np.ndarray
+    coverage: np.ndarray
+    opacity: np.float32
+    spread: Spread
+    gap: Spread
+
+    def deposit(self, strip: tuple[int, int]) -> None:
+        light.deposit_cut(*strip, self.spread.radius, self.colour, self.coverage, self.opacity, *self.spread.sink)
+        light.deposit_gap(*strip, self.spread.radius, self.coverage, self.opacity, *self.gap.sink)
+
+    def lay(self, out: np.ndarray, touched: np.ndarray, rows: Rect) -> None:
+        """Put it over the rows `rows` (their rectangle) of out."""
+        part = self.rect.clip(rows)
+        if part.empty:
+            return
+        top, bottom = part.y0 - self.rect.y0, part.y1 - self.rect.y0
+        own, own_lo, own_hi = self.spread.rows(top, bottom, "own")
+        gap, gap_lo, gap_hi = self.gap.rows(top, bottom, "gap")
+        at = slice(part.y0 - rows.y0, part.y1 - rows.y0)
+        mine = slice(top, bottom)
+        light.lay_cut(
+            out[at], touched[at], part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
+            own, own_lo, own_hi, gap, gap_lo, gap_hi,
+            self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity,
+        )  # fmt: skip
+
+
+def depth_range(facts: FrameFacts) -> tuple[float, float]:
+    """Nearest and farthest distance, m, that a point of the object can have; a little wider for rounding."""
+    near, far = facts.depth_range_m
+    near = max(near * 0.999, EPS_DEPTH_M)
+    return near, max(far * 1.001, near)
+
+
+def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
+    """Pixels that the object's blur may change."""
+    box = facts.model_box.pad(OBJECT_PAD_PX)
+    return box.pad(int(np.ceil(reach_px)) + 1).clip(frame)
+
+
+def render(
+    now: Layers, facts: FrameFacts, frame: Rect, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder, params: DofParams
+) -> np.ndarray:
+    """IMAGE (h, w, 3) of a frame with a pose. frame : the whole picture"""
+    image, rect = now[Layer.IMAGE], now.rect
+    optics = np.float32(at.px_per_dioptre), np.float32(at.focus), np.float32(at.limit_px)
+    opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
+    plate, shadow = now[Layer.PLATE], now[Layer.SHADOW]
+    flat = [np.ascontiguousarray(a).reshape(rect.height, -1) for a in (plate, shadow)]
+    real_blurs = params.scope == "all"
+    largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if real_blurs else 0.0
+    base = Spread(rect, ladder, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
+    cuts, kept = _real_cut_outs(now, facts, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
+    boxed = _object(now, facts, frame, optics, ladder, params)
+    cuts += [boxed] if boxed else []
+    nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
+    background = np.float32(real.background)
+    rows = strips(rect)
+
+    def start(strip: tuple[int, int]) -> None:
+        if largest <= SHARP_PX:
+            base.radius[slice(*strip)] = 0
+            return
+        plane_radius(base.radius, *strip, rect.x0, rect.y0, nodes, background, *optics)
+        light.deposit_real(
+            *strip, base.radius, flat[0], flat[1], opacity, bias, kept, np.float32(params.highlight_boost), *base.sink
+        )
+
+    on_all_cores(start, rows)
+    on_all_cores(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
+    result = np.empty_like(image)
+
+    def finish(strip: tuple[int, int]) -> None:
+        top, bottom = strip
+        out, touched = result[top:bottom], np.zeros((bottom - top, rect.width), np.bool_)
+        spread, lo, hi = base.rows(top, bottom, "base") if largest > SHARP_PX else (DARK, 0, 0)
+        here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
+        active = EMPTY if lo >= hi else Rect(rect.x0 + lo, here.y0, rect.x0 + hi, here.y1)
+        for cut in cuts:
+            active = active.union(cut.rect.clip(here))
+        begin, end = active.x0 - rect.x0, active.x1 - rect.x0
+        if active.empty:
+            out[:] = image[top:bottom]
+            return
+        light.lay_real(out, touched, top, begin, end, spread, lo, hi, base.radius, plate, shadow, opacity, bias, kept)
+        for cut in cuts:
+            cut.lay(out, touched, here)
+        light.keep_untouched(out, touched, image, top)
+
+    on_all_cores(finish, rows)
+    return result
+
+
+def _cut_out(
+    rect: Rect, radius: np.ndarray, colour: np.ndarray, coverage: np.ndarray, opacity: np.float32, ladder: Ladder,
+    largest: float, params: DofParams,
+) -> CutOut:  # fmt: skip
+    spread = Spread(rect, ladder, largest, params.blades, params.blade_turn_deg)
+    gap = Spread(rect, ladder, largest, params.blades, params.blade_turn_deg)
+    continue_outside(radius, coverage, rect, 2 * largest)
+    spread.radius, gap.radius = radius, radius
+    return CutOut(rect, colour, coverage, opacity, spread, gap)
+
+
+def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder: Ladder, params: DofParams) -> CutOut | None:
+    """The virtual object; None where nothing of it is here or nothing of it is blurred."""
+    box = facts.model_box.pad(OBJECT_PAD_PX).clip(now.rect)
+    if box.empty:
+        return None
+    part = now.crop(box)
+    radius = np.empty((box.height, box.width), np.float32)
+    near, far = (np.float32(d) for d in depth_range(facts))
+    largest = float(object_radius(radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, *optics))
+    if largest < 0:
+        return None
+    # sharp, it is still laid over the real scene anew where that is blurred
+    rect = box if largest <= SHARP_PX else _around(facts, now.rect, frame, 2 * largest)
+    padded = np.full((rect.height, rect.width), -1, np.float32)
+    padded[box.slices_in(rect)] = radius
+    colour, coverage = (_spanning(now, layer, rect) for layer in (Layer.VIRTUAL, Layer.COVERAGE))
+    coverage[padded < 0] = 0
+    return _cut_out(rect, padded, colour, coverage, np.float32(facts.opacity), ladder, max(largest, SHARP_PX), params)
+
+
+def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:
+    """What surrounds the object in `rect`; beyond the picture's edge too, except where the object may go on there."""
+    box, n = facts.model_box.pad(OBJECT_PAD_PX), int(np.ceil(min(reach_px, max(frame.width, frame.height) / 4))) + 1
+    grown = Rect(
+        rect.x0 - n if box.x0 > frame.x0 == rect.x0 else rect.x0, rect.y0 - n if box.y0 > frame.y0 == rect.y0 else rect.y0,
+        rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1, rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,
+    )  # fmt: skip
+    return box.pad(int(np.ceil(reach_px)) + 1).clip(grown)
+
+
+def _spanning(now: Layers, layer: Layer, rect: Rect) -> np.ndarray:
+    """A layer over `rect`, nothing where it passes the layers' own rectangle."""
+    out, both = neutral(layer, rect), rect.clip(now.rect)
+    if not both.empty:
+        out[both.slices_in(rect)] = now.crop(both)[layer]
+    return out
+
+
+def _real_cut_outs(
+    now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray, optics: Optics, ladder: Ladder, params: DofParams
+) -> tuple[list[CutOut], np.ndarray]:
+    """Real planes of limited size, farthest first, and the share of every pixel that they leave to what is behind."""
+    if not real.cut_outs:
+        return [], _NONE
+    kept, cuts = np.ones((now.rect.height, now.rect.width), np.float32), []
+    for plane in reversed(real.cut_outs):  # the nearest hides the others
+        radius, inside = np.empty(kept.shape, np.float32), np.empty(kept.shape, np.float32)
+        square_radius(radius, inside, now.rect.x0, now.rect.y0, plane.places(grid), np.float32(plane.half_m), *optics)
+        inside *= kept
+        radius[inside == 0] = -1
+        kept -= inside
+        box = _box(inside, now.rect)
+        if box.empty:
+            continue
+        largest = max(float(radius.max()), SHARP_PX)
+        rect = box.pad(int(np.ceil(2 * largest)) + 1).clip(now.rect)
+        at, part = rect.slices_in(now.rect), now.crop(rect)
+        colour = light.cut_from_real(
+            part[Layer.PLATE], part[Layer.SHADOW], np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32), inside[at]
+        )
+        cuts.append(_cut_out(rect, radius[at].copy(), colour, inside[at], np.float32(1), ladder, largest, params))
+    return cuts[::-1], kept
+
+
+def _box(mask: np.ndarray, rect: Rect) -> Rect:
+    """Smallest rectangle of the frame that holds what is not 0."""
+    ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return EMPTY if not len(ys) else Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1).shift(rect.x0, rect.y0)

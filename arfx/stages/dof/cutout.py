@@ -1,0 +1,110 @@
+"""Something cut out before the real scene (the virtual object, or a real plane of limited size): its blur radius.
+
+Outside of its outline the radius of the nearest part goes on. What the outline lets through is then spread with the same
+discs as what it covers: the two add up to 1, and the share that is covered stays right inside, at the edge, and where near
+parts stand before far ones.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.core.rect import Rect
+
+TILE_PX = 8
+
+
+@numba.njit(cache=True, nogil=True)
+def object_radius(radius, coverage, depth, near, far, px_per_dioptre, focus, limit):  # pragma: no cover - compiled
+    """radius (h, w) of covered pixels from their depth, m, held to near..far; -1 where nothing is; 0 where the
+    depth is not a distance. Returns the largest."""
+    h, w = radius.shape
+    largest = np.float32(-1)
+    for y in range(h):
+        for x in range(w):
+            radius[y, x] = -1
+            if not coverage[y, x] > 0:
+                continue
+            z = depth[y, x]
+            r = np.float32(0)
+            if z > 0:
+                r = min(px_per_dioptre * abs(focus - np.float32(1) / min(max(z, near), far)), limit)
+            radius[y, x] = r
+            largest = max(largest, r)
+    return largest
+
+
+def continue_outside(radius: np.ndarray, coverage: np.ndarray, rect: Rect, reach_px: float) -> None:
+    """Fill radius (h, w), -1 outside, by the nearest tiles' mean up to at least `reach_px` away. In place.
+
+    Tiles lie on a grid of the frame, so that a pixel gets the same from any rectangle that holds what is near it.
+    """
+    lead_x, lead_y = rect.x0 % TILE_PX, rect.y0 % TILE_PX
+    sums = _tile_sums(radius, coverage, lead_x, lead_y)
+    mean, known = np.zeros(sums.shape[:2], np.float32), sums[..., 1] > 0
+    mean[known] = sums[known, 0] / sums[known, 1]
+    for _ in range(int(np.ceil(reach_px / TILE_PX)) + 2):
+        if known.all():
+            break
+        mean, known = _grow(mean, known)
+    _fill(radius, mean, known, lead_x, lead_y)
+
+
+@numba.njit(cache=True, nogil=True)
+def _tile_sums(radius, coverage, lead_x, lead_y):  # pragma: no cover - compiled
+    h, w = radius.shape
+    out = np.zeros(((lead_y + h - 1) // TILE_PX + 1, (lead_x + w - 1) // TILE_PX + 1, 2), np.float64)
+    for y in range(h):
+        for x in range(w):
+            if radius[y, x] >= 0:
+                t = out[(y + lead_y) // TILE_PX, (x + lead_x) // TILE_PX]
+                t[0] += coverage[y, x] * radius[y, x]
+                t[1] += coverage[y, x]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _grow(mean, known):  # pragma: no cover - compiled
+    """One tile further: the mean of the known ones among the eight around."""
+    h, w = mean.shape
+    out, found = mean.copy(), known.copy()
+    for y in range(h):
+        for x in range(w):
+            if known[y, x]:
+                continue
+            total, count = 0.0, 0
+            for j in range(max(y - 1, 0), min(y + 2, h)):
+                for i in range(max(x - 1, 0), min(x + 2, w)):
+                    if known[j, i]:
+                        total += mean[j, i]
+                        count += 1
+            if count > 0:
+                out[y, x], found[y, x] = total / count, True
+    return out, found
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(radius, mean, known, lead_x, lead_y):  # pragma: no cover - compiled
+    """Bilinear between the centres of known tiles."""
+    h, w = radius.shape
+    th, tw = mean.shape
+    for y in range(h):
+        v = (y + lead_y + 0.5) / TILE_PX - 0.5
+        j = int(np.floor(v))
+        for x in range(w):
+            if radius[y, x] >= 0:
+                continue
+            u = (x + lead_x + 0.5) / TILE_PX - 0.5
+            i = int(np.floor(u))
+            total, weight = 0.0, 0.0
+            for b in range(2):
+                for a in range(2):
+                    ty, tx = min(max(j + b, 0), th - 1), min(max(i + a, 0), tw - 1)
+                    if known[ty, tx]:
+                        s = (u - i if a else 1 - (u - i)) * (v - j if b else 1 - (v - j))
+                        total += s * mean[ty, tx]
+                        weight += s
+            if weight > 1e-6:
+                radius[y, x] = total / weight

@@ -1,0 +1,47 @@
+"""Four channels at once: the compiler leaves neighbouring scalar operations apart, so the innermost one is given as vectors."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+_VECTOR = ir.VectorType(ir.FloatType(), 4)
+
+
+def _vector(builder, scalars):
+    out = ir.Constant(_VECTOR, ir.Undefined)
+    for k, s in enumerate(scalars):
+        out = builder.insert_element(out, s, ir.Constant(ir.IntType(32), k))
+    return out
+
+
+@intrinsic
+def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, first, last):
+    """Ends of one row of a disc, in cells of four floats: with v = (red, green, blue, weight) x share,
+    marks[a] += v first, marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last.
+
+    marks : flat float32, contiguous
+    """
+    signature = types.void(marks, *(4 * [types.intp]), *(7 * [types.float32]))
+
+    def codegen(context, builder, signature, args):
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        light = builder.fmul(_vector(builder, args[5:9]), _vector(builder, 4 * [args[9]]))
+        begin = builder.fmul(light, _vector(builder, 4 * [args[10]]))
+        end = builder.fmul(light, _vector(builder, 4 * [args[11]]))
+        for cell, add, value in (
+            (args[1], True, begin),
+            (args[2], True, builder.fsub(light, begin)),
+            (args[3], False, builder.fsub(light, end)),
+            (args[4], False, end),
+        ):
+            place = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
+            place = builder.bitcast(place, _VECTOR.as_pointer())
+            before = builder.load(place, align=4)
+            after = builder.fadd(before, value) if add else builder.fsub(before, value)
+            builder.store(after, place, align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen

@@ -1,0 +1,206 @@
+"""Compiled: light of the layers onto the ladder, and what comes down from it over one another.
+
+Two layers make the silhouette of the virtual object exact: behind it is the clean plate with the shadow, as the composite
+has it, so what a blurred edge lets through is known.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.dof.ladder import SHARP_PX
+from arfx.stages.dof.spread import TILE_PX, deposit_tile
+
+_FLAGS = {"contract", "nsz", "arcp"}
+CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _behind(plate, shadow, opacity, bias):  # pragma: no cover - compiled
+    """The real scene with the shadow and without the object, one channel: as `composite`, coverage 0."""
+    return plate + opacity * (plate * (shadow - np.float32(1)) + bias * (np.float32(1) - shadow))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def cut_from_real(plate, shadow, opacity, bias, inside):  # pragma: no cover - compiled
+    """(h, w, 3) premultiplied colour of the part `inside` (h, w) of the real scene."""
+    out = np.empty_like(plate)
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            for c in range(3):
+                out[y, x, c] = inside[y, x] * _behind(plate[y, x, c], shadow[y, x, c], opacity, bias[c])
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
+    most = max(red, max(green, blue))
+    return np.float32(1) + boost * min(max((most - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def deposit_real(
+    top, bottom, radius, flat_plate, flat_shadow, opacity, bias, kept, boost, fade, cells, meta, lead_y, lead_x, near
+):  # fmt: skip  # pragma: no cover - compiled
+    """Rows top..bottom of the real scene. flat_plate, flat_shadow : (h, 3 w)
+
+    kept : (h, w) share that is not cut out, (0, 0) = all
+    """
+    whole = kept.shape[0] == 0
+    plain = whole and boost <= 0
+    width = radius.shape[1]
+    source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
+    line, biases = np.empty(3 * TILE_PX, np.float32), np.empty(3 * TILE_PX, np.float32)
+    for n in range(3 * TILE_PX):
+        biases[n] = bias[n % 3]
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            first, most = 3 * xa, np.float32(0)
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    most = max(most, radius[np.uintp(y), np.uintp(x)])
+            if most <= SHARP_PX:
+                continue
+            for y in range(ya, yb):
+                p, s = flat_plate[y, first : first + 3 * (xb - xa)], flat_shadow[y, first : first + 3 * (xb - xa)]
+                for n in range(3 * (xb - xa)):  # over all channels alike: the compiler makes vectors of it
+                    line[n] = _behind(p[n], s[n], opacity, biases[n])
+                for i in range(xb - xa):
+                    red, green, blue, weight, k = line[3 * i], line[3 * i + 1], line[3 * i + 2], np.float32(1), np.float32(1)
+                    if not plain:
+                        if not whole:
+                            weight = kept[y, xa + i]
+                            k = weight
+                        if boost > 0:
+                            k *= _boosted(red, green, blue, boost)
+                    j = y - ya
+                    source[j, i, 0], source[j, i, 1], source[j, i, 2], source[j, i, 3] = red * k, green * k, blue * k, weight
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def deposit_cut(
+    top, bottom, radius, colour, coverage, opacity, fade, cells, meta, lead_y, lead_x, near
+):  # fmt: skip  # pragma: no cover - compiled
+    """Rows top..bottom of a layer of premultiplied colour (h, w, 3), coverage (h, w)."""
+    width = radius.shape[1]
+    source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            any_ = False
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    weight = coverage[y, x] * opacity
+                    for c in range(3):
+                        source[y - ya, x - xa, c] = colour[y, x, c] * opacity
+                    source[y - ya, x - xa, 3] = weight
+                    any_ |= weight > 0
+            if any_:
+                deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
+            else:
+                _nothing(near, ya, yb, xa, xb)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def deposit_gap(
+    top, bottom, radius, coverage, opacity, fade, cells, meta, lead_y, lead_x, near
+):  # fmt: skip  # pragma: no cover - compiled
+    """Rows top..bottom of what a layer lets through: weight only, in the last channel."""
+    width = radius.shape[1]
+    source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            any_ = False
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    open_ = np.float32(1) - coverage[y, x] * opacity
+                    source[y - ya, x - xa, 3] = open_
+                    any_ |= open_ > 0
+            if any_:
+                deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
+            else:
+                _nothing(near, ya, yb, xa, xb)
+
+
+@numba.njit(cache=True, nogil=True)
+def _nothing(near, ya, yb, xa, xb):  # pragma: no cover - compiled
+    for y in range(ya, yb):
+        for x in range(xa, xb):
+            near[y, x, 3] = 0
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def lay_real(
+    out, touched, top, begin, end, light, lo, hi, radius, plate, shadow, opacity, bias, kept
+):  # fmt: skip  # pragma: no cover - compiled
+    """Columns begin..end of out (rows, w, 3) = the real scene blurred; touched (rows, w) = where it is.
+
+    light : of `Spread.rows`, columns lo..hi
+    """
+    whole = kept.shape[0] == 0
+    for j in range(out.shape[0]):
+        y = top + j
+        for x in range(begin, end):
+            w = light[j, x, 3] if lo <= x < hi else np.float32(0)
+            own = radius[y, x] <= SHARP_PX
+            share = np.float32(0)
+            if own:
+                share = np.float32(1) if whole else kept[y, x]
+            total = w + share
+            touched[j, x] = w > 0
+            if w > 0 and total > 0:
+                inverse = np.float32(1) / total
+                for c in range(3):
+                    v = light[j, x, c]
+                    if share > 0:
+                        v += share * _behind(plate[y, x, c], shadow[y, x, c], opacity, bias[c])
+                    out[j, x, c] = v * inverse
+            else:
+                for c in range(3):
+                    out[j, x, c] = _behind(plate[y, x, c], shadow[y, x, c], opacity, bias[c])
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def lay_cut(
+    out, touched, begin, end, left, light, lo, hi, gap, gap_lo, gap_hi, radius, colour, coverage, opacity
+):  # fmt: skip  # pragma: no cover - compiled
+    """Put columns begin..end of a cut-out layer over out (rows, w, 3); its column 0 is `left` of out's.
+
+    light, gap : (rows, w', 4) of `Spread.rows`;  touched : set where any of it is spread
+    """
+    for y in range(out.shape[0]):
+        for x in range(begin, end):
+            w = light[y, x, 3] if lo <= x < hi else np.float32(0)
+            total = w + (gap[y, x, 3] if gap_lo <= x < gap_hi else np.float32(0))
+            c = coverage[y, x] * opacity
+            own = np.float32(1) if radius[y, x] <= SHARP_PX and (c > 0 or w > 0) else np.float32(0)
+            if w > 0:
+                touched[y, left + x] = True
+            if not (w > 0 or (own > 0 and c > 0)):
+                continue
+            total += own
+            w += own * c
+            if total <= 0:
+                continue
+            inverse = np.float32(1) / total
+            through = max(np.float32(1) - w * inverse, np.float32(0))
+            for k in range(3):
+                v = own * colour[y, x, k] * opacity
+                if lo <= x < hi:
+                    v += light[y, x, k]
+                out[y, left + x, k] = out[y, left + x, k] * through + v * inverse
+
+
+@numba.njit(cache=True, nogil=True)
+def keep_untouched(out, touched, image, top):  # pragma: no cover - compiled
+    """The composite's own bits where no light was spread to. out (rows, w, 3), image (h, w, 3) from its row `top`"""
+    for j in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            if not touched[j, x]:
+                for c in range(3):
+                    out[j, x, c] = image[top + j, x, c]

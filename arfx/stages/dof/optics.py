@@ -1,0 +1,97 @@
+"""The lens of one frame, in pixels: how large the blur circle of a distance is. Affine in dioptres (core/lens.py)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.facts import FrameFacts
+from arfx.core.lens import Lens
+from arfx.core.numerics import EPS_DEPTH_M, divide
+from arfx.core.scene import Scene
+from arfx.errors import ConfigError
+from arfx.stages.dof.params import MARKER, OBJECT, DofParams, between, fnumber_keys, focus_keys
+
+# In the facts' extra: the fields of core.lens_fit.LensFit.
+FOOTAGE_LENS = "footage_lens"
+_BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is set
+
+
+@dataclass(frozen=True, slots=True)
+class Circles:
+    """radius px = min(px_per_dioptre x |focus - 1/distance|, limit_px), dioptres in 1/m.
+
+    coc_mm_per_px : diameter on the sensor of a circle of 1 px radius
+    """
+
+    px_per_dioptre: float
+    focus: float
+    limit_px: float
+    coc_mm_per_px: float
+
+    def radius_px(self, dioptre: np.ndarray | float) -> np.ndarray:
+        return np.minimum(self.px_per_dioptre * np.abs(self.focus - np.asarray(dioptre, float)), self.limit_px)
+
+
+def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
+    """Why the footage's lens cannot be used, None where it can or none is asked for."""
+    if params.lens != "footage":
+        return None
+    fit = facts.extra.get(FOOTAGE_LENS)
+    if fit is None:
+        return "the lens of the footage was not measured"
+    return None if fit["known"] else f"the footage does not tell its lens: {fit['reason']}"
+
+
+def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:
+    """Of a frame with a pose. While the object fades in or out the aperture opens or closes with it.
+
+    Raises InputError where the focus lies within the focal length.
+    """
+    width = scene.camera.width
+    limit = params.max_radius_px or _BOUND_SHARE * width
+    fade, mm_per_px = min(facts.opacity, 1.0), 2 * params.sensor_width_mm / width
+    if params.lens == "footage":
+        fit = facts.extra[FOOTAGE_LENS]
+        return Circles(float(fit["px_per_dioptre"]) * fade, float(fit["focus"]), limit, mm_per_px)
+    focus = focus_dioptre(params, facts, scene)
+    focal_mm = params.focal_mm or scene.camera.fx * params.sensor_width_mm / width
+    if params.aperture_px > 0:
+        px_per_dioptre = 0.5 * params.aperture_px / max(focus, 1e-3)  # focus beyond 1 km: as at 1 km
+    else:
+        fnumber = 2.0 ** between([(t, math.log2(n)) for t, n in fnumber_keys(params.fnumber)], facts.time_s)
+        lens = Lens(focal_mm, fnumber, 1e3 / focus if focus > 0 else math.inf)
+        px_per_dioptre = 0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
+    return Circles(px_per_dioptre * fade, focus, limit, mm_per_px)
+
+
+def focus_dioptre(params: DofParams, facts: FrameFacts, scene: Scene) -> float:
+    """1 / distance, 1/m, that is sharp at the frame's time."""
+    keys = [(t, _dioptre(what, facts, scene)) for t, what in focus_keys(params.focus)]
+    return between(keys, facts.time_s)
+
+
+def _dioptre(what: str | float, facts: FrameFacts, scene: Scene) -> float:
+    if not isinstance(what, str):
+        return 0.0 if math.isinf(what) else 1.0 / what
+    pose = facts.camera_from_world
+    assert pose is not None
+    if what == OBJECT:
+        corners = pose.apply(scene.model_corners_m)[:, 2]
+        point = float(corners.min() + corners.max()) / 2
+    elif what == MARKER:
+        point = float(pose.apply(scene.world_from_anchor.translation_m)[2])
+    else:
+        point = float(pose.apply(scene.world_from_marker[marker_key(what[3:], scene)].translation_m)[2])
+    return float(divide(1.0, max(point, EPS_DEPTH_M)))
+
+
+def marker_key(name: str, scene: Scene) -> str:
+    """Key of the scene's marker of that key or number. Raises ConfigError."""
+    found = [k for k in scene.world_from_marker if name in (k, k.rpartition(":")[2])]
+    if len(found) != 1:
+        known = ", ".join(scene.world_from_marker) or "none"
+        raise ConfigError(f"dof.focus: {'several markers have' if found else 'there is no marker'} {name!r}", f"known: {known}")
+    return found[0]

@@ -1,0 +1,147 @@
+"""Settings of the stage, and values that are key-framed over time."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeVar
+
+from arfx.core.units import length_m, time_s
+from arfx.errors import ConfigError
+
+OBJECT, MARKER = "object", "marker"
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class DofParams:
+    """formula : corrected, or paper: S2 as printed
+    scope : all (the whole picture gets the lens's blur) or virtual (the footage has its own; only the object gets it)
+    lens : given (by the settings below), or footage: the one that the analysis measured, for scope virtual
+    focal_mm : focal length; 0 = the one that the calibration and sensor_width_mm give
+    fnumber : f-number, or key frames such as "2.8@0s, 11@3s" (steady in stops)
+    sensor_width_mm : width of the sensor that the picture's width shows
+    aperture_px : instead of lens terms: diameter in px of the blur circle of something infinitely far; 0 = use lens terms
+    focus : what is sharp: object, marker (the one that the model stands on), a marker's id (3 or 36h11:3), a length such as
+        60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (steady in dioptres)
+    plane_extent_m : side of the real plane around the marker; 0 = endless
+    background_m : distance of what is behind the real plane, and how far that plane is followed; 0 = endless
+    blades : corners of the aperture, 3 or more; 0 = round
+    blade_turn_deg : direction of the first corner, from the picture's right, clockwise
+    max_radius_px : bound of the blur's radius; 0 = a tenth of the picture's width
+    highlight_boost : how much brighter a clipped pixel is taken to be than it is stored, 0 = as stored
+    near_m : paper only: nearest clip plane, where the blur counts fully; 0 = the nearest thing in the frame
+    far_m : paper only: farthest clip plane; 0 = the farthest thing in the frame
+    coc_mm : paper only: diameter of the largest blur circle that passes as sharp
+    mean_px : paper only: side of the mean filter, odd
+    """
+
+    formula: str = "corrected"
+    scope: str = "all"
+    lens: str = "given"
+    focal_mm: float = 0.0
+    fnumber: float | str = 2.8
+    sensor_width_mm: float = 36.0
+    aperture_px: float = 0.0
+    focus: int | float | str = OBJECT
+    plane_extent_m: float = 0.0
+    background_m: float = 0.0
+    blades: int = 0
+    blade_turn_deg: float = 0.0
+    max_radius_px: float = 0.0
+    highlight_boost: float = 0.0
+    near_m: float = 0.0
+    far_m: float = 0.0
+    coc_mm: float = 0.035
+    mean_px: int = 5
+
+    def __post_init__(self) -> None:
+        _one_of("formula", self.formula, ("corrected", "paper"))
+        _one_of("scope", self.scope, ("all", "virtual"))
+        _one_of("lens", self.lens, ("given", "footage"))
+        if self.lens == "footage" and self.scope == "all":
+            raise ConfigError("dof.lens = footage blurs what is blurred already", "with it goes dof.scope = virtual")
+        if not (self.sensor_width_mm > 0 and math.isfinite(self.sensor_width_mm)):
+            raise ConfigError(f"dof.sensor_width_mm must be above 0, is {self.sensor_width_mm:g}")
+        not_below_0 = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "max_radius_px", "highlight_boost",
+                       "near_m", "far_m")  # fmt: skip
+        for name in not_below_0:
+            value = getattr(self, name)
+            if not (value >= 0 and math.isfinite(value)):
+                raise ConfigError(f"dof.{name} must be 0 or more, is {value:g}")
+        if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
+            raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
+        if not (self.coc_mm > 0 and math.isfinite(self.coc_mm)):
+            raise ConfigError(f"dof.coc_mm must be above 0, is {self.coc_mm:g}")
+        if self.mean_px < 1 or self.mean_px % 2 == 0 or self.mean_px > 63:
+            raise ConfigError(f"dof.mean_px must be odd, 1 to 63, is {self.mean_px}")
+        for time, fnumber in fnumber_keys(self.fnumber):
+            if not fnumber > 0:
+                raise ConfigError(f"dof.fnumber must be above 0, is {fnumber:g} at {time:g} s")
+        focus_keys(self.focus)
+
+
+def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise ConfigError(f"dof.{name} {value!r} is unknown", "one of " + ", ".join(allowed))
+
+
+def fnumber_keys(value: float | str) -> list[tuple[float, float]]:
+    """[(time s, f-number)] in order of time. Raises ConfigError."""
+
+    def read(text: str) -> float:
+        try:
+            return float(text.lower().removeprefix("f/"))
+        except ValueError:
+            raise ConfigError(f"dof.fnumber: {text!r} is not a number", "2.8, or key frames 2.8@0s, 11@3s") from None
+
+    return _keys(str(value), "fnumber", read)
+
+
+def focus_keys(value: int | float | str) -> list[tuple[float, str | float]]:
+    """[(time s, "object" | "marker" | "id:..." | distance in metres)] in order of time. Raises ConfigError."""
+
+    def read(text: str) -> str | float:
+        if text in (OBJECT, MARKER):
+            return text
+        if re.fullmatch(r"\d+", text) or re.fullmatch(r"[^:\s]+:\d+", text):
+            return f"id:{text}"
+        if text in ("inf", "infinity"):
+            return math.inf
+        try:
+            distance = length_m(text, "dof.focus")
+        except ConfigError:
+            raise ConfigError(
+                f"dof.focus: {text!r} is neither object, marker, a marker's id nor a length", "such as object, 36h11:3 or 60cm"
+            ) from None
+        if distance <= 0:
+            raise ConfigError(f"dof.focus must be a distance above 0, is {text}")
+        return distance
+
+    return _keys(str(value), "focus", read)
+
+
+def _keys(text: str, name: str, read: Callable[[str], _T]) -> list[tuple[float, _T]]:
+    keys = []
+    for part in text.split(","):
+        value, at, moment = part.strip().partition("@")
+        if not at and "," in text:
+            raise ConfigError(f"dof.{name}: key frame {part.strip()!r} has no time", "write it as VALUE@TIME: object@2s")
+        keys.append((time_s(moment, f"dof.{name}") if at else 0.0, read(value.strip())))
+    times = [t for t, _ in keys]
+    if times != sorted(set(times)):
+        raise ConfigError(f"dof.{name}: the key frames' times must rise")
+    return keys
+
+
+def between(keys: list[tuple[float, float]], time: float) -> float:
+    """Value at `time`: linear between key frames, the first and last held outside."""
+    if time <= keys[0][0]:
+        return keys[0][1]
+    for (t0, a), (t1, b) in pairwise(keys):
+        if time < t1:
+            return a + (b - a) * (time - t0) / (t1 - t0)
+    return keys[-1][1]

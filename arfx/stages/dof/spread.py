@@ -1,0 +1,233 @@
+"""Compiled: each pixel's light spread over its disc. Row ends are marked and summed along the rows, O(radius) a pixel.
+
+What is marked is a multiple of 2^-23 (light of 2^-17, shares of a row in eighths): sums below 2 are exact in float32. So a
+row's running sum is exactly 0 behind the last disc, and neither the order nor the rectangle changes a bit of it.
+"""
+
+# mypy: disable-error-code="no-untyped-def, call-arg, assignment"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.dof.aperture import STEPS
+from arfx.stages.dof.four import mark_ends
+from arfx.stages.dof.ladder import SHARP_PX
+
+_FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
+_SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
+TILE_PX = 16  # deposited at once; a power of two
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def deposit_tile(
+    source, radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x, near
+):  # fmt: skip  # pragma: no cover - compiled
+    """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two rungs that their radii ask for.
+
+    source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none
+    near : (h, w, 4) light of rung 0, set where SHARP_PX < radius < fade[0, 1]
+    cells : (n, 5) red, green, blue, weight, weight x radius of all further rungs;  meta : (rungs, 3) first cell, width,
+    height;  lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
+    """
+    rungs = meta.shape[0]
+    least, most = radius[y0, x0], radius[y0, x0]
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            r = radius[np.uintp(y), np.uintp(x)]
+            least, most = min(least, r), max(most, r)
+    if most <= SHARP_PX:
+        return
+    k = 0
+    while k < rungs - 1 and least >= fade[k, 1]:
+        k += 1
+    if k > 0 and (k == rungs - 1 or most <= fade[k, 0]):
+        side = 1 << k
+        for top in range(y0 - ((y0 + lead_y) & (side - 1)), y1, side):
+            for left in range(x0 - ((x0 + lead_x) & (side - 1)), x1, side):
+                a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+                for y in range(max(top, y0), min(top + side, y1)):
+                    for x in range(max(left, x0), min(left + side, x1)):
+                        j, i = np.uintp(y - y0), np.uintp(x - x0)
+                        a += source[j, i, 0]
+                        b += source[j, i, 1]
+                        c += source[j, i, 2]
+                        d += source[j, i, 3]
+                        e += source[j, i, 3] * radius[np.uintp(y), np.uintp(x)]
+                at = np.uintp(meta[k, 0] + ((top + lead_y) >> k) * meta[k, 1] + ((left + lead_x) >> k))
+                cells[at, 0] += a
+                cells[at, 1] += b
+                cells[at, 2] += c
+                cells[at, 3] += d
+                cells[at, 4] += e
+        return
+    if rungs == 1 or most <= fade[0, 0]:
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                j, i = np.uintp(y - y0), np.uintp(x - x0)
+                for c in range(4):
+                    near[np.uintp(y), np.uintp(x), c] = source[j, i, c]
+        return
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            r = radius[np.uintp(y), np.uintp(x)]
+            if r <= SHARP_PX:
+                continue
+            k = 0
+            while k < rungs - 1 and r >= fade[k, 1]:
+                k += 1
+            onward = np.float32(0)
+            if k < rungs - 1 and r > fade[k, 0]:
+                onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
+            j, i = np.uintp(y - y0), np.uintp(x - x0)
+            for step in range(2):
+                share = np.float32(1) - onward if step == 0 else onward
+                rung = k + step
+                if share <= 0:
+                    continue
+                if rung == 0:
+                    for c in range(4):
+                        near[np.uintp(y), np.uintp(x), c] = source[j, i, c] * share
+                else:
+                    at = np.uintp(meta[rung, 0] + ((y + lead_y) >> rung) * meta[rung, 1] + ((x + lead_x) >> rung))
+                    for c in range(4):
+                        cells[at, c] += source[j, i, c] * share
+                    cells[at, 4] += source[j, i, 3] * share * r
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _mark(marks, q, y, x, low, high, width, red, green, blue, weight, ends, shares, n):  # pragma: no cover - compiled
+    """Mark the row ends of one disc in rows low..high. marks : flat, (rows, width + 1, 4), from row low"""
+    red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
+    red, green, blue, weight = red - _SNAP, green - _SNAP, blue - _SNAP, weight - _SNAP
+    stride = width + 1
+    inside = x >= n and x + n + 2 <= width
+    for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
+        i = np.uintp(j + n)
+        first, last = x + ends[q, i, 0], x + ends[q, i, 1]
+        a, b, c, d = first, first + 1, last, last + 1
+        if not inside:
+            a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
+        line = (y + j - low) * stride
+        mark_ends(
+            marks,
+            line + a,
+            line + b,
+            line + c,
+            line + d,
+            red,
+            green,
+            blue,
+            weight,
+            shares[q, i, 0],
+            shares[q, i, 1],
+            shares[q, i, 2],
+        )
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def spread_pixels(near, radius, until, low, high, far, marks, ends, shares, unit, reach):  # pragma: no cover - compiled
+    """Rung 0: light of pixels with SHARP_PX < radius < until onto rows low..high. Returns the columns marked (lo, hi)."""
+    h, w = radius.shape
+    top = np.float32(unit.shape[0] - 1)
+    flat = marks.reshape(-1)
+    lo, hi = w, 0
+    for y in range(max(low - far, 0), min(high + far, h)):
+        for x in range(w):
+            r = radius[y, x]
+            if r <= SHARP_PX or r >= until or near[y, x, 3] <= 0:
+                continue
+            q = np.uintp(min(r * STEPS + np.float32(0.5), top))
+            n = reach[q]
+            if y + n < low or y - n >= high:
+                continue
+            lo, hi = min(lo, x - n), max(hi, x + n + 1)
+            u = unit[q]
+            a, b, c, d = near[y, x, 0] * u, near[y, x, 1] * u, near[y, x, 2] * u, near[y, x, 3] * u
+            _mark(flat, q, y, x, low, high, w, a, b, c, d, ends, shares, n)
+    return max(lo, 0), min(hi, w)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def spread_cells(
+    cells, width, height, rung, cut_px2, low, high, far, marks, ends, shares, unit, reach
+):  # fmt: skip  # pragma: no cover - compiled
+    """Further rungs: cells (height * width, 5) onto rows low..high of the rung. Returns the columns marked (lo, hi)."""
+    top = np.float32(unit.shape[0] - 1)
+    side = np.float32(1 << rung)
+    area = np.float32(1) / (side * side)
+    flat = marks.reshape(-1)
+    lo, hi = width, 0
+    for y in range(max(low - far, 0), min(high + far, height)):
+        for x in range(width):
+            k = np.uintp(y * width + x)
+            if cells[k, 3] <= 0:
+                continue
+            r = cells[k, 4] / cells[k, 3]
+            r = np.sqrt(max(r * r - cut_px2, np.float32(0))) / side
+            q = np.uintp(min(r * STEPS + np.float32(0.5), top))
+            n = reach[q]
+            if y + n < low or y - n >= high:
+                continue
+            lo, hi = min(lo, x - n), max(hi, x + n + 1)
+            u = area * unit[q]
+            a, b, c, d = cells[k, 0] * u, cells[k, 1] * u, cells[k, 2] * u, cells[k, 3] * u
+            _mark(flat, q, y, x, low, high, width, a, b, c, d, ends, shares, n)
+    return max(lo, 0), min(hi, width)
+
+
+@numba.njit(cache=True, nogil=True)
+def any_blurred(radius):  # pragma: no cover - compiled
+    """Is any radius above SHARP_PX?"""
+    for y in range(radius.shape[0]):
+        for x in range(radius.shape[1]):
+            if radius[y, x] > SHARP_PX:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def run_sums(marks, lo, hi):  # pragma: no cover - compiled
+    """Marks to light: running sums along the rows, columns lo..hi, in place. Weights are exact, light brighter than 2 is
+    not: where no weight is left no light is, so that nothing of a highlight's rounding goes on along its row."""
+    for y in range(marks.shape[0]):
+        a, b, c, d = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+        for x in range(np.uintp(lo), np.uintp(hi)):
+            a += marks[y, x, 0]
+            b += marks[y, x, 1]
+            c += marks[y, x, 2]
+            d += marks[y, x, 3]
+            if d <= 0:
+                a, b, c = np.float32(0), np.float32(0), np.float32(0)
+            marks[y, x, 0], marks[y, x, 1], marks[y, x, 2], marks[y, x, 3] = a, b, c, d
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def add_rung(
+    out, coarse, rung, first_row, height, width, top, lead_y, lead_x, lo, hi
+):  # fmt: skip  # pragma: no cover - compiled
+    """out (rows, w, 4) += the rung's light, bilinear, columns lo..hi.
+
+    coarse : (n, width + 1, 4) rows from cell row `first_row`;  top : row of `out`'s first row in the rectangle
+    lead_y, lead_x : px by which the rectangle's corner lies in its first cell;  height, width : cells
+    """
+    step = np.float32(1) / np.float32(1 << rung)
+    half = np.float32(0.5)
+    line = np.empty((width, 4), np.float32)
+    for y in range(out.shape[0]):
+        v = (np.float32(top + y + lead_y) + half) * step - half
+        i = int(np.floor(v))
+        t = v - np.float32(i)
+        a, b = min(max(i, 0), height - 1) - first_row, min(max(i + 1, 0), height - 1) - first_row
+        c0 = max(((lo + lead_x) >> rung) - 1, 0)
+        c1 = min(((hi + lead_x) >> rung) + 2, width)
+        for x in range(c0, c1):
+            for c in range(4):
+                line[x, c] = coarse[a, x, c] + (coarse[b, x, c] - coarse[a, x, c]) * t
+        for x in range(lo, hi):
+            u = (np.float32(x + lead_x) + half) * step - half
+            i = int(np.floor(u))
+            t = u - np.float32(i)
+            p, q = max(i, 0), min(i + 1, width - 1)
+            for c in range(4):
+                out[y, x, c] += line[p, c] + (line[q, c] - line[p, c]) * t

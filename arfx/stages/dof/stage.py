@@ -1,0 +1,108 @@
+"""Depth of field: the blur of a stated thin lens on real and virtual pixels alike, in linear light.
+
+Every pixel's light is spread over its blur circle (disc or n-blade), energy kept, at a resolution that fits the circle's
+size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
+Where the circle stays below 1 px nothing changes, bit for bit. While the object fades in or out the lens opens with it.
+Cost: O(blurred pixels), nearly independent of the radius. Leaves out: what real things hide behind their edges, lens
+aberrations, vignetting, motion. Source: S2 (paper, and corrections in SYSTEMS.md S2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.stages.dof import demand as called
+from arfx.stages.dof import paper
+from arfx.stages.dof.corrected import render
+from arfx.stages.dof.ladder import LADDERS
+from arfx.stages.dof.optics import Circles, circles, unknown_lens
+from arfx.stages.dof.params import DofParams
+from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
+
+_GRIDS: WeakKeyDictionary[Camera, np.ndarray] = WeakKeyDictionary()
+
+
+def grid_of(camera: Camera) -> np.ndarray:
+    """`direction_grid`, solved once for a camera."""
+    if camera not in _GRIDS:
+        _GRIDS[camera] = direction_grid(camera)
+    return _GRIDS[camera]
+
+
+class Dof:
+    name = "dof"
+    reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.SHADOW})
+    writes = frozenset({Layer.IMAGE})
+    levels = (Level("draft", 0.02), Level("standard", 0.03), Level("high", 0.1), Level("reference", 60.0))
+    needs_facts = frozenset({"pose"})
+    reach = 0
+    Params = DofParams
+
+    def __init__(self, params: DofParams | None = None) -> None:
+        self.params = params or DofParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        if facts.camera_from_world is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        if unknown := unknown_lens(self.params, facts):
+            return Demand(EMPTY, unknown)
+        at, real = self._frame(facts, scene)
+        ask = called.paper_demand if self._paper else called.demand
+        return ask(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        if facts.camera_from_world is None or unknown_lens(self.params, facts):
+            return out
+        if self._paper:
+            return out.pad(paper.reach_px(self.params)).clip(scene.camera.rect)
+        at, real = self._frame(facts, scene)
+        grid = grid_of(scene.camera)
+        return called.needs(out, facts, at, real if self.params.scope == "all" else None, grid, scene.camera.rect)
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 16)
+
+    def prepare(self, scene: Scene, level: Level) -> Any:
+        if level.name == "reference" and not self._paper:
+            from arfx.stages.dof import reference
+
+            return reference.prepare(scene)
+        return grid_of(scene.camera)
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        facts, now = window.facts[-1], window.now
+        if facts.camera_from_world is None or facts.opacity <= 0 or unknown_lens(self.params, facts):
+            return {Layer.IMAGE: now[Layer.IMAGE].copy()}
+        at, real = self._frame(facts, scene)
+        if self._paper:
+            shown = real if self.params.scope == "all" else None
+            if called.demand(facts, scene.camera.rect, at, shown, prepared).rect.empty:
+                return {Layer.IMAGE: now[Layer.IMAGE].copy()}
+            return {Layer.IMAGE: paper.render(now, facts, real, prepared, at, self.params)}
+        if level.name == "reference":
+            from arfx.stages.dof import reference
+
+            return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
+        return {Layer.IMAGE: render(now, facts, scene.camera.rect, real, prepared, at, LADDERS[level.name], self.params)}
+
+    @property
+    def _paper(self) -> bool:
+        return self.params.formula == "paper"
+
+    def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
+        pose, p = facts.camera_from_world, self.params
+        assert pose is not None
+        return circles(p, facts, scene), real_scene(scene, pose, p.plane_extent_m, p.background_m)

@@ -1,0 +1,156 @@
+"""Where the real scene stands: the plane of the marker that the object is on, other markers' prints, and a background.
+
+Distances are kept as dioptres (1/m): of a plane they are affine in the viewing direction, so a grid of every GRID_PX-th
+pixel follows the lens, linear between. Leaves out: real things that stand on the plane.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.numerics import EPS_DEPTH_M, divide
+from arfx.core.pose import Pose
+from arfx.core.scene import Scene
+
+GRID_PX = 8
+_MARGIN = 1.25  # a print and its white border, as a share of the black square
+_SAME_PLANE = 0.1  # a marker whose corners leave the main plane by less than this share of its side lies in it
+
+
+def direction_grid(camera: Camera) -> np.ndarray:
+    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel; where there is none, the axis."""
+    x = np.arange(0, camera.width + GRID_PX, GRID_PX)
+    y = np.arange(0, camera.height + GRID_PX, GRID_PX)
+    d = camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
+    return np.where(np.isfinite(d).all(-1, keepdims=True), d, [0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A real plane. forms : (3, 3), times a viewing direction gives (X, Y, 1) / z: place on the plane, m, and dioptre
+
+    half_m : half its side; 0 = endless
+    """
+
+    forms: np.ndarray
+    half_m: float
+
+    def dioptres(self, grid: np.ndarray) -> np.ndarray:
+        """(gh, gw) float32 on the nodes of a direction grid; <= 0 where the plane is not met."""
+        return np.ascontiguousarray(grid @ self.forms[2], np.float32)
+
+    def places(self, grid: np.ndarray) -> np.ndarray:
+        """(gh, gw, 3) float32, `forms` times the directions."""
+        return np.ascontiguousarray(grid @ self.forms.T, np.float32)
+
+
+def plane_of(camera_from_plane: Pose, half_m: float) -> Plane:
+    """The plane z = 0 of a pose. A plane seen edge on is nowhere."""
+    r, t = camera_from_plane.rotation, camera_from_plane.translation_m
+    height = float(r[:, 2] @ t)
+    if abs(height) < EPS_DEPTH_M:
+        return Plane(np.zeros((3, 3)), half_m)
+    dioptre = divide(r[:, 2], height)  # n . d = (n . t) / z
+    # p = z d lies on the plane at r' (p - t); divided by z: r' d - (r' t) / z
+    x = r[:, 0] - float(r[:, 0] @ t) * dioptre
+    y = r[:, 1] - float(r[:, 1] @ t) * dioptre
+    return Plane(np.stack([x, y, dioptre]), half_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Real:
+    """base : the endless plane or None;  cut_outs : planes of limited size before it, farthest first
+    background : dioptre of what is behind, 1/m"""
+
+    base: Plane | None
+    cut_outs: tuple[Plane, ...]
+    background: float
+
+    def dioptre_range(self, grid: np.ndarray) -> tuple[float, float]:
+        """Least and greatest dioptre in the picture."""
+        low = high = self.background
+        if self.base is not None:
+            d = np.maximum(self.base.dioptres(grid), self.background)
+            low, high = float(d.min()), float(d.max())
+        for plane in self.cut_outs:
+            p = plane.places(grid)
+            inside = (p[..., 2] > 0) & (np.abs(p[..., :2]).max(-1) <= 2 * plane.half_m * p[..., 2])
+            if inside.any():
+                low, high = min(low, float(p[..., 2][inside].min())), max(high, float(p[..., 2][inside].max()))
+        return low, high
+
+
+def real_scene(scene: Scene, camera_from_world: Pose, plane_extent_m: float, background_m: float) -> Real:
+    background = 0.0 if background_m <= 0 else 1.0 / background_m
+    main = plane_of(camera_from_world @ scene.world_from_anchor, plane_extent_m / 2)
+    cut = [(_depth(camera_from_world @ scene.world_from_anchor), main)] if plane_extent_m > 0 else []
+    anchor_from_world = scene.world_from_anchor.inverse()
+    for spec in scene.markers:
+        pose = scene.world_from_marker.get(spec.key)
+        if pose is None:
+            continue
+        corners = anchor_from_world.apply(pose.apply(spec.corners_m))
+        within = plane_extent_m <= 0 or np.abs(corners[:, :2]).max() < plane_extent_m / 2
+        if within and np.abs(corners[:, 2]).max() < _SAME_PLANE * spec.size_m:
+            continue
+        here = camera_from_world @ pose
+        cut.append((_depth(here), plane_of(here, spec.size_m * _MARGIN / 2)))
+    cut.sort(key=lambda pair: -pair[0])
+    return Real(main if plane_extent_m <= 0 else None, tuple(p for _, p in cut), background)
+
+
+def _depth(pose: Pose) -> float:
+    return float(pose.translation_m[2])
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def plane_radius(out, top, bottom, x0, y0, nodes, background, px_per_dioptre, focus, limit):  # pragma: no cover - compiled
+    """Rows top..bottom of out (h, w): blur radius of the endless plane, px.
+
+    x0, y0 : the rectangle's corner in the frame;  nodes : (gh, gw) dioptres of the plane every GRID_PX pixels
+    """
+    w = out.shape[1]
+    step = np.float32(1.0 / GRID_PX)
+    g0, g1 = x0 // GRID_PX, (x0 + w - 1) // GRID_PX + 1
+    line = np.empty(g1 - g0 + 1, np.float32)
+    for j in range(top, bottom):
+        iy = (y0 + j) // GRID_PX
+        fy = np.float32((y0 + j) % GRID_PX) * step
+        for i in range(g0, g1 + 1):
+            line[i - g0] = nodes[iy, i] + (nodes[iy + 1, i] - nodes[iy, i]) * fy
+        for i in range(g0, g1):
+            a, d = line[i - g0], (line[i + 1 - g0] - line[i - g0]) * step
+            for x in range(max(i * GRID_PX, x0), min((i + 1) * GRID_PX, x0 + w)):
+                v = max(a + d * np.float32(x - i * GRID_PX), background)
+                out[j, x - x0] = min(px_per_dioptre * abs(focus - v), limit)
+
+
+@numba.njit(cache=True, nogil=True)
+def square_radius(
+    radius, inside, x0, y0, places, half, px_per_dioptre, focus, limit
+):  # fmt: skip  # pragma: no cover - compiled
+    """Of a plane of limited size: radius (h, w) px and inside (h, w) float32, 1 where the pixel shows it.
+
+    places : (gh, gw, 3) of `Plane.places`
+    """
+    h, w = radius.shape
+    step = np.float32(1.0 / GRID_PX)
+    for j in range(h):
+        iy = (y0 + j) // GRID_PX
+        fy = np.float32((y0 + j) % GRID_PX) * step
+        for i in range(w):
+            ix = (x0 + i) // GRID_PX
+            fx = np.float32((x0 + i) % GRID_PX) * step
+            v = np.zeros(3, np.float32)
+            for c in range(3):
+                a = places[iy, ix, c] + (places[iy, ix + 1, c] - places[iy, ix, c]) * fx
+                b = places[iy + 1, ix, c] + (places[iy + 1, ix + 1, c] - places[iy + 1, ix, c]) * fx
+                v[c] = a + (b - a) * fy
+            shown = v[2] > 0 and abs(v[0]) <= half * v[2] and abs(v[1]) <= half * v[2]
+            inside[j, i] = 1.0 if shown else 0.0
+            radius[j, i] = min(px_per_dioptre * abs(focus - v[2]), limit) if shown else np.float32(-1)

@@ -1,0 +1,64 @@
+"""`arfx lens`: depth-of-field limits of a thin lens, both formulas."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import click
+
+from arfx_cli.console import emit_json, message_options
+
+_ROWS = (
+    ("front_mm", "sharp before the focus"),
+    ("back_mm", "sharp behind the focus"),
+    ("total_mm", "depth of field"),
+    ("hyperfocal_mm", "hyperfocal distance"),
+    ("coc_at_infinity_mm", "blur circle at infinity"),
+)
+
+
+@click.command()
+@click.option("--focal", required=True, metavar="LENGTH", help="Focal length, such as 50mm.")
+@click.option("--fnumber", required=True, type=float, metavar="N", help="F-number, such as 2.8.")
+@click.option("--distance", required=True, metavar="LENGTH", help="Focus distance from the lens, such as 2.5m.")
+@click.option(
+    "--coc",
+    default="0.03mm",
+    show_default=True,
+    metavar="LENGTH",
+    help="Diameter of the largest blur circle that passes as sharp.",
+)
+@message_options
+def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) -> None:
+    """What a lens shows sharp: near and far limits around the focus distance, and the hyperfocal distance.
+
+    Two formulas: `paper` as S2 prints it, `corrected` as a thin lens has it.
+
+    \b
+    Example:
+      arfx lens --focal 200mm --fnumber 11 --distance 2500mm --coc 0.035mm
+    """
+    from arfx.core.lens import CORRECTED, PAPER, Lens, depth_of_field
+    from arfx.core.units import length_m
+
+    lens = Lens(1e3 * length_m(focal, "--focal"), fnumber, 1e3 * length_m(distance, "--distance"))
+    coc_mm = 1e3 * length_m(coc, "--coc")
+    limits = {name: asdict(depth_of_field(lens, coc_mm, name)) for name in (PAPER, CORRECTED)}
+    if as_json:
+        given = {"focal_mm": lens.focal_mm, "fnumber": fnumber, "distance_mm": lens.focus_mm, "coc_mm": coc_mm}
+        beyond = {"back_is_infinite": limits[CORRECTED]["back_mm"] == float("inf")}
+        emit_json({**given, PAPER: limits[PAPER], CORRECTED: {**limits[CORRECTED], **beyond}})
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{focal} f/{fnumber:g} focused at {distance}, circle {coc}", title_justify="left")
+    for name in ("mm", PAPER, CORRECTED):
+        table.add_column(name, justify="left" if name == "mm" else "right")
+    for key, words in _ROWS:
+        table.add_row(words, *(_shown(limits[name][key]) for name in (PAPER, CORRECTED)))
+    Console(highlight=False).print(table)
+
+
+def _shown(value: float | None) -> str:
+    return "not defined" if value is None else "infinite" if value == float("inf") else f"{value:,.4f}"

@@ -1,0 +1,205 @@
+"""Stage dof: settings, key frames, the real scene's surfaces, and the formula as printed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
+from arfx.core.lens import Lens, circle_of_confusion_mm
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.scene import Scene
+from arfx.errors import ConfigError
+from arfx.stages.dof import Dof
+from arfx.stages.dof.aperture import shape
+from arfx.stages.dof.optics import circles, focus_dioptre
+from arfx.stages.dof.paper import bleed, blend_factor
+from arfx.stages.dof.params import DofParams, between, fnumber_keys, focus_keys
+from arfx.stages.dof.surfaces import direction_grid, plane_of, plane_radius, real_scene, square_radius
+from tests.scenes import facts, look_at, scene
+from tests.unit.stages.dof_scenes import Shot, blurred, shot
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ({"formula": "papper"}, "one of corrected, paper"),
+        ({"scope": "real"}, "one of all, virtual"),
+        ({"lens": "footage"}, "blurs what is blurred already"),
+        ({"fnumber": 0.0}, "must be above 0"),
+        ({"fnumber": "wide"}, "is not a number"),
+        ({"sensor_width_mm": 0.0}, "must be above 0"),
+        ({"aperture_px": -1.0}, "0 or more"),
+        ({"blades": 2}, "3 to 32"),
+        ({"focus": "60"}, None),
+        ({"focus": "-5cm"}, "above 0"),
+        ({"focus": "the cat"}, "neither object, marker"),
+        ({"focus": "object, 1m"}, "has no time"),
+        ({"focus": "object@2s, 1m@1s"}, "must rise"),
+        ({"mean_px": 4}, "odd"),
+    ],
+)
+def test_settings_say_what_would_be_right(setting: dict, words: str | None) -> None:
+    if words is None:
+        DofParams(**setting)
+        return
+    with pytest.raises(ConfigError, match=words):
+        DofParams(**setting)
+
+
+def test_key_frames() -> None:
+    assert focus_keys("object@0s, 36h11:3@1.5s, 2m@3s, inf@4s") == [(0, "object"), (1.5, "id:36h11:3"), (3, 2.0), (4, np.inf)]
+    assert focus_keys(3) == [(0.0, "id:3")]
+    assert fnumber_keys("f/2.8@1s, 11@3s") == [(1.0, 2.8), (3.0, 11.0)]
+    assert [between([(1.0, 2.0), (3.0, 6.0)], t) for t in (0.0, 1.0, 2.0, 3.0, 9.0)] == [2.0, 2.0, 4.0, 6.0, 6.0]
+
+
+def test_focus_follows_what_it_is_set_to() -> None:
+    s = scene()
+    f = facts(s)
+    pose = f.camera_from_world
+    assert pose is not None
+    corners = pose.apply(s.model_corners_m)[:, 2]
+
+    def distance(focus: str, at: FrameFacts = f) -> float:
+        return 1 / focus_dioptre(DofParams(focus=focus), at, s)
+
+    assert distance("marker") == distance("3") == distance("36h11:3") == pytest.approx(0.5)
+    assert distance("object") == pytest.approx((corners.min() + corners.max()) / 2)
+    assert distance("80cm") == pytest.approx(0.8)
+    rack = "marker@0s, 1m@2s"  # steady in dioptres: 2, 1.5, 1
+    assert [distance(rack, f.with_(time_s=t)) for t in (0.0, 1.0, 2.0)] == pytest.approx([0.5, 1 / 1.5, 1.0])
+    with pytest.raises(ConfigError, match="there is no marker '7'"):
+        distance("7")
+
+
+def test_circles_are_those_of_the_lens() -> None:
+    s = scene()
+    f = facts(s)
+    params = DofParams(focal_mm=50.0, fnumber="2@0s, 8@2s", sensor_width_mm=24.0, focus="80cm", max_radius_px=1e4)
+    distance = np.array([0.3, 0.79, 0.8, 2.0, 1e3, np.inf])
+    for time, fnumber in ((0.0, 2.0), (1.0, 4.0), (2.0, 8.0)):
+        at = circles(params, f.with_(time_s=time), s)
+        mm = circle_of_confusion_mm(1e3 * distance, Lens(50.0, fnumber, 800.0))
+        np.testing.assert_allclose(2 * at.radius_px(1 / distance), mm * s.camera.width / 24.0, rtol=1e-9, atol=1e-9)
+    own = circles(DofParams(focus="80cm", max_radius_px=1e4), f, s)
+    focal = s.camera.fx * 36 / s.camera.width
+    assert own.px_per_dioptre == pytest.approx(
+        circles(DofParams(focal_mm=focal, focus="80cm", max_radius_px=1e4), f, s).px_per_dioptre
+    )
+    px = circles(DofParams(aperture_px=30.0, focus="80cm"), f, s)
+    assert 2 * px.radius_px(0.0) == pytest.approx(30.0)
+
+
+def test_the_real_plane_has_the_depth_of_its_points() -> None:
+    s = scene()
+    pose = look_at()
+    grid = direction_grid(s.camera)
+    real = real_scene(s, pose, 0.0, 0.0)
+    assert real.base is not None and not real.cut_outs
+    points = np.array([[0.05, 0.02, 0], [-0.1, 0.08, 0], [0.11, -0.09, 0.0]])
+    z = pose.apply(points)[:, 2]
+    radius = np.empty((s.camera.height, s.camera.width), np.float32)
+    f32 = np.float32
+    plane_radius(
+        radius, 0, s.camera.height, 0, 0, real.base.dioptres(grid), f32(0), f32(1), f32(0), f32(np.inf)
+    )  # 1 px a dioptre from infinity
+    at = np.rint(s.camera.project(pose.apply(points))).astype(int)
+    np.testing.assert_allclose(radius[at[:, 1], at[:, 0]], 1 / z, rtol=4e-3)  # half a pixel beside the point
+    with_wall = real_scene(s, pose, 0.0, 0.55)
+    low, high = with_wall.dioptre_range(grid)
+    assert low == pytest.approx(1 / 0.55) and high > 2
+
+
+def test_a_plane_of_limited_size_ends_where_it_is_said_to() -> None:
+    s, pose = scene(), look_at()
+    plane = plane_of(pose @ s.world_from_anchor, 0.1)
+    radius, inside = (np.empty((s.camera.height, s.camera.width), np.float32) for _ in range(2))
+    f32 = np.float32
+    square_radius(radius, inside, 0, 0, plane.places(direction_grid(s.camera)), f32(0.1), f32(1), f32(0), f32(np.inf))
+    for x, shown in ((0.095, 1.0), (-0.095, 1.0), (0.107, 0.0), (-0.107, 0.0)):
+        for point in ([x, 0, 0], [0, x, 0]):
+            u, v = np.rint(s.camera.project(pose.apply(np.array(point, float)))).astype(int)
+            if 0 <= u < s.camera.width and 0 <= v < s.camera.height:
+                assert inside[v, u] == shown, point
+
+
+def test_a_marker_that_stands_up_is_a_surface_of_its_own() -> None:
+    s = scene()
+    wall = MarkerSpec("36h11", 9, 0.08)
+    stands = Pose(rotation_from_euler_deg(90, 0, 0), np.array([0.0, 0.15, 0.05]))
+    flat = Pose(np.eye(3), np.array([0.2, 0, 0.0]))
+    beside = MarkerSpec("36h11", 10, 0.08)
+    where = {**s.world_from_marker, wall.key: stands, beside.key: flat}
+    more = Scene(s.camera, s.model, s.world_from_model, (*s.markers, wall, beside), where)
+    real = real_scene(more, look_at(), 0.0, 0.0)
+    assert len(real.cut_outs) == 1 and real.cut_outs[0].half_m == pytest.approx(0.05)
+    assert len(real_scene(more, look_at(), 0.5, 0.0).cut_outs) == 2
+
+
+def test_a_plane_seen_edge_on_is_nowhere() -> None:
+    plane = plane_of(Pose(rotation_from_euler_deg(90, 0, 0), np.zeros(3)), 0.0)
+    assert not plane.dioptres(direction_grid(scene().camera)).any()
+
+
+@pytest.mark.parametrize("blades", [0, 3, 6])
+def test_shapes_have_the_area_of_the_disc(blades: int) -> None:
+    s = shape(16, blades, 20.0)
+    for radius in (0.5, 0.9, 2.0, 5.3, 16.0):
+        q = round(radius * 16)
+        rows = 2 * s.reach[q] + 1
+        ends, shares = s.ends[q, :rows], s.shares[q, :rows]
+        length = shares[:, 1] + shares[:, 2] + (ends[:, 1] - ends[:, 0] - 1)
+        area = float((length * shares[:, 0]).sum())
+        assert area == pytest.approx(max(np.pi * radius**2, 1.0), rel=0.06 if radius > 1 else 0.4)
+        assert area * s.unit[q] == pytest.approx(1.0, abs=0.005)
+        assert (ends[:, 1] > ends[:, 0]).all() and (shares * 8 == np.round(shares * 8)).all()
+
+
+def test_bleed_as_printed() -> None:
+    """Centre 100 among 100, 120, 90, 180, 100, 60, 100, 140: weights 1/7, 4/7, 2/7 of the brighter ones."""
+    grey = np.array([[100, 120, 90], [180, 100, 100], [60, 100, 140]], np.float32)
+    colour = np.repeat(grey[..., None], 3, -1)
+    even = np.ones((3, 3), np.float32)
+    np.testing.assert_allclose(bleed(colour, even)[1, 1], 160.0, rtol=1e-5)
+    dark = np.where(grey == 100, grey, 50).astype(np.float32)
+    assert (bleed(np.repeat(dark[..., None], 3, -1), even)[1, 1] == 100).all()
+    nearer = even.copy()
+    nearer[1, 0] = 2.0  # 180 stands in front: it does not flow into what is behind
+    np.testing.assert_allclose(bleed(colour, nearer)[1, 1], (20 * 120 + 40 * 140) / 60, rtol=1e-5)
+
+
+def test_blend_factor_as_printed() -> None:
+    s = scene()
+    params = DofParams(formula="paper", focal_mm=200.0, fnumber=11.0, focus="2500mm", coc_mm=0.035)
+    at = circles(params, facts(s), s)
+    a = blend_factor(np.array([1 / 2.5, 1 / 2.52, 1 / 5.0, 1 / 100.0]), (1 / 100.0, 1 / 2.0), at, params)
+    circle = circle_of_confusion_mm(np.array([2500.0, 2520.0, 5000.0, 1e5]), Lens(200.0, 11.0, 2500.0))
+    assert circle[1] < 0.035 < circle[2]
+    np.testing.assert_allclose(a, circle / circle[3] * [1, 2 / 3, 1, 1], rtol=1e-9)
+
+
+def test_the_printed_formula_blurs_by_two_thirds_or_not_at_all() -> None:
+    at = shot()
+    frame, image = at.scene.camera.rect, at.layers[Layer.IMAGE]
+    out = blurred(at, "standard", formula="paper", aperture_px=20.0, focus="object")
+    assert np.isfinite(out).all() and 0.002 < np.abs(out - image).mean() < 0.1
+    np.testing.assert_array_equal(blurred(at, "standard", formula="paper", fnumber=1e9), image)
+    stage = Dof(DofParams(formula="paper", aperture_px=20.0, focus="object"))
+    assert stage.demand(at.facts, at.scene, frame).rect == frame
+
+
+def test_the_footages_lens_is_used_where_it_is_known() -> None:
+    at = shot()
+    stage, frame = Dof(DofParams(lens="footage", scope="virtual")), at.scene.camera.rect
+    assert stage.demand(at.facts, at.scene, frame).reason == "the lens of the footage was not measured"
+    np.testing.assert_array_equal(blurred(at, "standard", lens="footage", scope="virtual"), at.layers[Layer.IMAGE])
+    refused = at.facts.with_(extra={"footage_lens": {"known": False, "reason": "too few edges"}})
+    assert stage.demand(refused, at.scene, frame).reason.endswith("tell its lens: too few edges")
+    fit = {"known": True, "reason": "", "px_per_dioptre": 9.0, "focus": 0.5}
+    known = Shot(at.scene, at.facts.with_(extra={"footage_lens": fit}), at.layers)
+    assert not stage.demand(known.facts, at.scene, frame).rect.empty
+    same = blurred(at, "standard", scope="virtual", aperture_px=9.0, focus="2m")  # 9 px a dioptre, radius
+    np.testing.assert_allclose(blurred(known, "standard", lens="footage", scope="virtual"), same, atol=1e-6)
