@@ -35,11 +35,14 @@ STAGES: Mapping[str, Any] = _Table(
         "contact": "arfx.stages.contact.Contact",
         "lightmap": "arfx.stages.lightmap.Lightmap",
         "composite": "arfx.stages.composite.Composite",
+        "watercolor": "arfx.stages.watercolor.Watercolor",
     }
 )
 # Stages that every job has; the others are effects that a pipeline names.
 IMPLICIT = ("raster", "plain", "contact", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
+# Effects that change what a clip is about: they run only where a job names them, "auto" leaves them out.
+STYLES = ("watercolor",)
 # What an effect does itself and better: left out of a job that has it.
 REPLACES: Mapping[str, tuple[str, ...]] = {"lightmap": ("plain", "contact")}
 
