@@ -127,12 +127,13 @@ def _pull(root, near, sharp):  # pragma: no cover - compiled
     return out
 
 
-def toned(root: np.ndarray, lightness: float, saturation: float) -> np.ndarray:
+def toned(root: np.ndarray, lightness: float, saturation: float, deepest: float) -> np.ndarray:
     """(n, 3) float32 square roots of colours, thinner (paper shows through) and more or less saturated.
 
-    lightness : 0 = as it is; 1 halves the distance to white twice as fast;  saturation : factor on the distance from grey
+    lightness : v becomes 1 - (1 - v)^(1 + lightness);  saturation : factor on the distance from grey
+    deepest : square root that black becomes: no wash is black
     """
-    thin = 1 - (1 - root) ** (1 + lightness)
+    thin = deepest + (1 - deepest) * (1 - (1 - root) ** (1 + lightness))
     grey = thin @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     out: np.ndarray = np.clip(grey[:, None] + saturation * (thin - grey[:, None]), 0, 1).astype(np.float32)
     return out

@@ -11,7 +11,8 @@ from arfx.errors import ConfigError
 
 # (name, least, most) of every number
 _RANGES = (
-    ("cell_px", 0.5, 4096), ("nearer_finer", 0, 1), ("wash", 0, 1), ("lightness", 0, 2), ("saturation", 0, 3), ("lines", 0, 1),
+    ("cell_px", 0.5, 4096), ("nearer_finer", 0, 1), ("wash", 0, 1), ("lightness", 0, 2), ("deepest", 0, 0.5),
+    ("saturation", 0, 3), ("lines", 0, 1),
     ("line_width_px", 0.5, 16), ("line_low", 0, 1), ("line_high", 0, 2), ("line_smooth_px", 0, 10), ("line_threshold", 0, 2),
     ("alpha", 0, 1), ("beta", 0, 1), ("edge_darkening", 0, 1), ("wobble_px", 0, 8), ("flow", 0, 1), ("flow_px", 8, 4096),
     ("grain", 0, 1), ("grain_px", 1, 32), ("dry_brush", 0, 2),
@@ -26,6 +27,7 @@ class WatercolorParams:
     anchored : cells follow what they lie on; false = they stay on the screen
     wash : how far alike neighbours run into one wash, 0 = plain cells, 1 = large washes
     lightness : thins the paint, so that the paper shows, 0 = the picture's own;  saturation : factor on colourfulness
+    deepest : coded value of the darkest wash: none is black
     toon : three flat tones on the virtual object
     toon_thresholds, toon_factors : cosines between normal and light, and the tones above, between and below them
     lines : opacity of lines, 0 = none;  ink_rgb : their linear colour
@@ -39,11 +41,12 @@ class WatercolorParams:
     """
 
     formula: str = "corrected"
-    cell_px: float = 9.0
+    cell_px: float = 7.0
     nearer_finer: float = 0.5
     anchored: bool = True
-    wash: float = 0.5
+    wash: float = 0.6
     lightness: float = 0.25
+    deepest: float = 0.12
     saturation: float = 1.15
     toon: bool = True
     toon_thresholds: tuple[float, float] = (0.5, 0.2)

@@ -85,12 +85,13 @@ def _lattice(seed, i, j, octave):  # pragma: no cover - compiled
 
 
 def paint(
-    labels: Labels, root: np.ndarray, flow: np.ndarray, grain: np.ndarray, line: np.ndarray, scale: int, strengths: np.ndarray,
+    labels: Labels, image: np.ndarray, plain: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray, line: np.ndarray, scale: int, strengths: np.ndarray,
     ink_rgb: np.ndarray, x0: int, y0: int,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 linear: the picture.
 
-    root (n, 3) : square roots of the cells' colours;  flow (n,) : their turbulence
+    image (h, w, 3) : linear, what is painted;  plain (n, 3) : square roots of the cells' means
+    root (n, 3) : square roots of the colours to paint them in;  flow (n,) : their turbulence
     grain : of `paper_grain`;  line (ceil(h / scale), ceil(w / scale)) : strength of lines, 0..1; empty = none
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
     ink_rgb (3,) : linear colour of lines;  x0, y0 : of the first pixel in the frame, to anchor the paper
@@ -99,14 +100,18 @@ def paint(
     out = np.empty((h, w, 3), np.float32)
 
     def one(a: int, b: int) -> None:
-        _paint(labels.first, labels.second, labels.inside, root, flow, grain, line, scale, strengths, ink_rgb, x0, y0, a, b, out)
+        _paint(
+            image, labels.first, labels.second, labels.inside, plain, root, flow, grain, line, scale, strengths, ink_rgb, x0, y0, a, b, out,
+        )  # fmt: skip
 
     by_bands(one, h)
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _paint(first, second, inside, root, flow, grain, line, scale, strengths, ink, x0, y0, ya, yb, out):  # pragma: no cover
+def _paint(
+    image, first, second, inside, mean, root, flow, grain, line, scale, strengths, ink, x0, y0, ya, yb, out
+):  # pragma: no cover - compiled
     w = first.shape[1]
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     dark, contrast, much_flow, much_grain, opacity, dry = strengths
@@ -114,7 +119,7 @@ def _paint(first, second, inside, root, flow, grain, line, scale, strengths, ink
     lh, lw = line.shape
     lines = np.zeros(w, np.float32)
     row = np.zeros(max(lw, 1), np.float32)
-    plain = dark == zero and much_flow == zero and much_grain == zero
+    flat = dark == zero and much_flow == zero and much_grain == zero
     for y in range(ya, yb):
         if lh > 0:
             _line_row(line, y, scale, row, lines)
@@ -124,7 +129,7 @@ def _paint(first, second, inside, root, flow, grain, line, scale, strengths, ink
             r, g, b = root[a, 0], root[a, 1], root[a, 2]
             height = grain[gy, (x0 + x) & (PAPER_PX - 1)]
             d = zero
-            if not plain:
+            if not flat:
                 d = much_flow * flow[a]
                 if near < SOLID:
                     k = second[y, x]
@@ -135,6 +140,14 @@ def _paint(first, second, inside, root, flow, grain, line, scale, strengths, ink
                     apart = apart * apart
                     # alike cells run into each other, unlike ones keep their border, darker towards it
                     mix = half * t * (one - apart)
+                    if apart > zero:
+                        # ... which follows the picture: of the two colours the pixel takes the one that is like it
+                        pr, pg, pb = _root(image[y, x, 0]), _root(image[y, x, 1]), _root(image[y, x, 2])
+                        e1 = (pr - mean[a, 0]) ** 2 + (pg - mean[a, 1]) ** 2 + (pb - mean[a, 2]) ** 2
+                        e2 = (pr - mean[k, 0]) ** 2 + (pg - mean[k, 1]) ** 2 + (pb - mean[k, 2]) ** 2
+                        like = e1 / (e1 + e2 + np.float32(1e-6))
+                        like = min(max((like - half) * np.float32(3) + half * t, zero), one)
+                        mix += apart * min(np.float32(3) * t, one) * like
                     r, g, b = r + mix * (r2 - r), g + mix * (g2 - g), b + mix * (b2 - b)
                     d += half * t * much_flow * (flow[k] - flow[a]) + dark * apart * t
                 d += much_grain * height
@@ -144,6 +157,11 @@ def _paint(first, second, inside, root, flow, grain, line, scale, strengths, ink
                 s = min(max(lines[x] * (one + dry * height), zero), one) * opacity
                 r, g, b = r + s * (ink[0] - r), g + s * (ink[1] - g), b + s * (ink[2] - b)
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = max(r, zero), max(g, zero), max(b, zero)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _root(v):  # pragma: no cover - compiled
+    return np.sqrt(min(max(v, np.float32(0)), np.float32(1)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)

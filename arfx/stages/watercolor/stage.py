@@ -147,13 +147,13 @@ class Watercolor:
             cells = self._with_object(now, box, cells, scene, prepared, level, pose)
         colours = means(image, cells.labels.first, cells.labels.count)
         root = washed(colours, cells.near, 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
-        root = toned(root, p.lightness, p.saturation)
+        root = toned(root, p.lightness, p.saturation, p.deepest)
         on = np.float32(p.pigment)
         strengths = np.array(
             [on * p.edge_darkening, 0.25, on * p.flow, on * p.grain, p.lines, on * p.dry_brush], np.float32
         )  # fmt: skip
         return paint(
-            cells.labels, root, cells.flow, prepared.grain, line, 2, strengths, np.array(p.ink_rgb, np.float32), rect.x0, rect.y0
+            cells.labels, image, np.sqrt(np.clip(colours, 0, 1)), root, cells.flow, prepared.grain, line, 2, strengths, np.array(p.ink_rgb, np.float32), rect.x0, rect.y0
         )
 
     def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
