@@ -1,6 +1,6 @@
 """The field of sites of every frame: motion steps chained over the clip, around the markers through the known poses.
 
-field(new set, node) = field(last set, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
+field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
 motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
 that nothing of the old pattern is seen again. Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
 Source: SYSTEMS.md S3 ("sites fixed on the screen"). Cost: O(nodes) per set.
@@ -40,25 +40,34 @@ def with_anchors(
     rays = camera.directions(np.stack([gx, gy], -1)) if reach_m > 0 else None
     number, u, v = 0, gx, gy
     last: FrameFacts | None = None
-    document: dict[str, Any] = {}
+    key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
+    document: Mapping[str, Any] = {}
     out = []
     for f in facts:
         step = by_index.get(f.index)
         cut = last is not None and f.shot != last.shot
         if last is None or cut or step is not None:
-            if last is None or cut or step is None or step.back is None:
-                number += last is not None
+            number += last is not None
+            back = None if step is None or step.back is None or last is None or cut else step.back.astype(float)
+            if back is None:
                 u, v = gx + _NEW_SHOT_PX * number, gy
             else:
-                number += 1
-                back = step.back.astype(float)
                 if rays is not None:
-                    back = _with_pose(back, gx, gy, rays, f.camera_from_world, last.camera_from_world, camera,
-                                      world_from_anchor, reach_m)  # fmt: skip
-                u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in (u, v))
+                    back = _with_pose(
+                        back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m
+                    )
+                u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in key[:2])
                 u, v = relaxed(u, v)
-            last = f
+            if step is not None and step.key:
+                key = u, v, f.camera_from_world
+            elif back is None:
+                # a cut that the flow did not notice: the key frame's nodes lie where this frame's flow says
+                key = (u, v, f.camera_from_world) if step is None or step.back is None else (
+                    _sampled(u, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy),
+                    _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
+                )  # fmt: skip
             document = _document(number, gx, gy, u, v, f.camera_from_world)
+        last = f
         out.append(f.with_(extra={**f.extra, FACT: document}))
     return tuple(out)
 

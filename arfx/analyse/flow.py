@@ -1,8 +1,9 @@
 """How the picture moves: dense optical flow on a small frame, folded into what paint needs to stay where it lies.
 
-`BackgroundMotion` compares each frame with the one for which the last set of sites was made. While the picture has moved by
-less than HOLD_PX the set stays, so that a resting camera gathers no drift and nothing is labelled anew; else a new set
-begins, and where each of its nodes lay in the frame of the last set is kept. `anchors.with_anchors` chains these steps.
+`BackgroundMotion` compares each frame with a key frame. While the picture has moved by less than HOLD_PX since the last set
+of sites was made the set stays, so that a resting camera gathers no drift and nothing is labelled anew; else a new set begins,
+and where each of its nodes lay in the key frame is kept. A frame becomes the next key when the picture has moved by
+KEY_SHARE of its width, or has changed: errors add up from key to key only. `anchors.with_anchors` chains the keys.
 Flow: DIS (Kroeger et al. 2016, OpenCV), forward and backward; where both disagree, or there is nothing to see, an affine
 motion of the whole and its neighbours stand in. Cost: some 3 ms a frame. Source: SYSTEMS.md S3, "anchor sites".
 """
@@ -24,6 +25,8 @@ WIDTH_PX = 256  # of the small frame
 HOLD_PX = 0.35
 _AGREE_PX, _AGREE_SHARE = 0.6, 0.05  # forward and backward flow agree to this, on the small frame
 _GRADIENT = 6.0  # grey levels per px at which a place is trusted half
+KEY_SHARE = 0.06  # of the picture's width
+_CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
 _LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last set's
 _SPREAD_NODES = 1.5
 
@@ -31,10 +34,12 @@ _SPREAD_NODES = 1.5
 @dataclass(frozen=True, eq=False)
 class MotionStep:
     """A frame at which a new set of sites begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
-    frame, to lie where they lay in the frame of the last set; None : nothing is known (first frame, or all is new)."""
+    frame, to lie where they lay in the last key frame; None : nothing is known (first frame, or all is new)
+    key : later steps are relative to this frame"""
 
     index: int
     back: np.ndarray | None
+    key: bool
 
 
 def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -52,36 +57,44 @@ class BackgroundMotion:
         self.hold_px = hold_px
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
+        self._last: np.ndarray | None = None  # back of the last set, None where that is the key frame
         self._size = (0, 0)  # width, height of the frames
 
     def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
         """Take the next frame. luma : (h, w) uint8."""
         h, w = luma.shape
         small = _shrunk(luma)
-        if self._reference is None or self._size != (w, h):
-            self._begin(index, small, (w, h), None)
+        found = None
+        if self._reference is not None and self._size == (w, h):
+            found = self._back(small, w, h)
+        self._size = (w, h)
+        if found is None:
+            self._reference, self._last = small, None
+            self.steps.append(MotionStep(index, None, True))
             return
-        back = self._back(small, w, h)
-        if back is None:
-            self._begin(index, small, (w, h), None)
+        back, agreed = found
+        back = np.round(back * 16) / 16
+        inside = (slice(BORDER, -BORDER),) * 2
+        moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
+        if float(np.quantile(moved, 0.9)) <= self.hold_px:
             return
-        inside = back[BORDER:-BORDER, BORDER:-BORDER]
-        if float(np.quantile(np.hypot(inside[..., 0], inside[..., 1]), 0.9)) > self.hold_px:
-            self._begin(index, small, (w, h), back)
+        far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_SHARE * w or agreed < _CHANGED
+        self.steps.append(MotionStep(index, back, far))
+        self._last = None if far else back
+        if far:
+            self._reference = small
 
-    def _begin(self, index: int, small: np.ndarray, size: tuple[int, int], back: np.ndarray | None) -> None:
-        self.steps.append(MotionStep(index, None if back is None else np.round(back * 16).astype(np.int16).astype(np.float32) / 16))
-        self._reference, self._size = small, size
-
-    def _back(self, small: np.ndarray, width: int, height: int) -> np.ndarray | None:
-        """(gh, gw, 2) px of the frame at the nodes, or None where the two frames have nothing in common."""
+    def _back(self, small: np.ndarray, width: int, height: int) -> tuple[np.ndarray, float] | None:
+        """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both directions agree), or None
+        where the two frames have nothing in common."""
         assert self._reference is not None
         if np.array_equal(small, self._reference):
-            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32)
+            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
         h, w = small.shape
         if min(h, w) < 16:  # DIS needs a patch or two
-            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32)
+            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
         dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+        dis.setFinestScale(0)
         back = dis.calc(small, self._reference, None)
         there = dis.calc(self._reference, small, None)
         x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
@@ -93,28 +106,23 @@ class BackgroundMotion:
         slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
         trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
         textured = slope > _GRADIENT
-        if textured.sum() > 50 and agree[textured].mean() < _LOST:
-            return None
-        return _at_nodes(back, trust, width, height)
+        agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
+        return None if agreed < _LOST else (_at_nodes(back, trust, width, height), agreed)
 
     def state(self) -> dict:
         """JSON-able; `restore` continues from it exactly."""
         return {
             "hold_px": self.hold_px, "size": list(self._size),
             "reference": None if self._reference is None else [list(self._reference.shape), _packed(self._reference)],
-            "steps": [
-                [s.index, None if s.back is None else [list(s.back.shape), _packed(np.round(s.back * 16).astype("<i2"))]]
-                for s in self.steps
-            ],
+            "steps": [[s.index, s.key, _written(s.back)] for s in self.steps], "last": _written(self._last),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
         self.hold_px, self._size = state["hold_px"], (state["size"][0], state["size"][1])
         held = state["reference"]
         self._reference = None if held is None else _unpacked(held[1], "u1", held[0])
-        self.steps = [
-            MotionStep(i, None if b is None else _unpacked(b[1], "<i2", b[0]).astype(np.float32) / 16) for i, b in state["steps"]
-        ]
+        self._last = _read(state["last"])
+        self.steps = [MotionStep(index, _read(back), key) for index, key, back in state["steps"]]
 
 
 def _shrunk(luma: np.ndarray) -> np.ndarray:
@@ -162,6 +170,14 @@ def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarr
         missed = np.linalg.norm(flow - terms @ motion, axis=1)
         robust = weight / (1 + (missed / 0.5) ** 2)
     return motion
+
+
+def _written(back: np.ndarray | None) -> list | None:
+    return None if back is None else [list(back.shape), _packed(np.round(back * 16).astype("<i4"))]
+
+
+def _read(v: list | None) -> np.ndarray | None:
+    return None if v is None else _unpacked(v[1], "<i4", v[0]).astype(np.float32) / 16
 
 
 def _packed(a: np.ndarray) -> str:

@@ -42,13 +42,21 @@ def paper_grain(seed: int, grain_px: float) -> np.ndarray:
     return out
 
 
-def wobble_of(seed: int, amplitude_px: float, wavelength_px: float, x0: int, y0: int, width: int, height: int) -> np.ndarray:
-    """(height, width, 2) int16 displacement of the pixels from (x0, y0), in 1/STEPS px, anchored to the paper."""
+def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float) -> np.ndarray:
+    """(PAPER_PX, PAPER_PX, 2) int16 displacement, in 1/STEPS px, that repeats without a seam."""
     rng = np.random.default_rng([seed, 0x30BB])
     tile = np.stack([smooth_noise(PAPER_PX, wavelength_px, rng) for _ in range(2)], -1)
-    tile = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.int16)
-    rows, columns = np.arange(y0, y0 + height) % PAPER_PX, np.arange(x0, x0 + width) % PAPER_PX
-    return np.ascontiguousarray(tile[rows[:, None], columns[None]])
+    out: np.ndarray = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.int16)
+    return out
+
+
+def laid_out(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> np.ndarray:
+    """(height, width, ...) of a repeated tile, from (x0, y0) of it on."""
+    side = tile.shape[0]
+    rows = np.arange(y0, y0 + height) % side
+    start = x0 % side
+    wide = np.concatenate([tile] * (-(-(start + width) // side)), axis=1)[:, start : start + width]
+    return np.ascontiguousarray(wide[rows])
 
 
 def turbulence(u: np.ndarray, v: np.ndarray, seed: int, wavelength_px: float) -> np.ndarray:

@@ -32,9 +32,9 @@ from arfx.stages.watercolor.field import frame_field
 from arfx.stages.watercolor.labels import SOLID, Labels, label
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.params import WatercolorParams
-from arfx.stages.watercolor.pigment import paint, paper_grain, turbulence, wobble_of
+from arfx.stages.watercolor.pigment import laid_out, paint, paper_grain, turbulence, wobble_tile
 from arfx.stages.watercolor.printed import printed
-from arfx.stages.watercolor.sites import Field, sites_of
+from arfx.stages.watercolor.sites import GRID_PX, Field, sites_of
 from arfx.stages.watercolor.toon import toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
@@ -55,13 +55,13 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level."""
+    """Of one clip, worker and level. grain, wobble : tiles"""
 
     grain: np.ndarray
+    wobble: np.ndarray | None
     surface: Surface
     cells: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
     pictures: Kept = field(default_factory=lambda: Kept(_KEPT_PICTURES))
-    wobbles: Kept = field(default_factory=lambda: Kept(2))
 
     def forget(self) -> None:
         """Drop what was kept between frames, so that the next one costs what a new frame costs."""
@@ -92,7 +92,10 @@ class Watercolor:
         return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 40.0)
 
     def prepare(self, scene: Scene, level: Level) -> Prepared:
-        return Prepared(paper_grain(scene.seed, self.params.grain_px), surface_of(scene, scene.seed))
+        p, wobble = self.params, None
+        if p.pigment and p.wobble_px > 0:
+            wobble = wobble_tile(scene.seed, p.wobble_px, 4 * p.wobble_px + 6)
+        return Prepared(paper_grain(scene.seed, p.grain_px), wobble, surface_of(scene, scene.seed))
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
@@ -172,20 +175,20 @@ class Watercolor:
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         p = self.params
         sites = sites_of(where, scene.seed, 2 * scene.camera.rect.area + 4096)
-        labels = self._labels(sites, rect, scene, prepared, level)
+        # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
+        shift = _shift(where)
+        labels = self._labels(sites, rect, prepared, level, shift)
         flow = turbulence(sites.u, sites.v, scene.seed, p.flow_px) if len(sites) else np.zeros(1, np.float32)
         return Cells(labels, flow, neighbours(labels.first, labels.count))
 
-    def _labels(self, sites: Any, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Labels:
+    def _labels(self, sites: Any, rect: Rect, prepared: Prepared, level: Level, shift: tuple[int, int]) -> Labels:
         p = self.params
         if level.name == "draft":
             return chamfer_labels(sites, rect)
         wobble = None
-        if p.pigment and p.wobble_px > 0:
-            wobble = prepared.wobbles.get(
-                rect,
-                lambda: wobble_of(scene.seed, p.wobble_px, 4 * p.wobble_px + 6, rect.x0, rect.y0, rect.width, rect.height),
-            )
+        if prepared.wobble is not None:
+            x, y = rect.x0 + shift[0], rect.y0 + shift[1]
+            wobble = laid_out(prepared.wobble, x, y, rect.width, rect.height)
         blend = BLEND_PX if p.pigment else 0.0
         return (reference_labels if level.name == "reference" else label)(sites, rect, wobble, blend)
 
@@ -201,7 +204,7 @@ class Watercolor:
         def make() -> tuple[Labels, np.ndarray]:
             sites = object_sites(prepared.surface, scene.camera, pose, 0.8 * self._cell_px(level), p.flow_px)
             flow = turbulence(sites.u, sites.v, scene.seed + 1, p.flow_px) if len(sites) else np.zeros(1, np.float32)
-            return self._labels(sites, box, scene, prepared, level), flow
+            return self._labels(sites, box, prepared, level, (0, 0)), flow
 
         own, flow = prepared.cells.get(("object", tuple(pose.to_json()), box), make)
         old, at, start = cells.labels, box.slices_in(rect), cells.labels.count
@@ -226,6 +229,13 @@ def _closed_up(near: np.ndarray) -> np.ndarray:
     """Rows with the entries that are none behind the others."""
     out: np.ndarray = np.take_along_axis(near, np.argsort(near < 0, axis=1, kind="stable"), 1)
     return out
+
+
+def _shift(where: Field) -> tuple[int, int]:
+    """By how much the things painted have moved, whole px."""
+    gh, gw = where.u.shape
+    x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
+    return round(float(np.median(where.u - x))), round(float(np.median(where.v - y)))
 
 
 def _field_key(where: Field, rect: Rect) -> tuple[bytes, Rect]:
