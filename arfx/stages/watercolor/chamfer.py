@@ -56,7 +56,7 @@ def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None,
     if blend_px > 0:
         d1, d2 = (np.sqrt((px - x[k]) ** 2 + (py - y[k]) ** 2 - weight[k]) for k in (first, second))
         share = (d2 - d1) * (SOLID / (2 * blend_px * STEPS))
-        near = share < SOLID
+        near = (share < SOLID) & (second != first)
         solid = np.where(near, share, SOLID).astype(np.uint8)
         second = np.where(solid < SOLID, second, first)
     else:

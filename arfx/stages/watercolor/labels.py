@@ -22,7 +22,7 @@ _FAR_PX = 400.0
 PACKED = 64  # candidates whose number fits one float32 together with their distance, exactly, ...
 PACKED_DISTANCE = 1 << 18  # ... which is below this, in 1/STEPS^2 px^2
 
-_MOST = np.float32(2**24 - 1)
+_MOST = np.float32(2**24 - PACKED)  # number 0, and as far as can be
 SOLID = 255  # a pixel this far inside its cell takes nothing of its neighbour's colour
 
 
@@ -68,8 +68,10 @@ def label(sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: 
     x, y, weight = (a.astype(np.float64) for a in (sites.x, sites.y, sites.weight))
     place = np.stack([x - STEPS * rect.x0, y - STEPS * rect.y0, weight]).astype(kind)
 
+    by_bucket = np.ascontiguousarray(place[:, order])
+
     def one(y0: int, y1: int) -> None:
-        _label(place, order, start, bucket, gh, gw, wobble, kind(reach), kind(blend_px * STEPS), y0, y1, first, second, inside)
+        _label(place, by_bucket, order, start, bucket, gh, gw, wobble, kind(reach), kind(blend_px * STEPS), y0, y1, first, second, inside)
 
     by_bands(one, h, TILE)
     return Labels(first, second, inside, n)
@@ -95,18 +97,21 @@ def _bucketed(sx, sy, x0, y0, bucket, gh, gw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _label(place, order, start, bucket, gh, gw, wobble, reach, blend, y_first, y_last, first, second, inside):  # pragma: no cover
+def _label(place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y_first, y_last, first, second, inside):  # pragma: no cover
     h, w = first.shape
     zero, inf = reach * 0, reach * 0 + np.inf
     px, py = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
     d1, d2 = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
     n1, n2 = np.empty(TILE * TILE, np.int32), np.empty(TILE * TILE, np.int32)
-    found = np.empty(order.shape[0], np.int32)
+    own_x, own_y = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
+    for q in range(TILE * TILE):
+        own_x[q], own_y[q] = (q % TILE) * STEPS, (q // TILE) * STEPS
+    found = np.empty(order.shape[0] + 1, np.int32)
     share = np.empty(TILE * TILE, np.uint8)
     k1, k2 = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
     sx, sy, sw = np.empty(PACKED, place.dtype), np.empty(PACKED, place.dtype), np.empty(PACKED, place.dtype)
     moved = wobble.shape[0] > 0
-    side = zero + bucket * STEPS
+    side, half = zero + bucket * STEPS, zero + 0.5
     for ty in range(y_first, y_last, TILE):
         rows = min(TILE, h - ty)
         for tx in range(0, w, TILE):
@@ -114,55 +119,50 @@ def _label(place, order, start, bucket, gh, gw, wobble, reach, blend, y_first, y
             # the pixels' places, and the box that holds them
             left, right = zero + tx * STEPS - reach, zero + (tx + cols - 1) * STEPS + reach
             top, bottom = zero + ty * STEPS - reach, zero + (ty + rows - 1) * STEPS + reach
-            for y in range(TILE):
-                for x in range(TILE):
-                    px[y * TILE + x] = (tx + min(x, cols - 1)) * STEPS
-                    py[y * TILE + x] = (ty + min(y, rows - 1)) * STEPS
+            base_x, base_y = zero + tx * STEPS, zero + ty * STEPS
+            for q in range(TILE * TILE):
+                px[q] = base_x + own_x[q]
+                py[q] = base_y + own_y[q]
             if moved:
                 for y in range(rows):
-                    for x in range(cols):
-                        px[y * TILE + x] += wobble[ty + y, tx + x, 0]
-                        py[y * TILE + x] += wobble[ty + y, tx + x, 1]
-            # a bound that no pixel's nearest site exceeds: the farthest pixel's distance to the best site
+                    if cols == TILE:
+                        for x in range(TILE):  # of fixed length: one step of a vector unit
+                            px[y * TILE + x] += wobble[ty + y, tx + x, 0]
+                            py[y * TILE + x] += wobble[ty + y, tx + x, 1]
+                    else:
+                        for x in range(cols):
+                            px[y * TILE + x] += wobble[ty + y, tx + x, 0]
+                            py[y * TILE + x] += wobble[ty + y, tx + x, 1]
+            # a bound that no pixel's nearest site exceeds: of each quarter the farthest pixel's distance to its best site
             gy, gx = ty // bucket, tx // bucket
-            bound, ring = inf, 0
-            while ring <= max(gh, gw):
-                gap = (ring - 1) * side - reach
-                if ring > 1 and gap > 0 and gap * gap > bound:
-                    break
-                for i in range(max(gy - ring, 0), min(gy + ring, gh - 1) + 1):
-                    step = 1 if i == gy - ring or i == gy + ring else 2 * ring
-                    for j in range(gx - ring, gx + ring + 1, step):
-                        if j < 0 or j >= gw:
-                            continue
-                        for m in range(start[i * gw + j], start[i * gw + j + 1]):
-                            k = order[m]
-                            dx = max(place[0, k] - left, right - place[0, k])
-                            dy = max(place[1, k] - top, bottom - place[1, k])
-                            bound = min(bound, dx * dx + dy * dy - place[2, k])
-                ring += 1
-            if blend > 0:
-                # a site that comes within `blend` of winning is at most 2 blend farther than the winner
-                root = np.sqrt(bound) + 2 * blend
-                bound = root * root + 1
-            candidates, ring = 0, 0
-            while ring <= max(gh, gw):
-                gap = (ring - 1) * side - reach
-                if ring > 1 and gap > 0 and gap * gap > bound:
-                    break
-                for i in range(max(gy - ring, 0), min(gy + ring, gh - 1) + 1):
-                    step = 1 if i == gy - ring or i == gy + ring else 2 * ring
-                    for j in range(gx - ring, gx + ring + 1, step):
-                        if j < 0 or j >= gw:
-                            continue
-                        for m in range(start[i * gw + j], start[i * gw + j + 1]):
-                            k = order[m]
-                            dx = max(left - place[0, k], place[0, k] - right, zero)
-                            dy = max(top - place[1, k], place[1, k] - bottom, zero)
-                            if dx * dx + dy * dy - place[2, k] <= bound:
-                                found[candidates] = k
-                                candidates += 1
-                ring += 1
+            middle_x, middle_y = (left + right) * half, (top + bottom) * half
+            wide, high = (right - left) * half * half + reach, (bottom - top) * half * half + reach
+            bound, window = inf, 1
+            while bound == inf:
+                b0, b1, b2, b3 = inf, inf, inf, inf
+                for i in range(max(gy - window, 0), min(gy + window, gh - 1) + 1):
+                    for m in range(start[i * gw + max(gx - window, 0)], start[i * gw + min(gx + window, gw - 1) + 1]):
+                        # the quarters' middles lie `wide`, `high` off the tile's; so do their corners of them
+                        ex, ey, cw = sorted_[0, m] - middle_x, sorted_[1, m] - middle_y, sorted_[2, m]
+                        near_x, far_x = abs(ex + wide) + wide, abs(ex - wide) + wide
+                        near_y, far_y = abs(ey + high) + high, abs(ey - high) + high
+                        near_x, far_x, near_y, far_y = near_x * near_x, far_x * far_x, near_y * near_y - cw, far_y * far_y - cw
+                        b0, b1 = min(b0, near_x + near_y), min(b1, far_x + near_y)
+                        b2, b3 = min(b2, near_x + far_y), min(b3, far_x + far_y)
+                bound = max(max(b0, b1), max(b2, b3))
+                window *= 2
+            # a site that comes within `blend` of winning is at most 2 blend farther than the winner
+            root = np.sqrt(bound) + 2 * blend
+            bound = root * root + 1
+            # what lies outside a window of buckets is at least its size away
+            window = np.int64(np.ceil((root + 1 + reach) / side))
+            candidates = 0
+            for i in range(max(gy - window, 0), min(gy + window, gh - 1) + 1):
+                for m in range(start[i * gw + max(gx - window, 0)], start[i * gw + min(gx + window, gw - 1) + 1]):
+                    dx = max(left - sorted_[0, m], sorted_[0, m] - right, zero)
+                    dy = max(top - sorted_[1, m], sorted_[1, m] - bottom, zero)
+                    found[candidates] = order[m]
+                    candidates += np.int64(dx * dx + dy * dy - sorted_[2, m] <= bound)
             if candidates > PACKED:
                 found[:candidates].sort()
             else:
@@ -183,15 +183,23 @@ def _label(place, order, start, bucket, gh, gw, wobble, reach, blend, y_first, y
                     _unpacked(k2, found, n2, d2)
             else:
                 _nearest(place, found, candidates, px, py, d1, d2, n1, n2)
-            for y in range(rows):
-                for x in range(cols):
-                    first[ty + y, tx + x] = n1[y * TILE + x]
             if blend > 0:
                 _inside(d1, d2, n1, n2, blend, share)
-                for y in range(rows):
+            for y in range(rows):
+                if cols == TILE:
+                    for x in range(TILE):
+                        first[ty + y, tx + x] = n1[y * TILE + x]
+                    if blend > 0:
+                        for x in range(TILE):
+                            second[ty + y, tx + x] = n2[y * TILE + x]
+                        for x in range(TILE):
+                            inside[ty + y, tx + x] = share[y * TILE + x]
+                else:
                     for x in range(cols):
-                        second[ty + y, tx + x] = n2[y * TILE + x]
-                        inside[ty + y, tx + x] = share[y * TILE + x]
+                        first[ty + y, tx + x] = n1[y * TILE + x]
+                        if blend > 0:
+                            second[ty + y, tx + x] = n2[y * TILE + x]
+                            inside[ty + y, tx + x] = share[y * TILE + x]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -226,8 +234,6 @@ def _nearest_packed(sx, sy, sw, candidates, px, py, k1, k2, two):  # pragma: no 
                 k = (ex * ex + ey * ey) * np.float32(PACKED) + add
                 a = k1[q]
                 k1[q] = a if a < k else k
-    if candidates == 1:
-        k2[:] = k1
 
 
 @numba.njit(cache=True, nogil=True)

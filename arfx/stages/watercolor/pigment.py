@@ -148,7 +148,7 @@ def _paint(
                     apart = apart * apart
                     # alike cells run into each other, unlike ones keep their border, darker towards it
                     mix = half * t * (one - apart)
-                    if apart > zero:
+                    if apart > np.float32(0.003):
                         # ... which follows the picture: of the two colours the pixel takes the one that is like it
                         pr, pg, pb = _root(image[y, x, 0]), _root(image[y, x, 1]), _root(image[y, x, 2])
                         e1 = (pr - mean[a, 0]) ** 2 + (pg - mean[a, 1]) ** 2 + (pb - mean[a, 2]) ** 2

@@ -65,11 +65,16 @@ def still_field(width: int, height: int, size_px: float, pad_px: int) -> Field:
     return Field(-before * GRID_PX, -before * GRID_PX, u, v, np.full(u.shape, float(size_px)))
 
 
-def sites_of(field: Field, seed: int, limit: int) -> Sites:
-    """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a level at a time."""
+def sites_of(field: Field, seed: int, limit: int, unit_px: float = 8.0) -> Sites:
+    """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a level at a time.
+
+    unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest
+    """
     size = np.clip(field.size, 0.25, None)
     for _ in range(_HIGHEST):
-        made = _enumerate(field.x0, field.y0, field.u, field.v, np.log2(size), np.uint64(seed), limit)
+        made = _enumerate(
+            field.x0, field.y0, field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, unit_px
+        )  # fmt: skip
         if made[0].shape[0] < limit:
             break
         size = size * 2
@@ -104,17 +109,17 @@ def _importance(seed, level, i, j):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _place(seed, level, i, j):  # pragma: no cover - compiled
-    """(u, v) of the site of a cell, px: its chosen quarter, that one's, and so on to 1/64 px."""
+    """(u, v) of the site of a cell, units: its chosen quarter, that one's, and so on to 1/512."""
     size = 2.0**level
-    while size > 1.0 / 64:
+    while size > 1.0 / 512:
         chosen = np.int64(_mixed(seed, level, i, j) & np.uint64(3))
         level, i, j, size = level - 1, 2 * i + (chosen & 1), 2 * j + (chosen >> 1), size / 2
     return (i + 0.5) * size, (j + 0.5) * size
 
 
 @numba.njit(cache=True, nogil=True)
-def _enumerate(x0, y0, u, v, wanted, seed, limit):  # pragma: no cover - compiled
-    """All sites of the field's triangles. wanted (gh, gw) : log2 of the cell size, px of the frame."""
+def _enumerate(x0, y0, u, v, wanted, seed, limit, unit):  # pragma: no cover - compiled
+    """All sites of the field's triangles. u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame."""
     gh, gw = u.shape
     sx, sy, sw = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.float32)
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
@@ -133,8 +138,8 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit):  # pragma: no cover - compile
                 for x in range(2):
                     lo_u, hi_u = min(lo_u, u[gy + half, gx + x]), max(hi_u, u[gy + half, gx + x])
                     lo_v, hi_v = min(lo_v, v[gy + half, gx + x]), max(hi_v, v[gy + half, gx + x])
-                if det[half] > 1e-6:
-                    # how many px of the thing lie in one of the picture
+                if det[half] > 1e-9:
+                    # how many units of the thing lie in one px of the picture
                     scale[half] = 0.5 * np.log2(det[half] / (GRID_PX * GRID_PX))
                     for x in range(2):
                         least = min(least, min(wanted[gy, gx + x], wanted[gy + 1, gx + x]) + scale[half])
@@ -144,9 +149,12 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit):  # pragma: no cover - compile
             cell = 2.0**level
             for j in range(np.int64(np.floor(lo_v / cell)), np.int64(np.floor(hi_v / cell)) + 1):
                 for i in range(np.int64(np.floor(lo_u / cell)), np.int64(np.floor(hi_u / cell)) + 1):
+                    importance, key = _importance(seed, level, i, j)
+                    if importance < least - 0.5 * FADE:
+                        continue
                     pu, pv = _place(seed, level, i, j)
                     for half in range(2):
-                        if not (det[half] > 1e-6):
+                        if not (det[half] > 1e-9):
                             continue
                         du, dv = pu - u[gy + half, gx + half], pv - v[gy + half, gx + half]
                         s = (du * e2v[half] - dv * e2u[half]) / det[half]
@@ -156,7 +164,6 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit):  # pragma: no cover - compile
                         la = wanted[gy + half, gx + half]
                         lb, lc = wanted[gy + half, gx + 1 - half], wanted[gy + 1 - half, gx + half]
                         size = la + s * (lb - la) + t * (lc - la)
-                        importance, key = _importance(seed, level, i, j)
                         share = (importance - size - scale[half]) / FADE + 0.5
                         if share <= 0:
                             continue
@@ -166,6 +173,6 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit):  # pragma: no cover - compile
                         sy[n] = np.round((y0 + GRID_PX * (gy + (half + (1 - 2 * half) * t))) * STEPS)
                         sw[n] = -np.round((1 - min(share, 1.0)) * (1.2 * 2.0**size * STEPS) ** 2)
                         sk[n] = np.int64(key & np.uint64(0x7FFFFFFFFFFFFFFF))
-                        su[n], sv[n] = pu, pv
+                        su[n], sv[n] = pu * unit, pv * unit
                         n += 1
     return sx[:n], sy[:n], sw[:n], sk[:n], su[:n], sv[:n]

@@ -174,12 +174,13 @@ class Watercolor:
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         p = self.params
-        sites = sites_of(where, scene.seed, 2 * scene.camera.rect.area + 4096)
+        sites = sites_of(where, scene.seed, 2 * scene.camera.rect.area + 4096, self._cell_px(level))
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
         shift = _shift(where)
         labels = self._labels(sites, rect, prepared, level, shift)
         flow = turbulence(sites.u, sites.v, scene.seed, p.flow_px) if len(sites) else np.zeros(1, np.float32)
-        return Cells(labels, flow, neighbours(labels.first, labels.count))
+        near = neighbours(labels.first, labels.count) if p.wash > 0 else np.full((labels.count, 1), -1, np.int32)
+        return Cells(labels, flow, near)
 
     def _labels(self, sites: Any, rect: Rect, prepared: Prepared, level: Level, shift: tuple[int, int]) -> Labels:
         p = self.params
@@ -213,16 +214,17 @@ class Watercolor:
         second[at] = np.where(inside, own.second + start, second[at])
         solid[at] = np.where(inside, own.inside, solid[at])
         labels = Labels(first, second, solid, start + own.count)
+        flow = np.concatenate([cells.flow, flow])
+        if p.wash <= 0:
+            return Cells(labels, flow, np.full((labels.count, 1), -1, np.int32))
         near = np.full((labels.count, cells.near.shape[1]), -1, np.int32)
         near[:start] = cells.near
-        grown = box.pad(2).clip(rect).slices_in(rect)
         # neighbours within the object only: paint does not run over its outline
         masked = np.where(inside, own.first, own.count)
         within = neighbours(np.ascontiguousarray(masked), own.count + 1)[: own.count]
         near[start:] = np.where((within >= 0) & (within < own.count), within + start, -1)
         near[start:] = _closed_up(near[start:])
-        del grown
-        return Cells(labels, np.concatenate([cells.flow, flow]), near)
+        return Cells(labels, flow, near)
 
 
 def _closed_up(near: np.ndarray) -> np.ndarray:
