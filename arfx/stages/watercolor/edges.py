@@ -133,7 +133,7 @@ def _measure(small, luma, alpha, beta, ya, yb, measure, dx, dy):  # pragma: no c
 def _ridge(measure, dx, dy, offset, low, high, ya, yb, line, weak):  # pragma: no cover - compiled
     """Strength of lines before hysteresis: high where the measure is larger than `offset` px to both sides."""
     h, w = measure.shape
-    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
+    one, zero = np.float32(1), np.float32(0)
     for y in range(ya, yb):
         for x in range(w):
             e = measure[y, x]
@@ -141,7 +141,7 @@ def _ridge(measure, dx, dy, offset, low, high, ya, yb, line, weak):  # pragma: n
                 continue
             ox, oy = dx[y, x] * offset, dy[y, x] * offset
             other = max(_at(measure, x + ox, y + oy), _at(measure, x - ox, y - oy))
-            ridge = min(max(half + (e - other) / (np.float32(0.35) * e), zero), one)
+            ridge = min(max(np.float32(0.8) + (e - other) / (np.float32(0.35) * e), zero), one)
             t = min((e - low) / max(high - low, np.float32(1e-6)), one)
             line[y, x] = ridge * t * t * (np.float32(3) - np.float32(2) * t)
             weak[y, x] = ridge > np.float32(0.25)
