@@ -65,7 +65,7 @@ def _sum(image, labels, y0, y1, total):  # pragma: no cover - compiled
 def neighbours(labels: np.ndarray, count: int) -> np.ndarray:
     """(count, NEIGHBOURS) int32 cells that touch each cell, -1 behind the last. Borders shorter than about a third of a
     cell may be missed."""
-    step = int(np.clip(np.sqrt(labels.size / count) / 3, 1, 8))
+    step = int(np.clip(np.sqrt(labels.size / count) / 2.5, 1, 8))
     out: np.ndarray = _neighbours(labels, count, step)
     return out
 

@@ -47,7 +47,7 @@ def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None,
     x, y, weight = (np.asarray(a, float) for a in (sites.x, sites.y, sites.weight))
     py, px = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float) * STEPS
     if wobble is not None and wobble.size:
-        px, py = px + wobble[..., 0], py + wobble[..., 1]
+        px, py = px + wobble[0], py + wobble[1]
     px, py = px.ravel(), py.ravel()
     if len(sites) * px.size <= _BRUTE:
         first, second = nearest_labels(x, y, weight, px, py)

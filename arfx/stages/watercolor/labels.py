@@ -42,27 +42,32 @@ class Labels:
         return self.first.nbytes + self.second.nbytes + self.inside.nbytes
 
 
-def label(sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: float = 0.0) -> Labels:
+def label(
+    sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: float = 0.0, reach: float | None = None
+) -> Labels:  # fmt: skip
     """Labels of the pixels of `rect`.
 
-    wobble : (h, w, 2) int16 displacement in 1/STEPS px, at most `reach` of it is allowed for;  blend_px : see Labels
+    wobble : (2, h, w) float32 displacement along x and y, in 1/STEPS px, whole numbers;  blend_px : see Labels
+    reach : no displacement is larger, 1/STEPS px; None = measured
     Without a site every pixel is labelled 0 and count is 1.
     """
     h, w = rect.height, rect.width
-    first = np.zeros((h, w), np.int32)
     n = len(sites)
     if n == 0 or h == 0 or w == 0:
+        first = np.zeros((h, w), np.int32)
         return Labels(first, first, np.full((h, w), SOLID, np.uint8), max(n, 1))
     borders = blend_px > 0
-    second = np.zeros((h, w), np.int32) if borders else first
-    inside = np.full((h, w), SOLID, np.uint8)
+    first = np.empty((h, w), np.int32)
+    second = np.empty((h, w), np.int32) if borders else first
+    inside = np.empty((h, w), np.uint8) if borders else np.full((h, w), SOLID, np.uint8)
     spacing = np.sqrt(h * w / n)
     # buckets of about a site or two each, whole tiles wide
     bucket = int(TILE * max(1, min(np.ceil(spacing / TILE), np.ceil(max(h, w) / TILE))))
     gh, gw = -(-h // bucket), -(-w // bucket)
     start, order = _bucketed(sites.x, sites.y, rect.x0, rect.y0, bucket, gh, gw)
-    wobble = np.zeros((0, 0, 2), np.int16) if wobble is None else wobble
-    reach = float(np.abs(wobble).max()) if wobble.size else 0.0
+    wobble = np.zeros((2, 0, 0), np.float32) if wobble is None else wobble
+    if reach is None:
+        reach = float(np.abs(wobble).max()) if wobble.size else 0.0
     wide = spacing * 4 + reach / STEPS + 2 * blend_px > _FAR_PX
     kind = np.float64 if wide else np.float32
     x, y, weight = (a.astype(np.float64) for a in (sites.x, sites.y, sites.weight))
@@ -110,7 +115,7 @@ def _label(place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y
     share = np.empty(TILE * TILE, np.uint8)
     k1, k2 = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
     sx, sy, sw = np.empty(PACKED, place.dtype), np.empty(PACKED, place.dtype), np.empty(PACKED, place.dtype)
-    moved = wobble.shape[0] > 0
+    moved = wobble.shape[1] > 0
     side, half = zero + bucket * STEPS, zero + 0.5
     for ty in range(y_first, y_last, TILE):
         rows = min(TILE, h - ty)
@@ -127,12 +132,12 @@ def _label(place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y
                 for y in range(rows):
                     if cols == TILE:
                         for x in range(TILE):  # of fixed length: one step of a vector unit
-                            px[y * TILE + x] += wobble[ty + y, tx + x, 0]
-                            py[y * TILE + x] += wobble[ty + y, tx + x, 1]
+                            px[y * TILE + x] += wobble[0, ty + y, tx + x]
+                            py[y * TILE + x] += wobble[1, ty + y, tx + x]
                     else:
                         for x in range(cols):
-                            px[y * TILE + x] += wobble[ty + y, tx + x, 0]
-                            py[y * TILE + x] += wobble[ty + y, tx + x, 1]
+                            px[y * TILE + x] += wobble[0, ty + y, tx + x]
+                            py[y * TILE + x] += wobble[1, ty + y, tx + x]
             # a bound that no pixel's nearest site exceeds: of each quarter the farthest pixel's distance to its best site
             gy, gx = ty // bucket, tx // bucket
             middle_x, middle_y = (left + right) * half, (top + bottom) * half

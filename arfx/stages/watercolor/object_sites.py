@@ -17,7 +17,7 @@ from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import FADE, STEPS, Sites
 
-POINTS = 24000
+POINTS = 16000
 _LEVELS = 9
 _GRAZING = 0.2  # cosine to the viewer below which a point fades: it is about to turn away
 

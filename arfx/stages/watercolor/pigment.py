@@ -43,20 +43,19 @@ def paper_grain(seed: int, grain_px: float) -> np.ndarray:
 
 
 def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float) -> np.ndarray:
-    """(PAPER_PX, PAPER_PX, 2) int16 displacement, in 1/STEPS px, that repeats without a seam."""
+    """(2, PAPER_PX, PAPER_PX) float32 displacement, in whole 1/STEPS px, that repeats without a seam."""
     rng = np.random.default_rng([seed, 0x30BB])
-    tile = np.stack([smooth_noise(PAPER_PX, wavelength_px, rng) for _ in range(2)], -1)
-    out: np.ndarray = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.int16)
+    tile = np.stack([smooth_noise(PAPER_PX, wavelength_px, rng) for _ in range(2)])
+    out: np.ndarray = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.float32)
     return out
 
 
 def laid_out(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> np.ndarray:
-    """(height, width, ...) of a repeated tile, from (x0, y0) of it on."""
-    side = tile.shape[0]
-    rows = np.arange(y0, y0 + height) % side
+    """(..., height, width) of a repeated tile (..., n, n), from (x0, y0) of it on."""
+    side = tile.shape[-1]
     start = x0 % side
-    wide = np.concatenate([tile] * (-(-(start + width) // side)), axis=1)[:, start : start + width]
-    return np.ascontiguousarray(wide[rows])
+    wide = np.concatenate([tile] * (-(-(start + width) // side)), axis=-1)[..., start : start + width]
+    return np.ascontiguousarray(wide[..., np.arange(y0, y0 + height) % side, :])
 
 
 def turbulence(u: np.ndarray, v: np.ndarray, seed: int, wavelength_px: float) -> np.ndarray:

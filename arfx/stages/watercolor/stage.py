@@ -34,11 +34,11 @@ from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_o
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import laid_out, paint, paper_grain, turbulence, wobble_tile
 from arfx.stages.watercolor.printed import printed
-from arfx.stages.watercolor.sites import GRID_PX, Field, sites_of
+from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, sites_of
 from arfx.stages.watercolor.toon import toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
-BLEND_PX = 2.0  # from a cell's border, over which alike colours run into each other
+BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
 _KEPT_SETS, _KEPT_PICTURES = 3, 2
 _LARGEST_KEPT_PX = 16_000_000
 _VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBEDO, Layer.EMISSIVE)
@@ -191,7 +191,9 @@ class Watercolor:
             x, y = rect.x0 + shift[0], rect.y0 + shift[1]
             wobble = laid_out(prepared.wobble, x, y, rect.width, rect.height)
         blend = BLEND_PX if p.pigment else 0.0
-        return (reference_labels if level.name == "reference" else label)(sites, rect, wobble, blend)
+        if level.name == "reference":
+            return reference_labels(sites, rect, wobble, blend)
+        return label(sites, rect, wobble, blend, 0.0 if wobble is None else float(np.ceil(p.wobble_px * STEPS)))
 
     def _with_object(
         self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: Level, pose: Any

@@ -19,7 +19,7 @@ FRAME = Rect.of(200, 150)
 def brute(sites: Sites, rect: Rect, wobble: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     y, x = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float) * STEPS
     if wobble is not None:
-        x, y = x + wobble[..., 0], y + wobble[..., 1]
+        x, y = x + wobble[0], y + wobble[1]
     a = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
     first, second = nearest_labels(*a, x.ravel(), y.ravel())
     return first.reshape(x.shape), second.reshape(x.shape)
@@ -37,7 +37,7 @@ def random_sites(case: int) -> tuple[Sites, Rect, np.ndarray | None, float]:
     if case % 3 == 0:
         x[n // 2 :], y[n // 2 :] = x[0], y[0]
     weight = -np.round(g.random(n) * (g.random(n) < 0.3) * 4000 * (case % 2)).astype(np.float32)
-    wobble = g.integers(-12, 13, (h, w, 2)).astype(np.int16) if case % 4 else None
+    wobble = g.integers(-12, 13, (2, h, w)).astype(np.float32) if case % 4 else None
     return Sites(x, y, weight, np.arange(n), x, y), rect, wobble, (0.0, 2.0, 1.3)[case % 3]
 
 
@@ -62,7 +62,7 @@ def test_cells_wider_than_float32_tells_apart() -> None:
 def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("arfx.stages.watercolor.chamfer._BRUTE", 0)
     sites = sites_of(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
-    wobble = np.random.default_rng(0).integers(-9, 10, (150, 200, 2)).astype(np.int16)
+    wobble = np.random.default_rng(0).integers(-9, 10, (2, 150, 200)).astype(np.float32)
     a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, wobble, 2.0)
     assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
     assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
