@@ -63,7 +63,7 @@ def decoded(text: str, gh: int, gw: int) -> tuple[np.ndarray, np.ndarray]:
 def depth_factor(field: Field, camera: Camera, pose: Pose, scene: Scene, strength: float) -> np.ndarray:
     """(gh, gw) factor on the size of cells: (depth of the marker's plane / depth of the marker) ^ strength, within bounds.
 
-    Where the plane is not seen it is taken for far. Rounded, so that trembling of a pose does not change it.
+    Where the plane is not seen it is taken for far.
     """
     camera_from_anchor = pose @ scene.world_from_anchor
     normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
@@ -74,4 +74,4 @@ def depth_factor(field: Field, camera: Camera, pose: Pose, scene: Scene, strengt
     ratio = np.where(depth > 0, divide(depth, max(float(at[2]), 1e-6), where_zero=np.inf), np.inf)
     low, high = (b ** (1 / strength) for b in (_FINEST, _COARSEST))
     out: np.ndarray = np.clip(ratio, low, high) ** strength
-    return np.round(out * 16) / 16
+    return out
