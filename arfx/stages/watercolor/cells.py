@@ -85,6 +85,22 @@ def _neighbours(labels, count, step):  # pragma: no cover - compiled
     return out
 
 
+@numba.njit(cache=True, nogil=True)
+def neighbours_within(labels, mask, count):  # pragma: no cover - compiled
+    """The same where both pixels are in the mask (h, w)."""
+    out = np.full((count, NEIGHBOURS), -1, np.int32)
+    h, w = labels.shape
+    for y in range(0, h - 1):
+        for x in range(w - 1):
+            a = labels[y, x]
+            if mask[y, x]:
+                if labels[y, x + 1] != a and mask[y, x + 1]:
+                    _join(out, a, labels[y, x + 1])
+                if labels[y + 1, x] != a and mask[y + 1, x]:
+                    _join(out, a, labels[y + 1, x])
+    return out
+
+
 @numba.njit(cache=True, nogil=True, inline="always")
 def _join(out, a, b):  # pragma: no cover - compiled
     for m in range(NEIGHBOURS):

@@ -270,3 +270,20 @@ def _inside(d1, d2, n1, n2, blend, share):  # pragma: no cover - compiled
         share[q] = np.uint8(np.int32(min(s, np.float32(SOLID))))
     for q in range(TILE * TILE):
         n2[q] = n2[q] if share[q] < np.uint8(SOLID) else n1[q]
+
+
+def merged(whole: Labels, part: Labels, mask: np.ndarray, x0: int, y0: int) -> Labels:
+    """`whole`, and from (x0, y0) on where the mask says so `part`, whose cells are numbered on."""
+    first, second, inside = whole.first.copy(), whole.second.copy(), whole.inside.copy()
+    _merge(first, second, inside, part.first, part.second, part.inside, mask, x0, y0, whole.count)
+    return Labels(first, second, inside, whole.count + part.count)
+
+
+@numba.njit(cache=True, nogil=True)
+def _merge(first, second, inside, own_first, own_second, own_inside, mask, x0, y0, start):  # pragma: no cover - compiled
+    for y in range(mask.shape[0]):
+        for x in range(mask.shape[1]):
+            if mask[y, x]:
+                first[y0 + y, x0 + x] = own_first[y, x] + start
+                second[y0 + y, x0 + x] = own_second[y, x] + start
+                inside[y0 + y, x0 + x] = own_inside[y, x]

@@ -78,17 +78,18 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
 def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell_px: float, flow_px: float) -> Sites:
     """Sites of the points that face the camera, at about one per cell_px^2. Places u, v are in px at which the model is
     four wavelengths of the flow wide, whatever its size in the picture."""
-    p = camera_from_world.apply(surface.points)
-    pixel = camera.project(p)
+    depth = surface.points @ camera_from_world.rotation[2] + camera_from_world.translation_m[2]
     eye = camera_from_world.inverse().translation_m
-    facing = (normalise(eye - surface.points) * surface.normals).sum(1)
-    depth = p[:, 2]
-    seen = (depth > EPS_DEPTH_M) & np.isfinite(pixel).all(1) & (facing > 0)
-    keep = np.flatnonzero(seen)
-    wanted = np.log2(np.maximum(cell_px * divide(depth[keep], camera.fx), 1e-9))
-    share = np.clip((surface.importance[keep] - wanted) / FADE + 0.5, 0, 1) * np.clip(facing[keep] / _GRAZING, 0, 1)
-    keep, share = keep[share > 0], share[share > 0]
-    place = np.round(np.clip(pixel[keep], -1e5, 1e5) * STEPS).astype(np.float32)
+    towards = eye - surface.points
+    facing = (towards * surface.normals).sum(1)
+    wanted = np.log2(np.maximum(depth, EPS_DEPTH_M) * (cell_px / camera.fx))
+    keep = np.flatnonzero((depth > EPS_DEPTH_M) & (facing > 0) & (surface.importance > wanted - FADE))
+    pixel = camera.project(camera_from_world.apply(surface.points[keep]))
+    cosine = divide(facing[keep], np.linalg.norm(towards[keep], axis=1))
+    share = np.clip((surface.importance[keep] - wanted[keep]) / FADE + 0.5, 0, 1) * np.clip(cosine / _GRAZING, 0, 1)
+    seen = (share > 0) & np.isfinite(pixel).all(1)
+    keep, share, pixel = keep[seen], share[seen], pixel[seen]
+    place = np.round(np.clip(pixel, -1e5, 1e5) * STEPS).astype(np.float32)
     weight = -np.round((1 - share) * (1.2 * cell_px * STEPS) ** 2).astype(np.float32)
     q = surface.points[keep] * (4 * flow_px / surface.extent_m)
     u, v = (q[:, 0] + 0.6 * q[:, 2]).astype(np.float32), (q[:, 1] + 0.4 * q[:, 2]).astype(np.float32)

@@ -24,12 +24,12 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.watercolor.cells import means, neighbours, toned, washed
+from arfx.stages.watercolor.cells import means, neighbours, neighbours_within, toned, washed
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import line_strength, virtual_edges
 from arfx.stages.watercolor.field import frame_field
-from arfx.stages.watercolor.labels import SOLID, Labels, label
+from arfx.stages.watercolor.labels import Labels, label, merged
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import laid_out, paint, paper_grain, turbulence, wobble_tile
@@ -111,7 +111,10 @@ class Watercolor:
         sites_key = _field_key(where, now.rect)
         if now.rect.area > _LARGEST_KEPT_PX:
             return {Layer.IMAGE: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)}
-        key = (sites_key, box, facts.opacity, _content(now, box), _light_key(facts, scene), None if pose is None else tuple(pose.to_json()))
+        key = (
+            sites_key, box, facts.opacity, _content(now, box), repr(facts.light or scene.light),
+            None if pose is None else tuple(pose.to_json()),
+        )  # fmt: skip
         make = lambda: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)  # noqa: E731
         return {Layer.IMAGE: prepared.pictures.get(key, make)}
 
@@ -149,6 +152,7 @@ class Watercolor:
         if not box.empty and pose is not None:
             cells = self._with_object(now, box, cells, scene, prepared, level, pose)
         colours = means(image, cells.labels.first, cells.labels.count)
+        plain = washed(colours, cells.near, 1.0, 0)
         root = washed(colours, cells.near, 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
         on = np.float32(p.pigment)
@@ -156,7 +160,7 @@ class Watercolor:
             [on * p.edge_darkening, 0.25, on * p.flow, on * p.grain, p.lines, on * p.dry_brush], np.float32
         )  # fmt: skip
         return paint(
-            cells.labels, image, np.sqrt(np.clip(colours, 0, 1)), root, cells.flow, prepared.grain, line, 2, strengths, np.array(p.ink_rgb, np.float32), rect.x0, rect.y0
+            cells.labels, image, plain, root, cells.flow, prepared.grain, line, 2, strengths, np.array(p.ink_rgb, np.float32), rect.x0, rect.y0
         )
 
     def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
@@ -179,7 +183,7 @@ class Watercolor:
         shift = _shift(where)
         labels = self._labels(sites, rect, prepared, level, shift)
         flow = turbulence(sites.u, sites.v, scene.seed, p.flow_px) if len(sites) else np.zeros(1, np.float32)
-        near = neighbours(labels.first, labels.count) if p.wash > 0 else np.full((labels.count, 1), -1, np.int32)
+        near = neighbours(labels.first, labels.count) if p.wash > 0 else np.zeros((0, 0), np.int32)
         return Cells(labels, flow, near)
 
     def _labels(self, sites: Any, rect: Rect, prepared: Prepared, level: Level, shift: tuple[int, int]) -> Labels:
@@ -210,29 +214,14 @@ class Watercolor:
             return self._labels(sites, box, prepared, level, (0, 0)), flow
 
         own, flow = prepared.cells.get(("object", tuple(pose.to_json()), box), make)
-        old, at, start = cells.labels, box.slices_in(rect), cells.labels.count
-        first, second, solid = old.first.copy(), old.second.copy(), old.inside.copy()
-        first[at] = np.where(inside, own.first + start, first[at])
-        second[at] = np.where(inside, own.second + start, second[at])
-        solid[at] = np.where(inside, own.inside, solid[at])
-        labels = Labels(first, second, solid, start + own.count)
         flow = np.concatenate([cells.flow, flow])
+        labels = merged(cells.labels, own, inside, box.x0 - rect.x0, box.y0 - rect.y0)
         if p.wash <= 0:
-            return Cells(labels, flow, np.full((labels.count, 1), -1, np.int32))
-        near = np.full((labels.count, cells.near.shape[1]), -1, np.int32)
-        near[:start] = cells.near
+            return Cells(labels, flow, cells.near)
         # neighbours within the object only: paint does not run over its outline
-        masked = np.where(inside, own.first, own.count)
-        within = neighbours(np.ascontiguousarray(masked), own.count + 1)[: own.count]
-        near[start:] = np.where((within >= 0) & (within < own.count), within + start, -1)
-        near[start:] = _closed_up(near[start:])
-        return Cells(labels, flow, near)
-
-
-def _closed_up(near: np.ndarray) -> np.ndarray:
-    """Rows with the entries that are none behind the others."""
-    out: np.ndarray = np.take_along_axis(near, np.argsort(near < 0, axis=1, kind="stable"), 1)
-    return out
+        near = neighbours_within(own.first, inside, own.count)
+        start = cells.labels.count
+        return Cells(labels, flow, np.concatenate([cells.near, np.where(near < 0, -1, near + start).astype(np.int32)]))
 
 
 def _shift(where: Field) -> tuple[int, int]:
@@ -254,9 +243,6 @@ def _content(now: Layers, box: Rect) -> tuple[int, ...]:
     out = [digest(now[Layer.IMAGE])]
     if not box.empty:
         part = now.crop(box)
-        out += [digest(part[name]) for name in _VIRTUAL]
+        # a fourth of the rows tells one state of the object from another: its colours are in the picture already
+        out += [digest(part[name][::4]) for name in (Layer.COVERAGE, Layer.NORMAL, Layer.ALBEDO)]
     return tuple(out)
-
-
-def _light_key(facts: FrameFacts, scene: Scene) -> str:
-    return repr(facts.light or scene.light)
