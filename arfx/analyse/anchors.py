@@ -53,9 +53,7 @@ def with_anchors(
                 u, v = gx + _NEW_SHOT_PX * number, gy
             else:
                 if rays is not None:
-                    back = _with_pose(
-                        back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m
-                    )
+                    back = _with_pose(back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m)
                 u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in key[:2])
                 u, v = relaxed(u, v)
             if step is not None and step.key:

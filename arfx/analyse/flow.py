@@ -93,7 +93,7 @@ class BackgroundMotion:
         h, w = small.shape
         if min(h, w) < 16:  # DIS needs a patch or two
             return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
-        dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+        dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
         dis.setFinestScale(0)
         back = dis.calc(small, self._reference, None)
         there = dis.calc(self._reference, small, None)

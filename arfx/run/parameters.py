@@ -9,7 +9,7 @@ from arfx.config.load import near
 from arfx.config.sections import JobConfig
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.stages import EFFECTS, IMPLICIT, STAGES, STYLES
+from arfx.stages import ASKED_FOR, EFFECTS, IMPLICIT, STAGES
 
 
 def parameters() -> Mapping[str, type]:
@@ -19,7 +19,10 @@ def parameters() -> Mapping[str, type]:
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:
     """Names of the stages that a job may run, in running order. Raises ConfigError for unknown or misordered effects."""
-    asked = [e for e in EFFECTS if e not in STYLES] if config.pipeline.stages == "auto" else list(config.pipeline.stages)
+    if config.pipeline.stages == "auto":
+        asked = [n for n in EFFECTS if n not in ASKED_FOR or config.params.get(n) != STAGES[n].Params()]
+    else:
+        asked = list(config.pipeline.stages)
     for name in asked:
         if name not in EFFECTS:
             have = f"effects in this version: {', '.join(EFFECTS)}" if EFFECTS else "this version has no optional effects yet"

@@ -41,8 +41,8 @@ STAGES: Mapping[str, Any] = _Table(
 # Stages that every job has; the others are effects that a pipeline names.
 IMPLICIT = ("raster", "plain", "contact", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
-# Effects that change what a clip is about: they run only where a job names them, "auto" leaves them out.
-STYLES = ("watercolor",)
+# Effects that change the whole real picture: `auto` takes them only where a job sets something of theirs.
+ASKED_FOR = ("watercolor",)
 # What an effect does itself and better: left out of a job that has it.
 REPLACES: Mapping[str, tuple[str, ...]] = {"lightmap": ("plain", "contact")}
 

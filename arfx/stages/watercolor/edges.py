@@ -82,7 +82,7 @@ def line_strength(
     small = halved(image)
     sigma = max(smooth_px / 2, 0.3)
     small = cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE).reshape(small.shape)
-    h, w = small.shape[:2]
+    h, w = image.shape[0] + 1 >> 1, image.shape[1] + 1 >> 1
     measure, dx, dy = (np.empty((h, w), np.float32) for _ in range(3))
     luma = yuv_matrix(matrix).astype(np.float32)
     by_bands(lambda a, b: _measure(small, luma, np.float32(alpha), np.float32(beta), a, b, measure, dx, dy), h)
@@ -132,7 +132,7 @@ def _measure(small, luma, alpha, beta, ya, yb, measure, dx, dy):  # pragma: no c
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def _ridge(measure, dx, dy, offset, low, high, ya, yb, line, weak):  # pragma: no cover - compiled
     """Strength of lines before hysteresis: high where the measure is larger than `offset` px to both sides."""
-    h, w = measure.shape
+    _h, w = measure.shape
     one, zero = np.float32(1), np.float32(0)
     for y in range(ya, yb):
         for x in range(w):

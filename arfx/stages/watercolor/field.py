@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +29,9 @@ def pad_px(cell_px: float) -> int:
     return int(np.ceil(4 * _COARSEST * cell_px)) + GRID_PX
 
 
-def frame_field(facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool) -> tuple[Field, Pose | None]:
+def frame_field(
+    facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool
+) -> tuple[Field, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the set of sites is."""
     camera, pose = scene.camera, facts.camera_from_world
     found = facts.extra.get(FACT) if anchored else None

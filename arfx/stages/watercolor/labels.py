@@ -76,7 +76,23 @@ def label(
     by_bucket = np.ascontiguousarray(place[:, order])
 
     def one(y0: int, y1: int) -> None:
-        _label(place, by_bucket, order, start, bucket, gh, gw, wobble, kind(reach), kind(blend_px * STEPS), y0, y1, first, second, inside)
+        _label(
+            place,
+            by_bucket,
+            order,
+            start,
+            bucket,
+            gh,
+            gw,
+            wobble,
+            kind(reach),
+            kind(blend_px * STEPS),
+            y0,
+            y1,
+            first,
+            second,
+            inside,
+        )
 
     by_bands(one, h, TILE)
     return Labels(first, second, inside, n)
@@ -102,7 +118,9 @@ def _bucketed(sx, sy, x0, y0, bucket, gh, gw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _label(place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y_first, y_last, first, second, inside):  # pragma: no cover
+def _label(
+    place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y_first, y_last, first, second, inside
+):  # pragma: no cover
     h, w = first.shape
     zero, inf = reach * 0, reach * 0 + np.inf
     px, py = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
@@ -142,7 +160,7 @@ def _label(place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y
             gy, gx = ty // bucket, tx // bucket
             middle_x, middle_y = (left + right) * half, (top + bottom) * half
             wide, high = (right - left) * half * half + reach, (bottom - top) * half * half + reach
-            bound, window = inf, 1
+            bound, window = inf, np.int64(1)
             while bound == inf:
                 b0, b1, b2, b3 = inf, inf, inf, inf
                 for i in range(max(gy - window, 0), min(gy + window, gh - 1) + 1):
@@ -161,7 +179,7 @@ def _label(place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y
             bound = root * root + 1
             # what lies outside a window of buckets is at least its size away
             window = np.int64(np.ceil((root + 1 + reach) / side))
-            candidates = 0
+            candidates = np.int64(0)
             for i in range(max(gy - window, 0), min(gy + window, gh - 1) + 1):
                 for m in range(start[i * gw + max(gx - window, 0)], start[i * gw + min(gx + window, gw - 1) + 1]):
                     dx = max(left - sorted_[0, m], sorted_[0, m] - right, zero)

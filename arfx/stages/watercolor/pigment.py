@@ -92,8 +92,8 @@ def _lattice(seed, i, j, octave):  # pragma: no cover - compiled
 
 
 def paint(
-    labels: Labels, image: np.ndarray, plain: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray, line: np.ndarray, scale: int, strengths: np.ndarray,
-    ink_rgb: np.ndarray, x0: int, y0: int,
+    labels: Labels, image: np.ndarray, plain: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray,
+    line: np.ndarray, scale: int, strengths: np.ndarray, ink_rgb: np.ndarray, x0: int, y0: int,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 linear: the picture.
 
@@ -108,7 +108,8 @@ def paint(
 
     def one(a: int, b: int) -> None:
         _paint(
-            image, labels.first, labels.second, labels.inside, plain, root, flow, grain, line, scale, strengths, ink_rgb, x0, y0, a, b, out,
+            image, labels.first, labels.second, labels.inside, plain, root, flow, grain, line, scale, strengths, ink_rgb,
+            x0, y0, a, b, out,
         )  # fmt: skip
 
     by_bands(one, h)

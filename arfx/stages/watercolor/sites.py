@@ -119,7 +119,10 @@ def _place(seed, level, i, j):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _enumerate(x0, y0, u, v, wanted, seed, limit, unit):  # pragma: no cover - compiled
-    """All sites of the field's triangles. u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame."""
+    """All sites of the field's triangles.
+
+    u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame
+    """
     gh, gw = u.shape
     sx, sy, sw = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.float32)
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
@@ -175,4 +178,4 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit):  # pragma: no cover - c
                         sk[n] = np.int64(key & np.uint64(0x7FFFFFFFFFFFFFFF))
                         su[n], sv[n] = pu * unit, pv * unit
                         n += 1
-    return sx[:n], sy[:n], sw[:n], sk[:n], su[:n], sv[:n]
+    return sx[:n].copy(), sy[:n].copy(), sw[:n].copy(), sk[:n].copy(), su[:n].copy(), sv[:n].copy()

@@ -160,7 +160,18 @@ class Watercolor:
             [on * p.edge_darkening, 0.25, on * p.flow, on * p.grain, p.lines, on * p.dry_brush], np.float32
         )  # fmt: skip
         return paint(
-            cells.labels, image, plain, root, cells.flow, prepared.grain, line, 2, strengths, np.array(p.ink_rgb, np.float32), rect.x0, rect.y0
+            cells.labels,
+            image,
+            plain,
+            root,
+            cells.flow,
+            prepared.grain,
+            line,
+            2,
+            strengths,
+            np.array(p.ink_rgb, np.float32),
+            rect.x0,
+            rect.y0,
         )
 
     def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
@@ -178,7 +189,9 @@ class Watercolor:
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         p = self.params
-        sites = sites_of(where, scene.seed, 2 * scene.camera.rect.area + 4096, self._cell_px(level))
+        cell, area = self._cell_px(level), scene.camera.rect.area
+        most = int(min(2 * area + 4096, 8 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
+        sites = sites_of(where, scene.seed, most, cell)
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
         shift = _shift(where)
         labels = self._labels(sites, rect, prepared, level, shift)
@@ -234,7 +247,7 @@ def _shift(where: Field) -> tuple[int, int]:
 def _field_key(where: Field, rect: Rect) -> tuple[bytes, Rect]:
     h = hashlib.blake2b(digest_size=16)
     for a in (where.u, where.v, where.size):
-        h.update(np.ascontiguousarray(a))
+        h.update(np.ascontiguousarray(a).tobytes())
     h.update(repr((where.x0, where.y0)).encode())
     return h.digest(), rect
 

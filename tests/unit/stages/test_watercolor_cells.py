@@ -69,7 +69,9 @@ def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.Monke
 
 
 def test_no_sites_and_chamfer() -> None:
-    none = Sites(*(np.zeros(0, np.float32) for _ in range(3)), np.zeros(0, np.int64), *(np.zeros(0, np.float32) for _ in range(2)))
+    none = Sites(
+        *(np.zeros(0, np.float32) for _ in range(3)), np.zeros(0, np.int64), *(np.zeros(0, np.float32) for _ in range(2))
+    )
     for make in (label, chamfer_labels, reference_labels):
         found = make(none, FRAME)
         assert found.count == 1 and not found.first.any()
@@ -113,7 +115,7 @@ def test_density_stays_within_a_factor_of_two_under_zoom(factor: float, roll_deg
     f = still_field(320, 240, 8, 64)
     c, s = np.cos(np.radians(roll_deg)) / factor, np.sin(np.radians(roll_deg)) / factor
     sites = sites_of(Field(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), 2, 10**6)
-    full = sites.weight > -(0.7 * 8 * STEPS) ** 2
+    full = sites.weight > -((0.7 * 8 * STEPS) ** 2)
     x, y = sites.x[full] / STEPS, sites.y[full] / STEPS
     count, *_ = np.histogram2d(y, x, [np.arange(0, 241, 80), np.arange(0, 321, 80)])
     assert (count > 0.5 * 100).all() and (count < 2 * 100).all()

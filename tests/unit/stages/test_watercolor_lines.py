@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import cv2
 import numpy as np
 import pytest
@@ -61,7 +63,7 @@ def test_a_weak_line_lives_where_it_joins_a_strong_one() -> None:
 def flips(strengths: list[np.ndarray]) -> float:
     """Share of line pixels (over a half in either frame) that change by more than a half from frame to frame."""
     changed = lines = 0
-    for a, b in zip(strengths, strengths[1:], strict=False):
+    for a, b in itertools.pairwise(strengths):
         changed += int((np.abs(a - b) > 0.5).sum())
         lines += int((np.maximum(a, b) > 0.5).sum())
     return changed / max(lines, 1)
