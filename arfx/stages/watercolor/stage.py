@@ -3,8 +3,9 @@
 1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact mean of its pixels;
 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour, silhouette or crease are strong.
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
-and gives the same bits. Cost: O(pixels), see Level; memory 9 bytes a pixel for labels, twice that while they are merged,
-and 12 for the kept picture (none above 16 Mpx): an 8K frame holds 1.2 GB while it is painted, layers included.
+and gives the same bits. Cost: O(pixels). Memory: about 120 bytes a pixel while a frame is painted, 68 of them the layers that
+it reads (4 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
+Levels: draft has coarser cells by chamfer distance, reference float64 labels by other means; high is standard so far.
 Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
 """
 
@@ -73,7 +74,7 @@ class Watercolor:
     name = "watercolor"
     reads = frozenset({Layer.IMAGE, *_VIRTUAL})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.03), Level("standard", 0.04), Level("high", 0.04), Level("reference", 4.0))
+    levels = (Level("draft", 0.1), Level("standard", 0.13), Level("high", 0.13), Level("reference", 4.0))
     needs_facts = frozenset({"flow", "light"})
     reach = 0
     Params = WatercolorParams
