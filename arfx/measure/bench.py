@@ -121,6 +121,8 @@ def _cell(s: Stage, le: Level, step: Step, canvas: Canvas, at: BenchScene, size:
     def go() -> None:
         if not prepared:
             prepared.append(s.prepare(at.scene, le))
+        if hasattr(prepared[0], "forget"):  # what is kept of the last run would make the next one cost nothing
+            prepared[0].forget()
         _run(s, le, here, frozen, at.facts, at.scene, prepared[0])
 
     return Cell(s.name, le.name, size, step.out.area, go)

@@ -36,13 +36,14 @@ STAGES: Mapping[str, Any] = _Table(
         "lightmap": "arfx.stages.lightmap.Lightmap",
         "composite": "arfx.stages.composite.Composite",
         "dof": "arfx.stages.dof.Dof",
+        "watercolor": "arfx.stages.watercolor.Watercolor",
     }
 )
 # Stages that every job has; the others are effects that a pipeline names.
 IMPLICIT = ("raster", "plain", "contact", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
 # Effects that change the whole real picture: `auto` takes them only where a job sets something of theirs.
-ASKED_FOR = ("dof",)
+ASKED_FOR = ("dof", "watercolor")
 # What an effect does itself and better: left out of a job that has it.
 REPLACES: Mapping[str, tuple[str, ...]] = {"lightmap": ("plain", "contact")}
 

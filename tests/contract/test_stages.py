@@ -42,7 +42,7 @@ def test_declares_what_the_contract_asks(name: str, level: int) -> None:
     assert isinstance(cost, Cost) and (cost.seconds is None or 0 <= cost.seconds <= (more.seconds or 0))
 
 
-@pytest.mark.parametrize("name", list(STAGES))
+@pytest.mark.parametrize("name", [n for n in STAGES if "pose" in STAGES[n].needs_facts])
 def test_asks_for_nothing_where_the_object_is_absent(name: str) -> None:
     demand = STAGES[name]().demand(
         FACTS.with_(camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0)), SCENE, SCENE.camera.rect

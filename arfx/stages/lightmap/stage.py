@@ -87,6 +87,10 @@ class Kept:
                 self._things.popitem(last=False)
         return thing
 
+    def clear(self) -> None:
+        with self._lock:
+            self._things.clear()
+
 
 @dataclass(frozen=True, eq=False)
 class Prepared:

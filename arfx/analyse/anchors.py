@@ -1,0 +1,147 @@
+"""The field of sites of every frame: motion steps chained over the clip, around the markers through the known poses.
+
+field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
+motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
+that nothing of the old pattern is seen again. Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
+Source: SYSTEMS.md S3 ("sites fixed on the screen"). Cost: O(nodes) per set.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse.flow import GRID_PX, MotionStep, node_places
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+
+FACT = "watercolor"
+_RELAX = 0.02  # share of the field's bend that is taken out per set
+_LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
+_NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
+
+
+def with_anchors(
+    facts: Sequence[FrameFacts], steps: Sequence[MotionStep], camera: Camera, world_from_anchor: Pose, reach_m: float
+) -> tuple[FrameFacts, ...]:
+    """The facts with extra["watercolor"] filled in.
+
+    steps : of BackgroundMotion, of the same frames;  reach_m : around the anchor's origin on its plane the poses are
+    believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
+    """
+    by_index = {s.index: s for s in steps}
+    gx, gy = node_places(camera.width, camera.height)
+    rays = camera.directions(np.stack([gx, gy], -1)) if reach_m > 0 else None
+    number, u, v = 0, gx, gy
+    last: FrameFacts | None = None
+    key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
+    document: Mapping[str, Any] = {}
+    out = []
+    for f in facts:
+        step = by_index.get(f.index)
+        cut = last is not None and f.shot != last.shot
+        if last is None or cut or step is not None:
+            number += last is not None
+            back = None if step is None or step.back is None or last is None or cut else step.back.astype(float)
+            if back is None:
+                u, v = gx + _NEW_SHOT_PX * number, gy
+            else:
+                if rays is not None:
+                    back = _with_pose(back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m)
+                u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in key[:2])
+                u, v = relaxed(u, v)
+            if step is not None and step.key:
+                key = u, v, f.camera_from_world
+            elif back is None:
+                # a cut that the flow did not notice: the key frame's nodes lie where this frame's flow says
+                key = (u, v, f.camera_from_world) if step is None or step.back is None else (
+                    _sampled(u, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy),
+                    _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
+                )  # fmt: skip
+            document = _document(number, gx, gy, u, v, f.camera_from_world)
+        last = f
+        out.append(f.with_(extra={**f.extra, FACT: document}))
+    return tuple(out)
+
+
+def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
+    """`a` at places between its nodes, bilinear, linear beyond its border."""
+    gh, gw = a.shape
+    s, t = (x - gx[0, 0]) / GRID_PX, (y - gy[0, 0]) / GRID_PX
+    i, j = np.clip(np.floor(s), 0, gw - 2).astype(int), np.clip(np.floor(t), 0, gh - 2).astype(int)
+    s, t = s - i, t - j
+    top = a[j, i] + s * (a[j, i + 1] - a[j, i])
+    bottom = a[j + 1, i] + s * (a[j + 1, i + 1] - a[j + 1, i])
+    out: np.ndarray = top + t * (bottom - top)
+    return out
+
+
+def _with_pose(
+    back: np.ndarray, gx: np.ndarray, gy: np.ndarray, rays: np.ndarray, now: Pose | None, then: Pose | None, camera: Camera,
+    world_from_anchor: Pose, reach_m: float,
+) -> np.ndarray:  # fmt: skip
+    """The steps back, near the anchor those of points of its plane."""
+    if now is None or then is None:
+        return back
+    anchor_from_camera = (now @ world_from_anchor).inverse()
+    eye, d = anchor_from_camera.translation_m, rays @ anchor_from_camera.rotation.T
+    far = divide(np.full(d.shape[:-1], -eye[2]), d[..., 2], where_zero=np.nan)
+    on_plane = eye + d * np.where(far > 0, far, np.nan)[..., None]
+    distance = np.linalg.norm(on_plane[..., :2], axis=-1)
+    before = camera.project((then @ world_from_anchor).apply(np.nan_to_num(on_plane)))
+    step = before - np.stack([gx, gy], -1)
+    known = np.isfinite(distance) & np.isfinite(step).all(-1)
+    share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[..., None]
+    out: np.ndarray = back + share * (np.nan_to_num(step) - back)
+    return out
+
+
+def relaxed(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The field without folds and a little straighter. Linear fields stay as they are."""
+    u, v = u + _RELAX * _bend(u), v + _RELAX * _bend(v)
+    for _ in range(40):
+        det = np.stack(determinants(u, v))
+        if det.min() > _LEAST_DET * max(float(np.median(det)), 1e-6):
+            return u, v
+        u, v = u + 0.5 * _bend(u), v + 0.5 * _bend(v)
+    return _straight(u), _straight(v)
+
+
+def _bend(a: np.ndarray) -> np.ndarray:
+    """How much the mean of a node's neighbours differs from it; at the border only along it, at corners nothing."""
+    out = np.zeros_like(a)
+    out[:, 1:-1] += (a[:, :-2] + a[:, 2:]) / 2 - a[:, 1:-1]
+    out[1:-1] += (a[:-2] + a[2:]) / 2 - a[1:-1]
+    return out / 2
+
+
+def _straight(a: np.ndarray) -> np.ndarray:
+    """The plane through a."""
+    y, x = np.indices(a.shape)
+    terms = np.stack([np.ones(a.size), x.ravel(), y.ravel()], -1)
+    fit, *_ = np.linalg.lstsq(terms, a.ravel(), rcond=None)
+    out: np.ndarray = (terms @ fit).reshape(a.shape)
+    return out
+
+
+def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the two triangles of every quad, in units of GRID_PX^2: how many px of the thing lie in one of the picture."""
+    a = (u[:-1, 1:] - u[:-1, :-1]) * (v[1:, :-1] - v[:-1, :-1]) - (v[:-1, 1:] - v[:-1, :-1]) * (u[1:, :-1] - u[:-1, :-1])
+    b = (u[1:, 1:] - u[1:, :-1]) * (v[1:, 1:] - v[:-1, 1:]) - (v[1:, 1:] - v[1:, :-1]) * (u[1:, 1:] - u[:-1, 1:])
+    return a / GRID_PX**2, b / GRID_PX**2
+
+
+def _document(number: int, gx: np.ndarray, gy: np.ndarray, u: np.ndarray, v: np.ndarray, pose: Pose | None) -> Mapping[str, Any]:
+    whole = np.round(np.stack([u, v]) * 16).astype(np.int64)
+    steps = np.diff(whole, axis=2, prepend=0).astype("<i4")
+    return {
+        "set": number, "pitch": GRID_PX, "origin": [int(gx[0, 0]), int(gy[0, 0])], "shape": list(u.shape),
+        "nodes": base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 6)).decode(),
+        "pose": None if pose is None else pose.to_json(),
+    }  # fmt: skip

@@ -1,0 +1,234 @@
+"""Lines: edges in RGB and YUV as printed, and the same as soft thin lines that hold still.
+
+As printed: Edge_YUV = (1 - a) |grad Y| + a (|grad U| + |grad V|) / 2, Edge_RGB = (|grad R| + |grad G| + |grad B|) / 3,
+an edge where b Edge_YUV + (1 - b) Edge_RGB exceeds a threshold; grad is the difference along x and y.
+Corrected: the same measure on a smoothed picture of half the size, only its ridges (line width in px), faded in between two
+thresholds, kept where a line is strong somewhere (hysteresis). Edges of the virtual object also come from its coverage,
+normals and depth. Cost: O(pixels). Source: SYSTEMS.md S3 steps 4 and 5, (2) to (4).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numba
+import numpy as np
+
+from arfx.core.colour import LUMA_COEFFICIENTS
+from arfx.stages.watercolor.bands import by_bands
+
+_FAST = {"contract", "nsz", "arcp"}
+
+
+def yuv_matrix(name: str = "bt601") -> np.ndarray:
+    """(3, 3) float64 analogue Y'UV of R'G'B': U = .492 (B' - Y'), V = .877 (R' - Y')."""
+    kr, kb = LUMA_COEFFICIENTS[name]
+    y = np.array([kr, 1 - kr - kb, kb])
+    return np.stack([y, 0.492 * (np.array([0.0, 0, 1]) - y), 0.877 * (np.array([1.0, 0, 0]) - y)])
+
+
+def printed_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601") -> np.ndarray:
+    """(h, w) float32, (2) to (4) without the threshold. coded : (h, w, 3) R'G'B' 0..1; differences to the next pixel."""
+    yuv = (coded @ yuv_matrix(matrix).T.astype(coded.dtype)).astype(np.float32)
+    strength = _difference(np.asarray(coded, np.float32)), _difference(yuv)
+    rgb = strength[0].mean(-1)
+    of_yuv = (1 - alpha) * strength[1][..., 0] + alpha * strength[1][..., 1:].mean(-1)
+    out: np.ndarray = (beta * of_yuv + (1 - beta) * rgb).astype(np.float32)
+    return out
+
+
+def _difference(a: np.ndarray) -> np.ndarray:
+    """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind the border."""
+    dx, dy = np.zeros_like(a), np.zeros_like(a)
+    dx[:, :-1] = np.diff(a, axis=1)
+    dy[:-1] = np.diff(a, axis=0)
+    out: np.ndarray = np.sqrt(dx * dx + dy * dy)
+    return out
+
+
+def halved(image: np.ndarray) -> np.ndarray:
+    """(ceil(h / 2), ceil(w / 2), 3) float32 square roots (near to coded values) of the means of 2 x 2 pixels."""
+    h, w = image.shape[:2]
+    out = np.empty(((h + 1) // 2, (w + 1) // 2, 3), np.float32)
+    by_bands(lambda a, b: _halve(image, a, b, out), out.shape[0])
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _halve(image, ya, yb, out):  # pragma: no cover - compiled
+    h, w = image.shape[:2]
+    quarter, zero, one = np.float32(0.25), np.float32(0), np.float32(1)
+    for j in range(ya, yb):
+        y0, y1 = 2 * j, min(2 * j + 1, h - 1)
+        for i in range(w // 2):
+            for c in range(3):
+                s = image[y0, 2 * i, c] + image[y0, 2 * i + 1, c] + image[y1, 2 * i, c] + image[y1, 2 * i + 1, c]
+                out[j, i, c] = np.sqrt(min(max(s * quarter, zero), one))
+        if w % 2:
+            for c in range(3):
+                s = (image[y0, w - 1, c] + image[y1, w - 1, c]) * np.float32(0.5)
+                out[j, w // 2, c] = np.sqrt(min(max(s, zero), one))
+
+
+def line_strength(
+    image: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
+    virtual: np.ndarray | None = None, matrix: str = "bt601",
+) -> np.ndarray:  # fmt: skip
+    """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1.
+
+    image : (h, w, 3) linear;  low, high : of the printed measure per px of the full picture: below low there is no line,
+    a line that nowhere reaches high fades out;  width_px, smooth_px : of the full picture
+    virtual : of `virtual_edges`, on the same half-size grid
+    """
+    small = halved(image)
+    sigma = max(smooth_px / 2, 0.3)
+    small = cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE).reshape(small.shape)
+    h, w = image.shape[0] + 1 >> 1, image.shape[1] + 1 >> 1
+    measure, dx, dy = (np.empty((h, w), np.float32) for _ in range(3))
+    luma = yuv_matrix(matrix).astype(np.float32)
+    by_bands(lambda a, b: _measure(small, luma, np.float32(alpha), np.float32(beta), a, b, measure, dx, dy), h)
+    if virtual is not None and virtual.size:
+        _add_virtual(measure, dx, dy, virtual, np.float32(high))
+    line = np.zeros((h, w), np.float32)
+    weak = np.zeros((h, w), np.uint8)
+    offset = np.float32(max(width_px / 2, 0.75))
+    by_bands(lambda a, b: _ridge(measure, dx, dy, offset, np.float32(low), np.float32(high), a, b, line, weak), h)
+    count, parts = cv2.connectedComponents(weak, connectivity=8, ltype=cv2.CV_32S)
+    _hysteresis(measure, parts, count, np.float32(low), np.float32(high), line)
+    return line
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _measure(small, luma, alpha, beta, ya, yb, measure, dx, dy):  # pragma: no cover - compiled
+    """The printed measure from central differences, per px of this grid, and the direction across the edge."""
+    h, w = small.shape[:2]
+    half, third = np.float32(0.5), np.float32(1.0 / 3.0)
+    for y in range(ya, yb):
+        up, down = max(y - 1, 0), min(y + 1, h - 1)
+        for x in range(w):
+            left, right = max(x - 1, 0), min(x + 1, w - 1)
+            ax, ay = (small[y, right, 0] - small[y, left, 0]) * half, (small[down, x, 0] - small[up, x, 0]) * half
+            bx, by = (small[y, right, 1] - small[y, left, 1]) * half, (small[down, x, 1] - small[up, x, 1]) * half
+            cx, cy = (small[y, right, 2] - small[y, left, 2]) * half, (small[down, x, 2] - small[up, x, 2]) * half
+            a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)
+            yx = luma[0, 0] * ax + luma[0, 1] * bx + luma[0, 2] * cx
+            yy = luma[0, 0] * ay + luma[0, 1] * by + luma[0, 2] * cy
+            ux = luma[1, 0] * ax + luma[1, 1] * bx + luma[1, 2] * cx
+            uy = luma[1, 0] * ay + luma[1, 1] * by + luma[1, 2] * cy
+            vx = luma[2, 0] * ax + luma[2, 1] * bx + luma[2, 2] * cx
+            vy = luma[2, 0] * ay + luma[2, 1] * by + luma[2, 2] * cy
+            of_y, of_u, of_v = np.sqrt(yx * yx + yy * yy), np.sqrt(ux * ux + uy * uy), np.sqrt(vx * vx + vy * vy)
+            of_yuv = (np.float32(1) - alpha) * of_y + alpha * half * (of_u + of_v)
+            measure[y, x] = beta * of_yuv + (np.float32(1) - beta) * third * (a + b + c)
+            # across: the strongest channel's
+            gx, gy, most = ax, ay, a
+            if b > most:
+                gx, gy, most = bx, by, b
+            if c > most:
+                gx, gy, most = cx, cy, c
+            scale = np.float32(1) / most if most > np.float32(1e-6) else np.float32(0)
+            dx[y, x], dy[y, x] = gx * scale, gy * scale
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _ridge(measure, dx, dy, offset, low, high, ya, yb, line, weak):  # pragma: no cover - compiled
+    """Strength of lines before hysteresis: high where the measure is larger than `offset` px to both sides."""
+    _h, w = measure.shape
+    one, zero = np.float32(1), np.float32(0)
+    for y in range(ya, yb):
+        for x in range(w):
+            e = measure[y, x]
+            if e <= low:
+                continue
+            ox, oy = dx[y, x] * offset, dy[y, x] * offset
+            other = max(_at(measure, x + ox, y + oy), _at(measure, x - ox, y - oy))
+            ridge = min(max(np.float32(0.8) + (e - other) / (np.float32(0.35) * e), zero), one)
+            t = min((e - low) / max(high - low, np.float32(1e-6)), one)
+            line[y, x] = ridge * t * t * (np.float32(3) - np.float32(2) * t)
+            weak[y, x] = ridge > np.float32(0.25)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _at(a, x, y):  # pragma: no cover - compiled
+    h, w = a.shape
+    x, y = min(max(x, np.float32(0)), np.float32(w - 1)), min(max(y, np.float32(0)), np.float32(h - 1))
+    i, j = np.int32(x), np.int32(y)
+    s, t = x - np.float32(i), y - np.float32(j)
+    k, m = min(i + 1, w - 1), min(j + 1, h - 1)
+    top = a[j, i] + s * (a[j, k] - a[j, i])
+    bottom = a[m, i] + s * (a[m, k] - a[m, i])
+    return top + t * (bottom - top)
+
+
+@numba.njit(cache=True, nogil=True)
+def _hysteresis(measure, parts, count, low, high, line):  # pragma: no cover - compiled
+    """Fade each connected line by how far its strongest point gets from low to high."""
+    most = np.zeros(count, np.float32)
+    h, w = measure.shape
+    for y in range(h):
+        for x in range(w):
+            k = parts[y, x]
+            if k > 0:
+                most[k] = max(most[k], measure[y, x])
+    for k in range(count):
+        t = min(max((most[k] - low) / max(high - low, np.float32(1e-6)), np.float32(0)), np.float32(1))
+        most[k] = t * t * (np.float32(3) - np.float32(2) * t)
+    most[0] = np.float32(0)
+    for y in range(h):
+        for x in range(w):
+            if line[y, x] > 0:
+                line[y, x] *= most[parts[y, x]]
+
+
+def virtual_edges(coverage: np.ndarray, normal: np.ndarray, depth: np.ndarray, opacity: float) -> np.ndarray:
+    """(ceil(h / 2), ceil(w / 2)) float32, 0..1: silhouettes from coverage and depth, creases from normals.
+
+    coverage (h, w), normal (h, w, 3), depth (h, w) metres; a depth that is not finite is none
+    """
+    out = np.zeros(((coverage.shape[0] + 1) // 2, (coverage.shape[1] + 1) // 2), np.float32)
+    if opacity > 0 and coverage.any():
+        _virtual(coverage, normal, depth, np.float32(opacity), out)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _virtual(coverage, normal, depth, opacity, out):  # pragma: no cover - compiled
+    h, w = coverage.shape
+    zero, one = np.float32(0), np.float32(1)
+    for j in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            y, x = 2 * j, 2 * i
+            best = zero
+            for m in range(2):
+                y2, x2 = (y, min(x + 2, w - 1)) if m == 0 else (min(y + 2, h - 1), x)
+                a, b = coverage[y, x], coverage[y2, x2]
+                if a <= zero and b <= zero:
+                    continue
+                e = abs(a - b)
+                if a > zero and b > zero:
+                    dot = zero
+                    for c in range(3):
+                        dot += normal[y, x, c] * normal[y2, x2, c]
+                    # a crease of 60 degrees counts as a whole edge
+                    e = max(e, min(max((np.float32(0.95) - dot) * np.float32(2.2), zero), one) * min(a, b))
+                    za, zb = depth[y, x], depth[y2, x2]
+                    if np.isfinite(za) and np.isfinite(zb) and za > 0 and zb > 0:
+                        jump = abs(za - zb) / min(za, zb)
+                        e = max(e, min(max((jump - np.float32(0.03)) * np.float32(20), zero), one) * min(a, b))
+                best = max(best, e)
+            out[j, i] = min(best * opacity, one)
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_virtual(measure, dx, dy, virtual, high):  # pragma: no cover - compiled
+    """Let edges of the object count as lines of strength `high`, across their own gradient."""
+    h, w = measure.shape
+    for y in range(h):
+        for x in range(w):
+            e = virtual[y, x] * high * np.float32(1.5)
+            if e > measure[y, x]:
+                gx = virtual[y, min(x + 1, w - 1)] - virtual[y, max(x - 1, 0)]
+                gy = virtual[min(y + 1, h - 1), x] - virtual[max(y - 1, 0), x]
+                n = np.sqrt(gx * gx + gy * gy)
+                if n > np.float32(1e-3):
+                    dx[y, x], dy[y, x] = gx / n, gy / n
+                measure[y, x] = e

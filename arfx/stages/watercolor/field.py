@@ -1,0 +1,77 @@
+"""Where the sites of a frame come from: the field of its facts, or a still one whose cells are finer where the plane is near.
+
+The facts hold it as {"set", "pitch", "origin", "shape", "nodes", "pose"} (written by arfx.analyse.flow): nodes is base64 of
+zlib of int32 [u, v] in 1/16 px, each the difference to the node before it in its row; pose is camera_from_world of the
+frame for which the set was made, null where there is none.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from functools import lru_cache
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+from arfx.core.scene import Scene
+from arfx.stages.watercolor.sites import GRID_PX, Field, still_field
+
+FACT = "watercolor"
+_FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may give
+
+
+def pad_px(cell_px: float) -> int:
+    """How far outside the picture sites are still needed."""
+    return int(np.ceil(4 * _COARSEST * cell_px)) + GRID_PX
+
+
+def frame_field(
+    facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool
+) -> tuple[Field, Pose | None]:
+    """The field, and the pose that goes with it: the same as long as the set of sites is."""
+    camera, pose = scene.camera, facts.camera_from_world
+    found = facts.extra.get(FACT) if anchored else None
+    if found is None or found["pitch"] != GRID_PX:
+        field = _still(camera.width, camera.height, cell_px, pad_px(cell_px))
+    else:
+        x0, y0 = found["origin"]
+        gh, gw = found["shape"]
+        u, v = decoded(found["nodes"], gh, gw)
+        field = Field(x0, y0, u, v, np.full((gh, gw), cell_px))
+        pose = None if found["pose"] is None else Pose.from_json(found["pose"])
+    if pose is not None and nearer_finer > 0:
+        field = Field(field.x0, field.y0, field.u, field.v, field.size * depth_factor(field, camera, pose, scene, nearer_finer))
+    return field, pose
+
+
+@lru_cache(maxsize=4)
+def _still(width: int, height: int, cell_px: float, pad: int) -> Field:
+    return still_field(width, height, cell_px, pad)
+
+
+def decoded(text: str, gh: int, gw: int) -> tuple[np.ndarray, np.ndarray]:
+    """(u, v) (gh, gw) float64, px."""
+    steps = np.frombuffer(zlib.decompress(base64.b64decode(text)), "<i4").reshape(2, gh, gw)
+    u, v = np.cumsum(steps.astype(np.int64), axis=2) / 16.0
+    return u, v
+
+
+def depth_factor(field: Field, camera: Camera, pose: Pose, scene: Scene, strength: float) -> np.ndarray:
+    """(gh, gw) factor on the size of cells: (depth of the marker's plane / depth of the marker) ^ strength, within bounds.
+
+    Where the plane is not seen it is taken for far.
+    """
+    camera_from_anchor = pose @ scene.world_from_anchor
+    normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
+    gh, gw = field.u.shape
+    x, y = np.meshgrid(field.x0 + GRID_PX * np.arange(gw), field.y0 + GRID_PX * np.arange(gh))
+    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(x.shape)], -1)
+    depth = divide(float(normal @ at), rays @ normal, where_zero=np.inf)
+    ratio = np.where(depth > 0, divide(depth, max(float(at[2]), 1e-6), where_zero=np.inf), np.inf)
+    low, high = (b ** (1 / strength) for b in (_FINEST, _COARSEST))
+    out: np.ndarray = np.clip(ratio, low, high) ** strength
+    return out

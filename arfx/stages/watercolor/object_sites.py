@@ -1,0 +1,98 @@
+"""Sites on the model's surface: they move with it, whatever it does.
+
+The surface is strewn with points once; a point's importance is the coarsest level of a nested grid in space at which it is
+still its cell's first (SYSTEMS.md S3: sites anchored to what they lie on). Each picture takes those that the wanted density
+calls for. Cost: O(points) per set. Leaves out: which points other parts of the model hide; they add cells where they lie.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
+from arfx.core.pose import Pose
+from arfx.core.scene import Scene
+from arfx.stages.watercolor.sites import FADE, STEPS, Sites
+
+POINTS = 16000
+_LEVELS = 9
+_GRAZING = 0.2  # cosine to the viewer below which a point fades: it is about to turn away
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """points, normals (n, 3) WORLD, metres;  importance (n,) log2 of the cell size in metres up to which a point counts
+    extent_m : largest side of the model"""
+
+    points: np.ndarray
+    normals: np.ndarray
+    importance: np.ndarray
+    extent_m: float
+
+
+def surface_of(scene: Scene, seed: int) -> Surface:
+    vertices = scene.model_points_m
+    faces, start = [], 0
+    for part in scene.model.parts:
+        faces.append(part.faces + start)
+        start += len(part.vertices)
+    corner = vertices[np.concatenate(faces)]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(across, axis=1)
+    extent = float(max(np.ptp(vertices, axis=0).max(), 1e-6))
+    if not area.sum() > 0:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), extent)
+    rng = np.random.default_rng([seed, 0x0B1E])
+    at = np.searchsorted(np.cumsum(area) / area.sum(), rng.random(POINTS)).clip(0, len(area) - 1)
+    s, t = rng.random((2, POINTS))
+    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
+    points = corner[at, 0] + s[:, None] * (corner[at, 1] - corner[at, 0]) + t[:, None] * (corner[at, 2] - corner[at, 0])
+    return Surface(points, normalise(across[at]), _importance(points, extent), extent)
+
+
+def _importance(points: np.ndarray, extent: float) -> np.ndarray:
+    """log2 metres. The lowest number in a cell is its first; it is the first of one of the cell's parts as well."""
+    finest = np.log2(extent) - _LEVELS + 1
+    out = np.full(len(points), finest - 1.0)
+    first = np.arange(len(points))
+    low = points.min(0) - 0.137 * extent
+    for level in range(_LEVELS + 1):
+        cell = np.floor((points[first] - low) / 2.0 ** (finest + level)).astype(np.int64)
+        _, inverse = np.unique(cell, axis=0, return_inverse=True)
+        inverse = inverse.ravel()
+        order = np.lexsort((first, inverse))
+        begins = np.flatnonzero(np.r_[True, np.diff(inverse[order]) != 0])
+        many = np.diff(np.r_[begins, len(order)])
+        rank = np.arange(len(order)) - np.repeat(begins, many)
+        # of k parts that hold a point, the one of rank r appears where the cell should hold r + 1/2 of them
+        share = np.repeat(np.maximum(many, 2), many)
+        out[first[order]] = finest + level - np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(share)
+        first = np.sort(first[order[begins]])
+    out[first] = np.inf
+    return out
+
+
+def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell_px: float, flow_px: float) -> Sites:
+    """Sites of the points that face the camera, at about one per cell_px^2. Places u, v are in px at which the model is
+    four wavelengths of the flow wide, whatever its size in the picture."""
+    depth = surface.points @ camera_from_world.rotation[2] + camera_from_world.translation_m[2]
+    eye = camera_from_world.inverse().translation_m
+    towards = eye - surface.points
+    facing = (towards * surface.normals).sum(1)
+    wanted = np.log2(np.maximum(depth, EPS_DEPTH_M) * (cell_px / camera.fx))
+    keep = np.flatnonzero((depth > EPS_DEPTH_M) & (facing > 0) & (surface.importance > wanted - FADE))
+    pixel = camera.project(camera_from_world.apply(surface.points[keep]))
+    cosine = divide(facing[keep], np.linalg.norm(towards[keep], axis=1))
+    share = np.clip((surface.importance[keep] - wanted[keep]) / FADE + 0.5, 0, 1) * np.clip(cosine / _GRAZING, 0, 1)
+    seen = (share > 0) & np.isfinite(pixel).all(1)
+    keep, share, pixel = keep[seen], share[seen], pixel[seen]
+    place = np.round(np.clip(pixel, -1e5, 1e5) * STEPS).astype(np.float32)
+    weight = -np.round((1 - share) * (1.2 * cell_px * STEPS) ** 2).astype(np.float32)
+    q = surface.points[keep] * (4 * flow_px / surface.extent_m)
+    u, v = (q[:, 0] + 0.6 * q[:, 2]).astype(np.float32), (q[:, 1] + 0.4 * q[:, 2]).astype(np.float32)
+    return Sites(
+        np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1]), weight, keep.astype(np.int64), u, v
+    )  # fmt: skip

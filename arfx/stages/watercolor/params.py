@@ -1,0 +1,90 @@
+"""Settings of the stage watercolor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.colour import LUMA_COEFFICIENTS
+from arfx.errors import ConfigError
+
+# (name, least, most) of every number
+_RANGES = (
+    ("cell_px", 0.5, 4096), ("nearer_finer", 0, 1), ("wash", 0, 1), ("lightness", 0, 2), ("deepest", 0, 0.5),
+    ("saturation", 0, 3), ("lines", 0, 1),
+    ("line_width_px", 0.5, 16), ("line_low", 0, 1), ("line_high", 0, 2), ("line_smooth_px", 0, 10), ("line_threshold", 0, 2),
+    ("alpha", 0, 1), ("beta", 0, 1), ("edge_darkening", 0, 1), ("wobble_px", 0, 8), ("flow", 0, 1), ("flow_px", 8, 4096),
+    ("grain", 0, 1), ("grain_px", 1, 32), ("dry_brush", 0, 2),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class WatercolorParams:
+    """formula : corrected, or paper: as printed, new jitter every frame, cells told apart by colour, hard edges
+    cell_px : size of a cell, px of the picture
+    nearer_finer : how strongly cells shrink with nearness on the marker's plane; 0 = all alike, 1 = in proportion
+    anchored : cells follow what they lie on; false = they stay on the screen
+    wash : how far alike neighbours run into one wash, 0 = plain cells, 1 = large washes
+    lightness : thins the paint, so that the paper shows, 0 = the picture's own;  saturation : factor on colourfulness
+    deepest : coded value of the darkest wash: none is black
+    toon : three flat tones on the virtual object
+    toon_thresholds, toon_factors : cosines between normal and light, and the tones above, between and below them
+    lines : opacity of lines, 0 = none;  ink_rgb : their linear colour
+    line_width_px, line_smooth_px : width of lines, and how much the picture is smoothed before they are looked for
+    line_low, line_high : no line below, a whole one above, coded value per px;  line_threshold : of the paper's edges
+    alpha, beta : share of U and V in the edges of YUV; share of YUV in all edges
+    yuv : matrix of Y'UV: bt601, bt709
+    pigment : the five settings below are used; false = flat cells
+    edge_darkening : pigment left at the border of a wash;  flow, flow_px : slow turbulence and its size
+    wobble_px : how far a border strays;  grain, grain_px : the paper's grain;  dry_brush : grain in lines
+    """
+
+    formula: str = "corrected"
+    cell_px: float = 7.0
+    nearer_finer: float = 0.5
+    anchored: bool = True
+    wash: float = 0.6
+    lightness: float = 0.25
+    deepest: float = 0.12
+    saturation: float = 1.15
+    toon: bool = True
+    toon_thresholds: tuple[float, float] = (0.5, 0.2)
+    toon_factors: tuple[float, float, float] = (1.0, 0.4, 0.1)
+    lines: float = 0.6
+    ink_rgb: tuple[float, float, float] = (0.03, 0.025, 0.035)
+    line_width_px: float = 2.0
+    line_smooth_px: float = 2.0
+    line_low: float = 0.02
+    line_high: float = 0.06
+    line_threshold: float = 0.12
+    alpha: float = 0.5
+    beta: float = 0.5
+    yuv: str = "bt601"
+    pigment: bool = True
+    edge_darkening: float = 0.45
+    flow: float = 0.22
+    flow_px: float = 160.0
+    wobble_px: float = 1.5
+    grain: float = 0.3
+    grain_px: float = 2.0
+    dry_brush: float = 0.7
+
+    def __post_init__(self) -> None:
+        if self.formula not in ("corrected", "paper"):
+            raise ConfigError(f"watercolor.formula {self.formula!r} is unknown", "one of corrected, paper")
+        for name, least, most in _RANGES:
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ConfigError(f"watercolor.{name} must be between {least:g} and {most:g}, is {value:g}")
+        if self.yuv not in LUMA_COEFFICIENTS:
+            raise ConfigError(f"watercolor.yuv {self.yuv!r} is unknown", "one of " + ", ".join(LUMA_COEFFICIENTS))
+        if self.line_high < self.line_low:
+            raise ConfigError(f"watercolor.line_high must not be below line_low ({self.line_low:g}), is {self.line_high:g}")
+        upper, lower = self.toon_thresholds
+        if not -1 <= lower <= upper <= 1:
+            raise ConfigError(f"watercolor.toon_thresholds must fall and lie in -1..1, are {upper:g}, {lower:g}")
+        for name in ("toon_factors", "ink_rgb"):
+            values = np.asarray(getattr(self, name), float)
+            if not (np.isfinite(values).all() and (values >= 0).all() and (values <= 1).all()):
+                raise ConfigError(f"watercolor.{name} must lie in 0..1, are {', '.join(f'{v:g}' for v in values)}")

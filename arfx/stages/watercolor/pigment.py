@@ -1,0 +1,190 @@
+"""Pigment: how thick the paint lies, and what colour that makes: C' = C (1 - (1 - C) (d - 1)), d = 1 as it is.
+
+Thickness varies with a slow turbulence (carried with the sites, it belongs to the wash), with the paper's grain (fixed to
+the paper) and towards the border of a wash, where water leaves its pigment. Cost: O(pixels).
+Source: Bousseau et al. 2006 by way of SYSTEMS.md S3 ("pigment"). Leaves out: wet-in-wet flow, drips, white gaps.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.watercolor.labels import SOLID, Labels
+from arfx.stages.watercolor.sites import STEPS
+
+PAPER_PX = 512  # side of the paper's texture, repeated
+_FAST = {"contract", "nsz", "arcp"}
+
+
+def density(colour: np.ndarray, d: np.ndarray | float) -> np.ndarray:
+    """Linear colour 0..1 under pigment of density d; 1 leaves it, more darkens, white stays white."""
+    out: np.ndarray = colour * (1 - (1 - colour) * (np.asarray(d) - 1))
+    return out
+
+
+def smooth_noise(side: int, wavelength_px: float, rng: np.random.Generator) -> np.ndarray:
+    """(side, side) float64 band of noise that repeats without a seam, variance 1; made in the frequency domain."""
+    spectrum = np.fft.rfft2(rng.standard_normal((side, side)))
+    fy, fx = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]
+    f = np.hypot(fx, fy) * wavelength_px
+    picture = np.fft.irfft2(spectrum * f * np.exp(-f * f), (side, side))
+    made: np.ndarray = picture / max(float(picture.std()), 1e-12)
+    return made
+
+
+def paper_grain(seed: int, grain_px: float) -> np.ndarray:
+    """(PAPER_PX, PAPER_PX) float32 height of the paper, -1..1, about .4 rms: bumps of `grain_px` on a slower felt."""
+    rng = np.random.default_rng([seed, 0x9A9E])
+    h = 0.8 * smooth_noise(PAPER_PX, grain_px * 2, rng) + 0.5 * smooth_noise(PAPER_PX, grain_px * 5, rng)
+    out: np.ndarray = np.tanh(0.45 * h).astype(np.float32)
+    return out
+
+
+def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float) -> np.ndarray:
+    """(2, PAPER_PX, PAPER_PX) float32 displacement, in whole 1/STEPS px, that repeats without a seam."""
+    rng = np.random.default_rng([seed, 0x30BB])
+    tile = np.stack([smooth_noise(PAPER_PX, wavelength_px, rng) for _ in range(2)])
+    out: np.ndarray = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.float32)
+    return out
+
+
+def laid_out(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> np.ndarray:
+    """(..., height, width) of a repeated tile (..., n, n), from (x0, y0) of it on."""
+    side = tile.shape[-1]
+    start = x0 % side
+    wide = np.concatenate([tile] * (-(-(start + width) // side)), axis=-1)[..., start : start + width]
+    return np.ascontiguousarray(wide[..., np.arange(y0, y0 + height) % side, :])
+
+
+def turbulence(u: np.ndarray, v: np.ndarray, seed: int, wavelength_px: float) -> np.ndarray:
+    """(n,) float32 slow noise at places (u, v), px, about -1..1: three octaves from `wavelength_px` down."""
+    return np.asarray(_turbulence(u, v, np.uint32(seed & 0xFFFFFFFF), np.float32(1 / wavelength_px)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _turbulence(u, v, seed, frequency):  # pragma: no cover - compiled
+    out = np.zeros(u.shape[0], np.float32)
+    for k in range(u.shape[0]):
+        f, a, total = np.float64(frequency), 1.0, 0.0
+        for octave in range(3):
+            x, y = u[k] * f, v[k] * f
+            i, j = np.int64(np.floor(x)), np.int64(np.floor(y))
+            s, t = x - i, y - j
+            s, t = s * s * (3 - 2 * s), t * t * (3 - 2 * t)
+            n00, n10 = _lattice(seed, i, j, octave), _lattice(seed, i + 1, j, octave)
+            n01, n11 = _lattice(seed, i, j + 1, octave), _lattice(seed, i + 1, j + 1, octave)
+            total += a * ((n00 + s * (n10 - n00)) * (1 - t) + (n01 + s * (n11 - n01)) * t)
+            f, a = 2 * f, 0.6 * a
+        out[k] = total
+    return out
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _lattice(seed, i, j, octave):  # pragma: no cover - compiled
+    """-1..1 at a node of the noise (murmur finaliser)."""
+    z = np.uint64(seed) + np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
+    z += np.uint64(octave) * np.uint64(0x165667B19E3779F9)
+    z = (z ^ (z >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
+    z = (z ^ (z >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)
+    return np.float64(z >> np.uint64(40)) / float(1 << 23) - 1.0
+
+
+def paint(
+    labels: Labels, image: np.ndarray, plain: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray,
+    line: np.ndarray, scale: int, strengths: np.ndarray, ink_rgb: np.ndarray, x0: int, y0: int,
+) -> np.ndarray:  # fmt: skip
+    """(h, w, 3) float32 linear: the picture.
+
+    image (h, w, 3) : linear, what is painted;  plain (n, 3) : square roots of the cells' means
+    root (n, 3) : square roots of the colours to paint them in;  flow (n,) : their turbulence
+    grain : of `paper_grain`;  line (ceil(h / scale), ceil(w / scale)) : strength of lines, 0..1; empty = none
+    strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
+    ink_rgb (3,) : linear colour of lines;  x0, y0 : of the first pixel in the frame, to anchor the paper
+    """
+    h, w = labels.first.shape
+    out = np.empty((h, w, 3), np.float32)
+
+    def one(a: int, b: int) -> None:
+        _paint(
+            image, labels.first, labels.second, labels.inside, plain, root, flow, grain, line, scale, strengths, ink_rgb,
+            x0, y0, a, b, out,
+        )  # fmt: skip
+
+    by_bands(one, h)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _paint(
+    image, first, second, inside, mean, root, flow, grain, line, scale, strengths, ink, x0, y0, ya, yb, out
+):  # pragma: no cover - compiled
+    w = first.shape[1]
+    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    dark, contrast, much_flow, much_grain, opacity, dry = strengths
+    sharp = one / contrast
+    lh, lw = line.shape
+    lines = np.zeros(w, np.float32)
+    row = np.zeros(max(lw, 1), np.float32)
+    flat = dark == zero and much_flow == zero and much_grain == zero
+    for y in range(ya, yb):
+        if lh > 0:
+            _line_row(line, y, scale, row, lines)
+        gy = (y0 + y) & (PAPER_PX - 1)
+        for x in range(w):
+            a, near = first[y, x], inside[y, x]
+            r, g, b = root[a, 0], root[a, 1], root[a, 2]
+            height = grain[gy, (x0 + x) & (PAPER_PX - 1)]
+            d = zero
+            if not flat:
+                d = much_flow * flow[a]
+                if near < SOLID:
+                    k = second[y, x]
+                    r2, g2, b2 = root[k, 0], root[k, 1], root[k, 2]
+                    t = one - np.float32(near) * np.float32(1.0 / SOLID)
+                    t *= t
+                    apart = min((abs(r - r2) + abs(g - g2) + abs(b - b2)) * sharp, one)
+                    apart = apart * apart
+                    # alike cells run into each other, unlike ones keep their border, darker towards it
+                    mix = half * t * (one - apart)
+                    if apart > np.float32(0.003):
+                        # ... which follows the picture: of the two colours the pixel takes the one that is like it
+                        pr, pg, pb = _root(image[y, x, 0]), _root(image[y, x, 1]), _root(image[y, x, 2])
+                        e1 = (pr - mean[a, 0]) ** 2 + (pg - mean[a, 1]) ** 2 + (pb - mean[a, 2]) ** 2
+                        e2 = (pr - mean[k, 0]) ** 2 + (pg - mean[k, 1]) ** 2 + (pb - mean[k, 2]) ** 2
+                        like = e1 / (e1 + e2 + np.float32(1e-6))
+                        like = min(max((like - half) * np.float32(3) + half * t, zero), one)
+                        mix += apart * min(np.float32(3) * t, one) * like
+                    r, g, b = r + mix * (r2 - r), g + mix * (g2 - g), b + mix * (b2 - b)
+                    d += half * t * much_flow * (flow[k] - flow[a]) + dark * apart * t
+                d += much_grain * height
+            r, g, b = r * r, g * g, b * b
+            r, g, b = r * (one - (one - r) * d), g * (one - (one - g) * d), b * (one - (one - b) * d)
+            if lh > 0:
+                s = min(max(lines[x] * (one + dry * height), zero), one) * opacity
+                r, g, b = r + s * (ink[0] - r), g + s * (ink[1] - g), b + s * (ink[2] - b)
+            out[y, x, 0], out[y, x, 1], out[y, x, 2] = max(r, zero), max(g, zero), max(b, zero)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _root(v):  # pragma: no cover - compiled
+    return np.sqrt(min(max(v, np.float32(0)), np.float32(1)))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _line_row(line, y, scale, row, lines):  # pragma: no cover - compiled
+    """One row of the picture's lines, bilinear between the centres of the coarser pixels."""
+    lh, lw = line.shape
+    one, half = np.float32(1), np.float32(0.5)
+    step = one / np.float32(scale)
+    v = min(max((np.float32(y) + half) * step - half, np.float32(0)), np.float32(lh - 1))
+    j = np.int64(v)
+    k = min(j + 1, lh - 1)
+    t = v - np.float32(j)
+    for x in range(lw):
+        row[x] = line[j, x] + t * (line[k, x] - line[j, x])
+    for x in range(lines.shape[0]):
+        u = min(max((np.float32(x) + half) * step - half, np.float32(0)), np.float32(lw - 1))
+        i = np.int64(u)
+        lines[x] = row[i] + (u - np.float32(i)) * (row[min(i + 1, lw - 1)] - row[i])

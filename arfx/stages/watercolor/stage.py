@@ -1,0 +1,262 @@
+"""Watercolor: real and virtual become one painting of washes, lines, pigment and paper.
+
+1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact mean of its pixels;
+3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour, silhouette or crease are strong.
+Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
+and gives the same bits. Cost: O(pixels). Memory: about 120 bytes a pixel while a frame is painted, 68 of them the layers that
+it reads (4 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
+Levels: draft has coarser cells by chamfer distance, reference float64 labels by other means; high is standard so far.
+Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.stages.lightmap.stage import Kept
+from arfx.stages.watercolor.cells import means, neighbours, neighbours_within, toned, washed
+from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
+from arfx.stages.watercolor.digest import digest
+from arfx.stages.watercolor.edges import line_strength, virtual_edges
+from arfx.stages.watercolor.field import frame_field
+from arfx.stages.watercolor.labels import Labels, label, merged
+from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
+from arfx.stages.watercolor.params import WatercolorParams
+from arfx.stages.watercolor.pigment import laid_out, paint, paper_grain, turbulence, wobble_tile
+from arfx.stages.watercolor.printed import printed
+from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, sites_of
+from arfx.stages.watercolor.toon import toon, toon_light
+
+PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
+BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
+_KEPT_SETS, _KEPT_PICTURES = 3, 2
+_LARGEST_KEPT_PX = 16_000_000
+_VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBEDO, Layer.EMISSIVE)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Of one set of sites. flow (n,) : turbulence at the sites;  near (n, k) : neighbours"""
+
+    labels: Labels
+    flow: np.ndarray
+    near: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Of one clip, worker and level. grain, wobble : tiles"""
+
+    grain: np.ndarray
+    wobble: np.ndarray | None
+    surface: Surface
+    cells: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
+    pictures: Kept = field(default_factory=lambda: Kept(_KEPT_PICTURES))
+
+    def forget(self) -> None:
+        """Drop what was kept between frames, so that the next one costs what a new frame costs."""
+        self.cells.clear()
+        self.pictures.clear()
+
+
+class Watercolor:
+    name = "watercolor"
+    reads = frozenset({Layer.IMAGE, *_VIRTUAL})
+    writes = frozenset({Layer.IMAGE})
+    levels = (Level("draft", 0.1), Level("standard", 0.13), Level("high", 0.13), Level("reference", 4.0))
+    needs_facts = frozenset({"flow", "light"})
+    reach = 0
+    Params = WatercolorParams
+
+    def __init__(self, params: WatercolorParams | None = None) -> None:
+        self.params = params or WatercolorParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        return Demand(frame, "the whole picture is painted")
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        """All of it: a cell's colour and a line's strength may depend on pixels far outside."""
+        return scene.camera.rect
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 40.0)
+
+    def prepare(self, scene: Scene, level: Level) -> Prepared:
+        p, wobble = self.params, None
+        if p.pigment and p.wobble_px > 0:
+            wobble = wobble_tile(scene.seed, p.wobble_px, 4 * p.wobble_px + 6)
+        return Prepared(paper_grain(scene.seed, p.grain_px), wobble, surface_of(scene, scene.seed))
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        now, facts, p = window.now, window.facts[-1], self.params
+        box = EMPTY
+        if facts.camera_from_world is not None and facts.opacity > 0:
+            box = facts.model_box.pad(PAD_PX).clip(now.rect)
+        if p.formula == "paper":
+            image = self._with_toon(now, box, facts, scene)
+            return {Layer.IMAGE: printed(image, now.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, rng)}
+        where, pose = frame_field(facts, scene, self._cell_px(level), p.nearer_finer, p.anchored)
+        sites_key = _field_key(where, now.rect)
+        if now.rect.area > _LARGEST_KEPT_PX:
+            return {Layer.IMAGE: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)}
+        key = (
+            sites_key, box, facts.opacity, _content(now, box), repr(facts.light or scene.light),
+            None if pose is None else tuple(pose.to_json()),
+        )  # fmt: skip
+        make = lambda: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)  # noqa: E731
+        return {Layer.IMAGE: prepared.pictures.get(key, make)}
+
+    def _cell_px(self, level: Level) -> float:
+        return self.params.cell_px * (1.4 if level.name == "draft" else 1.0)
+
+    def _with_toon(self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> np.ndarray:
+        p, image = self.params, now[Layer.IMAGE]
+        if not p.toon or box.empty:
+            return image
+        part = now.crop(box)
+        if not part[Layer.COVERAGE].any():
+            return image
+        direction, radiance = toon_light(facts.light or scene.light, scene.world_from_anchor.rotation[:, 2])
+        out = image.copy()
+        out[box.slices_in(now.rect)] = toon(
+            part[Layer.IMAGE], part[Layer.VIRTUAL], part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.ALBEDO],
+            part[Layer.EMISSIVE], direction, radiance, p.toon_thresholds, p.toon_factors, facts.opacity, p.formula == "paper",
+        )  # fmt: skip
+        return out
+
+    def _painted(
+        self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, where: Field,
+        pose: Any, sites_key: Any,
+    ) -> np.ndarray:  # fmt: skip
+        p, rect = self.params, now.rect
+        image = self._with_toon(now, box, facts, scene)
+        cells = prepared.cells.get(("field", sites_key), lambda: self._cells(where, rect, scene, prepared, level))
+        line = np.zeros((0, 0), np.float32)
+        if p.lines > 0:
+            line = line_strength(
+                image, p.alpha, p.beta, p.line_low, p.line_high, p.line_width_px, p.line_smooth_px,
+                self._virtual_edges(now, box, facts), p.yuv,
+            )  # fmt: skip
+        if not box.empty and pose is not None:
+            cells = self._with_object(now, box, cells, scene, prepared, level, pose)
+        colours = means(image, cells.labels.first, cells.labels.count)
+        plain = washed(colours, cells.near, 1.0, 0)
+        root = washed(colours, cells.near, 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
+        root = toned(root, p.lightness, p.saturation, p.deepest)
+        on = np.float32(p.pigment)
+        strengths = np.array(
+            [on * p.edge_darkening, 0.25, on * p.flow, on * p.grain, p.lines, on * p.dry_brush], np.float32
+        )  # fmt: skip
+        return paint(
+            cells.labels,
+            image,
+            plain,
+            root,
+            cells.flow,
+            prepared.grain,
+            line,
+            2,
+            strengths,
+            np.array(p.ink_rgb, np.float32),
+            rect.x0,
+            rect.y0,
+        )
+
+    def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
+        if box.empty:
+            return None
+        rect = now.rect
+        # on the half-size grid of the whole picture
+        even = Rect((box.x0 - rect.x0) // 2 * 2 + rect.x0, (box.y0 - rect.y0) // 2 * 2 + rect.y0, box.x1, box.y1)
+        part = now.crop(even)
+        made = virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity)
+        out = np.zeros(((rect.height + 1) // 2, (rect.width + 1) // 2), np.float32)
+        y, x = (even.y0 - rect.y0) // 2, (even.x0 - rect.x0) // 2
+        out[y : y + made.shape[0], x : x + made.shape[1]] = made
+        return out
+
+    def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
+        p = self.params
+        cell, area = self._cell_px(level), scene.camera.rect.area
+        most = int(min(2 * area + 4096, 8 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
+        sites = sites_of(where, scene.seed, most, cell)
+        # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
+        shift = _shift(where)
+        labels = self._labels(sites, rect, prepared, level, shift)
+        flow = turbulence(sites.u, sites.v, scene.seed, p.flow_px) if len(sites) else np.zeros(1, np.float32)
+        near = neighbours(labels.first, labels.count) if p.wash > 0 else np.zeros((0, 0), np.int32)
+        return Cells(labels, flow, near)
+
+    def _labels(self, sites: Any, rect: Rect, prepared: Prepared, level: Level, shift: tuple[int, int]) -> Labels:
+        p = self.params
+        if level.name == "draft":
+            return chamfer_labels(sites, rect)
+        wobble = None
+        if prepared.wobble is not None:
+            x, y = rect.x0 + shift[0], rect.y0 + shift[1]
+            wobble = laid_out(prepared.wobble, x, y, rect.width, rect.height)
+        blend = BLEND_PX if p.pigment else 0.0
+        if level.name == "reference":
+            return reference_labels(sites, rect, wobble, blend)
+        return label(sites, rect, wobble, blend, 0.0 if wobble is None else float(np.ceil(p.wobble_px * STEPS)))
+
+    def _with_object(
+        self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: Level, pose: Any
+    ) -> Cells:
+        """The cells, and in the pixels that the object mostly covers those of its surface."""
+        p, rect = self.params, now.rect
+        inside = now.crop(box)[Layer.COVERAGE] >= 0.5
+        if not inside.any():
+            return cells
+
+        def make() -> tuple[Labels, np.ndarray]:
+            sites = object_sites(prepared.surface, scene.camera, pose, 0.8 * self._cell_px(level), p.flow_px)
+            flow = turbulence(sites.u, sites.v, scene.seed + 1, p.flow_px) if len(sites) else np.zeros(1, np.float32)
+            return self._labels(sites, box, prepared, level, (0, 0)), flow
+
+        own, flow = prepared.cells.get(("object", tuple(pose.to_json()), box), make)
+        flow = np.concatenate([cells.flow, flow])
+        labels = merged(cells.labels, own, inside, box.x0 - rect.x0, box.y0 - rect.y0)
+        if p.wash <= 0:
+            return Cells(labels, flow, cells.near)
+        # neighbours within the object only: paint does not run over its outline
+        near = neighbours_within(own.first, inside, own.count)
+        start = cells.labels.count
+        return Cells(labels, flow, np.concatenate([cells.near, np.where(near < 0, -1, near + start).astype(np.int32)]))
+
+
+def _shift(where: Field) -> tuple[int, int]:
+    """By how much the things painted have moved, whole px."""
+    gh, gw = where.u.shape
+    x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
+    return round(float(np.median(where.u - x))), round(float(np.median(where.v - y)))
+
+
+def _field_key(where: Field, rect: Rect) -> tuple[bytes, Rect]:
+    h = hashlib.blake2b(digest_size=16)
+    for a in (where.u, where.v, where.size):
+        h.update(np.ascontiguousarray(a).tobytes())
+    h.update(repr((where.x0, where.y0)).encode())
+    return h.digest(), rect
+
+
+def _content(now: Layers, box: Rect) -> tuple[int, ...]:
+    out = [digest(now[Layer.IMAGE])]
+    if not box.empty:
+        part = now.crop(box)
+        # a fourth of the rows tells one state of the object from another: its colours are in the picture already
+        out += [digest(part[name][::4]) for name in (Layer.COVERAGE, Layer.NORMAL, Layer.ALBEDO)]
+    return tuple(out)

@@ -1,0 +1,198 @@
+"""Background motion and the field of sites: true motion is followed, rest is rest, a cut begins anew."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.analyse.anchors import FACT, determinants, relaxed, with_anchors
+from arfx.analyse.flow import GRID_PX, BackgroundMotion, MotionStep, node_places
+from arfx.core.facts import ABSENT, MEASURED, FrameFacts
+from arfx.core.pose import Pose
+from arfx.stages.watercolor import field as reader
+from arfx.stages.watercolor.sites import GRID_PX as STAGE_GRID_PX
+from tests.scenes import camera, look_at, scene
+
+W, H = 320, 240
+
+
+def texture(seed: int = 0) -> np.ndarray:
+    """(700, 700) uint8 blotches of several sizes."""
+    g = np.random.default_rng(seed)
+    t = sum(cv2.GaussianBlur(g.standard_normal((700, 700)), (0, 0), s) * s for s in (2, 5, 12))
+    return np.clip(128 + 45 * t / t.std(), 0, 255).astype(np.uint8)
+
+
+def view(world: np.ndarray, world_from_px: np.ndarray, seed: int) -> np.ndarray:
+    """A frame with noise of 2 grey levels. world_from_px : (2, 3)"""
+    m = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    frame = cv2.warpAffine(world, world_from_px, (W, H), flags=m, borderMode=cv2.BORDER_REFLECT).astype(float)
+    return np.clip(frame + np.random.default_rng(seed).normal(0, 2, frame.shape), 0, 255).astype(np.uint8)
+
+
+def pan(t: int) -> np.ndarray:
+    return np.array([[1, 0, 150 + 2.5 * t], [0, 1, 150 - 1.0 * t]])
+
+
+def zoom(t: int) -> np.ndarray:
+    s = 1.5 * 2 ** (-t / 12)
+    return np.array([[s, 0, 350 - s * W / 2], [0, s, 350 - s * H / 2]])
+
+
+def roll(t: int) -> np.ndarray:
+    c, s = np.cos(0.02 * t), np.sin(0.02 * t)
+    return np.array([[c, -s, 350 - c * W / 2 + s * H / 2], [s, c, 350 - s * W / 2 - c * H / 2]])
+
+
+def still(t: int) -> np.ndarray:
+    return pan(0)
+
+
+def folded(frames: list[np.ndarray]) -> BackgroundMotion:
+    motion = BackgroundMotion()
+    for k, frame in enumerate(frames):
+        motion.step(k, k / 30, frame)
+    return motion
+
+
+def field_of(f: FrameFacts) -> tuple[np.ndarray, np.ndarray]:
+    found = f.extra[FACT]
+    return reader.decoded(found["nodes"], *found["shape"])
+
+
+def facts_of(motion: BackgroundMotion, n: int, **shots: int) -> tuple[FrameFacts, ...]:
+    cut = shots.get("cut", n)
+    frames = [FrameFacts(k, k / 30, shot=int(k >= cut)) for k in range(n)]
+    return with_anchors(frames, motion.steps, camera(W, H), Pose.identity(), 0.0)
+
+
+@pytest.mark.parametrize("path", [pan, zoom, roll])
+def test_the_field_follows_true_motion(path: object) -> None:
+    """After a dozen frames a place in the picture still knows where it was in the first, to 1.5 px."""
+    n, world = 13, texture()
+    facts = facts_of(folded([view(world, path(t), t) for t in range(n)]), n)  # type: ignore[operator]
+    u, v = field_of(facts[-1])
+    gx, gy = node_places(W, H)
+    now, first = (np.vstack([path(t), [0, 0, 1]]) for t in (n - 1, 0))  # type: ignore[operator]
+    true = np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+    missed = np.hypot(u.ravel() - true[0], v.ravel() - true[1])
+    inside = ((gx >= 0) & (gx < W) & (gy >= 0) & (gy < H)).ravel()
+    assert np.median(missed[inside]) < 0.5 and missed[inside].max() < 1.5
+
+
+def test_a_resting_camera_keeps_its_sites_in_noise() -> None:
+    world = texture()
+    motion = folded([view(world, still(0), t) for t in range(12)])
+    assert len(motion.steps) == 1
+    facts = facts_of(motion, 12)
+    assert {f.extra[FACT]["set"] for f in facts} == {0}
+
+
+def test_a_new_set_only_where_the_picture_moved() -> None:
+    world = texture()
+    frames = [view(world, pan(t if t < 5 else 5), t) for t in range(12)]
+    sets = [f.extra[FACT]["set"] for f in facts_of(folded(frames), 12)]
+    assert sets[:6] == [0, 1, 2, 3, 4, 5] and len(set(sets[6:])) <= 2
+
+
+def test_a_cut_begins_anew_whether_or_not_the_flow_noticed() -> None:
+    a, b = texture(1), texture(2)
+    frames = [view(a, pan(t), t) for t in range(4)] + [view(b, pan(t), t) for t in range(4)]
+    for cut in (4, 2):  # as the flow sees it, and between two frames that are alike
+        facts = facts_of(folded(frames), 8, cut=cut)
+        u = [field_of(f)[0] for f in facts]
+        assert np.abs(u[cut] - u[cut - 1]).min() > 1000
+        gx, _ = node_places(W, H)
+        assert np.ptp(u[cut] - gx) == 0
+        assert np.abs(u[cut + 1] - u[cut]).max() < 20
+
+
+@pytest.mark.parametrize("frame", [np.zeros((H, W), np.uint8), np.full((H, W), 255, np.uint8)])
+def test_flat_frames_do_not_move(frame: np.ndarray) -> None:
+    assert len(folded([frame] * 3 + [frame ^ 1]).steps) == 1
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (9, 9), (20, 400)])
+def test_any_size(size: tuple[int, int]) -> None:
+    g = np.random.default_rng(0)
+    motion = BackgroundMotion()
+    for k in range(3):
+        motion.step(k, k / 30, g.integers(0, 256, size).astype(np.uint8))
+    frames = [FrameFacts(k, k / 30) for k in range(3)]
+    for f in with_anchors(frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0):
+        assert np.isfinite(field_of(f)).all()
+
+
+def test_noise_and_torn_motion_never_fold_the_field() -> None:
+    g = np.random.default_rng(0)
+    world = texture()
+    frames = []
+    for t in range(10):
+        frame = view(world, pan(t), t)
+        frame[:, W // 2 :] = view(world, pan(-3 * t), t)[:, W // 2 :]  # the right half goes the other way, fast
+        frames.append(frame)
+    frames += [g.integers(0, 256, (H, W)).astype(np.uint8) for _ in range(3)]
+    for f in facts_of(folded(frames), len(frames)):
+        least = np.stack(determinants(*field_of(f)))
+        assert least.min() > 0.05 and least.max() < 20
+
+
+def test_linear_fields_are_not_bent() -> None:
+    gx, gy = node_places(W, H)
+    u, v = 0.3 * gx - 0.1 * gy + 5, 0.1 * gx + 0.3 * gy
+    a, b = relaxed(u, v)
+    np.testing.assert_allclose(a, u, atol=1e-9)
+    np.testing.assert_allclose(b, v, atol=1e-9)
+
+
+def test_near_the_marker_the_pose_is_believed() -> None:
+    """A blank picture shows no motion; the poses do, and the sites on the plane go with it."""
+    nodes = node_places(W, H)[0].shape
+    steps = [MotionStep(0, None, True), MotionStep(1, np.zeros((*nodes, 2), np.float32), False)]
+    s = scene(camera(W, H))
+    poses = [look_at(0.5, 40, 20), look_at(0.5, 40, 26)]
+    given = [FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0) for k, p in enumerate(poses)]
+    facts = with_anchors(given, steps, s.camera, s.world_from_anchor, 0.15)
+    where, pose = reader.frame_field(facts[1], s, 8.0, 0.0, True)
+    assert pose == Pose.from_json(poses[1].to_json())
+    ground = np.array([[0.05, 0.02, 0], [-0.04, 0.05, 0], [0.0, -0.06, 0]])
+    before, now = (s.camera.project(p.apply(ground)) for p in poses)
+    for place, was in zip(now, before, strict=True):
+        i, j = ((place - [where.x0, where.y0]) / GRID_PX).round().astype(int)
+        # to first order: the field around the nearest node
+        node = np.array([where.x0 + GRID_PX * i, where.y0 + GRID_PX * j])
+        jac = np.array([[where.u[j, i + 1] - where.u[j, i], where.u[j + 1, i] - where.u[j, i]],
+                        [where.v[j, i + 1] - where.v[j, i], where.v[j + 1, i] - where.v[j, i]]]) / GRID_PX  # fmt: skip
+        assert np.linalg.norm(np.array([where.u[j, i], where.v[j, i]]) + jac @ (place - node) - was) < 1.5
+        assert np.linalg.norm(place - was) > 2.5
+
+
+def test_the_stage_reads_what_is_written_and_json_keeps_it() -> None:
+    world = texture()
+    facts = facts_of(folded([view(world, pan(t), t) for t in range(4)]), 4)
+    back = FrameFacts.from_json(json.loads(json.dumps(facts[-1].to_json())))
+    assert GRID_PX == STAGE_GRID_PX and reader.FACT == FACT and back.status == ABSENT
+    where, pose = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, True)
+    assert pose is None and where.u.shape == node_places(W, H)[0].shape
+    assert where.x0 == node_places(W, H)[0][0, 0]
+    assert np.median(where.u - node_places(W, H)[0]) == pytest.approx(7.5, abs=0.4)
+    still_, _ = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, False)
+    assert np.ptp(still_.u - np.arange(still_.u.shape[1]) * GRID_PX) == 0
+
+
+def test_a_checkpoint_goes_on_to_the_same_steps() -> None:
+    world = texture()
+    frames = [view(world, pan(t), t) for t in range(9)]
+    whole = folded(frames)
+    for stop in (1, 5):
+        first = folded(frames[:stop])
+        second = BackgroundMotion()
+        second.restore(json.loads(json.dumps(first.state())))
+        for k in range(stop, 9):
+            second.step(k, k / 30, frames[k])
+        assert [(s.index, s.key) for s in second.steps] == [(s.index, s.key) for s in whole.steps]
+        for a, b in zip(second.steps, whole.steps, strict=True):
+            assert (a.back is None) == (b.back is None) and (a.back is None or np.array_equal(a.back, b.back))

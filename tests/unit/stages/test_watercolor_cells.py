@@ -1,0 +1,162 @@
+"""Sites, labels and means: exact against brute force, dense as asked, the same from frame to frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.core.rect import Rect
+from arfx.stages.watercolor.cells import means, neighbours, washed
+from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
+from arfx.stages.watercolor.labels import SOLID, label
+from arfx.stages.watercolor.printed import jittered_sites, merged_by_colour
+from arfx.stages.watercolor.reference import cell_means, nearest_labels
+from arfx.stages.watercolor.sites import STEPS, Field, Sites, sites_of, still_field
+
+FRAME = Rect.of(200, 150)
+
+
+def brute(sites: Sites, rect: Rect, wobble: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    y, x = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float) * STEPS
+    if wobble is not None:
+        x, y = x + wobble[0], y + wobble[1]
+    a = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
+    first, second = nearest_labels(*a, x.ravel(), y.ravel())
+    return first.reshape(x.shape), second.reshape(x.shape)
+
+
+def random_sites(case: int) -> tuple[Sites, Rect, np.ndarray | None, float]:
+    """Few and many, on one spot, growing, far outside the picture; pictures down to one row or column."""
+    g = np.random.default_rng(case)
+    w, h = (int(v) for v in g.integers(1, 160, 2))
+    if case % 7 == 6:
+        h = 1
+    rect = Rect(-9, 13, -9 + w, 13 + h)
+    n = int((1, 2, 5, 50, 400, 3000)[case % 6])
+    x, y = (np.round(g.uniform(a - 20, a + b + 20, n) * STEPS).astype(np.float32) for a, b in ((rect.x0, w), (rect.y0, h)))
+    if case % 3 == 0:
+        x[n // 2 :], y[n // 2 :] = x[0], y[0]
+    weight = -np.round(g.random(n) * (g.random(n) < 0.3) * 4000 * (case % 2)).astype(np.float32)
+    wobble = g.integers(-12, 13, (2, h, w)).astype(np.float32) if case % 4 else None
+    return Sites(x, y, weight, np.arange(n), x, y), rect, wobble, (0.0, 2.0, 1.3)[case % 3]
+
+
+@pytest.mark.parametrize("case", range(20))
+def test_labels_are_those_of_brute_force(case: int) -> None:
+    sites, rect, wobble, blend = random_sites(case)
+    found = label(sites, rect, wobble, blend)
+    first, second = brute(sites, rect, wobble)
+    assert np.array_equal(found.first, first)
+    if blend:
+        near = found.inside < SOLID
+        assert np.array_equal(found.second[near], second[near])
+        assert np.array_equal(found.second[~near], first[~near])
+
+
+def test_cells_wider_than_float32_tells_apart() -> None:
+    x, y = np.array([0, 7999, 8000], np.float32) * STEPS, np.zeros(3, np.float32)
+    sites, rect = Sites(x, y, np.zeros(3, np.float32), np.arange(3), x, y), Rect(3990, 0, 4010, 3)
+    assert np.array_equal(label(sites, rect).first, brute(sites, rect, None)[0])
+
+
+def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("arfx.stages.watercolor.chamfer._BRUTE", 0)
+    sites = sites_of(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
+    wobble = np.random.default_rng(0).integers(-9, 10, (2, 150, 200)).astype(np.float32)
+    a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, wobble, 2.0)
+    assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
+    assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
+
+
+def test_no_sites_and_chamfer() -> None:
+    none = Sites(
+        *(np.zeros(0, np.float32) for _ in range(3)), np.zeros(0, np.int64), *(np.zeros(0, np.float32) for _ in range(2))
+    )
+    for make in (label, chamfer_labels, reference_labels):
+        found = make(none, FRAME)
+        assert found.count == 1 and not found.first.any()
+    sites = sites_of(still_field(200, 150, 8, 0), 1, 10**5)
+    away = chamfer_labels(sites, FRAME).first != label(sites, FRAME).first
+    assert away[16:-16, 16:-16].mean() < 0.12  # whole pixels and a 5 x 5 mask move borders, no more
+
+
+def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None:
+    g = np.random.default_rng(4)
+    sites = jittered_sites(FRAME, 10, g)
+    found = label(sites, FRAME).first
+    x, y = np.round(sites.x / STEPS).astype(int), np.round(sites.y / STEPS).astype(int)
+    inside = (x >= 0) & (y >= 0) & (x < 200) & (y < 150)
+    own = found[y[inside], x[inside]]
+    d = np.hypot(sites.x[own] / STEPS - x[inside], sites.y[own] / STEPS - y[inside])
+    assert inside.sum() > 290 and (d <= np.sqrt(0.5) + 0.1).all()  # itself, or one as near to that pixel
+    py, px = np.mgrid[:150, :200]
+    away = np.hypot(px - sites.x[found] / STEPS, py - sites.y[found] / STEPS)
+    assert away.max() <= np.hypot(10, 10)
+
+
+def test_a_cell_has_the_exact_mean_of_its_pixels() -> None:
+    image = np.random.default_rng(0).random((150, 200, 3), np.float32)
+    found = label(sites_of(still_field(200, 150, 7, 0), 1, 10**5), FRAME)
+    np.testing.assert_allclose(means(image, found.first, found.count), cell_means(image, found.first, found.count), atol=1e-7)
+
+
+def test_integer_labels_keep_cells_apart_that_colour_merges() -> None:
+    sites = jittered_sites(FRAME, 20, np.random.default_rng(1))
+    found = label(sites, FRAME).first
+    assert len(np.unique(found)) == len(sites)
+    _, count = merged_by_colour(np.full((150, 200, 3), 0.5, np.float32), found, sites, FRAME)
+    assert count == 1
+
+
+@pytest.mark.parametrize("factor", [4.0, 2.3, 1.0, 0.7, 0.25])
+@pytest.mark.parametrize("roll_deg", [0.0, 33.0])
+def test_density_stays_within_a_factor_of_two_under_zoom(factor: float, roll_deg: float) -> None:
+    """The thing painted is magnified by `factor` and rolled: as many cells as before, everywhere."""
+    f = still_field(320, 240, 8, 64)
+    c, s = np.cos(np.radians(roll_deg)) / factor, np.sin(np.radians(roll_deg)) / factor
+    sites = sites_of(Field(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), 2, 10**6)
+    full = sites.weight > -((0.7 * 8 * STEPS) ** 2)
+    x, y = sites.x[full] / STEPS, sites.y[full] / STEPS
+    count, *_ = np.histogram2d(y, x, [np.arange(0, 241, 80), np.arange(0, 321, 80)])
+    assert (count > 0.5 * 100).all() and (count < 2 * 100).all()
+
+
+def test_sites_appear_from_nothing_and_never_move() -> None:
+    """In 60 steps of a slow zoom each site stays where it is in the thing painted, and no cell is born or dies large."""
+    f = still_field(160, 120, 8, 64)
+    rect = Rect.of(160, 120)
+    places: dict[int, tuple[float, float]] = {}
+    before: dict[int, int] = {}
+    worst = 0
+    for step in range(60):
+        k = 2.0 ** (-step / 40)
+        sites = sites_of(Field(f.x0, f.y0, f.u * k, f.v * k, f.size), 3, 10**5)
+        found = label(sites, rect)
+        area = np.bincount(found.first.ravel(), minlength=len(sites))
+        now = {}
+        for key, u, v, a in zip(sites.key.tolist(), sites.u.tolist(), sites.v.tolist(), area.tolist(), strict=True):
+            assert places.setdefault(key, (u, v)) == (u, v)
+            now[key] = a
+        if step:
+            middle = {k_ for k_, p in places.items() if p[0] * 1 / k < 120 and p[1] / k < 90}  # away from the border
+            worst = max([worst, *(now[k_] for k_ in now.keys() - before.keys() if k_ in middle)])
+            worst = max([worst, *(before[k_] for k_ in before.keys() - now.keys() if k_ in middle)])
+        before = now
+    assert worst <= 0.3 * 64
+
+
+def test_more_cells_than_pixels_and_one_cell() -> None:
+    tiny = sites_of(still_field(12, 9, 0.5, 4), 0, 500, 0.5)
+    assert 0 < len(tiny) <= 500
+    found = label(tiny, Rect.of(12, 9))
+    assert np.array_equal(found.first, brute(tiny, Rect.of(12, 9), None)[0])
+    one = jittered_sites(Rect.of(30, 20), 4000, np.random.default_rng(0))
+    assert len(one) == 1 and not label(one, Rect.of(30, 20)).first.any()
+
+
+def test_washes_join_alike_cells_only() -> None:
+    labels = np.repeat(np.arange(6, dtype=np.int32), 4)[None].repeat(4, 0)
+    colours = np.array([[0.5], [0.52], [0.5], [0.05], [0.052], [0.05]], np.float32).repeat(3, 1)
+    out = washed(colours, neighbours(labels, 6), 0.05, 6) ** 2
+    assert np.ptp(out[:3]) < 0.4 * 0.02 and np.ptp(out[3:]) < 0.002
+    assert out[2, 0] - out[3, 0] > 0.95 * 0.45

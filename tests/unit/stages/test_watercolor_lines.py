@@ -1,0 +1,146 @@
+"""Lines, toon shading and pigment: the printed numbers, what was corrected, and how much still flickers."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.core.light import DirectionalLight, Light
+from arfx.stages.watercolor.edges import line_strength, printed_edges, virtual_edges, yuv_matrix
+from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
+from arfx.stages.watercolor.toon import toon, toon_light
+
+BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "of_yuv", "of_rgb", "both"),
+    [(BLACK, WHITE, 0.5, 1.0, 0.75), (BLACK, RED, 0.34, 0.3333, 0.3367), (RED, GREEN, 0.4619, 0.6667, 0.5643)],
+)
+def test_printed_numbers(left: tuple, right: tuple, of_yuv: float, of_rgb: float, both: float) -> None:
+    picture = np.array([[left, right]] * 2, np.float64)
+    for beta, wanted in ((1.0, of_yuv), (0.0, of_rgb), (0.5, both)):
+        made = printed_edges(picture, 0.5, beta)
+        assert made[0, 0] == pytest.approx(wanted, abs=1e-4) and made[0, 1] == 0
+
+
+def test_yuv_is_the_analogue_one_of_bt601_and_bt709_is_another() -> None:
+    np.testing.assert_allclose(yuv_matrix()[0], [0.299, 0.587, 0.114])
+    np.testing.assert_allclose(yuv_matrix() @ [1, 1, 1], [1, 0, 0], atol=1e-12)
+    assert yuv_matrix("bt709")[0, 1] == pytest.approx(0.7152)
+
+
+def step_picture(contrast: float, width: int = 80) -> np.ndarray:
+    """A coded step of `contrast` around the middle, upright."""
+    coded = np.full((40, width, 3), 0.5, np.float32)
+    coded[:, width // 2 :] += contrast
+    return coded**2
+
+
+def test_a_line_is_as_wide_as_asked_and_faint_steps_have_none() -> None:
+    widths = []
+    for asked in (2.0, 4.0):
+        line = line_strength(step_picture(0.4), 0.5, 0.5, 0.02, 0.06, asked, 2.0)
+        up = cv2.resize(line, (80, 40), interpolation=cv2.INTER_LINEAR)
+        widths.append(float(up[20].sum()))
+        assert up[20].max() > 0.75 and abs(float((up[20] * np.arange(80)).sum() / up[20].sum()) - 39.5) < 1
+    assert 1.5 < widths[0] < 3.5 and 3 < widths[1] < 5  # the picture of half the size cannot draw finer
+    assert line_strength(step_picture(0.01), 0.5, 0.5, 0.02, 0.06, 2, 2).max() == 0
+
+
+def test_a_weak_line_lives_where_it_joins_a_strong_one() -> None:
+    """Hysteresis: contrast fades along the edge; alone, the weak part would be fainter."""
+    coded = np.full((80, 80, 3), 0.4, np.float32)
+    coded[:, 40:] += np.linspace(0.4, 0.07, 80, dtype=np.float32)[:, None, None]
+    joined = line_strength(coded**2, 0.5, 0.5, 0.01, 0.1, 2, 2)
+    alone = line_strength(coded[50:] ** 2, 0.5, 0.5, 0.01, 0.1, 2, 2)
+    assert joined[30:38].max(1).mean() > 1.5 * alone[5:13].max(1).mean() > 0
+
+
+def flips(strengths: list[np.ndarray]) -> float:
+    """Share of line pixels (over a half in either frame) that change by more than a half from frame to frame."""
+    changed = lines = 0
+    for a, b in itertools.pairwise(strengths):
+        changed += int((np.abs(a - b) > 0.5).sum())
+        lines += int((np.maximum(a, b) > 0.5).sum())
+    return changed / max(lines, 1)
+
+
+def test_lines_hold_still_in_noise_where_printed_edges_flip() -> None:
+    """Noise of 2/255 on steps of every contrast: the printed threshold flips, ours at most in 2 % of its pixels."""
+    g = np.random.default_rng(0)
+    base = np.full((120, 160, 3), 0.45)
+    for k, contrast in enumerate(np.linspace(0.03, 0.3, 10)):
+        base[:, 16 * k + 8 :] += contrast * (1 if k % 2 else -1)
+    base = cv2.GaussianBlur(np.clip(base, 0.02, 0.98), (0, 0), 0.8)
+    frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1).astype(np.float32) for _ in range(6)]
+    ours = flips([line_strength(f**2, 0.5, 0.5, 0.02, 0.06, 2, 2) for f in frames])
+    printed = flips([(printed_edges(f, 0.5, 0.5) > 0.04).astype(float) for f in frames])
+    assert ours <= 0.02 < 0.1 < printed
+
+
+def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases() -> None:
+    grey = np.full((60, 60, 3), 0.3, np.float32)
+    coverage = np.zeros((60, 60), np.float32)
+    coverage[16:44, 16:44] = 1
+    normal = np.zeros((60, 60, 3), np.float32)
+    normal[16:44, 16:30], normal[16:44, 30:44] = (1, 0, 0), (0, 0, 1)
+    depth = np.where(coverage > 0, 1.0, np.inf).astype(np.float32)
+    line = lambda c, n, d: line_strength(grey, 0.5, 0.5, 0.02, 0.06, 2, 2, virtual_edges(c, n, d, 1.0))  # noqa: E731
+    whole = line(coverage, normal, depth)
+    assert whole[15, 7:9].max() > 0.7 and whole[15, 14:16].max() > 0.5 and whole[15, 3] == 0
+    normal[..., :] = (0, 0, 1)
+    smooth = line(coverage, normal, depth)
+    assert smooth[15, 12:18].max() == 0 and smooth[15, 7:9].max() > 0.7
+    depth[16:44, 30:44] = 1.2
+    assert line(coverage, normal, depth)[15, 14:16].max() > 0.5
+    assert np.isfinite(line(coverage, normal, np.full_like(depth, np.nan))).all()
+    assert line_strength(grey, 0.5, 0.5, 0.02, 0.06, 2, 2).max() == 0
+
+
+def tones(hard: bool) -> np.ndarray:
+    n = 2001
+    angle = np.linspace(0, np.pi, n)
+    normal = np.stack([np.sin(angle), np.zeros(n), np.cos(angle)], -1)[None].astype(np.float32)
+    image = np.full((1, n, 3), 0.2, np.float32)
+    albedo = np.full((1, n, 3), 0.5, np.float32)
+    one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
+    made = toon(image, image, one, normal, albedo, none, np.array([0, 0, 1.0]), np.ones(3), (0.5, 0.2), (1, 0.4, 0.1), 1.0, hard)
+    return made[0, :, 0]
+
+
+def test_toon_has_three_tones_of_the_printed_factors() -> None:
+    hard, soft, c = tones(True), tones(False), np.cos(np.linspace(0, np.pi, 2001))
+    np.testing.assert_allclose(hard[c > 0.5 + 1e-5], 0.5, rtol=1e-5)
+    np.testing.assert_allclose(hard[(c > 0.2 + 1e-5) & (c < 0.5 - 1e-5)], 0.2, rtol=1e-5)
+    np.testing.assert_allclose(hard[c < 0.2 - 1e-5], 0.05, rtol=1e-4)
+    assert len(np.unique(hard.round(5))) == 3
+    assert np.abs(np.diff(soft)).max() < 0.02 and np.abs(soft - hard)[np.abs(c - 0.5) > 0.04].max() < 0.16
+
+
+def test_toon_light_is_the_strongest_of_the_clip() -> None:
+    up = np.array([0.0, 0, 1])
+    lights = (DirectionalLight((1, 0, 0), (0.2, 0.2, 0.2)), DirectionalLight((0, 1, 0), (0.5, 0.4, 0.3)))
+    direction, radiance = toon_light(Light((0.1, 0.1, 0.1), lights), up)
+    np.testing.assert_allclose(direction, [0, 1, 0])
+    np.testing.assert_allclose(radiance, [0.6, 0.5, 0.4])
+    assert np.array_equal(toon_light(Light((0.3, 0.3, 0.3), ()), up)[0], up)
+
+
+def test_pigment_darkens_by_its_formula_and_leaves_white_and_black() -> None:
+    assert density(np.array(0.5), 1.4) == pytest.approx(0.5 * (1 - 0.5 * 0.4))
+    np.testing.assert_array_equal(density(np.array([0.0, 1.0]), 1.7), [0, 1])
+    np.testing.assert_array_equal(density(np.array([0.2, 0.9]), 1.0), [0.2, 0.9])
+
+
+def test_paper_and_wobble_repeat_without_a_seam_and_keep_to_their_bounds() -> None:
+    for tile in (paper_grain(1, 2.0), wobble_tile(1, 1.5, 12.0)[0] / 8):
+        inner = np.abs(np.diff(tile.astype(float), axis=1)).mean()
+        assert np.abs(tile[:, 0].astype(float) - tile[:, -1]).mean() < 1.3 * inner
+        assert np.abs(tile).max() <= 1.5
+    tile = paper_grain(1, 2.0)
+    out = laid_out(tile, 500, -3, 700, 40)
+    assert out[5, 20] == tile[2, 8] and out.shape == (40, 700)

@@ -1,0 +1,205 @@
+"""The whole stage: hard cases, what is kept, what the light and the facts change."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.light import DirectionalLight, Light
+from arfx.core.rect import Rect
+from arfx.core.stage import Window
+from arfx.errors import ConfigError
+from arfx.stages.watercolor import Watercolor
+from arfx.stages.watercolor.params import WatercolorParams
+from arfx.stages.watercolor.pigment import density
+from tests.scenes import camera, facts, scene
+
+SCENE = scene(camera(160, 120))
+SEEN = facts(SCENE)
+ABSENT = FrameFacts(0, 0.0)
+PLAIN = WatercolorParams(pigment=False, wash=0, lines=0, lightness=0, saturation=1, deepest=0, toon=False)
+
+
+def layers(image: np.ndarray, rect: Rect | None = None, **more: np.ndarray) -> Layers:
+    rect = rect or Rect.of(image.shape[1], image.shape[0])
+    made = {name: neutral(name, rect) for name in Watercolor.reads if name is not Layer.IMAGE}
+    return Layers(rect).adding({**made, Layer.IMAGE: image.astype(np.float32), **{Layer(k): v for k, v in more.items()}})
+
+
+def painted(
+    image: np.ndarray, params: WatercolorParams | None = None, f: FrameFacts = ABSENT, level: str = "standard",
+    prepared: Any = None, seed: int = 0, s: Any = SCENE, **more: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    stage = Watercolor(params)
+    at = next(le for le in stage.levels if le.name == level)
+    prepared = prepared or stage.prepare(s, at)
+    window = Window((layers(image, **more),), (f,))
+    return stage.run(window, s, prepared, at, np.random.default_rng(seed))[Layer.IMAGE]
+
+
+def picture(h: int = 120, w: int = 160) -> np.ndarray:
+    y, x = np.mgrid[0:h, 0:w]
+    return np.stack([x / w, y / h, 0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7)], -1).astype(np.float32) ** 2
+
+
+@pytest.mark.parametrize("level", ["draft", "standard", "high", "reference"])
+@pytest.mark.parametrize("formula", ["corrected", "paper"])
+@pytest.mark.parametrize("size", [(1, 1), (1, 64), (64, 1), (2, 3), (17, 31)])
+def test_any_size_is_painted(size: tuple[int, int], formula: str, level: str) -> None:
+    s = scene(camera(*size))
+    out = painted(picture(size[1], size[0]), WatercolorParams(formula=formula), level=level, s=s)
+    assert out.shape == (size[1], size[0], 3) and np.isfinite(out).all() and out.min() >= 0
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_flat_frames_stay_flat(value: float) -> None:
+    flat = np.full((120, 160, 3), value, np.float32)
+    for params in (PLAIN, WatercolorParams(formula="paper")):
+        np.testing.assert_allclose(painted(flat, params), flat, atol=1e-6)
+    assert np.ptp(painted(flat)) < (0.02 if value else 0.05)  # grain on black paint; white stays paper
+    assert painted(np.ones((120, 160, 3))).min() > 0.99
+
+
+def test_noise_only_and_light_beyond_white() -> None:
+    g = np.random.default_rng(0)
+    for image in (g.random((120, 160, 3)), g.random((120, 160, 3)) * 1e4):
+        out = painted(image)
+        assert np.isfinite(out).all() and out.min() >= 0 and out.max() <= 1
+
+
+def test_one_cell_and_more_cells_than_pixels() -> None:
+    image = picture()
+    whole = painted(image, dataclasses.replace(PLAIN, formula="paper", cell_px=4096, line_threshold=2))
+    np.testing.assert_allclose(whole, np.broadcast_to(image.mean((0, 1)), whole.shape), atol=1e-5)
+    fine = painted(image, dataclasses.replace(PLAIN, cell_px=0.5, nearer_finer=0))
+    assert np.abs(fine - image).mean() < 0.01
+
+
+def test_plain_cells_keep_the_mean_of_the_picture() -> None:
+    image = picture()
+    np.testing.assert_allclose(painted(image, PLAIN).mean((0, 1)), image.mean((0, 1)), rtol=1e-5)
+
+
+def test_the_paper_flickers_and_the_correction_does_not() -> None:
+    """A still clip with noise: squared error between frames (SYSTEMS.md: 5.4e-3 against 1.2e-6)."""
+    g = np.random.default_rng(0)
+    base = np.sqrt(picture())
+    frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1) ** 2 for _ in range(3)]
+    error = {}
+    for name, params in (("paper", WatercolorParams(formula="paper", line_threshold=2)), ("ours", PLAIN), ("all", None)):
+        out = [np.sqrt(painted(f, params, seed=k)) for k, f in enumerate(frames)]
+        error[name] = np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(out)])
+    assert error["ours"] < error["paper"] / 100 and error["all"] < error["paper"] / 10
+
+
+def test_nothing_is_painted_twice_and_what_is_kept_gives_the_same_bits() -> None:
+    stage = Watercolor()
+    prepared = stage.prepare(SCENE, stage.levels[1])
+    image = picture()
+    first = painted(image, prepared=prepared, f=SEEN)
+    assert (prepared.pictures.made, prepared.cells.made) == (1, 1)
+    assert painted(image.copy(), prepared=prepared, f=SEEN) is first
+    other = image.copy()
+    other[60, 80, 1] += 1e-6  # the least change is a new picture, of the same cells
+    second = painted(other, prepared=prepared, f=SEEN)
+    assert second is not first and (prepared.pictures.made, prepared.cells.made) == (2, 1)
+    prepared.forget()
+    assert np.array_equal(painted(image, prepared=prepared, f=SEEN), first)
+    assert np.array_equal(painted(image, f=SEEN), first)
+
+
+def test_the_whole_picture_is_asked_for_with_and_without_a_marker() -> None:
+    stage, frame = Watercolor(), SCENE.camera.rect
+    assert stage.demand(ABSENT, SCENE, frame).rect == frame == stage.demand(SEEN, SCENE, frame).rect
+    assert stage.needs(Rect(3, 4, 9, 9), SEEN, SCENE, stage.levels[1]) == frame
+
+
+def ball(image: np.ndarray) -> dict[str, np.ndarray]:
+    """Layers of a grey ball in the middle of SEEN's box, composited into `image`."""
+    box = SEEN.model_box
+    y, x = np.mgrid[0:120, 0:160]
+    cx, cy, r = (box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2, min(box.width, box.height) / 2 - 2
+    nx, ny = (x - cx) / r, (y - cy) / r
+    inside = nx**2 + ny**2 < 1
+    nz = np.sqrt(np.clip(1 - nx**2 - ny**2, 0, 1))
+    normal = np.where(inside[..., None], np.stack([nx, ny, nz], -1), 0).astype(np.float32)
+    virtual = (np.where(inside, 0.25, 0)[..., None] * np.ones(3)).astype(np.float32)
+    image[inside] = 0.25
+    return {
+        "coverage": inside.astype(np.float32), "normal": normal, "virtual": virtual,
+        "albedo": np.where(inside[..., None], 0.5, 0).repeat(3, -1).astype(np.float32),
+        "depth": np.where(inside, 1.0, np.inf).astype(np.float32), "emissive": np.zeros((120, 160, 3), np.float32),
+    }  # fmt: skip
+
+
+def test_the_objects_bright_side_is_where_the_light_is() -> None:
+    image = np.full((120, 160, 3), 0.6, np.float32)
+    parts = ball(image)
+    box = SEEN.model_box
+    cx, cy = (box.x0 + box.x1) // 2, (box.y0 + box.y1) // 2
+    third = box.width // 4
+    for sign in (-1, 1):
+        light = Light((0.1, 0.1, 0.1), (DirectionalLight((sign, 0, 0.3), (0.8, 0.8, 0.8)),))
+        out = painted(image, f=SEEN.with_(light=light), **parts)
+        left, right = out[cy - 3 : cy + 3, cx - third - 3 : cx - third + 3], out[cy - 3 : cy + 3, cx + third - 3 : cx + third + 3]
+        bright, dark = (left, right) if sign < 0 else (right, left)
+        assert bright.mean() > 1.8 * dark.mean()
+
+
+def test_paint_does_not_run_over_the_outline_of_the_object() -> None:
+    """Alpha edge: next to the ball the background keeps its colour, and the ball its own."""
+    image = np.full((120, 160, 3), (0.1, 0.1, 0.7), np.float32)
+    parts = ball(image)
+    params = dataclasses.replace(PLAIN, wash=0.6)
+    out = painted(image, params, SEEN, **parts)
+    inside = parts["coverage"] > 0
+    assert np.abs(out[inside] - 0.25).max() < 0.02
+    assert np.abs(out[~inside] - image[~inside]).max() < 0.02
+
+
+def test_depth_that_is_not_a_number_harms_nothing() -> None:
+    image = np.full((120, 160, 3), 0.6, np.float32)
+    parts = {**ball(image), "depth": np.full((120, 160), np.nan, np.float32)}
+    assert np.isfinite(painted(image, f=SEEN, **parts)).all()
+
+
+def test_nearer_parts_of_the_plane_have_finer_cells() -> None:
+    image = np.random.default_rng(0).random((120, 160, 3))
+    out = painted(image, dataclasses.replace(PLAIN, nearer_finer=1.0, cell_px=6), SEEN)
+    rough = [float(np.mean(np.any(out[y : y + 40, 1:] != out[y : y + 40, :-1], -1))) for y in (0, 80)]
+    assert rough[1] > 1.15 * rough[0]  # below is nearer: more borders
+
+
+def test_levels_agree_where_they_should() -> None:
+    image = picture()
+    standard, reference, draft = (painted(image, level=le) for le in ("standard", "reference", "draft"))
+    assert np.abs(standard - reference).max() < 0.02  # rounding of the way to a border
+    assert 0.002 < np.abs(standard - draft).mean() < 0.08
+
+
+def test_pigment_follows_its_formula_on_an_even_wash() -> None:
+    grey = np.full((120, 160, 3), 0.25, np.float32)
+    only_grain = dataclasses.replace(PLAIN, pigment=True, flow=0, edge_darkening=0, wobble_px=0, grain=0.3)
+    out = painted(grey, only_grain)
+    stage = Watercolor(only_grain)
+    paper = stage.prepare(SCENE, stage.levels[1]).grain[:120, :160, None]
+    np.testing.assert_allclose(out, density(np.full_like(out, 0.25), 1 + 0.3 * paper), atol=2e-5)
+
+
+def test_settings_are_checked() -> None:
+    for wrong in (
+        {"formula": "x"},
+        {"cell_px": 0.0},
+        {"line_low": 0.5},
+        {"toon_thresholds": (0.1, 0.4)},
+        {"yuv": "x"},
+        {"grain": 2},
+    ):
+        with pytest.raises(ConfigError):
+            WatercolorParams(**wrong)
