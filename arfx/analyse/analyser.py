@@ -12,9 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from arfx.analyse.anchors import with_anchors
 from arfx.analyse.background import BackgroundFlow
 from arfx.analyse.detect import Candidate
 from arfx.analyse.edge_domain import EdgeRefiner
+from arfx.analyse.flow import BackgroundMotion
 from arfx.analyse.lighting import lighted
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.meter import LightMeter, Picture
@@ -25,10 +27,13 @@ from arfx.analyse.solve import solve
 from arfx.analyse.survey import Survey
 from arfx.analyse.tracker import Found, Tracker
 from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError, NothingToDoError
+
+AROUND = 2.4  # sizes of the marker: so far its pose tells the motion of what is near it better than the flow
 
 __all__ = ["AnalyseParams", "Analyser", "Analysis", "LightParams"]
 
@@ -38,6 +43,7 @@ class Analyser:
 
     markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
     marker_map : world_from_marker of a known layout; None = mapped from the clip
+    motion : follow the background too, for what is anchored to it (FrameFacts.extra["watercolor"])
     light : read the light too, from the pictures that `step` then needs;  panorama : of LightParams.environment
     Raises ConfigError for no marker, the same one twice, or a map that lacks one.
     """
@@ -50,6 +56,7 @@ class Analyser:
         marker_map: Mapping[str, Pose] | None = None,
         light: LightParams | None = None,
         panorama: np.ndarray | None = None,
+        motion: bool = False,
     ) -> None:
         if not markers:
             raise ConfigError("no marker is configured", "for example --marker 36h11:3:165mm")
@@ -65,6 +72,7 @@ class Analyser:
         self._refiner = EdgeRefiner(self.params.transfer)
         self._cut, self._flow, self._survey = CutSignal(), BackgroundFlow(), Survey()
         self.light, self.panorama, self._meter = light, panorama, LightMeter()
+        self._motion = BackgroundMotion() if motion else None
         self._records: list[Record] = []
         self._others: Counter[str] = Counter()
         self._ever_seen = False
@@ -93,6 +101,8 @@ class Analyser:
         if self.params.static == "auto":
             boxes = (Rect.around(s.corners_px) for s in (*seen, *rivals))  # rarely asked for
             self._flow.step(index, time_s, luma, boxes, bool(seen))
+        if self._motion is not None:
+            self._motion.step(index, time_s, luma)
         if self.light is not None and picture is not None:
             self._meter.step(len(self._records), time_s, seen, picture)
         self._records.append(Record(index, time_s, seen, rivals, found.whole, self._cut.step(luma)))
@@ -116,7 +126,7 @@ class Analyser:
             "records": [r.to_json() for r in self._records], "tracker": self._tracker.state(), "cut": self._cut.state(),
             "flow": self._flow.state(), "survey": self._survey.state(), "others": dict(self._others),
             "refiner": self._refiner.state(), "meter": self._meter.state(), "ever_seen": self._ever_seen,
-            "camera": self.camera.to_json(),
+            "camera": self.camera.to_json(), "motion": None if self._motion is None else self._motion.state(),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -128,6 +138,8 @@ class Analyser:
         self._survey.restore(state["survey"])
         self._refiner.restore(state["refiner"])
         self._meter.restore(state["meter"])
+        if self._motion is not None:
+            self._motion.restore(state["motion"])
         self._others = Counter(state["others"])
         self._ever_seen = state["ever_seen"]
         self.camera = Camera.from_json(state["camera"])
@@ -141,7 +153,14 @@ class Analyser:
         analysis = solve(self._records, self.markers, self.camera, self.params, self.marker_map, self._flow.samples)
         if self.light is not None:
             analysis = lighted(analysis, self._meter, self.markers, self.light, self.panorama)
+        if self._motion is not None:
+            analysis = replace(analysis, facts=self._anchored(analysis, self._motion))
         return replace(analysis, summary={**analysis.summary, "edge_transfer": self._refiner.transfer})
+
+    def _anchored(self, analysis: Analysis, motion: BackgroundMotion) -> tuple[FrameFacts, ...]:
+        anchor = next((m for m in self.markers if m.key in analysis.world_from_marker), self.markers[0])
+        stands = analysis.world_from_marker.get(anchor.key, Pose.identity())
+        return with_anchors(analysis.facts, motion.steps, self.camera, stands, AROUND * anchor.size_m)
 
     def _nothing(self) -> NothingToDoError:
         wanted = ", ".join(m.key for m in self.markers)

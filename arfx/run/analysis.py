@@ -46,14 +46,15 @@ def analyse_clip(
     key: str = "",
     light: LightParams | None = None,
     panorama: np.ndarray | None = None,
+    motion: bool = False,
 ) -> Pass:
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
-    light, panorama : as in Analyser
+    light, panorama, motion : as in Analyser
     folder, key : where the state is checkpointed and what it must match to be taken up again
     Raises NothingToDoError if the span holds no frame or no marker is seen.
     """
-    analyser = Analyser(markers, camera, params, marker_map, light, panorama)
+    analyser = Analyser(markers, camera, params, marker_map, light, panorama, motion)
     pts: list[int] = []
     origin: int | None = None
     if folder is not None and (saved := _saved(folder, key)):

@@ -53,4 +53,13 @@ def make_stages(config: JobConfig) -> dict[str, Stage]:
 def light_wanted(config: JobConfig) -> LightParams | None:
     """How the analysis reads the light, or None where no stage of the job asks for it."""
     params: LightParams = config.params["light"]
-    return params if any("light" in STAGES[name].needs_facts for name in pipeline(config)) else None
+    return params if _asked(config, "light") else None
+
+
+def motion_wanted(config: JobConfig) -> bool:
+    """Whether a stage of the job asks for the background's motion."""
+    return _asked(config, "flow")
+
+
+def _asked(config: JobConfig, fact: str) -> bool:
+    return any(fact in STAGES[name].needs_facts for name in pipeline(config))
