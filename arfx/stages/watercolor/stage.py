@@ -36,7 +36,7 @@ from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import laid_out, paint, paper_grain, turbulence, wobble_tile
 from arfx.stages.watercolor.printed import printed
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, sites_of
-from arfx.stages.watercolor.toon import toon, toon_light
+from arfx.stages.watercolor.toon import EVEN, toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
@@ -129,11 +129,13 @@ class Watercolor:
         part = now.crop(box)
         if not part[Layer.COVERAGE].any():
             return image
-        direction, radiance = toon_light(facts.light or scene.light, scene.world_from_anchor.rotation[:, 2])
+        light = facts.light or scene.light
+        direction, radiance = toon_light(light, scene.world_from_anchor.rotation[:, 2])
+        even = np.zeros(3) if p.formula == "paper" else EVEN * np.clip(light.ambient_rgb, 0, radiance)
         out = image.copy()
         out[box.slices_in(now.rect)] = toon(
             part[Layer.IMAGE], part[Layer.VIRTUAL], part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.ALBEDO],
-            part[Layer.EMISSIVE], direction, radiance, p.toon_thresholds, p.toon_factors, facts.opacity, p.formula == "paper",
+            part[Layer.EMISSIVE], direction, radiance, even, p.toon_thresholds, p.toon_factors, facts.opacity, p.formula == "paper",
         )  # fmt: skip
         return out
 

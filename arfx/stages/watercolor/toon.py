@@ -1,7 +1,8 @@
 """Toon shading of the virtual object: three flat tones of its own colour under the clip's light, in the composited picture.
 
 Above the first threshold of n . l the colour is kept, above the second it is scaled, else scaled more (.5, .2; 1, .4, .1).
-Corrected: the steps are ramps a few degrees wide, so that they do not crawl. Cost: O(covered pixels).
+Corrected: the steps are ramps a few degrees wide, so that they do not crawl, and only what comes from the light's side is
+scaled: in soft light no side is black. Cost: O(covered pixels).
 Source: SYSTEMS.md S3 step 4. Leaves out: highlights, shadows of the object on itself.
 """
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from arfx.core.light import Light
 
+EVEN = 0.8  # share of the ambient light that is the same in all tones
 RAMP = 0.06  # of n . l over which a step is spread
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -36,20 +38,25 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def toon(
     image: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, normal: np.ndarray, albedo: np.ndarray, emissive: np.ndarray,
-    direction: np.ndarray, radiance: np.ndarray, thresholds: tuple[float, float], factors: tuple[float, float, float],
+    direction: np.ndarray, radiance: np.ndarray, even: np.ndarray, thresholds: tuple[float, float], factors: tuple[float, float, float],
     opacity: float, hard: bool,
 ) -> np.ndarray:  # fmt: skip
-    """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place."""
+    """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
+
+    radiance, even : (3,) of a white surface that faces the light, and the part of it that every tone has
+    """
     f32 = np.float32
     out: np.ndarray = _toon(
-        image, virtual, coverage, normal, albedo, emissive, direction.astype(f32), radiance.astype(f32),
+        image, virtual, coverage, normal, albedo, emissive, direction.astype(f32), (radiance - even).astype(f32), even.astype(f32),
         np.array(thresholds, f32), np.array(factors, f32), f32(opacity), f32(0.0 if hard else RAMP),
     )  # fmt: skip
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _toon(image, virtual, coverage, normal, albedo, emissive, light, radiance, at, factors, opacity, ramp):  # pragma: no cover
+def _toon(
+    image, virtual, coverage, normal, albedo, emissive, light, direct, even, at, factors, opacity, ramp
+):  # pragma: no cover
     out = image.copy()
     zero, one = np.float32(0), np.float32(1)
     for y in range(coverage.shape[0]):
@@ -65,6 +72,6 @@ def _toon(image, virtual, coverage, normal, albedo, emissive, light, radiance, a
                 high, low = (one if c > at[0] else zero), (one if c > at[1] else zero)
             tone = factors[2] + low * (factors[1] - factors[2]) + high * (factors[0] - factors[1])
             for k in range(3):
-                flat = cov * (albedo[y, x, k] * radiance[k] * tone + emissive[y, x, k])
+                flat = cov * (albedo[y, x, k] * (even[k] + direct[k] * tone) + emissive[y, x, k])
                 out[y, x, k] = max(out[y, x, k] + opacity * (flat - virtual[y, x, k]), zero)
     return out
