@@ -135,7 +135,8 @@ class Watercolor:
         out = image.copy()
         out[box.slices_in(now.rect)] = toon(
             part[Layer.IMAGE], part[Layer.VIRTUAL], part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.ALBEDO],
-            part[Layer.EMISSIVE], direction, radiance, even, p.toon_thresholds, p.toon_factors, facts.opacity, p.formula == "paper",
+            part[Layer.EMISSIVE], direction, radiance, even, p.toon_thresholds, p.toon_factors, facts.opacity,
+            p.formula == "paper",
         )  # fmt: skip
         return out
 

@@ -38,8 +38,8 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def toon(
     image: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, normal: np.ndarray, albedo: np.ndarray, emissive: np.ndarray,
-    direction: np.ndarray, radiance: np.ndarray, even: np.ndarray, thresholds: tuple[float, float], factors: tuple[float, float, float],
-    opacity: float, hard: bool,
+    direction: np.ndarray, radiance: np.ndarray, even: np.ndarray, thresholds: tuple[float, float],
+    factors: tuple[float, float, float],     opacity: float, hard: bool,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
