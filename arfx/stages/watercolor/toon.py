@@ -47,8 +47,8 @@ def toon(
     """
     f32 = np.float32
     out: np.ndarray = _toon(
-        image, virtual, coverage, normal, albedo, emissive, direction.astype(f32), (radiance - even).astype(f32), even.astype(f32),
-        np.array(thresholds, f32), np.array(factors, f32), f32(opacity), f32(0.0 if hard else RAMP),
+        image, virtual, coverage, normal, albedo, emissive, direction.astype(f32), (radiance - even).astype(f32),
+        even.astype(f32), np.array(thresholds, f32), np.array(factors, f32), f32(opacity), f32(0.0 if hard else RAMP),
     )  # fmt: skip
     return out
 

@@ -108,7 +108,8 @@ def tones(hard: bool) -> np.ndarray:
     image = np.full((1, n, 3), 0.2, np.float32)
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
-    made = toon(image, image, one, normal, albedo, none, np.array([0, 0, 1.0]), np.ones(3), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1), 1.0, hard)
+    light = np.array([0, 0, 1.0]), np.ones(3), np.zeros(3)
+    made = toon(image, image, one, normal, albedo, none, *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, hard)
     return made[0, :, 0]
 
 
