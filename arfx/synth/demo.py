@@ -104,6 +104,11 @@ fit = "15cm"
 
 [job.settings.light]
 most_lights = 1
+
+[job.settings.dof]
+focus = "object"
+fnumber = 2.0
+background_m = 2.2
 """
 
 
