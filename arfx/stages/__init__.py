@@ -34,6 +34,7 @@ STAGES: Mapping[str, Any] = _Table(
         "plain": "arfx.stages.plain.Plain",
         "contact": "arfx.stages.contact.Contact",
         "lightmap": "arfx.stages.lightmap.Lightmap",
+        "gi": "arfx.stages.gi.Gi",
         "composite": "arfx.stages.composite.Composite",
     }
 )

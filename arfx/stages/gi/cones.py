@@ -36,15 +36,15 @@ def even_cones(count: int) -> tuple[np.ndarray, np.ndarray, float]:
     return hemisphere(count).astype(np.float32), np.full(count, 1 / count, np.float32), float(np.tan(half))
 
 
-def steps_of(tan_half: float, n: int, spacing: float = 0.5) -> np.ndarray:
+def steps_of(tan_half: float, n: int, spacing: float = 0.5, start: float | None = None) -> np.ndarray:
     """(k, 3) float32: distance of each sample, voxels; its level; the exponent ds / s of its opacity.
 
     spacing : of samples, in diameters of the cone there. Goes on to 8 n, beyond which nothing of the volume is larger than
-    a few degrees.
+    a few degrees. start : distance of the first; None = where the cone is a voxel wide, or one voxel
     """
-    t, out, finest = 0.0, [], 2 * tan_half
+    out, finest = [], 2 * tan_half
     top = int(np.log2(n))
-    t = min(1.0 / finest, 1.0)
+    t = min(1.0 / finest, 1.0) if start is None else start
     while t < 8 * n:
         diameter = max(1.0, finest * t)
         step = spacing * diameter
@@ -151,3 +151,39 @@ def frame_of(nx, ny, nz):  # pragma: no cover - compiled
     a = np.float32(1) / (np.float32(1) + nz)
     b = -nx * ny * a
     return np.float32(1) - nx * nx * a, b, -nx, b, np.float32(1) - ny * ny * a, -ny
+
+
+def turned(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3), as `frame_of` does."""
+    frames = _frames(np.ascontiguousarray(normals, np.float32))
+    u, v = frames[:, None, :3], frames[:, None, 3:]
+    out = directions[None, :, :1] * u + directions[None, :, 1:2] * v + directions[None, :, 2:] * normals[:, None]
+    return np.asarray(out, np.float32)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _frames(normals):  # pragma: no cover - compiled
+    out = np.empty((normals.shape[0], 6), np.float32)
+    for i in range(normals.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = frame_of(
+            normals[i, 0], normals[i, 1], normals[i, 2]
+        )
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def trace_many(values, brick_of, meta, steps, origins, directions, normals, start, clip):  # pragma: no cover - compiled
+    """(m x k, 4) of cones from origins (m, 3), voxels, in directions (m, k, 3); they begin `start` voxels along normals."""
+    count = directions.shape[1]
+    out = np.empty((origins.shape[0] * count, 4), np.float32)
+    for i in range(origins.shape[0]):
+        x, y, z = origins[i, 0], origins[i, 1], origins[i, 2]
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        for c in range(count):
+            r, g, b, left = trace(
+                values, brick_of, meta, steps, x + start * nx, y + start * ny, z + start * nz, directions[i, c, 0],
+                directions[i, c, 1], directions[i, c, 2], x, y, z, nx, ny, nz, clip,
+            )  # fmt: skip
+            k = i * count + c
+            out[k, 0], out[k, 1], out[k, 2], out[k, 3] = r, g, b, left
+    return out

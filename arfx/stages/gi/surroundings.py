@@ -140,12 +140,10 @@ def unwarped(u: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def first_plane(axes, skip, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
-    """(plane, distance) of the nearest plane that is met from its front; plane -1 = none. skip : a plane not to be met"""
+def first_plane(axes, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
+    """(plane, distance) of the nearest plane that is met from its front; plane -1 = none."""
     best, found = np.float32(1e30), -1
     for p in range(axes.shape[0]):
-        if p == skip:
-            continue
         nx, ny, nz = axes[p, 3, 0], axes[p, 3, 1], axes[p, 3, 2]
         towards = -(dx * nx + dy * ny + dz * nz)
         if towards <= np.float32(1e-6):
@@ -158,47 +156,96 @@ def first_plane(axes, skip, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def behind(
-    axes, half_m, textures, mips, maps, widths, turn, skip, x, y, z, dx, dy, dz, tan_half, half_deg
-):  # pragma: no cover - compiled
-    """(r, g, b) of what lies behind the voxels from x, y, z (metres) along d.
-
-    textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side
-    """
-    p, t = first_plane(axes, skip, x, y, z, dx, dy, dz)
-    if p < 0:
-        return look_at(maps, widths, turn, dx, dy, dz, half_deg)
-    x, y, z = x + t * dx - axes[p, 0, 0], y + t * dy - axes[p, 0, 1], z + t * dz - axes[p, 0, 2]
-    a = (x * axes[p, 1, 0] + y * axes[p, 1, 1] + z * axes[p, 1, 2]) / half_m
-    b = (x * axes[p, 2, 0] + y * axes[p, 2, 1] + z * axes[p, 2, 2]) / half_m
-    one, half = np.float32(1), np.float32(0.5)
+def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
+    """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over `covers` sides of it."""
+    one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
     far = max(abs(a), abs(b))
-    # of the texture's side: how much the cone covers; the warp's slope is WARP / (1 + (WARP - 1) |x|)^2
-    slope = one + (WARP - one) * far
-    covers = t * tan_half / half_m * WARP / (slope * slope)
-    side = np.float32(mips[0, 1])
-    level = np.log2(max(covers * side, one))
     last = np.float32(mips.shape[0] - 1)
+    level = np.log2(max(covers * np.float32(mips[0, 1]), one))
     # beyond the texture the plane looks as it does on average
-    level = min(max(level, last * min(max((far - one) * np.float32(2), np.float32(0)), one)), last)
+    level = min(max(level, last * min(max((far - one) * np.float32(2), zero), one)), last)
     l0 = int(level)
     m = level - np.float32(l0)
     u, v = min(max(warped(a), -one), one), min(max(warped(b), -one), one)
-    r, g, c = np.float32(0), np.float32(0), np.float32(0)
+    r, g, c = zero, zero, zero
     for q in range(2):
         share = m if q else one - m
         if share <= 0:
             continue
         offset, n = mips[l0 + q, 0], mips[l0 + q, 1]
-        s = min(max((u + one) * half * np.float32(n) - half, np.float32(0)), np.float32(n - 1))
-        w = min(max((v + one) * half * np.float32(n) - half, np.float32(0)), np.float32(n - 1))
+        s = min(max((u + one) * half * np.float32(n) - half, zero), np.float32(n - 1))
+        w = min(max((v + one) * half * np.float32(n) - half, zero), np.float32(n - 1))
         i, j = min(int(s), max(n - 2, 0)), min(int(w), max(n - 2, 0))
         i1, j1 = min(i + 1, n - 1), min(j + 1, n - 1)
         fs, fw = s - np.float32(i), w - np.float32(j)
         at00, at01, at10, at11 = offset + j * n + i, offset + j * n + i1, offset + j1 * n + i, offset + j1 * n + i1
         w00, w01, w10, w11 = (one - fs) * (one - fw), fs * (one - fw), (one - fs) * fw, fs * fw
-        tx = textures[p]
-        r += share * (w00 * tx[at00, 0] + w01 * tx[at01, 0] + w10 * tx[at10, 0] + w11 * tx[at11, 0])
-        g += share * (w00 * tx[at00, 1] + w01 * tx[at01, 1] + w10 * tx[at10, 1] + w11 * tx[at11, 1])
-        c += share * (w00 * tx[at00, 2] + w01 * tx[at01, 2] + w10 * tx[at10, 2] + w11 * tx[at11, 2])
+        r += share * (w00 * texture[at00, 0] + w01 * texture[at01, 0] + w10 * texture[at10, 0] + w11 * texture[at11, 0])
+        g += share * (w00 * texture[at00, 1] + w01 * texture[at01, 1] + w10 * texture[at10, 1] + w11 * texture[at11, 1])
+        c += share * (w00 * texture[at00, 2] + w01 * texture[at01, 2] + w10 * texture[at10, 2] + w11 * texture[at11, 2])
     return r, g, c
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def behind(
+    axes, half_m, textures, mips, maps, widths, turn, skip, x, y, z, dx, dy, dz, tan_half, half_deg
+):  # pragma: no cover - compiled
+    """(r, g, b) of what lies behind the voxels from x, y, z (metres) along d: planes nearest first, then the environment.
+
+    A cone that lies across a plane's horizon sees it with the part of its width that is under it.
+    textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side;  skip : a plane not to be met
+    """
+    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    wide = tan_half / np.sqrt(one + tan_half * tan_half)
+    r, g, b, left = zero, zero, zero, one
+    nearer_than = np.float32(-1)
+    for _ in range(axes.shape[0]):
+        best, p, lies = np.float32(1e30), -1, zero
+        for k in range(axes.shape[0]):
+            down = -(dx * axes[k, 3, 0] + dy * axes[k, 3, 1] + dz * axes[k, 3, 2])
+            if k == skip or down <= -wide:
+                continue
+            # middle of the part of the cone that is under the horizon
+            low = max(down, half * (down + wide))
+            h = (x - axes[k, 0, 0]) * axes[k, 3, 0] + (y - axes[k, 0, 1]) * axes[k, 3, 1] + (z - axes[k, 0, 2]) * axes[k, 3, 2]
+            t = max(h, zero) / max(low, np.float32(1e-4))
+            if t > nearer_than and t < best:
+                best, p, lies = t, k, down
+        if p < 0:
+            break
+        nearer_than = best
+        share = left * min(max(half + half * lies / wide, zero), one)
+        sink = max(half * (lies + wide) - lies, zero)
+        ex, ey, ez = dx - sink * axes[p, 3, 0], dy - sink * axes[p, 3, 1], dz - sink * axes[p, 3, 2]
+        qx, qy, qz = x + best * ex - axes[p, 0, 0], y + best * ey - axes[p, 0, 1], z + best * ez - axes[p, 0, 2]
+        a = (qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]) / half_m
+        c = (qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]) / half_m
+        # of the texture's side: the warp's slope is WARP / (1 + (WARP - 1) |x|)^2
+        slope = one + (WARP - one) * max(abs(a), abs(c))
+        pr, pg, pb = on_plane(textures[p], mips, a, c, best * tan_half / half_m * WARP / (slope * slope))
+        r += share * pr
+        g += share * pg
+        b += share * pb
+        left -= share
+        if left <= np.float32(1e-3):
+            break
+    if left > np.float32(1e-3):
+        er, eg, eb = look_at(maps, widths, turn, dx, dy, dz, half_deg)
+        r += left * er
+        g += left * eg
+        b += left * eb
+    return r, g, b
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def behind_many(
+    points, directions, skip, tan_half, half_deg, axes, half_m, textures, mips, maps, widths, turn
+):  # pragma: no cover - compiled
+    """(m, 3) of `behind` from points (m, 3), metres, along directions (m, 3)."""
+    out = np.empty((points.shape[0], 3), np.float32)
+    for i in range(points.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2] = behind(
+            axes, half_m, textures, mips, maps, widths, turn, skip, points[i, 0], points[i, 1], points[i, 2],
+            directions[i, 0], directions[i, 1], directions[i, 2], tan_half, half_deg,
+        )  # fmt: skip
+    return out

@@ -1,0 +1,71 @@
+"""What the object changes on the real planes, looked up where each pixel's viewing ray meets them. Cost: O(pixels)."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.gi.surroundings import WARP, first_plane
+
+GRID_PX = 8  # pitch of the table of viewing directions, linear between
+_FAST = {"contract", "nsz", "arcp"}
+_RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def add_delta(
+    shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, weight
+):  # pragma: no cover - compiled
+    """(h, w, 3) float32 shadow + weight x delta, never below 0.
+
+    within (4,) : x0, y0, x1, y1 of the pixels to change;  nodes (gh, gw, 3) : viewing directions every GRID_PX pixels and
+    origin (3,) : the camera, both anchor axes;  delta (p, side, side, 3)
+    """
+    out = shadow.copy()
+    one, half = np.float32(1), np.float32(0.5)
+    step = np.float32(1.0 / GRID_PX)
+    n = delta.shape[1]
+    side = np.float32(n)
+    single = axes.shape[0] == 1
+    for y in range(max(within[1], y0), min(within[3], y0 + shadow.shape[0])):
+        iy = y // GRID_PX
+        fy = np.float32(y % GRID_PX) * step
+        for x in range(max(within[0], x0), min(within[2], x0 + shadow.shape[1])):
+            ix = x // GRID_PX
+            fx = np.float32(x % GRID_PX) * step
+            w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+            dx = w00 * nodes[iy, ix, 0] + w01 * nodes[iy, ix + 1, 0] + w10 * nodes[iy + 1, ix, 0] + w11 * nodes[iy + 1, ix + 1, 0]
+            dy = w00 * nodes[iy, ix, 1] + w01 * nodes[iy, ix + 1, 1] + w10 * nodes[iy + 1, ix, 1] + w11 * nodes[iy + 1, ix + 1, 1]
+            dz = w00 * nodes[iy, ix, 2] + w01 * nodes[iy, ix + 1, 2] + w10 * nodes[iy + 1, ix, 2] + w11 * nodes[iy + 1, ix + 1, 2]
+            if single:
+                p = 0
+                h = (origin[0] - axes[0, 0, 0]) * axes[0, 3, 0] + (origin[1] - axes[0, 0, 1]) * axes[0, 3, 1]
+                h += (origin[2] - axes[0, 0, 2]) * axes[0, 3, 2]
+                falls = -(dx * axes[0, 3, 0] + dy * axes[0, 3, 1] + dz * axes[0, 3, 2])
+                if not (falls > np.float32(1e-6) and h > 0):
+                    continue
+                t = h / falls
+            else:
+                p, t = first_plane(axes, origin[0], origin[1], origin[2], dx, dy, dz)
+                if p < 0 or not t > 0:
+                    continue
+            qx, qy, qz = origin[0] + t * dx - axes[p, 0, 0], origin[1] + t * dy - axes[p, 0, 1], origin[2] + t * dz - axes[p, 0, 2]
+            a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
+            b = qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]
+            away = np.sqrt(a * a + b * b) / radius_m
+            if not away < one:
+                continue
+            fade = min((one - away) / (one - _RIM), one) * weight
+            a, b = a / half_m, b / half_m
+            u, v = WARP * a / (one + (WARP - one) * abs(a)), WARP * b / (one + (WARP - one) * abs(b))
+            s = min(max((u + one) * half * side - half, np.float32(0)), side - np.float32(1.001))
+            q = min(max((v + one) * half * side - half, np.float32(0)), side - np.float32(1.001))
+            i, j = int(s), int(q)
+            fs, fq = s - np.float32(i), q - np.float32(j)
+            d = delta[p]
+            for c in range(3):
+                value = (d[j, i, c] * (one - fs) + d[j, i + 1, c] * fs) * (one - fq)
+                value += (d[j + 1, i, c] * (one - fs) + d[j + 1, i + 1, c] * fs) * fq
+                out[y - y0, x - x0, c] = max(out[y - y0, x - x0, c] + fade * value, np.float32(0))
+    return out

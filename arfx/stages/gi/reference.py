@@ -1,0 +1,1 @@
+def trace_frame(*a): raise NotImplementedError
