@@ -85,14 +85,20 @@ def trace(
         level = int(steps[k, 1])
         x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
         s = np.float32(1 << level)
-        if x < -s or y < -s or z < -s or x > size + s or y > size + s or z > size + s:
-            # away from the volume for good?
-            if (x < -s and dx <= 0) or (y < -s and dy <= 0) or (z < -s and dz <= 0):
+        e = half * s  # how far the outermost voxels are felt
+        if x < -e or y < -e or z < -e or x > size + e or y > size + e or z > size + e:
+            e = s + s  # beyond what the next, larger samples feel
+            if (x < -e and dx <= 0) or (y < -e and dy <= 0) or (z < -e and dz <= 0):
                 break
-            if (x > size + s and dx >= 0) or (y > size + s and dy >= 0) or (z > size + s and dz >= 0):
+            if (x > size + e and dx >= 0) or (y > size + e and dy >= 0) or (z > size + e and dz >= 0):
                 break
             continue
         inv = one / s
+        if clip:
+            # the highest a voxel of the sample can be over the tangent plane
+            h = (x - px) * nx + (y - py) * ny + (z - pz) * nz
+            if h * inv <= -reach:
+                continue
         x, y, z = x * inv + half, y * inv + half, z * inv + half  # sample i + 1 lies at cell i's centre
         ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
         cells = meta[level, 0]

@@ -17,7 +17,7 @@ from arfx.core.scene import Scene
 from arfx.errors import RenderError
 from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
 from arfx.stages.gi.pyramid import Atlas
-from arfx.stages.gi.real_planes import ball_of, mip_chain, picture_on_planes, texture_places
+from arfx.stages.gi.real_planes import ball_of, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
 from arfx.stages.lightmap.stage import Kept
 
@@ -96,36 +96,40 @@ def decoded(told: dict[str, Any]) -> np.ndarray:
 
 
 def around(
-    now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, at: LevelSettings
+    now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, places: np.ndarray, kept: Kept
 ) -> Around:
-    """seen : the pixels that may be looked at (the same for every part of the frame that is rendered)."""
+    """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  places : of the
+    texels of the picture on the planes;  kept : environments that were made ready before"""
     pose = facts.camera_from_world
     assert pose is not None
     cube = environment_cube(facts, scene, light)
     picture, known = picture_on_planes(
         now[Layer.PLATE], now.rect, seen, scene.camera, pose @ scene.world_from_anchor,
-        texture_places(planes, at.texture_side), planes.axes.astype(float), np.array(facts.bias_rgb, np.float32),
+        places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32),
     )  # fmt: skip
     up = scene.world_from_anchor.rotation[:, 2]
-    mean = plane_mean(picture, known, planes, scene, 0.4 * light.radiance(up))
+    mean = plane_mean(picture, known, places, planes, scene, 0.4 * light.radiance(up))
     p = len(planes.axes)
     textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
     turn = scene.world_from_anchor.rotation.astype(np.float32)
     back = Behind(
-        planes.axes, np.float32(planes.half_m), textures, mips, octahedral(cube), np.array(HALF_ANGLES_DEG, np.float32), turn
-    )
+        planes.axes, np.float32(planes.half_m), textures, mips, kept.get(cube.tobytes(), lambda: octahedral(cube)),
+        np.array(HALF_ANGLES_DEG, np.float32), turn,
+    )  # fmt: skip
     return Around(cube, picture, known, mean, back)
 
 
-def plane_mean(picture: np.ndarray, known: np.ndarray, planes: Planes, scene: Scene, otherwise: np.ndarray) -> np.ndarray:
+def plane_mean(
+    picture: np.ndarray, known: np.ndarray, places: np.ndarray, planes: Planes, scene: Scene, otherwise: np.ndarray
+) -> np.ndarray:
     """(3,) mean radiance of the first plane within three radii of the object, in steps of 5 %; `otherwise` if unknown."""
     radius = ball_of(scene)[1]
-    places = texture_places(planes, picture.shape[1])[0]
-    near = np.linalg.norm(places - planes.axes[0, 0], axis=-1) < 3 * radius
-    weight = known[0] * near
+    step = max(picture.shape[1] // 64, 1)
+    near = ((places[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1) < (3 * radius) ** 2
+    weight = known[0, ::step, ::step] * near
     if not weight.sum() > 0:
         return np.asarray(otherwise, float)
-    mean = (picture[0] * weight[..., None]).sum((0, 1)) / weight.sum()
+    mean = (picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum()
     return np.asarray(np.where(mean > 1e-6, np.exp(np.round(np.log(np.maximum(mean, 1e-6)) / _STEP) * _STEP), 0.0))
 
 

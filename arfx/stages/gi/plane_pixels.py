@@ -28,16 +28,26 @@ def add_delta(
     n = delta.shape[1]
     side = np.float32(n)
     single = axes.shape[0] == 1
+    nearness = one / (radius_m * radius_m)
+    x_from, x_to = max(within[0], x0), min(within[2], x0 + shadow.shape[1])
     for y in range(max(within[1], y0), min(within[3], y0 + shadow.shape[0])):
         iy = y // GRID_PX
         fy = np.float32(y % GRID_PX) * step
-        for x in range(max(within[0], x0), min(within[2], x0 + shadow.shape[1])):
+        gy = one - fy
+        last = -1
+        ax, ay, az, sx, sy, sz = one, one, one, one, one, one
+        for x in range(x_from, x_to):
             ix = x // GRID_PX
-            fx = np.float32(x % GRID_PX) * step
-            w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
-            dx = w00 * nodes[iy, ix, 0] + w01 * nodes[iy, ix + 1, 0] + w10 * nodes[iy + 1, ix, 0] + w11 * nodes[iy + 1, ix + 1, 0]
-            dy = w00 * nodes[iy, ix, 1] + w01 * nodes[iy, ix + 1, 1] + w10 * nodes[iy + 1, ix, 1] + w11 * nodes[iy + 1, ix + 1, 1]
-            dz = w00 * nodes[iy, ix, 2] + w01 * nodes[iy, ix + 1, 2] + w10 * nodes[iy + 1, ix, 2] + w11 * nodes[iy + 1, ix + 1, 2]
+            if ix != last:  # both ends of a run of GRID_PX pixels on this line
+                last = ix
+                ax = gy * nodes[iy, ix, 0] + fy * nodes[iy + 1, ix, 0]
+                ay = gy * nodes[iy, ix, 1] + fy * nodes[iy + 1, ix, 1]
+                az = gy * nodes[iy, ix, 2] + fy * nodes[iy + 1, ix, 2]
+                sx = (gy * nodes[iy, ix + 1, 0] + fy * nodes[iy + 1, ix + 1, 0] - ax) * step
+                sy = (gy * nodes[iy, ix + 1, 1] + fy * nodes[iy + 1, ix + 1, 1] - ay) * step
+                sz = (gy * nodes[iy, ix + 1, 2] + fy * nodes[iy + 1, ix + 1, 2] - az) * step
+            fx = np.float32(x - ix * GRID_PX)
+            dx, dy, dz = ax + fx * sx, ay + fx * sy, az + fx * sz
             if single:
                 p = 0
                 h = (origin[0] - axes[0, 0, 0]) * axes[0, 3, 0] + (origin[1] - axes[0, 0, 1]) * axes[0, 3, 1]
@@ -53,9 +63,10 @@ def add_delta(
             qx, qy, qz = origin[0] + t * dx - axes[p, 0, 0], origin[1] + t * dy - axes[p, 0, 1], origin[2] + t * dz - axes[p, 0, 2]
             a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
             b = qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]
-            away = np.sqrt(a * a + b * b) / radius_m
+            away = (a * a + b * b) * nearness
             if not away < one:
                 continue
+            away = np.sqrt(away)
             fade = min((one - away) / (one - _RIM), one) * weight
             a, b = a / half_m, b / half_m
             u, v = WARP * a / (one + (WARP - one) * abs(a)), WARP * b / (one + (WARP - one) * abs(b))
@@ -69,3 +80,16 @@ def add_delta(
                 value += (d[j + 1, i, c] * (one - fs) + d[j + 1, i + 1, c] * fs) * fq
                 out[y - y0, x - x0, c] = max(out[y - y0, x - x0, c] + fade * value, np.float32(0))
     return out
+
+
+def shown_radius_m(delta: np.ndarray, places: np.ndarray, axes: np.ndarray, least: float, most_m: float) -> float:
+    """Distance from the planes' origins beyond which no texel changes by `least`; at most `most_m`.
+
+    delta, places (p, side, side, 3);  axes (p, 4, 3)
+    """
+    shows = np.abs(delta).max(-1) >= least
+    away = np.linalg.norm(places - axes[:, None, None, 0], axis=-1)
+    if not shows.any():
+        return 0.0
+    # as far again as to the next texel, and room for the rim to fade
+    return float(min(away[shows].max() * 1.1 / float(_RIM), most_m))

@@ -6,11 +6,13 @@ Source: S4 (real plane from the marker); bound from the solid angle of the ball 
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.numerics import HALF_GREY, divide, normalise
+from arfx.core.numerics import HALF_GREY, divide
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -22,15 +24,30 @@ _SAME_PLANE_M, _SAME_COSINE = 0.01, 0.995
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
 
 
+_BALLS: WeakKeyDictionary[Scene, tuple[np.ndarray, float]] = WeakKeyDictionary()
+_PLANES: WeakKeyDictionary[Scene, Planes] = WeakKeyDictionary()
+
+
 def ball_of(scene: Scene) -> tuple[np.ndarray, float]:
     """Centre (3,), anchor axes, and radius, metres, of a ball around the object."""
-    p = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
-    centre = (p.min(0) + p.max(0)) / 2
-    return centre, max(float(np.linalg.norm(p - centre, axis=1).max()), 1e-6)
+    found = _BALLS.get(scene)
+    if found is None:
+        p = scene.world_from_anchor.inverse().apply(scene.model_points_m)
+        p = p[np.isfinite(p).all(1)]
+        centre = (p.min(0) + p.max(0)) / 2
+        found = _BALLS[scene] = centre, max(float(np.linalg.norm(p - centre, axis=1).max()), 1e-6)
+    return found
 
 
 def planes_of(scene: Scene) -> Planes:
-    """The anchor's plane first; others only where the object stands before them."""
+    """The anchor's plane first; others only where the object stands before them. Made once per scene."""
+    found = _PLANES.get(scene)
+    if found is None:
+        found = _PLANES[scene] = _planes(scene)
+    return found
+
+
+def _planes(scene: Scene) -> Planes:
     anchor_from_world = scene.world_from_anchor.inverse()
     centre, radius = ball_of(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
@@ -128,7 +145,3 @@ def mip_chain(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) ->
     offsets = np.cumsum(sides**2) - sides**2
     flat = np.concatenate([x.reshape(p, -1, 3) for x in levels], 1)
     return np.ascontiguousarray(flat, np.float32), np.stack([offsets, sides], -1)
-
-
-def unit(v: np.ndarray) -> np.ndarray:
-    return normalise(v)

@@ -27,8 +27,8 @@ from arfx.stages.gi.cones import six_cones, steps_of
 from arfx.stages.gi.field import Body, make_body
 from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field
 from arfx.stages.gi.pixels import LOBES, chosen, light_points, reflected, spread
-from arfx.stages.gi.plane_pixels import GRID_PX, add_delta
-from arfx.stages.gi.real_planes import disc_radius_m, disc_rect, planes_of
+from arfx.stages.gi.plane_pixels import add_delta, shown_radius_m
+from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.surroundings import Planes
 from arfx.stages.lightmap.lookup import direction_grid
@@ -36,7 +36,7 @@ from arfx.stages.lightmap.stage import Kept
 
 PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {
-    "draft": LevelSettings(32, 64, 6, 128, 4, False, 2.0, 2.0),
+    "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
     "standard": LevelSettings(64, 128, 16, 256, 2, True, 0.35, 0.002),
     "high": LevelSettings(128, 256, 24, 512, 1, True, 1.1, 0.002),
 }
@@ -76,6 +76,7 @@ class Prepared:
     counts: np.ndarray
     tangents: np.ndarray
     steps: np.ndarray
+    places: np.ndarray
     kept: Kept = field(default_factory=lambda: Kept(4))
 
 
@@ -120,7 +121,7 @@ class Gi:
         grid = direction_grid(scene.camera)
         empty = np.zeros(0, np.float32)
         if level.name == "reference":
-            return Prepared(planes, grid, None, empty, empty, empty, empty)
+            return Prepared(planes, grid, None, empty, empty, empty, empty, empty)
         at = LEVELS[level.name]
         body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, self._paper)
         from arfx.stages.gi.cones import mirror_tangent
@@ -132,7 +133,7 @@ class Gi:
             lobes[k, : len(r)] = r
         return Prepared(
             planes, grid, body, lobes, np.array([len(r) for r in rows]), tangents.astype(np.float32),
-            steps_of(six_cones()[2], at.voxels),
+            steps_of(six_cones()[2], at.voxels), texture_places(planes, _texture_side(scene, at)),
         )  # fmt: skip
 
     def run(
@@ -151,11 +152,15 @@ class Gi:
             )  # fmt: skip
         at = LEVELS[level.name]
         assert prepared.body is not None
-        made = around(now, self._seen(facts, scene, frame), scene, facts, light, prepared.planes, at)
+        made = around(now, self._seen(facts, scene, frame), scene, facts, light, prepared.planes, prepared.places, prepared.kept)
         whole = frame_field(prepared.body, scene, light, prepared.planes, made, at, self._paper, prepared.kept)
         virtual = self._virtual(now, facts, scene, prepared, at, made.lit(whole))
         shadow = now[Layer.SHADOW]
-        if not disc.empty:
+        radius = shown_radius_m(
+            whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(light, scene)
+        )
+        if not disc.empty and radius > 0:
+            disc = disc_rect(scene, prepared.planes, radius, pose, frame)
             anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
             nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(np.float32)
             target, delta = (virtual, whole.gain) if self._paper else (shadow, whole.delta)
@@ -163,7 +168,7 @@ class Gi:
             changed = add_delta(
                 target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                 anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
-                np.float32(prepared.planes.half_m), np.float32(self._radius_m(light, scene)), delta, np.float32(weight),
+                np.float32(prepared.planes.half_m), np.float32(radius), delta, np.float32(weight),
             )  # fmt: skip
             if self._paper:
                 left = 1 - now[Layer.COVERAGE][..., None]
@@ -241,6 +246,14 @@ class Gi:
     @property
     def _paper(self) -> bool:
         return self.params.formula == "paper"
+
+
+def _texture_side(scene: Scene, at: LevelSettings) -> int:
+    """Texels of the picture on a plane: few where nothing mirrors sharply enough to show more."""
+    materials = [p.material for p in scene.model.parts]
+    sharp = [m.roughness < 0.5 or m.metallic_roughness_texture is not None for m in materials]
+    mirrors = [0.08 * m.specular * (1 - m.metallic) + m.metallic > at.gloss_floor for m in materials]
+    return at.texture_side if any(a and b for a, b in zip(sharp, mirrors, strict=True)) else min(at.texture_side, 64)
 
 
 def source_light(facts: FrameFacts, scene: Scene) -> Light:
