@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from arfx.analyse.analyser import AnalyseParams, LightParams
 from arfx.config.load import near
 from arfx.config.sections import JobConfig
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.stages import EFFECTS, STAGES, stages_with
+from arfx.stages import ASKED_FOR, EFFECTS, STAGES, TAKES_OVER, stages_with
 
 
 def parameters() -> Mapping[str, type]:
@@ -19,7 +20,8 @@ def parameters() -> Mapping[str, type]:
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:
     """Names of the stages that a job may run, in running order. Raises ConfigError for unknown or misordered effects."""
-    asked = list(EFFECTS) if config.pipeline.stages == "auto" else list(config.pipeline.stages)
+    automatic = [name for name in EFFECTS if name not in ASKED_FOR]
+    asked = automatic if config.pipeline.stages == "auto" else list(config.pipeline.stages)
     for name in asked:
         if name not in EFFECTS:
             have = f"effects in this version: {', '.join(EFFECTS)}" if EFFECTS else "this version has no optional effects yet"
@@ -35,7 +37,12 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
 
 def make_stages(config: JobConfig) -> dict[str, Stage]:
     """One instance per stage, in running order."""
-    return {name: STAGES[name](config.params[name]) for name in pipeline(config)}
+    names = pipeline(config)
+    settings = dict(config.params)
+    for effect in names:
+        for name, changes in TAKES_OVER.get(effect, {}).items():
+            settings[name] = replace(settings[name], **changes)
+    return {name: STAGES[name](settings[name]) for name in names}
 
 
 def light_wanted(config: JobConfig) -> LightParams | None:

@@ -43,9 +43,16 @@ IMPLICIT = ("raster", "plain", "contact", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
 # What an effect does itself and better: left out of a job that has it.
 REPLACES: Mapping[str, tuple[str, ...]] = {"lightmap": ("plain", "contact")}
+# What an effect builds on: part of every job that has it.
+WITH: Mapping[str, tuple[str, ...]] = {"gi": ("lightmap",)}
+# Settings of other stages that an effect takes over: gi gives all light without a direction, lightmap the rest.
+TAKES_OVER: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"gi": {"lightmap": {"ambient": False}}}
+# Effects that a pipeline has to name; "auto" leaves them out.
+ASKED_FOR = ("gi",)
 
 
 def stages_with(effects: Collection[str]) -> tuple[str, ...]:
     """Names of the stages of a job with these effects, in running order."""
+    effects = {*effects, *(name for effect in effects for name in WITH.get(effect, ()))}
     replaced = {name for effect in effects for name in REPLACES.get(effect, ())}
     return tuple(name for name in STAGES if (name in IMPLICIT and name not in replaced) or name in effects)

@@ -37,7 +37,7 @@ from arfx.stages.lightmap.stage import Kept
 PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {
     "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
-    "standard": LevelSettings(64, 128, 16, 256, 2, True, 0.35, 0.002),
+    "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.002),
     "high": LevelSettings(128, 256, 24, 512, 1, True, 1.1, 0.002),
 }
 
