@@ -22,6 +22,7 @@ from arfx.stages.gi.surroundings import Planes, behind_many
 from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
 
 _LEAST_LIGHT_DEG = 6.0  # full angle: a cone much narrower than a voxel would meet all or nothing
+ROUNDS = 2  # of light from the plane to the object and back
 _MOST_CLOSED = 0.95  # of the light between surfaces that is given back: a closed white cavity would never end
 
 
@@ -146,11 +147,13 @@ def make_field(
     shaded = np.stack(
         [1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(seen))]
     )
+    without = shaded.copy()
     values = np.zeros((len(body.voxels.cells), 4), np.float32)
     values[:, 3] = body.voxels.opacity
     gain = np.stack(lost) if not paper else np.zeros_like(np.stack(lost))
     atlas = body.opaque
-    if bounce:
+    occluded = np.stack(lost)
+    for _ in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
         dark = back.with_textures((darkened * mean).astype(np.float32), np.ones(darkened.shape[:3], np.float32), mean)
         values[:, :3] = _voxel_radiance(body, lights, dark) * body.voxels.opacity[:, None]
@@ -159,8 +162,8 @@ def make_field(
             got = _traced(
                 atlas, body.steps, in_voxels(cones.points, body.voxels.volume), cones.directions[:, None], None, 0.0
             )[:, 0, :3]
-            gain[k] += _summed(cones, got, side)
-            shaded[k] += divide(_summed(cones, got, side), whole[k])
+            gain[k] = _summed(cones, got, side) + (0.0 if paper else occluded[k])
+            shaded[k] = without[k] + divide(_summed(cones, got, side), whole[k])
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
     return Field(atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32))
 
