@@ -66,9 +66,7 @@ def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def trace(
-    values, brick_of, meta, steps, ox, oy, oz, dx, dy, dz, px, py, pz, nx, ny, nz, clip
-):  # pragma: no cover - compiled
+def trace(values, brick_of, meta, steps, ox, oy, oz, dx, dy, dz, px, py, pz, nx, ny, nz, clip):  # pragma: no cover - compiled
     """(r, g, b, share of the background that is left).
 
     o : start, d : unit direction, p and n : point and normal of the surface it starts on; voxels of level 0
@@ -171,9 +169,7 @@ def turned(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
 def _frames(normals):  # pragma: no cover - compiled
     out = np.empty((normals.shape[0], 6), np.float32)
     for i in range(normals.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = frame_of(
-            normals[i, 0], normals[i, 1], normals[i, 2]
-        )
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = frame_of(normals[i, 0], normals[i, 1], normals[i, 2])
     return out
 
 

@@ -96,9 +96,7 @@ def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper
     opaque = atlas_of(structure, values, paper)
     six, _, six_tan = six_cones()
     directions = turned(voxels.normal, six)
-    left = _traced(
-        opaque, steps_of(six_tan, n), voxels.cells + np.float32(0.5), directions, voxels.normal, float(START)
-    )[..., 3]
+    left = _traced(opaque, steps_of(six_tan, n), voxels.cells + np.float32(0.5), directions, voxels.normal, float(START))[..., 3]
     places = texture_places(planes, side)
     set_, weights, tan_half = six_cones() if cones == 6 else even_cones(cones)
     steps = steps_of(tan_half, n, start=0.0)
@@ -144,9 +142,7 @@ def make_field(
         behind = _behind(cones.points, cones.directions, k, body.tan_half, back)
         seen.append(behind)
         lost.append(_summed(cones, -(1 - cones.left)[:, None] * behind, side))
-    shaded = np.stack(
-        [1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(seen))]
-    )
+    shaded = np.stack([1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(seen))])
     without = shaded.copy()
     values = np.zeros((len(body.voxels.cells), 4), np.float32)
     values[:, 3] = body.voxels.opacity
@@ -159,9 +155,9 @@ def make_field(
         values[:, :3] = _voxel_radiance(body, lights, dark) * body.voxels.opacity[:, None]
         atlas = atlas_of(body.structure, values, paper)
         for k, cones in enumerate(body.cones):
-            got = _traced(
-                atlas, body.steps, in_voxels(cones.points, body.voxels.volume), cones.directions[:, None], None, 0.0
-            )[:, 0, :3]
+            got = _traced(atlas, body.steps, in_voxels(cones.points, body.voxels.volume), cones.directions[:, None], None, 0.0)[
+                :, 0, :3
+            ]
             gain[k] = _summed(cones, got, side) + (0.0 if paper else occluded[k])
             shaded[k] = without[k] + divide(_summed(cones, got, side), whole[k])
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])

@@ -138,7 +138,5 @@ def frame_field(
 ) -> Field:
     """The voxels' light and the planes' change, made anew only where light, environment or plane differ."""
     key = (repr(light), made.cube.tobytes(), made.mean.tobytes())
-    found: Field = kept.get(
-        key, lambda: make_field(body, scene, light, planes, made.back, made.mean, paper, at.bounce)
-    )
+    found: Field = kept.get(key, lambda: make_field(body, scene, light, planes, made.back, made.mean, paper, at.bounce))
     return found

@@ -54,9 +54,7 @@ def light_points(
                 deg_here = np.float32(np.arctan(tan_here) * np.float32(57.29578))
             r, g, b, left = trace(values, brick_of, meta, walk, ox, oy, oz, dx, dy, dz, px, py, pz, nx, ny, nz, True)
             if left > 0:
-                er, eg, eb = behind(
-                    axes, half_m, textures, mips, maps, widths, turn, -1, x, y, z, dx, dy, dz, tan_here, deg_here
-                )
+                er, eg, eb = behind(axes, half_m, textures, mips, maps, widths, turn, -1, x, y, z, dx, dy, dz, tan_here, deg_here)
                 r += left * er
                 g += left * eg
                 b += left * eb

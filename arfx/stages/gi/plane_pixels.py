@@ -14,9 +14,7 @@ _RIM = np.float32(0.85)  # share of the disc's radius from which on what is left
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def add_delta(
-    shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, weight
-):  # pragma: no cover - compiled
+def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, weight):  # pragma: no cover - compiled
     """(h, w, 3) float32 shadow + weight x delta, never below 0.
 
     within (4,) : x0, y0, x1, y1 of the pixels to change;  nodes (gh, gw, 3) : viewing directions every GRID_PX pixels and
@@ -60,7 +58,11 @@ def add_delta(
                 p, t = first_plane(axes, origin[0], origin[1], origin[2], dx, dy, dz)
                 if p < 0 or not t > 0:
                     continue
-            qx, qy, qz = origin[0] + t * dx - axes[p, 0, 0], origin[1] + t * dy - axes[p, 0, 1], origin[2] + t * dz - axes[p, 0, 2]
+            qx, qy, qz = (
+                origin[0] + t * dx - axes[p, 0, 0],
+                origin[1] + t * dy - axes[p, 0, 1],
+                origin[2] + t * dz - axes[p, 0, 2],
+            )
             a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
             b = qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]
             away = (a * a + b * b) * nearness

@@ -156,9 +156,7 @@ class Gi:
         whole = frame_field(prepared.body, scene, light, prepared.planes, made, at, self._paper, prepared.kept)
         virtual = self._virtual(now, facts, scene, prepared, at, made.lit(whole))
         shadow = now[Layer.SHADOW]
-        radius = shown_radius_m(
-            whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(light, scene)
-        )
+        radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(light, scene))
         if not disc.empty and radius > 0:
             disc = disc_rect(scene, prepared.planes, radius, pose, frame)
             anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
@@ -191,15 +189,15 @@ class Gi:
         f32, volume = np.float32, prepared.body.voxels.volume
         directions, weights, tan_half = six_cones()
         structure = prepared.body.structure
-        surface = [part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)]
-        axes = anchor.rotation.astype(f32), anchor.translation_m.astype(f32)
+        surface: Any = [part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)]
+        axes: Any = anchor.rotation.astype(f32), anchor.translation_m.astype(f32)
         eye = anchor.apply(pose.inverse().translation_m).astype(f32)
-        cones = (
+        cones: Any = (
             back.atlas.values, structure.brick_of, structure.meta, np.array(volume.low_m, f32), f32(volume.voxel_m),
             directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps, prepared.lobes,
             prepared.tangents, prepared.counts, *back.arguments,
         )  # fmt: skip
-        limits = f32(at.sharp), f32(at.gloss_floor)
+        limits: Any = f32(at.sharp), f32(at.gloss_floor)
         points, light = np.zeros((0, 7), f32), np.zeros((0, 6), f32)
         index = np.zeros((0, 0), np.int32)
         if block > 1:

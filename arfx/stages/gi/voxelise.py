@@ -9,6 +9,7 @@ in bricks of 4 x 4 x 4. Source: S4 (surface voxelisation); SYSTEMS.md S4. Leaves
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -100,7 +101,7 @@ def voxelise(scene: Scene, n: int) -> Voxels:
     )  # fmt: skip
 
 
-def _material(part: Part) -> tuple[np.ndarray, ...]:
+def _material(part: Part) -> Any:
     """(colours (n, 4), uv (n, 2), base texture, emission texture, emission, share (2,), cutoff) as the kernel takes them.
 
     share : of the base colour that is reflected, and what is reflected beside it: metals count as matt, as voxels are

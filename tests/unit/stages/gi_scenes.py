@@ -62,7 +62,9 @@ def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
     rays = rtcore_scene.EmbreeScene()
     mesh = TriangleMesh(rays, corners)
     o = np.broadcast_to(eye, d.shape).reshape(-1, 3)
-    found = rays.run(np.ascontiguousarray(o, np.float32), np.ascontiguousarray(d.reshape(-1, 3), np.float32), query="INTERSECT", output=1)
+    found = rays.run(
+        np.ascontiguousarray(o, np.float32), np.ascontiguousarray(d.reshape(-1, 3), np.float32), query="INTERSECT", output=1
+    )
     del mesh
     prim = np.asarray(found["primID"]).astype(int).reshape(rect.height, rect.width)
     met = prim >= 0

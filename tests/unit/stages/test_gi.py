@@ -105,7 +105,7 @@ def test_the_plane_colours_the_object() -> None:
     assert np.ptp(grey[Layer.VIRTUAL], axis=-1).max() < 1e-4
 
 
-@pytest.mark.parametrize("level", ["standard", "high", "reference"])
+@pytest.mark.parametrize("level", ["standard", "reference"])
 def test_a_mirror_shows_the_picture_on_the_plane(level: str) -> None:
     """Left half of the plane red, right half blue: in the ball's lower half too, on the same side."""
     s, pose = on(ball, MIRROR), from_above(turn_deg=0)
@@ -118,7 +118,7 @@ def test_a_mirror_shows_the_picture_on_the_plane(level: str) -> None:
     assert left[0] > 5 * left[2] and right[2] > 5 * right[0]
 
 
-@pytest.mark.parametrize("level", CONES)
+@pytest.mark.parametrize("level", ["draft", "standard"])
 def test_an_emissive_object_lights_the_plane(level: str) -> None:
     s = on(ball, GLOWING)
     made = run_gi(s, level)
@@ -126,7 +126,7 @@ def test_an_emissive_object_lights_the_plane(level: str) -> None:
     assert made[Layer.SHADOW][near].mean(0)[0] > 1.1 and made[Layer.SHADOW][near].mean(0)[2] < 1
 
 
-@pytest.mark.parametrize("level", CONES)
+@pytest.mark.parametrize("level", ["draft", "standard"])
 @pytest.mark.parametrize("height", [0.0, 0.001, -0.03, 0.3])
 def test_touching_hovering_and_sunk(level: str, height: float) -> None:
     s = on(box, BLACK, height_m=height)
@@ -142,7 +142,7 @@ def test_a_millimetre_makes_no_jump() -> None:
     assert np.abs(made[0] - made[1])[near].mean() < 0.01
 
 
-@pytest.mark.parametrize("level", CONES)
+@pytest.mark.parametrize("level", ["draft", "standard"])
 def test_camera_inside_and_an_object_that_fills_the_picture(level: str) -> None:
     s = on(box, MATT_RED)
     inside = Pose(from_above().rotation, -from_above().rotation @ np.array([0.0, 0.01, 0.05]))
@@ -179,7 +179,7 @@ def test_nothing_is_changed_beyond_the_disc() -> None:
 
 def test_a_picture_one_pixel_wide() -> None:
     s = on(box, MATT_RED, camera=Camera(1, 120, np.array([[150.0, 0, 0], [0, 150, 60], [0, 0, 1]])))
-    for level in [*CONES, "reference"]:
+    for level in ("draft", "standard", "reference"):
         made = run_gi(s, level, params=GiParams(samples=2))
         assert made[Layer.SHADOW].shape == (120, 1, 3) and np.isfinite(made[Layer.VIRTUAL]).all()
 
@@ -187,7 +187,7 @@ def test_a_picture_one_pixel_wide() -> None:
 def test_contact_is_where_the_object_stands() -> None:
     s = on(ball, BLACK)
     pose = from_above(10, 0.6)
-    dark = 1 - run_gi(s, "high", pose)[Layer.SHADOW][..., 0]
+    dark = 1 - run_gi(s, "standard", pose)[Layer.SHADOW][..., 0]
     g = ground_points(s, pose)
     middle = (g * dark[..., None]).sum((0, 1)) / dark.sum()
     assert np.linalg.norm(middle[:2]) < 0.01

@@ -97,7 +97,17 @@ def through(alpha: float, exponents: list[float]) -> float:
     steps = np.array([[1.5 + k, 0, e] for k, e in enumerate(exponents)], np.float32)
     point, direction = np.full((1, 3), 2.0, np.float32), np.array([[[1, 0, 0]]], np.float32)
     return float(
-        trace_many(atlas.values, structure.brick_of, structure.meta, steps, point, direction, np.zeros((1, 3), np.float32), np.float32(0), False)[0, 3]
+        trace_many(
+            atlas.values,
+            structure.brick_of,
+            structure.meta,
+            steps,
+            point,
+            direction,
+            np.zeros((1, 3), np.float32),
+            np.float32(0),
+            False,
+        )[0, 3]
     )
 
 
