@@ -127,7 +127,7 @@ def picture_on_planes(
 def mip_chain(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel; what is not known is filled from
     the coarser levels, and from `otherwise` (3,) where nothing is known at all."""
-    p, side = known.shape[:2]
+    p = len(known)
     sums, weights = [radiance], [known]
     while sums[-1].shape[1] > 1:
         s, w = sums[-1], weights[-1]

@@ -201,13 +201,14 @@ class Gi:
         points, light = np.zeros((0, 7), f32), np.zeros((0, 6), f32)
         index = np.zeros((0, 0), np.int32)
         if block > 1:
-            points, wanted, index = chosen(*surface, box.x0, box.y0, block, *axes, *limits)
+            choice: Any = (*surface, box.x0, box.y0, block, *axes, *limits)
+            points, wanted, index = chosen(*choice)
             light = light_points(points, wanted, eye, *cones)
-        spread_light, points, wanted, pixels = spread(
-            *surface, box.x0, box.y0, block if block > 1 else 0, *axes, *limits, f32(volume.voxel_m), points, light, index
-        )
+        near: Any = (*surface, box.x0, box.y0, block if block > 1 else 0, *axes, *limits, f32(volume.voxel_m))
+        spread_light, points, wanted, pixels = spread(*near, points, light, index)
         fresh = light_points(points, wanted, eye, *cones)
-        out[box.slices_in(now.rect)] += reflected(*surface, *axes, eye, limits[1], spread_light, fresh, wanted, pixels)
+        seen: Any = (*surface, *axes)
+        out[box.slices_in(now.rect)] += reflected(*seen, eye, limits[1], spread_light, fresh, wanted, pixels)
         return out
 
     def _disc(self, facts: FrameFacts, scene: Scene, frame: Rect) -> tuple[Rect, str]:

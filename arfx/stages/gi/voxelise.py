@@ -87,7 +87,8 @@ def voxelise(scene: Scene, n: int) -> Voxels:
     bricks[where] = np.arange(len(where), dtype=np.int32)
     sums = np.zeros((len(where), BRICK**3, 11), np.float32)
     for v, faces, normals, part in tables:
-        _accumulate(v, faces, normals, *_material(part), n, per_side, bricks, sums)
+        arguments: Any = (v, faces, normals, *_material(part), n, per_side, bricks, sums)
+        _accumulate(*arguments)
     brick, cell = np.nonzero(sums[:, :, 0] > 0)
     s = sums[brick, cell].astype(float)
     place, inside = where[brick], cell
