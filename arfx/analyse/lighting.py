@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse import given_light
+from arfx.analyse.environment_time import with_environment
 from arfx.analyse.light_fit import REFUSED
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.lighting_room import Readings, RoomLight
@@ -59,6 +60,9 @@ def lighted(
         f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
         for k, f in enumerate(facts)
     )
+    marker = analysis.world_from_marker.get(anchor)
+    upright = np.eye(3) if marker is None else marker.rotation
+    lit = with_environment(lit, meter.looks, turns, panorama, upright, bias)
     about = _about_photometry(photometry, params) | {"frame": "camera" if analysis.static == "camera" else "marker"} | report
     notices = list(analysis.notices)
     if report and report["verdict"] == REFUSED:
