@@ -22,6 +22,7 @@ from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irr
 from arfx.stages.lightmap.stage import Kept
 
 KEY = "environment"  # in FrameFacts.extra: {"size": n, "faces": base64 of float16 (6, n, n, 3), WORLD axes}
+_LIGHT_STEP = 0.03
 _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %: of the planes' change that is 1 %
 
 
@@ -43,10 +44,12 @@ class LevelSettings:
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """cube (6, n, n, 3) WORLD axes, scaled to the light;  picture (p, side, side, 3), known (p, side, side) on the planes
+    """cube (6, n, n, 3) WORLD axes, and factor (3,) that scales it to the light
+    picture (p, side, side, 3), known (p, side, side) on the planes
     mean (3,) of it near the object, rounded;  back : for the cones, with the mean instead of the picture"""
 
     cube: np.ndarray
+    factor: np.ndarray
     picture: np.ndarray
     known: np.ndarray
     mean: np.ndarray
@@ -64,18 +67,42 @@ class Around:
         return self.back.arguments
 
 
-def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> np.ndarray:
-    """(6, n, n, 3) radiance, WORLD axes: the facts' environment, with the irradiance on the anchor's plane that the light
-    has without its directional lights; the light's own soft part where there is none."""
+def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
+    """((6, n, n, 3) radiance, WORLD axes, (3,) factor): the facts' environment, to be multiplied so that its irradiance on the
+    anchor's plane is what the light has without its directional lights; the light's own soft part where there is none."""
     told = facts.extra.get(KEY)
-    soft = from_light(light)
     up = scene.world_from_anchor.rotation[:, 2]
     want = light.soft_radiance(up)
-    cube = soft if told is None else decoded(told)
-    factor = divide(want, irradiance(cube, up), where_zero=-1.0)
-    if (factor < 0).any() or (factor > 1e3).any():  # a black picture, or one that lacks a colour that the plane shows
-        cube, factor = soft, divide(want, irradiance(soft, up))
-    return np.asarray(cube * factor)
+    if told is not None:
+        cube = decoded(told)
+        factor = divide(want, irradiance(cube, up), where_zero=-1.0)
+        # not a black picture, nor one that lacks a colour that the plane shows
+        if (factor >= 0).all() and (factor < 1e3).all():
+            return cube, factor
+    cube = from_light(light)
+    return cube, divide(want, irradiance(cube, up))
+
+
+def rounded(light: Light) -> Light:
+    """The light in steps too small to show in what it does by way of the voxels: what is made for it is kept."""
+
+    def steps(v: Any) -> tuple[float, float, float]:
+        a = np.asarray(v, float)
+        out = np.where(a > 1e-6, np.exp(np.round(np.log(np.maximum(a, 1e-6)) / _LIGHT_STEP) * _LIGHT_STEP), 0.0)
+        return float(out[0]), float(out[1]), float(out[2])
+
+    lights = tuple(
+        replace(
+            li, direction=tuple(np.round(li.unit, 2).tolist()), rgb=steps(li.rgb), angular_size_deg=round(li.angular_size_deg)
+        )
+        for li in light.lights
+    )
+    soft: tuple[tuple[float, float, float], ...] = ()
+    if light.soft:
+        a = np.asarray(light.soft, float)
+        share = np.round(divide(a, a[0]) / _LIGHT_STEP) * _LIGHT_STEP
+        soft = tuple((float(r[0]), float(r[1]), float(r[2])) for r in share * np.array(steps(a[0])))
+    return replace(light, ambient_rgb=steps(light.ambient_rgb), lights=lights, soft=soft)
 
 
 def encoded(cube: np.ndarray) -> dict[str, Any]:
@@ -102,7 +129,7 @@ def around(
     texels of the picture on the planes;  kept : environments that were made ready before"""
     pose = facts.camera_from_world
     assert pose is not None
-    cube = environment_cube(facts, scene, light)
+    cube, factor = environment_cube(facts, scene, light)
     picture, known = picture_on_planes(
         now[Layer.PLATE], now.rect, seen, scene.camera, pose @ scene.world_from_anchor,
         places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32),
@@ -112,11 +139,12 @@ def around(
     p = len(planes.axes)
     textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
     turn = scene.world_from_anchor.rotation.astype(np.float32)
+    maps = factor.astype(np.float32) * kept.get(cube.tobytes(), lambda: octahedral(cube))
     back = Behind(
-        planes.axes, np.float32(planes.half_m), textures, mips, kept.get(cube.tobytes(), lambda: octahedral(cube)),
+        planes.axes, np.float32(planes.half_m), textures, mips, maps,
         np.array(HALF_ANGLES_DEG, np.float32), turn,
     )  # fmt: skip
-    return Around(cube, picture, known, mean, back)
+    return Around(cube, factor, picture, known, mean, back)
 
 
 def plane_mean(
@@ -134,9 +162,25 @@ def plane_mean(
 
 
 def frame_field(
-    body: Body, scene: Scene, light: Light, planes: Planes, made: Around, at: LevelSettings, paper: bool, kept: Kept
+    body: Body,
+    scene: Scene,
+    facts: FrameFacts,
+    light: Light,
+    planes: Planes,
+    made: Around,
+    at: LevelSettings,
+    paper: bool,
+    kept: Kept,
 ) -> Field:
     """The voxels' light and the planes' change, made anew only where light, environment or plane differ."""
-    key = (repr(light), made.cube.tobytes(), made.mean.tobytes())
-    found: Field = kept.get(key, lambda: make_field(body, scene, light, planes, made.back, made.mean, paper, at.bounce))
+    coarse = rounded(light)
+    cube, factor = environment_cube(facts, scene, coarse)
+    key = (repr(coarse), cube.tobytes(), made.mean.tobytes())
+
+    def make() -> Field:
+        maps = kept.get(cube.tobytes(), lambda: octahedral(cube))
+        back = replace(made.back, maps=factor.astype(np.float32) * maps)
+        return make_field(body, scene, coarse, planes, back, made.mean, paper, at.bounce)
+
+    found: Field = kept.get(key, make)
     return found

@@ -179,7 +179,8 @@ def trace_frame(
     assert pose is not None
     seed = int(rng.integers(1 << 31))
     rays = RayScene(scene)
-    around = Surroundings(now, seen, scene, facts, environment_cube(facts, scene, light), planes, ball_of(scene)[1])
+    cube, factor = environment_cube(facts, scene, light)
+    around = Surroundings(now, seen, scene, facts, cube * factor, planes, ball_of(scene)[1])
     tracer = Tracer(rays, around, light, scene)
     anchor = scene.world_from_anchor.inverse()
     eye = anchor.apply(pose.inverse().translation_m)

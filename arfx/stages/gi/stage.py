@@ -77,7 +77,7 @@ class Prepared:
     tangents: np.ndarray
     steps: np.ndarray
     places: np.ndarray
-    kept: Kept = field(default_factory=lambda: Kept(4))
+    kept: Kept = field(default_factory=lambda: Kept(8))
 
 
 class Gi:
@@ -153,7 +153,7 @@ class Gi:
         at = LEVELS[level.name]
         assert prepared.body is not None
         made = around(now, self._seen(facts, scene, frame), scene, facts, light, prepared.planes, prepared.places, prepared.kept)
-        whole = frame_field(prepared.body, scene, light, prepared.planes, made, at, self._paper, prepared.kept)
+        whole = frame_field(prepared.body, scene, facts, light, prepared.planes, made, at, self._paper, prepared.kept)
         virtual = self._virtual(now, facts, scene, prepared, at, made.lit(whole))
         shadow = now[Layer.SHADOW]
         radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(light, scene))

@@ -68,16 +68,17 @@ def octahedral(cube: np.ndarray) -> np.ndarray:
     """(widths, SIDE + 2, SIDE + 2, 3) float32 of a cube (6, n, n, 3): mean radiance in a cone about every direction."""
     size = cube.shape[1]
     flat = np.ascontiguousarray(cube.reshape(-1, 3), np.float32)
-    return (_kernels(size) @ flat).reshape(len(HALF_ANGLES_DEG), SIDE + 2, SIDE + 2, 3)
+    return (_kernels(size).reshape(-1, len(flat)) @ flat).reshape(len(HALF_ANGLES_DEG), SIDE + 2, SIDE + 2, 3)
 
 
 def from_light(light: Light, size: int = 8) -> np.ndarray:
-    """A cube (6, n, n, 3), WORLD axes, that gives about the light's soft radiance: where no picture of the surroundings is."""
+    """A cube (6, n, n, 3), WORLD axes, that gives about the light's soft radiance, but for its scale: where no picture
+    of the surroundings is."""
     from arfx.stages.gi.cube import texel_directions
 
     d = texel_directions(size)
     if not light.soft:
-        return np.broadcast_to(np.asarray(light.ambient_rgb, float), d.shape).copy()
+        return np.ones(d.shape)
     # a cosine lobe leaves 2/3 and 1/4 of degrees 1 and 2; the latter is given back by half only, as it rings
     gain = np.repeat([1.0, 1.5, 2.0], [1, 3, 5])[:, None]
     return np.clip(harmonics(d) @ (np.asarray(light.soft, float) * gain), 0, None)
