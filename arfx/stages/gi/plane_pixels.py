@@ -26,7 +26,7 @@ def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, del
     n = delta.shape[1]
     side = np.float32(n)
     single = axes.shape[0] == 1
-    nearness = one / (radius_m * radius_m)
+    nearness, scale, rim = one / (radius_m * radius_m), one / half_m, one / (one - _RIM)
     x_from, x_to = max(within[0], x0), min(within[2], x0 + shadow.shape[1])
     for y in range(max(within[1], y0), min(within[3], y0 + shadow.shape[0])):
         iy = y // GRID_PX
@@ -68,19 +68,21 @@ def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, del
             away = (a * a + b * b) * nearness
             if not away < one:
                 continue
-            away = np.sqrt(away)
-            fade = min((one - away) / (one - _RIM), one) * weight
-            a, b = a / half_m, b / half_m
+            fade = weight
+            if away > _RIM * _RIM:
+                fade = (one - np.sqrt(away)) * rim * weight
+            a, b = a * scale, b * scale
             u, v = WARP * a / (one + (WARP - one) * abs(a)), WARP * b / (one + (WARP - one) * abs(b))
             s = min(max((u + one) * half * side - half, np.float32(0)), side - np.float32(1.001))
             q = min(max((v + one) * half * side - half, np.float32(0)), side - np.float32(1.001))
-            i, j = int(s), int(q)
+            i, j = np.uintp(s), np.uintp(q)  # not signed: no check for what counts from the end
+            i1, j1 = i + np.uintp(1), j + np.uintp(1)
             fs, fq = s - np.float32(i), q - np.float32(j)
-            d = delta[p]
+            w00, w01, w10, w11 = (one - fs) * (one - fq), fs * (one - fq), (one - fs) * fq, fs * fq
+            row, column, k = np.uintp(y - y0), np.uintp(x - x0), np.uintp(p)
             for c in range(3):
-                value = (d[j, i, c] * (one - fs) + d[j, i + 1, c] * fs) * (one - fq)
-                value += (d[j + 1, i, c] * (one - fs) + d[j + 1, i + 1, c] * fs) * fq
-                out[y - y0, x - x0, c] = max(out[y - y0, x - x0, c] + fade * value, np.float32(0))
+                value = w00 * delta[k, j, i, c] + w01 * delta[k, j, i1, c] + w10 * delta[k, j1, i, c] + w11 * delta[k, j1, i1, c]
+                out[row, column, c] = max(out[row, column, c] + fade * value, np.float32(0))
     return out
 
 
