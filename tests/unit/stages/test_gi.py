@@ -94,6 +94,16 @@ def test_a_red_object_colours_the_plane_and_a_black_one_darkens_it(level: str) -
     assert (red[Layer.VIRTUAL][red[Layer.COVERAGE] == 0] == 0).all()
 
 
+@pytest.mark.parametrize("shape", [ball, box])
+@pytest.mark.parametrize("level", CONES)
+def test_a_convex_object_does_not_hide_the_light_from_itself(level: str, shape) -> None:  # type: ignore[no-untyped-def]
+    """Cones that met the voxels of the surface they start on would find a dark grey object in an even light."""
+    dark = replace(MATT_WHITE, base_colour=(0.1, 0.1, 0.1, 1.0))
+    made = run_gi(on(shape, dark, EVEN), level, plate=plain_plate(rgb=(1, 1, 1)))
+    up = inner(made[Layer.COVERAGE]) & (made[Layer.NORMAL][..., 2] > 0.9)
+    assert made[Layer.VIRTUAL][up].mean() / 0.1 == pytest.approx(1, abs=0.03)
+
+
 def test_the_plane_colours_the_object() -> None:
     s = on(ball, MATT_WHITE)
     made = run_gi(s, plate=plain_plate(rgb=(0.6, 0.1, 0.1)))
