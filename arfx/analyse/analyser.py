@@ -43,7 +43,8 @@ class Analyser:
 
     markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
     marker_map : world_from_marker of a known layout; None = mapped from the clip
-    motion : follow the background too, for what is anchored to it (FrameFacts.extra["watercolor"])
+    folds : what else is wanted: "flow" follows the background, for what is anchored to it (FrameFacts.extra["watercolor"]),
+        "environment" keeps the surroundings' picture, with the light (extra["environment"])
     light : read the light too, from the pictures that `step` then needs;  panorama : of LightParams.environment
     Raises ConfigError for no marker, the same one twice, or a map that lacks one.
     """
@@ -56,7 +57,7 @@ class Analyser:
         marker_map: Mapping[str, Pose] | None = None,
         light: LightParams | None = None,
         panorama: np.ndarray | None = None,
-        motion: bool = False,
+        folds: frozenset[str] = frozenset(),
     ) -> None:
         if not markers:
             raise ConfigError("no marker is configured", "for example --marker 36h11:3:165mm")
@@ -72,7 +73,8 @@ class Analyser:
         self._refiner = EdgeRefiner(self.params.transfer)
         self._cut, self._flow, self._survey = CutSignal(), BackgroundFlow(), Survey()
         self.light, self.panorama, self._meter = light, panorama, LightMeter()
-        self._motion = BackgroundMotion() if motion else None
+        self._motion = BackgroundMotion() if "flow" in folds else None
+        self._folds = folds
         self._records: list[Record] = []
         self._others: Counter[str] = Counter()
         self._ever_seen = False
@@ -152,7 +154,7 @@ class Analyser:
             raise self._nothing()
         analysis = solve(self._records, self.markers, self.camera, self.params, self.marker_map, self._flow.samples)
         if self.light is not None:
-            analysis = lighted(analysis, self._meter, self.markers, self.light, self.panorama)
+            analysis = lighted(analysis, self._meter, self.markers, self.light, self.panorama, "environment" in self._folds)
         if self._motion is not None:
             analysis = replace(analysis, facts=self._anchored(analysis, self._motion))
         return replace(analysis, summary={**analysis.summary, "edge_transfer": self._refiner.transfer})

@@ -3,11 +3,14 @@
 The picture is split in thirds: its middle is the cube's front, and mirrored its back; the parts left, right, above and
 below the middle are the sides. Source: S4 (environment map from the single camera). It gives colour and soft shading,
 never a direction: a picture of a third of the surroundings says little about the rest, and lamps in it are clipped.
-Cost: some 0.3 ms a frame at SIZE 16. Leaves out: seams at the back, the four corners of the picture.
+`fold` is the paper's, with a seam where the sides meet the mirrored back; `fold_corrected` has none: the direction's angle
+from the line of sight is the distance from the picture's middle, out to its border at 90 degrees and back behind.
+Cost: some 0.3 ms a frame at SIZE 16. Leaves out: the four corners of the picture.
 """
 
 from __future__ import annotations
 
+import base64
 from functools import lru_cache
 
 import cv2
@@ -39,6 +42,87 @@ def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
     front = shrink(part(1, 1))
     return np.stack([right, left, down, up, front, front])
+
+
+def fold_corrected(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """The same as `fold`, without a seam anywhere: what is continuous in the picture is so on the sphere."""
+    picture = np.nan_to_num(np.asarray(image, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    h, w = picture.shape[:2]
+    if h < 3 or w < 3:
+        raise ValueError(f"image of {w}x{h}: at least 3 x 3 pixels")
+    # as coarse as the faces are: a texel of 90 / size degrees spans this many pixels
+    small = cv2.resize(picture, (min(w, 2 * size), min(h, 2 * size)), interpolation=cv2.INTER_AREA)
+    d = face_directions(size)
+    angle = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2]) / (np.pi / 2)
+    out = 1 - np.abs(1 - angle)  # 0 in the middle, 1 at the border
+    across = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
+    x = (1 + out * d[..., 0] / across) / 2 * small.shape[1] - 0.5
+    y = (1 + out * d[..., 1] / across) / 2 * small.shape[0] - 0.5
+    rows = [
+        cv2.remap(small, a.astype(np.float32), b.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for a, b in zip(x, y, strict=True)
+    ]
+    return np.stack(rows)
+
+
+def from_panorama(picture: np.ndarray, size: int = SIZE, stands_out: float = 6.0) -> np.ndarray:
+    """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of given_light (z up, middle column x).
+
+    What is more than `stands_out` times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
+    """
+    a = np.asarray(picture, np.float32)
+    solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
+    grey = a.mean(-1)
+    limit = stands_out * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
+    a = np.ascontiguousarray(a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None], np.float32)
+    a = cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA)
+    d = face_directions(size)
+    x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
+    y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
+    y = np.clip(y, 0, a.shape[0] - 1)
+    rows = [
+        cv2.remap(a, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        for u, v in zip(x, y, strict=True)
+    ]
+    return np.stack(rows).astype(float)
+
+
+def mip_chain(faces: np.ndarray) -> list[np.ndarray]:
+    """The cube (6, n, n, 3), n a power of two, and its means over 2 x 2 texels, down to one texel a face."""
+    out = [np.asarray(faces)]
+    while out[-1].shape[1] > 1:
+        n = out[-1].shape[1] // 2
+        out.append(out[-1].reshape(6, n, 2, n, 2, 3).mean((2, 4)))
+    return out
+
+
+def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(k, 3) radiance in directions (k, 3), axes of the cube (6, n, n, 3): linear between the texels of a face."""
+    size = faces.shape[1]
+    d = np.asarray(directions, float)
+    axis = np.abs(d).argmax(1)
+    major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
+    q = d / np.maximum(np.abs(major), 1e-12)[:, None]
+    u, v = np.choose(axis, [-q[:, 2], q[:, 0], q[:, 0]]), np.choose(axis, [q[:, 1], -q[:, 2], q[:, 1]])
+    face = 2 * axis + (major < 0)
+    x, y = (np.clip((t + 1) / 2 * size - 0.5, 0, size - 1) for t in (u, v))
+    i, j = np.minimum(x.astype(int), max(size - 2, 0)), np.minimum(y.astype(int), max(size - 2, 0))
+    i1, j1 = np.minimum(i + 1, size - 1), np.minimum(j + 1, size - 1)
+    fx, fy = (x - i)[:, None], (y - j)[:, None]
+    top = faces[face, j, i] * (1 - fx) + faces[face, j, i1] * fx
+    return np.asarray(top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy)
+
+
+def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
+    """The cube (6, n, n, 3) in other axes. source_from_dest : (3, 3) rotation to the cube's axes"""
+    d = face_directions(faces.shape[1])
+    return look_up(faces, d.reshape(-1, 3) @ np.asarray(source_from_dest, float).T).reshape(faces.shape)
+
+
+def told(faces: np.ndarray) -> dict:
+    """What FrameFacts.extra["environment"] holds: {"size", "faces": base64 of float16}; WORLD axes."""
+    half = np.clip(faces, 0, 6e4).astype("<f2")
+    return {"size": int(faces.shape[1]), "faces": base64.b64encode(half.tobytes()).decode("ascii")}
 
 
 @lru_cache(maxsize=4)

@@ -18,6 +18,7 @@ import numpy as np
 
 from arfx.analyse import given_light
 from arfx.analyse.blocked_light import already_blocked, quarters
+from arfx.analyse.environment_time import with_environment
 from arfx.analyse.light_fit import MEASURED as LIT
 from arfx.analyse.light_fit import REFUSED
 from arfx.analyse.lighting_params import LightParams
@@ -36,11 +37,12 @@ LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and
 
 def lighted(
     analysis: Analysis, meter: LightMeter, markers: Sequence[MarkerSpec], params: LightParams,
-    panorama: np.ndarray | None = None,
+    panorama: np.ndarray | None = None, environment: bool = False,
 ) -> Analysis:  # fmt: skip
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment
+    environment : write the surroundings' picture into the facts too
     """
     facts = analysis.facts
     room = _rooms(analysis)
@@ -71,6 +73,10 @@ def lighted(
         if frame in known and key == anchor and (found := already_blocked(quarters(patches, bias), size_m))
     }
     lit = tuple(f.with_(extra={**f.extra, "already_blocked": shaded[k]}) if k in shaded else f for k, f in enumerate(lit))
+    marker = analysis.world_from_marker.get(anchor)
+    upright = np.eye(3) if marker is None else marker.rotation
+    if environment:
+        lit = with_environment(lit, meter.looks, turns, panorama, upright, bias)
     about = (
         {"frames_shaded": len(shaded)}
         | _about_photometry(photometry, params)

@@ -46,15 +46,15 @@ def analyse_clip(
     key: str = "",
     light: LightParams | None = None,
     panorama: np.ndarray | None = None,
-    motion: bool = False,
+    folds: frozenset[str] = frozenset(),
 ) -> Pass:
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
-    light, panorama, motion : as in Analyser
+    light, panorama, folds : as in Analyser
     folder, key : where the state is checkpointed and what it must match to be taken up again
     Raises NothingToDoError if the span holds no frame or no marker is seen.
     """
-    analyser = Analyser(markers, camera, params, marker_map, light, panorama, motion)
+    analyser = Analyser(markers, camera, params, marker_map, light, panorama, folds)
     pts: list[int] = []
     origin: int | None = None
     if folder is not None and (saved := _saved(folder, key)):

@@ -32,7 +32,7 @@ from arfx.run.chunks import Chunk, borders
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, write_lines, write_text
 from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
-from arfx.run.parameters import light_wanted, make_stages, motion_wanted
+from arfx.run.parameters import folds_wanted, light_wanted, make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
@@ -169,7 +169,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         tree["marker"],
         tree["analyse"],
         tree["light"],
-        [light_wanted(config) is not None, motion_wanted(config)],
+        [light_wanted(config) is not None, sorted(folds_wanted(config))],
     ]
     if config.input.marker_map:
         base.append(file_digest(config.input.marker_map))
@@ -212,7 +212,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
     done = analyse_clip(
         inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
-        clock, folder, analysis_key, light_wanted(config), inputs.panorama, motion_wanted(config),
+        clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
     )  # fmt: skip
     world = done.analysis.world_from_marker
     anchor = anchor_key(config.markers, world)

@@ -10,7 +10,7 @@ from arfx.config.load import near
 from arfx.config.sections import JobConfig
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.stages import ASKED_FOR, EFFECTS, STAGES, stages_with
+from arfx.stages import ASKED_FOR, EFFECTS, STAGES, TAKES_OVER, stages_with
 
 
 def parameters() -> Mapping[str, type]:
@@ -47,19 +47,20 @@ def _set(config: JobConfig, name: str) -> bool:
 
 def make_stages(config: JobConfig) -> dict[str, Stage]:
     """One instance per stage, in running order."""
-    return {name: STAGES[name](config.params[name]) for name in pipeline(config)}
+    names = pipeline(config)
+    settings = dict(config.params)
+    for effect in names:
+        for name, changes in TAKES_OVER.get(effect, {}).items():
+            settings[name] = replace(settings[name], **changes)
+    return {name: STAGES[name](settings[name]) for name in names}
 
 
 def light_wanted(config: JobConfig) -> LightParams | None:
     """How the analysis reads the light, or None where no stage of the job asks for it."""
     params: LightParams = config.params["light"]
-    return params if _asked(config, "light") else None
+    return params if "light" in folds_wanted(config) else None
 
 
-def motion_wanted(config: JobConfig) -> bool:
-    """Whether a stage of the job asks for the background's motion."""
-    return _asked(config, "flow")
-
-
-def _asked(config: JobConfig, fact: str) -> bool:
-    return any(fact in STAGES[name].needs_facts for name in pipeline(config))
+def folds_wanted(config: JobConfig) -> frozenset[str]:
+    """What the stages of the job need of the analysis, by name."""
+    return frozenset().union(*(STAGES[name].needs_facts for name in pipeline(config)))

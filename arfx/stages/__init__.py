@@ -34,6 +34,7 @@ STAGES: Mapping[str, Any] = _Table(
         "plain": "arfx.stages.plain.Plain",
         "contact": "arfx.stages.contact.Contact",
         "lightmap": "arfx.stages.lightmap.Lightmap",
+        "gi": "arfx.stages.gi.Gi",
         "composite": "arfx.stages.composite.Composite",
         "dof": "arfx.stages.dof.Dof",
         "watercolor": "arfx.stages.watercolor.Watercolor",
@@ -42,13 +43,18 @@ STAGES: Mapping[str, Any] = _Table(
 # Stages that every job has; the others are effects that a pipeline names.
 IMPLICIT = ("raster", "plain", "contact", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
-# Effects that change the whole real picture: `auto` takes them only where a job sets something of theirs.
-ASKED_FOR = ("dof", "watercolor")
+# Effects that `auto` takes only where a job sets something of theirs: they change the whole real picture, or are dear.
+ASKED_FOR = ("gi", "dof", "watercolor")
 # What an effect does itself and better: left out of a job that has it.
 REPLACES: Mapping[str, tuple[str, ...]] = {"lightmap": ("plain", "contact")}
+# What an effect builds on: part of every job that has it.
+WITH: Mapping[str, tuple[str, ...]] = {"gi": ("lightmap",)}
+# Settings of other stages that an effect takes over: gi gives all light without a direction, lightmap the rest.
+TAKES_OVER: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"gi": {"lightmap": {"ambient": False}}}
 
 
 def stages_with(effects: Collection[str]) -> tuple[str, ...]:
     """Names of the stages of a job with these effects, in running order."""
+    effects = {*effects, *(name for effect in effects for name in WITH.get(effect, ()))}
     replaced = {name for effect in effects for name in REPLACES.get(effect, ())}
     return tuple(name for name in STAGES if (name in IMPLICIT and name not in replaced) or name in effects)

@@ -47,6 +47,7 @@ class LightmapParams:
     self_shadow : the same of the object's shadow on itself, 0..1
     faint : darkening of the plane by less than this share of its light is left out, up to 3 times as much is faded, 0..0.3
     plane_blocks : what is behind the marker's plane does not light the object
+    ambient : light without a direction too; a job with gi turns it off, which gives that light itself
     """
 
     formula: str = "corrected"
@@ -54,6 +55,7 @@ class LightmapParams:
     self_shadow: float = 1.0
     faint: float = 0.02
     plane_blocks: bool = True
+    ambient: bool = True
 
     def __post_init__(self) -> None:
         if self.formula not in ("corrected", "paper"):
@@ -180,7 +182,7 @@ class Lightmap:
             coverage, normal, position, part[Layer.ALBEDO], part[Layer.MATERIAL], part[Layer.EMISSIVE], left,
             eye.astype(f32), light.towards[reaching].astype(f32),
             (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
-            harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32), self._paper,
+            self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32), self._paper,
         )  # fmt: skip
         if box == now.rect:
             return virtual
@@ -197,7 +199,7 @@ class Lightmap:
         strength = self.params.shadow_strength
         if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
             return neutral(Layer.SHADOW, rect)
-        textures, shares = [prepared.ambient], [light.ambient_share]
+        textures, shares = [prepared.ambient], [self._ambient * light.ambient_share]
         for beam, share in zip(light.beams, light.direct_shares, strict=True):
             if beam.on_plane and share.max() > 0:
                 make = lambda b=beam: bounded(  # noqa: E731
@@ -229,6 +231,10 @@ class Lightmap:
             x0, y0, x1, y1 = scene.surface_m
             rect = rect.clip(_around(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene))
         return rect, f"shadow takes up to {100 * most:.0f} % of the plane's light" if not rect.empty else "shadow out of view"
+
+    @property
+    def _ambient(self) -> np.float32:
+        return np.float32(self.params.ambient)
 
     @property
     def _paper(self) -> bool:

@@ -1,0 +1,224 @@
+"""The light in the object's voxels and what the object does to the real planes, for one light; kept while that stays.
+
+Planes first lose what the object hides of their light. Then voxels: direct light with a cone towards each light for its
+shadow, surroundings and darkened planes by six cones, light between the object's own surfaces closed in place; everything
+leaves diffusely. Then planes gain what the object sends. Source: SYSTEMS.md S4 (delta = with - without, added).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from arfx.core.light import Light
+from arfx.core.numerics import divide
+from arfx.core.scene import Scene
+from arfx.stages.gi.cones import START, even_cones, six_cones, steps_of, trace_many, turned
+from arfx.stages.gi.pyramid import Atlas, Structure, atlas_of, structure_of
+from arfx.stages.gi.real_planes import mip_chain, texture_places
+from arfx.stages.gi.surroundings import Planes, behind_many
+from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
+
+_LEAST_LIGHT_DEG = 6.0  # full angle: a cone much narrower than a voxel would meet all or nothing
+ROUNDS = 2  # of light from the plane to the object and back
+_MOST_CLOSED = 0.95  # of the light between surfaces that is given back: a closed white cavity would never end
+
+
+@dataclass(frozen=True, eq=False)
+class Cones:
+    """Cones of a plane that meet the object. texel (m,) : where they start;  points, directions (m, 3), metres, anchor axes
+    weight, left (m,) : share of the hemisphere, and of the background that is still seen"""
+
+    texel: np.ndarray
+    points: np.ndarray
+    directions: np.ndarray
+    weight: np.ndarray
+    left: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What does not change with the light. directions (v, 6, 3), left (v, 6) : of each voxel's cones
+    places : of the planes' texels;  cones : by plane;  tan_half, steps : of those"""
+
+    voxels: Voxels
+    structure: Structure
+    opaque: Atlas
+    directions: np.ndarray
+    left: np.ndarray
+    places: np.ndarray
+    cones: tuple[Cones, ...]
+    tan_half: float
+    steps: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Behind:
+    """Arguments of surroundings.behind: planes, textures and mips on them; maps, widths, turn of the environment."""
+
+    axes: np.ndarray
+    half_m: np.float32
+    textures: np.ndarray
+    mips: np.ndarray
+    maps: np.ndarray
+    widths: np.ndarray
+    turn: np.ndarray
+
+    @property
+    def arguments(self) -> tuple:
+        return self.axes, self.half_m, self.textures, self.mips, self.maps, self.widths, self.turn
+
+    def with_textures(self, radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> Behind:
+        textures, mips = mip_chain(radiance, known, otherwise)
+        return replace(self, textures=textures, mips=mips)
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """atlas : radiance;  delta (p, side, side, 3) : indirect light that the object adds to the planes, as a share of all
+    their light;  gain : the same as radiance of a white plane;  direct (p, side, side, 3) : share of all their light that it
+    leaves, direct light counted too"""
+
+    atlas: Atlas
+    delta: np.ndarray
+    gain: np.ndarray
+    direct: np.ndarray
+
+
+def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool) -> Body:
+    """n : voxels a side;  side : texels of a plane;  cones : of each of them."""
+    voxels = voxelise(scene, n)
+    structure = structure_of(voxels.cells, n)
+    values = np.zeros((len(voxels.cells), 4), np.float32)
+    values[:, 3] = voxels.opacity
+    opaque = atlas_of(structure, values, paper)
+    six, _, six_tan = six_cones()
+    directions = turned(voxels.normal, six)
+    left = _traced(opaque, steps_of(six_tan, n), voxels.cells + np.float32(0.5), directions, voxels.normal, float(START))[..., 3]
+    places = texture_places(planes, side)
+    set_, weights, tan_half = six_cones() if cones == 6 else even_cones(cones)
+    steps = steps_of(tan_half, n, start=0.0)
+    found = []
+    for k, axes in enumerate(planes.axes):
+        points = places[k].reshape(-1, 3).astype(np.float32)
+        around = turned(axes[3][None], set_)[0]
+        seen = _traced(opaque, steps, in_voxels(points, voxels.volume), np.tile(around, (len(points), 1, 1)), None, 0.0)[..., 3]
+        texel, cone = np.nonzero(seen < 1)
+        found.append(Cones(texel, points[texel], around[cone], weights[cone], seen[texel, cone]))
+    return Body(voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps)
+
+
+def in_voxels(points_m: np.ndarray, volume: Volume) -> np.ndarray:
+    """Anchor axes, metres, to voxels of level 0 from the volume's corner; float32."""
+    return np.asarray((points_m - np.asarray(volume.low_m)) / volume.voxel_m, np.float32)
+
+
+def _traced(
+    atlas: Atlas, steps: np.ndarray, origins: np.ndarray, directions: np.ndarray, normals: np.ndarray | None, start: float
+) -> np.ndarray:
+    """(m, k, 4) of cones from origins (m, 3), voxels, in directions (m, k, 3); normals : leave the surface itself out."""
+    m, k = directions.shape[:2]
+    clip = normals is not None
+    n = np.zeros((m, 3), np.float32) if normals is None else normals
+    out = trace_many(
+        atlas.values, atlas.structure.brick_of, atlas.structure.meta, steps, np.ascontiguousarray(origins, np.float32),
+        np.ascontiguousarray(directions, np.float32), np.ascontiguousarray(n, np.float32), np.float32(start), clip,
+    )  # fmt: skip
+    return np.asarray(out).reshape(m, k, 4)
+
+
+def make_field(
+    body: Body, scene: Scene, light: Light, planes: Planes, back: Behind, mean: np.ndarray, paper: bool, bounce: bool
+) -> Field:
+    """mean (3,) : radiance of the planes without the object;  bounce : False leaves the voxels black (occlusion alone)."""
+    rotation = scene.world_from_anchor.rotation.T
+    lights = [(rotation @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
+    whole = [light.radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
+    side = body.places.shape[1]
+    seen, lost = [], []
+    for k, cones in enumerate(body.cones):
+        behind = _behind(cones.points, cones.directions, k, body.tan_half, back)
+        seen.append(behind)
+        lost.append(_summed(cones, -(1 - cones.left)[:, None] * behind, side))
+    shaded = np.stack([1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(seen))])
+    without = shaded.copy()
+    values = np.zeros((len(body.voxels.cells), 4), np.float32)
+    values[:, 3] = body.voxels.opacity
+    gain = np.stack(lost) if not paper else np.zeros_like(np.stack(lost))
+    atlas = body.opaque
+    occluded = np.stack(lost)
+    for _ in range(ROUNDS if bounce else 0):
+        darkened = np.clip(shaded, 0, None)
+        dark = back.with_textures((darkened * mean).astype(np.float32), np.ones(darkened.shape[:3], np.float32), mean)
+        values[:, :3] = _voxel_radiance(body, lights, dark) * body.voxels.opacity[:, None]
+        atlas = atlas_of(body.structure, values, paper)
+        for k, cones in enumerate(body.cones):
+            got = _traced(atlas, body.steps, in_voxels(cones.points, body.voxels.volume), cones.directions[:, None], None, 0.0)[
+                :, 0, :3
+            ]
+            gain[k] = _summed(cones, got, side) + (0.0 if paper else occluded[k])
+            shaded[k] = without[k] + divide(_summed(cones, got, side), whole[k])
+    delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
+    return Field(atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32))
+
+
+def _behind(points: np.ndarray, directions: np.ndarray, skip: int, tan_half: float, back: Behind) -> np.ndarray:
+    return np.asarray(
+        behind_many(
+            np.ascontiguousarray(points, np.float32), np.ascontiguousarray(directions, np.float32), np.int64(skip),
+            np.float32(tan_half), np.float32(np.degrees(np.arctan(tan_half))), *back.arguments,
+        )
+    )  # fmt: skip
+
+
+def _summed(cones: Cones, light: np.ndarray, side: int) -> np.ndarray:
+    """(side, side, 3) float64: the cones' light (m, 3) times their weights, by texel."""
+    weighted = light * cones.weight[:, None]
+    return np.stack([np.bincount(cones.texel, weighted[:, c], side * side) for c in range(3)], -1).reshape(side, side, 3)
+
+
+def _direct_lost(
+    body: Body, planes: Planes, k: int, lights: list[tuple[np.ndarray, np.ndarray, float]], whole: np.ndarray
+) -> np.ndarray:
+    """(side, side, 3) share of a plane's light that the object's shadow takes; for what reflects the plane, not the picture."""
+    side, normal = body.places.shape[1], planes.axes[k, 3]
+    out = np.zeros((side, side, 3))
+    points = in_voxels(body.places[k].reshape(-1, 3), body.voxels.volume)
+    for d, colour, size_deg in lights:
+        share = divide(colour * max(float(d @ normal), 0.0), whole)
+        if share.any():
+            directions = np.tile(d.astype(np.float32), (len(points), 1, 1))
+            left = _traced(body.opaque, _light_steps(size_deg, body), points, directions, None, 0.0)[:, 0, 3]
+            out += (1 - left).reshape(side, side, 1) * share
+    return out
+
+
+def _voxel_radiance(body: Body, lights: list[tuple[np.ndarray, np.ndarray, float]], back: Behind) -> np.ndarray:
+    """(v, 3) that leaves each voxel."""
+    v = body.voxels
+    _, weights, tan_half = six_cones()
+    points = np.repeat(v.centres_m, 6, axis=0)
+    behind = _behind(points, body.directions.reshape(-1, 3), -1, tan_half, back).reshape(-1, 6, 3)
+    arriving = ((weights * body.left)[..., None] * behind).sum(1)
+    for d, colour, size_deg in lights:
+        facing = np.clip(v.normal @ d, 0, None)
+        lit = np.flatnonzero(facing > 0) if d[2] > 0 else np.zeros(0, int)
+        directions = np.tile(d.astype(np.float32), (len(lit), 1, 1))
+        origins = v.cells[lit] + np.float32(0.5)
+        left = _traced(body.opaque, _light_steps(size_deg, body), origins, directions, v.normal[lit], float(START))[:, 0, 3]
+        arriving[lit] += (facing[lit] * left)[:, None] * colour
+    hidden = (1 - body.left @ weights)[:, None]
+    # what surfaces of the object give each other: as if those that hide the surroundings were lit as it is itself
+    closed = 1 - np.minimum(v.albedo * hidden, _MOST_CLOSED)
+    return np.asarray(divide(v.albedo * arriving, closed) + v.emission)
+
+
+def _light_steps(size_deg: float, body: Body) -> np.ndarray:
+    return steps_of(float(np.tan(np.radians(max(size_deg, _LEAST_LIGHT_DEG) / 2))), body.voxels.volume.n)
+
+
+def enlarged(texture: np.ndarray, side: int) -> np.ndarray:
+    """(p, side, side, 3) of (p, n, n, 3): linear between texels."""
+    return np.stack([cv2.resize(t, (side, side), interpolation=cv2.INTER_LINEAR) for t in texture])

@@ -1,0 +1,186 @@
+"""One frame's surroundings as the cones take them: environment, the picture on the real planes, and the voxels' light."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.light import Light
+from arfx.core.numerics import divide
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.errors import RenderError
+from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
+from arfx.stages.gi.pyramid import Atlas
+from arfx.stages.gi.real_planes import ball_of, mip_chain, picture_on_planes
+from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
+from arfx.stages.lightmap.stage import Kept
+
+KEY = "environment"  # in FrameFacts.extra: {"size": n, "faces": base64 of float16 (6, n, n, 3), WORLD axes}
+_LIGHT_STEP = 0.03
+_STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %: of the planes' change that is 1 %
+
+
+@dataclass(frozen=True)
+class LevelSettings:
+    """voxels a side;  plane_side : texels of a plane's change, plane_cones each;  texture_side : texels of the picture on it
+    block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels
+    """
+
+    voxels: int
+    plane_side: int
+    plane_cones: int
+    texture_side: int
+    block: int
+    bounce: bool
+    sharp: float
+    gloss_floor: float
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """cube (6, n, n, 3) WORLD axes, and factor (3,) that scales it to the light
+    picture (p, side, side, 3), known (p, side, side) on the planes
+    mean (3,) of it near the object, rounded;  back : for the cones, with the mean instead of the picture"""
+
+    cube: np.ndarray
+    factor: np.ndarray
+    picture: np.ndarray
+    known: np.ndarray
+    mean: np.ndarray
+    back: Behind
+    atlas: Atlas | None = None
+
+    def lit(self, field: Field) -> Around:
+        """With the voxels' light, and the picture darkened and lit by the object."""
+        side = self.picture.shape[1]
+        picture = self.picture * enlarged(field.direct, side)
+        return replace(self, atlas=field.atlas, back=self.back.with_textures(picture, self.known, self.mean))
+
+    @property
+    def arguments(self) -> tuple:
+        return self.back.arguments
+
+
+def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
+    """((6, n, n, 3) radiance, WORLD axes, (3,) factor): the facts' environment, to be multiplied so that its irradiance on the
+    anchor's plane is what the light has without its directional lights; the light's own soft part where there is none."""
+    told = facts.extra.get(KEY)
+    up = scene.world_from_anchor.rotation[:, 2]
+    want = light.soft_radiance(up)
+    if told is not None:
+        cube = decoded(told)
+        factor = divide(want, irradiance(cube, up), where_zero=-1.0)
+        # not a black picture, nor one that lacks a colour that the plane shows
+        if (factor >= 0).all() and (factor < 1e3).all():
+            return cube, factor
+    cube = from_light(light)
+    return cube, divide(want, irradiance(cube, up))
+
+
+def rounded(light: Light) -> Light:
+    """The light in steps too small to show in what it does by way of the voxels: what is made for it is kept."""
+
+    def steps(v: Any) -> tuple[float, float, float]:
+        a = np.asarray(v, float)
+        out = np.where(a > 1e-6, np.exp(np.round(np.log(np.maximum(a, 1e-6)) / _LIGHT_STEP) * _LIGHT_STEP), 0.0)
+        return float(out[0]), float(out[1]), float(out[2])
+
+    lights = tuple(
+        replace(
+            li, direction=tuple(np.round(li.unit, 2).tolist()), rgb=steps(li.rgb), angular_size_deg=round(li.angular_size_deg)
+        )
+        for li in light.lights
+    )
+    soft: tuple[tuple[float, float, float], ...] = ()
+    if light.soft:
+        a = np.asarray(light.soft, float)
+        share = np.round(divide(a, a[0]) / _LIGHT_STEP) * _LIGHT_STEP
+        soft = tuple((float(r[0]), float(r[1]), float(r[2])) for r in share * np.array(steps(a[0])))
+    return replace(light, ambient_rgb=steps(light.ambient_rgb), lights=lights, soft=soft)
+
+
+def encoded(cube: np.ndarray) -> dict[str, Any]:
+    """What FrameFacts.extra[KEY] holds."""
+    half = np.clip(cube, 0, 6e4).astype("<f2")
+    return {"size": int(cube.shape[1]), "faces": base64.b64encode(half.tobytes()).decode("ascii")}
+
+
+def decoded(told: dict[str, Any]) -> np.ndarray:
+    try:
+        n = int(told["size"])
+        cube = np.frombuffer(base64.b64decode(told["faces"]), "<f2").reshape(6, n, n, 3).astype(float)
+    except (KeyError, TypeError, ValueError) as e:
+        raise RenderError(f"facts: extra.{KEY} is not understood: {e!r}") from None
+    if not np.isfinite(cube).all() or (cube < 0).any():
+        raise RenderError(f"facts: extra.{KEY} holds values that are not finite and >= 0")
+    return cube
+
+
+def around(
+    now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, places: np.ndarray, kept: Kept
+) -> Around:
+    """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  places : of the
+    texels of the picture on the planes;  kept : environments that were made ready before"""
+    pose = facts.camera_from_world
+    assert pose is not None
+    cube, factor = environment_cube(facts, scene, light)
+    picture, known = picture_on_planes(
+        now[Layer.PLATE], now.rect, seen, scene.camera, pose @ scene.world_from_anchor,
+        places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32),
+    )  # fmt: skip
+    up = scene.world_from_anchor.rotation[:, 2]
+    mean = plane_mean(picture, known, places, planes, scene, 0.4 * light.radiance(up))
+    p = len(planes.axes)
+    textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
+    turn = scene.world_from_anchor.rotation.astype(np.float32)
+    maps = factor.astype(np.float32) * kept.get(cube.tobytes(), lambda: octahedral(cube))
+    back = Behind(
+        planes.axes, np.float32(planes.half_m), textures, mips, maps,
+        np.array(HALF_ANGLES_DEG, np.float32), turn,
+    )  # fmt: skip
+    return Around(cube, factor, picture, known, mean, back)
+
+
+def plane_mean(
+    picture: np.ndarray, known: np.ndarray, places: np.ndarray, planes: Planes, scene: Scene, otherwise: np.ndarray
+) -> np.ndarray:
+    """(3,) mean radiance of the first plane within three radii of the object, in steps of 5 %; `otherwise` if unknown."""
+    radius = ball_of(scene)[1]
+    step = max(picture.shape[1] // 64, 1)
+    near = ((places[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1) < (3 * radius) ** 2
+    weight = known[0, ::step, ::step] * near
+    if not weight.sum() > 0:
+        return np.asarray(otherwise, float)
+    mean = (picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum()
+    return np.asarray(np.where(mean > 1e-6, np.exp(np.round(np.log(np.maximum(mean, 1e-6)) / _STEP) * _STEP), 0.0))
+
+
+def frame_field(
+    body: Body,
+    scene: Scene,
+    facts: FrameFacts,
+    light: Light,
+    planes: Planes,
+    made: Around,
+    at: LevelSettings,
+    paper: bool,
+    kept: Kept,
+) -> Field:
+    """The voxels' light and the planes' change, made anew only where light, environment or plane differ."""
+    coarse = rounded(light)
+    cube, factor = environment_cube(facts, scene, coarse)
+    key = (repr(coarse), cube.tobytes(), made.mean.tobytes())
+
+    def make() -> Field:
+        maps = kept.get(cube.tobytes(), lambda: octahedral(cube))
+        back = replace(made.back, maps=factor.astype(np.float32) * maps)
+        return make_field(body, scene, coarse, planes, back, made.mean, paper, at.bounce)
+
+    found: Field = kept.get(key, make)
+    return found

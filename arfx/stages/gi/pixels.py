@@ -1,0 +1,224 @@
+"""Indirect light on the object's pixels: gathered at every second pixel of every second line (or at all), from the pixel's
+own place and normal, then spread to the others where normal and plane agree; where they do not, gathered again.
+
+Diffuse: six cones. Gloss: one cone about the mirrored direction, as wide as the roughness asks. Cost: O(covered pixels x
+cones x steps). Gloss weights: Karis 2014's fit of the split sum. Source: S4; SYSTEMS.md S4.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.gi.cones import START, frame_of, trace
+from arfx.stages.gi.surroundings import behind
+
+_FAST = {"contract", "nsz", "arcp"}
+LOBES = 12  # widths of mirror cones
+_AGREE = np.float32(0.02)  # least sum of weights with which neighbours stand for a pixel
+DIFFUSE, GLOSS = 1, 2  # what is gathered at a point
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def light_points(
+    points, wanted, eye, values, brick_of, meta, low, size, directions, weights, tan_half, half_deg, steps, lobes, tangents,
+    counts, axes, half_m, textures, mips, maps, widths, turn,
+):  # pragma: no cover - compiled  # fmt: skip
+    """(m, 6) float32: radiance of a white diffuse surface, and what comes from about the mirrored direction.
+
+    points (m, 7) : unit normal, place (metres), anchor axes, roughness;  wanted (m,) : DIFFUSE and GLOSS, added
+    """
+    out = np.zeros((points.shape[0], 6), np.float32)
+    cones = directions.shape[0]
+    for i in range(points.shape[0]):
+        nx, ny, nz, x, y, z = points[i, 0], points[i, 1], points[i, 2], points[i, 3], points[i, 4], points[i, 5]
+        px, py, pz = (x - low[0]) / size, (y - low[1]) / size, (z - low[2]) / size
+        ox, oy, oz = px + START * nx, py + START * ny, pz + START * nz
+        ux, uy, uz, vx, vy, vz = frame_of(nx, ny, nz)
+        first = 0 if wanted[i] & DIFFUSE else cones
+        last = cones + 1 if wanted[i] & GLOSS else cones
+        for c in range(first, last):
+            if c < cones:
+                c0, c1, c2 = directions[c, 0], directions[c, 1], directions[c, 2]
+                dx, dy, dz = c0 * ux + c1 * vx + c2 * nx, c0 * uy + c1 * vy + c2 * ny, c0 * uz + c1 * vz + c2 * nz
+                w, to, tan_here, deg_here, walk = weights[c], 0, tan_half, half_deg, steps
+            else:
+                ex, ey, ez = eye[0] - x, eye[1] - y, eye[2] - z
+                s = np.float32(1) / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
+                ex, ey, ez = ex * s, ey * s, ez * s
+                twice = np.float32(2) * (nx * ex + ny * ey + nz * ez)
+                dx, dy, dz = twice * nx - ex, twice * ny - ey, twice * nz - ez
+                k = min(max(int(points[i, 6] * np.float32(LOBES - 1) + np.float32(0.5)), 0), LOBES - 1)
+                w, to, tan_here, walk = np.float32(1), 3, tangents[k], lobes[k, : counts[k]]
+                deg_here = np.float32(np.arctan(tan_here) * np.float32(57.29578))
+            r, g, b, left = trace(values, brick_of, meta, walk, ox, oy, oz, dx, dy, dz, px, py, pz, nx, ny, nz, True)
+            if left > 0:
+                er, eg, eb = behind(axes, half_m, textures, mips, maps, widths, turn, -1, x, y, z, dx, dy, dz, tan_here, deg_here)
+                r += left * er
+                g += left * eg
+                b += left * eb
+            out[i, to] += w * r
+            out[i, to + 1] += w * g
+            out[i, to + 2] += w * b
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def gloss_weights(roughness, cosine):  # pragma: no cover - compiled
+    """(a, b) : F0 x a + b of the mirror cone's light is reflected (Karis 2014, fit to the split sum of GGX)."""
+    x = np.float32(1) - roughness
+    y = np.float32(0.0425) - np.float32(0.0275) * roughness
+    z = np.float32(1.04) - np.float32(0.572) * roughness
+    w = np.float32(0.022) * roughness - np.float32(0.04)
+    s = min(x * x, np.exp2(np.float32(-9.28) * cosine)) * x + y
+    return np.float32(-1.04) * s + z, np.float32(1.04) * s + w
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def chosen(
+    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, sharp, gloss_floor
+):  # pragma: no cover - compiled
+    """Points that stand for blocks: (points (m, 7), wanted (m,), index (rows, columns) of blocks, -1 = none).
+
+    x0, y0 : place of the arrays in the picture: blocks are aligned with the picture. The most covered pixel stands for all.
+    """
+    rows, columns = coverage.shape
+    by0, bx0 = y0 // block, x0 // block
+    brows, bcolumns = (y0 + rows - 1) // block - by0 + 1, (x0 + columns - 1) // block - bx0 + 1
+    index = np.full((brows, bcolumns), -1, np.int32)
+    points, wanted = np.empty((brows * bcolumns, 7), np.float32), np.zeros(brows * bcolumns, np.int8)
+    m = 0
+    for j in range(brows):
+        for i in range(bcolumns):
+            best, at_y, at_x = np.float32(0), -1, -1
+            for y in range(max((j + by0) * block - y0, 0), min((j + by0 + 1) * block - y0, rows)):
+                for x in range(max((i + bx0) * block - x0, 0), min((i + bx0 + 1) * block - x0, columns)):
+                    if coverage[y, x] > best:
+                        best, at_y, at_x = coverage[y, x], y, x
+            if at_y < 0 or not _place(normal, position, at_y, at_x, rotation, offset, points[m]):
+                continue
+            rough = material[at_y, at_x, 1]
+            points[m, 6] = rough
+            shines = rough >= sharp and strength(material, albedo, at_y, at_x) > gloss_floor
+            wanted[m] = DIFFUSE + GLOSS if shines else DIFFUSE
+            index[j, i] = m
+            m += 1
+    return points[:m], wanted[:m], index
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def spread(
+    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, sharp, gloss_floor, size, points, light,
+    index,
+):  # pragma: no cover - compiled  # fmt: skip
+    """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), wanted (m,), pixels (m, 2)) of those that
+    still have to be gathered. light (n, 6), index : of the blocks;  block 0 : there are none"""
+    rows, columns = coverage.shape
+    out = np.zeros((rows, columns, 6), np.float32)
+    left, wanted = np.empty((rows * columns, 7), np.float32), np.empty(rows * columns, np.int8)
+    pixels = np.empty((rows * columns, 2), np.int32)
+    here = np.zeros(7, np.float32)
+    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    m = 0
+    for y in range(rows):
+        for x in range(columns):
+            if coverage[y, x] <= 0 or not _place(normal, position, y, x, rotation, offset, here):
+                continue
+            total = zero
+            if block > 0:
+                by0, bx0 = y0 // block, x0 // block
+                u = (np.float32(x + x0) + half) / np.float32(block) - half
+                v = (np.float32(y + y0) + half) / np.float32(block) - half
+                iu, iv = int(np.floor(u)), int(np.floor(v))
+                fu, fv = u - np.float32(iu), v - np.float32(iv)
+                for corner in range(4):
+                    cu, cv = corner & 1, corner >> 1
+                    i, j = iu + cu - bx0, iv + cv - by0
+                    if i < 0 or j < 0 or i >= index.shape[1] or j >= index.shape[0] or index[j, i] < 0:
+                        continue
+                    k = points[index[j, i]]
+                    agree = max(here[0] * k[0] + here[1] * k[1] + here[2] * k[2], zero)
+                    agree = agree * agree
+                    agree = agree * agree
+                    agree = agree * agree
+                    off = (here[3] - k[3]) * here[0] + (here[4] - k[4]) * here[1] + (here[5] - k[5]) * here[2]
+                    off = off / size
+                    w = (fu if cu else one - fu) * (fv if cv else one - fv) * agree * agree / (one + off * off)
+                    total += w
+                    for c in range(6):
+                        out[y, x, c] += w * light[index[j, i], c]
+            shines = strength(material, albedo, y, x) > gloss_floor
+            need = 0
+            if total < _AGREE:
+                need = DIFFUSE + GLOSS if shines else DIFFUSE
+            else:
+                for c in range(6):
+                    out[y, x, c] /= total
+                if shines and material[y, x, 1] < sharp:
+                    need = GLOSS
+            if need:
+                left[m] = here
+                left[m, 6] = material[y, x, 1]
+                wanted[m] = need
+                pixels[m, 0], pixels[m, 1] = y, x
+                m += 1
+    return out, left[:m], wanted[:m], pixels[:m]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def reflected(
+    coverage, normal, position, albedo, material, rotation, offset, eye, gloss_floor, light, fresh, wanted, pixels
+):  # pragma: no cover - compiled
+    """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage. fresh (m, 6) : of the pixels (m, 2)
+
+    Where too little is mirrored to be gathered, what is mirrored is the light that falls on the surface.
+    """
+    for i in range(pixels.shape[0]):
+        to = light[pixels[i, 0], pixels[i, 1]]
+        for c in range(6):
+            if wanted[i] & (DIFFUSE if c < 3 else GLOSS):
+                to[c] = fresh[i, c]
+    rows, columns = coverage.shape
+    out = np.zeros((rows, columns, 3), np.float32)
+    here = np.zeros(7, np.float32)
+    one, zero = np.float32(1), np.float32(0)
+    for y in range(rows):
+        for x in range(columns):
+            if coverage[y, x] <= 0 or not _place(normal, position, y, x, rotation, offset, here):
+                continue
+            ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
+            s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
+            ga, gb = gloss_weights(material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
+            metal = material[y, x, 0]
+            f0 = np.float32(0.08) * material[y, x, 2] * (one - metal)
+            shines = 3 if strength(material, albedo, y, x) > gloss_floor else 0
+            for c in range(3):
+                a = albedo[y, x, c]
+                matt = a * (one - metal) * (one - min(f0 * ga + gb, one))
+                gloss = (f0 + a * metal) * ga + (gb if f0 + metal > zero else zero)
+                out[y, x, c] = coverage[y, x] * (matt * light[y, x, c] + gloss * light[y, x, shines + c])
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def strength(material, albedo, y, x):  # pragma: no cover - compiled
+    """The largest share of light that the surface mirrors when seen from above."""
+    metal = material[y, x, 0]
+    most = max(albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2])
+    return np.float32(0.08) * material[y, x, 2] * (np.float32(1) - metal) + most * metal
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _place(normal, position, y, x, rotation, offset, out):  # pragma: no cover - compiled
+    """Normal and place of a pixel in anchor axes, into out[:6]; False where it has none."""
+    a, b, c = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+    length = a * a + b * b + c * c
+    if not length > np.float32(1e-6):
+        return False
+    s = np.float32(1) / np.sqrt(length)
+    p, q, r = position[y, x, 0], position[y, x, 1], position[y, x, 2]
+    for k in range(3):
+        out[k] = (rotation[k, 0] * a + rotation[k, 1] * b + rotation[k, 2] * c) * s
+        out[3 + k] = rotation[k, 0] * p + rotation[k, 1] * q + rotation[k, 2] * r + offset[k]
+    return True

@@ -1,0 +1,147 @@
+"""The real scene as planes: the anchor's, and those of other markers that are not in it. The picture is their radiance.
+
+Where the object can change a plane by half a grey level: albedo x (r / d)^2 x the cosine at which it is seen from there.
+Source: S4 (real plane from the marker); bound from the solid angle of the ball around the object.
+"""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import cv2
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.numerics import HALF_GREY, divide
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.stages.gi.surroundings import Planes, unwarped
+
+# Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
+SHOWS = HALF_GREY * 2.4 / 1.055
+_SAME_PLANE_M, _SAME_COSINE = 0.01, 0.995
+NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
+
+
+_BALLS: WeakKeyDictionary[Scene, tuple[np.ndarray, float]] = WeakKeyDictionary()
+_PLANES: WeakKeyDictionary[Scene, Planes] = WeakKeyDictionary()
+
+
+def ball_of(scene: Scene) -> tuple[np.ndarray, float]:
+    """Centre (3,), anchor axes, and radius, metres, of a ball around the object."""
+    found = _BALLS.get(scene)
+    if found is None:
+        p = scene.world_from_anchor.inverse().apply(scene.model_points_m)
+        p = p[np.isfinite(p).all(1)]
+        centre = (p.min(0) + p.max(0)) / 2
+        found = _BALLS[scene] = centre, max(float(np.linalg.norm(p - centre, axis=1).max()), 1e-6)
+    return found
+
+
+def planes_of(scene: Scene) -> Planes:
+    """The anchor's plane first; others only where the object stands before them. Made once per scene."""
+    found = _PLANES.get(scene)
+    if found is None:
+        found = _PLANES[scene] = _planes(scene)
+    return found
+
+
+def _planes(scene: Scene) -> Planes:
+    anchor_from_world = scene.world_from_anchor.inverse()
+    centre, radius = ball_of(scene)
+    axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
+    for pose in scene.world_from_marker.values():
+        m = anchor_from_world @ pose
+        n, o = m.rotation[:, 2], m.translation_m
+        known = any(n @ a[3] > _SAME_COSINE and abs((o - a[0]) @ a[3]) < _SAME_PLANE_M for a in axes)
+        distance = float((centre - o) @ n)
+        if not known and -0.5 * radius < distance < FARTHEST * radius:
+            axes.append(np.stack([centre - distance * n, m.rotation[:, 0], m.rotation[:, 1], n]))
+    return Planes(np.array(axes, np.float32), FARTHEST * radius)
+
+
+def disc_radius_m(scene: Scene, planes: Planes, share: float) -> float:
+    """Beyond this distance from the object's foot the change of the plane is under half a grey level.
+
+    share : of the plane's light that is indirect, times how much brighter than that light the object can be (>= 1)
+    """
+    centre, radius = ball_of(scene)
+    height = max(float(centre[2]) + radius, 1e-9)
+    # form factor of the ball from a place on the plane at distance d, at most (r / d)^2 x height / d
+    d = float(np.cbrt(max(share, 0.0) * radius**2 * height / SHOWS))
+    return float(np.clip(d, NEAREST * radius, planes.half_m))
+
+
+def disc_rect(scene: Scene, planes: Planes, radius_m: float, pose: Pose, frame: Rect) -> Rect:
+    """Pixels of the picture in which the discs of all planes lie; the whole frame where one reaches behind the camera."""
+    angle = np.arange(32) * np.pi / 16
+    ring = 1.02 * radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
+    out = Rect(0, 0, 0, 0)
+    for axes in planes.axes.astype(float):
+        points = axes[0] + ring[:, :1] * axes[1] + ring[:, 1:] * axes[2]
+        eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+        if (eye - axes[0]) @ axes[3] <= 0:
+            continue
+        seen = scene.camera.project((pose @ scene.world_from_anchor).apply(points))
+        if not np.isfinite(seen).all():
+            return frame
+        out = out.union(Rect.around(seen, 1.0))
+    return out.clip(frame)
+
+
+def texture_places(planes: Planes, side: int) -> np.ndarray:
+    """(p, side, side, 3) float64 metres, anchor axes, of the texels' centres."""
+    t = unwarped((np.arange(side) + 0.5) / side * 2 - 1) * planes.half_m
+    v, u = np.meshgrid(t, t, indexing="ij")
+    a = planes.axes.astype(float)[:, :, None, None]
+    return np.asarray(a[:, 0] + u[..., None] * a[:, 1] + v[..., None] * a[:, 2])
+
+
+def picture_on_planes(
+    plate: np.ndarray, rect: Rect, allowed: Rect, camera: Camera, camera_from_anchor: Pose, places: np.ndarray,
+    axes: np.ndarray, bias: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """The picture's radiance on the planes (p, side, side, 3) float32 and whether it is known there (p, side, side).
+
+    plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  places : of `texture_places`
+    """
+    allowed = allowed.clip(rect)
+    eye = camera_from_anchor.inverse().translation_m
+    seen = camera.project(camera_from_anchor.apply(places))
+    fronts = ((eye - axes[:, 0]) * axes[:, 3]).sum(-1) > 0
+    inside = np.isfinite(seen).all(-1) & fronts[:, None, None]
+    x, y = np.where(inside, seen[..., 0], -1e6), np.where(inside, seen[..., 1], -1e6)
+    inside &= (x >= allowed.x0) & (x <= allowed.x1 - 1) & (y >= allowed.y0) & (y <= allowed.y1 - 1)
+    out = np.zeros((*seen.shape[:3], 3), np.float32)
+    for k in range(len(places)):
+        if inside[k].any():
+            out[k] = cv2.remap(
+                plate, (x[k] - rect.x0).astype(np.float32), (y[k] - rect.y0).astype(np.float32), cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REPLICATE,
+            )  # fmt: skip
+    out = np.clip(out - bias, 0, None) * inside[..., None]
+    return np.asarray(out, np.float32), inside.astype(np.float32)
+
+
+def mip_chain(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel; what is not known is filled from
+    the coarser levels, and from `otherwise` (3,) where nothing is known at all."""
+    p = len(known)
+    sums, weights = [radiance], [known]
+    while sums[-1].shape[1] > 1:
+        s, w = sums[-1], weights[-1]
+        n = s.shape[1] // 2
+        sums.append(s.reshape(p, n, 2, n, 2, 3).mean((2, 4)))
+        weights.append(w.reshape(p, n, 2, n, 2).mean((2, 4)))
+    level = np.where(weights[-1][..., None] > 0, divide(sums[-1], weights[-1][..., None]), otherwise)
+    levels = [level]
+    for s, w in zip(sums[-2::-1], weights[-2::-1], strict=True):
+        up = np.stack([cv2.resize(x.astype(np.float32), (s.shape[2], s.shape[1])) for x in level])
+        level = np.where(w[..., None] > 0, s + (1 - w[..., None]) * up, up)
+        levels.append(level)
+    levels = levels[::-1]
+    sides = np.array([x.shape[1] for x in levels], np.int64)
+    offsets = np.cumsum(sides**2) - sides**2
+    flat = np.concatenate([x.reshape(p, -1, 3) for x in levels], 1)
+    return np.ascontiguousarray(flat, np.float32), np.stack([offsets, sides], -1)

@@ -1,0 +1,198 @@
+"""What the reference's rays meet: the model's triangles (embree), the real planes with the picture, the environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from arfx.core.colour import SRGB
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.numerics import divide, normalise
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.stages.gi.cube import texel_directions, texel_solid_angles
+from arfx.stages.gi.surroundings import Planes
+
+
+@dataclass(frozen=True, eq=False)
+class Hit:
+    """met (n,);  distance (n,) inf where nothing is;  place, normal (n, 3);  matt, mirrors, emission (n, 3) of the surface"""
+
+    met: np.ndarray
+    distance: np.ndarray
+    place: np.ndarray
+    normal: np.ndarray
+    matt: np.ndarray
+    mirrors: np.ndarray
+    emission: np.ndarray
+
+    def of(self, rows: np.ndarray) -> Hit:
+        return Hit(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+class RayScene:
+    """The model in anchor axes. lift : metres by which rays start off a surface"""
+
+    def __init__(self, scene: Scene) -> None:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+
+        anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
+        linear = anchor[:3, :3] / np.cbrt(abs(np.linalg.det(anchor[:3, :3])))
+        triangles, self.parts, part_of, face_of = [], scene.model.parts, [], []
+        self.normals = [p.normals @ linear.T for p in self.parts]
+        for k, p in enumerate(self.parts):
+            corners = (p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces]
+            good = np.isfinite(corners).all((1, 2))
+            triangles.append(corners[good])
+            part_of.append(np.full(int(good.sum()), k))
+            face_of.append(np.flatnonzero(good))
+        every = np.concatenate(triangles)
+        self.part_of, self.face_of = np.concatenate(part_of), np.concatenate(face_of)
+        self.lift = 1e-4 * max(float(np.ptp(every.reshape(-1, 3), axis=0).max()), 1e-9)
+        self._scene = rtcore_scene.EmbreeScene()
+        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(every, np.float32))
+
+    def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
+        return np.asarray(self._scene.run(o, d, query="OCCLUDED")) >= 0
+
+    def first(self, origins: np.ndarray, directions: np.ndarray) -> Hit:
+        o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
+        found = self._scene.run(o, d, query="INTERSECT", output=1)
+        prim = np.asarray(found["primID"]).astype(np.int64)
+        met = (prim >= 0) & (np.asarray(found["geomID"]).astype(np.int64) >= 0)
+        n = len(o)
+        distance = np.where(met, np.asarray(found["tfar"], float), np.inf)
+        hit = Hit(met, distance, np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)))
+        hit.place[met] = origins[met] + distance[met, None] * directions[met]
+        u, v = np.asarray(found["u"], float), np.asarray(found["v"], float)
+        for k, part in enumerate(self.parts):
+            rows = np.flatnonzero(met & (self.part_of[np.where(met, prim, 0)] == k))
+            if not len(rows):
+                continue
+            corner = part.faces[self.face_of[prim[rows]]]
+            w = np.stack([1 - u[rows] - v[rows], u[rows], v[rows]], -1)[..., None]
+            hit.normal[rows] = normalise((self.normals[k][corner] * w).sum(1))
+            m = part.material
+            base = np.broadcast_to(np.asarray(m.base_colour[:3], float), (len(rows), 3))
+            if part.colours is not None:
+                base = base * (part.colours[corner][..., :3] * w).sum(1)
+            glow = np.broadcast_to(np.asarray(m.emissive, float), (len(rows), 3))
+            if part.uv is not None:
+                uv = (part.uv[corner] * w).sum(1) % 1
+                base = base * _texel(m.base_texture, uv)
+                glow = glow * _texel(m.emissive_texture, uv)
+            f0 = 0.08 * m.specular * (1 - m.metallic)
+            hit.matt[rows] = base * (1 - m.metallic) * (1 - f0)
+            hit.mirrors[rows] = f0 + base * m.metallic
+            hit.emission[rows] = glow
+        return hit
+
+
+def _texel(texture: np.ndarray | None, uv: np.ndarray) -> np.ndarray | float:
+    if texture is None:
+        return 1.0
+    h, w = texture.shape[:2]
+    at = np.minimum((uv[:, 1] * h).astype(int), h - 1), np.minimum((uv[:, 0] * w).astype(int), w - 1)
+    return np.asarray(SRGB.decode(texture[at][:, :3] / 255.0))
+
+
+class Surroundings:
+    """Planes and environment, anchor axes."""
+
+    def __init__(
+        self, now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, cube: np.ndarray, planes: Planes, radius_m: float
+    ) -> None:
+        pose = facts.camera_from_world
+        assert pose is not None
+        self.axes = planes.axes.astype(float)
+        self._cube, self._turn = cube, scene.world_from_anchor.rotation
+        self._camera, self._pose = scene.camera, pose @ scene.world_from_anchor
+        self._eye = self._pose.inverse().translation_m
+        inside = seen.clip(now.rect)
+        self._at, plate = inside, now[Layer.PLATE]
+        self._plate = np.clip(plate[inside.slices_in(now.rect)] - np.array(facts.bias_rgb, np.float32), 0, None)
+        grid = np.linspace(-3, 3, 25) * radius_m
+        u, v = (a.ravel()[:, None] for a in np.meshgrid(grid, grid))
+        places = self.axes[0, 0] + u * self.axes[0, 1] + v * self.axes[0, 2]
+        sampled, known = self._look(places, np.zeros(len(places), int))
+        self._mean = sampled[known].mean(0) if known.any() else 0.4 * irradiance(cube, self._turn[:, 2])
+        d, solid = texel_directions(cube.shape[1]).reshape(-1, 3), np.tile(texel_solid_angles(cube.shape[1]).ravel(), 6)
+        below = (d @ self._turn[:, 2] < 0)[:, None]
+        flat = np.where(below, self._mean, cube.reshape(-1, 3))
+        self._flat = flat * solid[:, None], d @ self._turn, solid
+
+    def first_plane(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(plane (n,), -1 = none; distance (n,), inf) of the nearest plane met from its front."""
+        plane, distance = np.full(len(origins), -1), np.full(len(origins), np.inf)
+        for k, axes in enumerate(self.axes):
+            falls = -(directions @ axes[3])
+            height = np.clip((origins - axes[0]) @ axes[3], 0, None)
+            t = np.where(falls > 1e-9, divide(height, falls, where_zero=np.inf), np.inf)
+            nearer = (t < distance) & (t > 0)
+            plane, distance = np.where(nearer, k, plane), np.where(nearer, t, distance)
+        return plane, distance
+
+    def picture(self, places: np.ndarray, plane: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance of the planes as the picture shows them; their mean where it does not."""
+        seen, known = self._look(places, plane)
+        return np.where(known[:, None], seen, self._mean)
+
+    def _look(self, places: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = self._camera.project(self._pose.apply(places))
+        front = ((self._eye - self.axes[plane, 0]) * self.axes[plane, 3]).sum(-1) > 0
+        r = self._at
+        with np.errstate(invalid="ignore"):
+            known = np.isfinite(at).all(-1) & (at >= [r.x0, r.y0]).all(-1) & (at <= [r.x1 - 1, r.y1 - 1]).all(-1) & front
+        out = np.zeros((len(places), 3))
+        x, y = at[known, 0] - r.x0, at[known, 1] - r.y0
+        if len(x):
+            i, j = np.minimum(x.astype(int), max(r.width - 2, 0)), np.minimum(y.astype(int), max(r.height - 2, 0))
+            i1, j1 = np.minimum(i + 1, r.width - 1), np.minimum(j + 1, r.height - 1)
+            fx, fy = (x - i)[:, None], (y - j)[:, None]
+            p = self._plate
+            out[known] = (p[j, i] * (1 - fx) + p[j, i1] * fx) * (1 - fy) + (p[j1, i] * (1 - fx) + p[j1, i1] * fx) * fy
+        return out, known
+
+    def environment(self, directions: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance of the cube, linear between a face's texels."""
+        d = directions @ self._turn.T
+        size = self._cube.shape[1]
+        axis = np.abs(d).argmax(1)
+        major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
+        q = divide(d, np.abs(major)[:, None])
+        x, y, z = q[:, 0], q[:, 1], q[:, 2]
+        # as cube.texel_directions: rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
+        u = np.choose(axis, [-z, x, x])
+        v = np.choose(axis, [y, -z, y])
+        face = 2 * axis + (major < 0)
+        s, t = (u + 1) / 2 * size - 0.5, (v + 1) / 2 * size - 0.5
+        out = np.zeros((len(d), 3), np.float32)
+        for k in range(6):
+            rows = np.flatnonzero(face == k)
+            if len(rows):
+                out[rows] = cv2.remap(
+                    self._cube[k].astype(np.float32), s[rows, None].astype(np.float32), t[rows, None].astype(np.float32),
+                    cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
+                ).reshape(-1, 3)  # fmt: skip
+        return out.astype(float)
+
+    def even(self, normals: np.ndarray) -> np.ndarray:
+        """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""
+        flat, d, solid = self._flat
+        out = np.empty((len(normals), 3))
+        for a in range(0, len(normals), 20000):
+            c = np.clip(normals[a : a + 20000] @ d.T, 0, None)
+            out[a : a + 20000] = divide(c @ flat, (c @ solid)[:, None])
+        return out
+
+
+def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(3,) radiance of a white surface of that normal, axes of the cube."""
+    d, solid = texel_directions(cube.shape[1]), texel_solid_angles(cube.shape[1])
+    weight = np.clip(d @ normal, 0, None) * solid
+    return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())

@@ -1,0 +1,259 @@
+"""Gi: indirect light. The object in the light of its surroundings (occlusion, colour bleeding, reflections of the picture),
+and what it adds to and takes from the real planes, as a ratio. Takes the place of lightmap's light without a direction.
+
+Voxels are made once per clip, their light once per light; planes are gathered in their own texels, so a still light costs
+a frame only the object's own cones and a look-up. `reference` traces rays (embree) and shares no kernel with the others.
+Source: SYSTEMS.md S4 (paper and corrections). Cost: O(covered pixels x cones). Leaves out: real things that are no plane,
+caustics, refraction, light that the object sends through its own transparent parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.light import Light
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.errors import ConfigError
+from arfx.stages.gi.cones import six_cones, steps_of
+from arfx.stages.gi.field import Body, make_body
+from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field
+from arfx.stages.gi.pixels import LOBES, chosen, light_points, reflected, spread
+from arfx.stages.gi.plane_pixels import add_delta, shown_radius_m
+from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
+from arfx.stages.gi.reference import trace_frame
+from arfx.stages.gi.surroundings import Planes
+from arfx.stages.lightmap.lookup import direction_grid
+from arfx.stages.lightmap.stage import Kept
+
+PAD_PX = 2  # around the model's box: the raster may write there
+LEVELS = {
+    "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
+    "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.002),
+    "high": LevelSettings(128, 256, 24, 512, 1, True, 1.1, 0.002),
+}
+
+
+@dataclass(frozen=True)
+class GiParams:
+    """formula : corrected, or paper: voxels' mean of their children, the object's light added to the picture as a difference
+    strength : share of the computed change of the real planes that is shown, 0..1
+    plane_albedo : of the real plane, 0..1, used by formula paper alone; the corrected ratio does not need it
+    samples : rays per pixel of level reference
+    """
+
+    formula: str = "corrected"
+    strength: float = 1.0
+    plane_albedo: float = 0.5
+    samples: int = 64
+
+    def __post_init__(self) -> None:
+        if self.formula not in ("corrected", "paper"):
+            raise ConfigError(f"gi.formula {self.formula!r} is unknown", "one of corrected, paper")
+        for name in ("strength", "plane_albedo"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"gi.{name} must be between 0 and 1, is {getattr(self, name):g}")
+        if not 1 <= self.samples <= 65536:
+            raise ConfigError(f"gi.samples must be between 1 and 65536, is {self.samples}")
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Of one clip, worker and level. body : voxels, None at level reference;  kept : fields by their light"""
+
+    planes: Planes
+    grid: np.ndarray
+    body: Body | None
+    lobes: np.ndarray
+    counts: np.ndarray
+    tangents: np.ndarray
+    steps: np.ndarray
+    places: np.ndarray
+    kept: Kept = field(default_factory=lambda: Kept(8))
+
+
+class Gi:
+    name = "gi"
+    reads = frozenset(
+        {
+            Layer.PLATE, Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE,
+            Layer.VIRTUAL, Layer.SHADOW,
+        }
+    )  # fmt: skip
+    writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
+    levels = (Level("draft", 0.02), Level("standard", 0.3), Level("high", 1.5), Level("reference", 60.0))
+    needs_facts = frozenset({"pose", "light", "environment"})
+    reach = 0
+    Params = GiParams
+
+    def __init__(self, params: GiParams | None = None) -> None:
+        self.params = params or GiParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        if facts.camera_from_world is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        model = facts.model_box.pad(PAD_PX).clip(frame)
+        disc, why = self._disc(facts, scene, frame)
+        if model.empty and disc.empty:
+            return Demand(EMPTY, f"model out of view; {why}")
+        return Demand(model.union(disc), f"{'model' if not model.empty else 'no model'} in view; {why}")
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        """The picture that the object reflects lies on the planes around it; blocks of pixels are whole."""
+        block = LEVELS[level.name].block if level.name in LEVELS else 1
+        frame = scene.camera.rect
+        return out.pad(2 * block).align(block, block).union(self._seen(facts, scene, frame)).clip(frame)
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        """Of a light that stands still. Priced by pixel; most of it is the object's own."""
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 22)
+
+    def prepare(self, scene: Scene, level: Level) -> Prepared:
+        planes = planes_of(scene)
+        grid = direction_grid(scene.camera)
+        empty = np.zeros(0, np.float32)
+        if level.name == "reference":
+            return Prepared(planes, grid, None, empty, empty, empty, empty, empty)
+        at = LEVELS[level.name]
+        body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, self._paper)
+        from arfx.stages.gi.cones import mirror_tangent
+
+        tangents = mirror_tangent(np.linspace(0, 1, LOBES))
+        rows = [steps_of(float(t), at.voxels) for t in tangents]
+        lobes = np.zeros((LOBES, max(len(r) for r in rows), 3), np.float32)
+        for k, r in enumerate(rows):
+            lobes[k, : len(r)] = r
+        return Prepared(
+            planes, grid, body, lobes, np.array([len(r) for r in rows]), tangents.astype(np.float32),
+            steps_of(six_cones()[2], at.voxels), texture_places(planes, _texture_side(scene, at)),
+        )  # fmt: skip
+
+    def run(
+        self, window: Window, scene: Scene, prepared: Prepared, level: Level, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray]:
+        facts, now = window.facts[-1], window.now
+        pose = facts.camera_from_world
+        assert pose is not None
+        light = source_light(facts, scene)
+        frame = scene.camera.rect
+        disc = self._disc(facts, scene, frame)[0]
+        if level.name == "reference":
+            return trace_frame(
+                now, scene, facts, light, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples,
+                self.params.strength, rng,
+            )  # fmt: skip
+        at = LEVELS[level.name]
+        assert prepared.body is not None
+        made = around(now, self._seen(facts, scene, frame), scene, facts, light, prepared.planes, prepared.places, prepared.kept)
+        whole = frame_field(prepared.body, scene, facts, light, prepared.planes, made, at, self._paper, prepared.kept)
+        virtual = self._virtual(now, facts, scene, prepared, at, made.lit(whole))
+        shadow = now[Layer.SHADOW]
+        radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(light, scene))
+        if not disc.empty and radius > 0:
+            disc = disc_rect(scene, prepared.planes, radius, pose, frame)
+            anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
+            nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(np.float32)
+            target, delta = (virtual, whole.gain) if self._paper else (shadow, whole.delta)
+            weight = self.params.strength * (self.params.plane_albedo if self._paper else 1.0)
+            changed = add_delta(
+                target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
+                anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
+                np.float32(prepared.planes.half_m), np.float32(radius), delta, np.float32(weight),
+            )  # fmt: skip
+            if self._paper:
+                left = 1 - now[Layer.COVERAGE][..., None]
+                virtual = virtual + left * (changed - virtual)
+            else:
+                shadow = changed
+        return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
+
+    def _virtual(
+        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, at: LevelSettings, back: Around
+    ) -> np.ndarray:
+        out = now[Layer.VIRTUAL].copy()
+        block = at.block
+        box = facts.model_box.pad(PAD_PX).align(block, block).clip(now.rect)
+        if box.empty:
+            return out
+        part, pose = now.crop(box), facts.camera_from_world
+        assert pose is not None and prepared.body is not None and back.atlas is not None
+        anchor = scene.world_from_anchor.inverse()
+        f32, volume = np.float32, prepared.body.voxels.volume
+        directions, weights, tan_half = six_cones()
+        structure = prepared.body.structure
+        surface: Any = [part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)]
+        axes: Any = anchor.rotation.astype(f32), anchor.translation_m.astype(f32)
+        eye = anchor.apply(pose.inverse().translation_m).astype(f32)
+        cones: Any = (
+            back.atlas.values, structure.brick_of, structure.meta, np.array(volume.low_m, f32), f32(volume.voxel_m),
+            directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps, prepared.lobes,
+            prepared.tangents, prepared.counts, *back.arguments,
+        )  # fmt: skip
+        limits: Any = f32(at.sharp), f32(at.gloss_floor)
+        points, light = np.zeros((0, 7), f32), np.zeros((0, 6), f32)
+        index = np.zeros((0, 0), np.int32)
+        if block > 1:
+            choice: Any = (*surface, box.x0, box.y0, block, *axes, *limits)
+            points, wanted, index = chosen(*choice)
+            light = light_points(points, wanted, eye, *cones)
+        near: Any = (*surface, box.x0, box.y0, block if block > 1 else 0, *axes, *limits, f32(volume.voxel_m))
+        spread_light, points, wanted, pixels = spread(*near, points, light, index)
+        fresh = light_points(points, wanted, eye, *cones)
+        seen: Any = (*surface, *axes)
+        out[box.slices_in(now.rect)] += reflected(*seen, eye, limits[1], spread_light, fresh, wanted, pixels)
+        return out
+
+    def _disc(self, facts: FrameFacts, scene: Scene, frame: Rect) -> tuple[Rect, str]:
+        """Pixels of the real planes that may change, and why those or none."""
+        pose = facts.camera_from_world
+        if pose is None or self.params.strength <= 0:
+            return EMPTY, "planes left alone"
+        radius = self._radius_m(source_light(facts, scene), scene)
+        if radius <= 0:
+            return EMPTY, "no indirect light on the plane"
+        rect = disc_rect(scene, planes_of(scene), radius, pose, frame)
+        if rect.empty:
+            return rect, "plane out of view or seen from behind"
+        return rect, f"plane changes by half a grey level within {100 * radius:.0f} cm"
+
+    def _radius_m(self, light: Light, scene: Scene) -> float:
+        """Of the disc on the planes; 0 where there is no indirect light at all."""
+        up = scene.world_from_anchor.rotation[:, 2]
+        soft, whole = light.soft_radiance(up).max(), light.radiance(up).max()
+        materials = [p.material for p in scene.model.parts]
+        glow = max(max(m.emissive) for m in materials)
+        peak = float(soft) + sum(max(li.rgb) for li in light.lights) + glow
+        if peak <= 0:
+            return 0.0
+        share = max(float(soft), peak) / max(float(whole), 1e-3)
+        return disc_radius_m(scene, planes_of(scene), share)
+
+    def _seen(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
+        """Pixels of the picture that the object may reflect."""
+        pose = facts.camera_from_world
+        planes = planes_of(scene)
+        return EMPTY if pose is None else disc_rect(scene, planes, planes.half_m, pose, frame)
+
+    @property
+    def _paper(self) -> bool:
+        return self.params.formula == "paper"
+
+
+def _texture_side(scene: Scene, at: LevelSettings) -> int:
+    """Texels of the picture on a plane: few where nothing mirrors sharply enough to show more."""
+    materials = [p.material for p in scene.model.parts]
+    sharp = [m.roughness < 0.5 or m.metallic_roughness_texture is not None for m in materials]
+    mirrors = [0.08 * m.specular * (1 - m.metallic) + m.metallic > at.gloss_floor for m in materials]
+    return at.texture_side if any(a and b for a, b in zip(sharp, mirrors, strict=True)) else min(at.texture_side, 64)
+
+
+def source_light(facts: FrameFacts, scene: Scene) -> Light:
+    return scene.light if facts.light is None else facts.light

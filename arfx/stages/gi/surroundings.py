@@ -1,0 +1,252 @@
+"""What a cone sees behind the voxels: the real planes with the picture on them, else the environment.
+
+The environment is kept on octahedral maps (a square per width of cone, no seam), looked up linear between texels and
+widths. Planes carry the picture's radiance as a texture with a mip chain, denser in the middle, where the object stands.
+Source: S4; octahedral map: Engelhardt and Dachsbacher 2008. Leaves out: real things that are no plane.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numba
+import numpy as np
+
+from arfx.core.light import Light, harmonics
+from arfx.core.numerics import divide, normalise
+
+SIDE = 32  # texels of an octahedral map: 5 degrees
+HALF_ANGLES_DEG = (0.0, 6.0, 12.0, 20.0, 30.0, 50.0)
+WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
+_FAST = {"contract", "nsz", "arcp"}
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures"""
+
+    axes: np.ndarray
+    half_m: float
+
+
+@lru_cache(maxsize=1)
+def _directions() -> np.ndarray:
+    """(SIDE + 2, SIDE + 2, 3) unit directions of the texels with a border of one, wrapped over the edges."""
+    t = (np.arange(-1, SIDE + 1) + 0.5) / SIDE * 2 - 1
+    v, u = np.meshgrid(t, t, indexing="ij")
+    over_u, over_v = np.abs(u) > 1, np.abs(v) > 1  # beyond an edge the map goes on turned by 180 degrees
+    uu = np.where(over_u, np.sign(u) * 2 - u, u)
+    vv = np.where(over_v, np.sign(v) * 2 - v, v)
+    u, v = np.where(over_v, -uu, uu), np.where(over_u, -vv, vv)
+    z = 1 - np.abs(u) - np.abs(v)
+    fold = np.clip(-z, 0, None)
+    out: np.ndarray = normalise(np.stack([u - np.sign(u) * fold, v - np.sign(v) * fold, z], -1))
+    return out
+
+
+@lru_cache(maxsize=2)
+def _kernels(size: int) -> np.ndarray:
+    """(widths, texels, 6 size^2) float32: share of each cube texel in each octahedral one; rows sum to 1."""
+    from arfx.stages.gi.cube import texel_directions, texel_solid_angles
+
+    to, source = _directions().reshape(-1, 3), texel_directions(size).reshape(-1, 3)
+    solid = np.tile(texel_solid_angles(size).ravel(), 6)
+    angle = np.degrees(np.arccos(np.clip(to @ source.T, -1, 1)))
+    pitch = 90.0 / size
+    out = []
+    for half in HALF_ANGLES_DEG:
+        width = max(half, 0.75 * pitch)
+        w = np.clip((width + pitch / 2 - angle) / pitch, 0, 1) if half > 0.75 * pitch else np.clip(1 - angle / pitch, 0, None)
+        w = w * solid
+        out.append(divide(w, w.sum(1, keepdims=True)))
+    return np.array(out, np.float32)
+
+
+def octahedral(cube: np.ndarray) -> np.ndarray:
+    """(widths, SIDE + 2, SIDE + 2, 3) float32 of a cube (6, n, n, 3): mean radiance in a cone about every direction."""
+    size = cube.shape[1]
+    flat = np.ascontiguousarray(cube.reshape(-1, 3), np.float32)
+    return (_kernels(size).reshape(-1, len(flat)) @ flat).reshape(len(HALF_ANGLES_DEG), SIDE + 2, SIDE + 2, 3)
+
+
+def from_light(light: Light, size: int = 8) -> np.ndarray:
+    """A cube (6, n, n, 3), WORLD axes, that gives about the light's soft radiance, but for its scale: where no picture
+    of the surroundings is."""
+    from arfx.stages.gi.cube import texel_directions
+
+    d = texel_directions(size)
+    if not light.soft:
+        return np.ones(d.shape)
+    # a cosine lobe leaves 2/3 and 1/4 of degrees 1 and 2; the latter is given back by half only, as it rings
+    gain = np.repeat([1.0, 1.5, 2.0], [1, 3, 5])[:, None]
+    return np.clip(harmonics(d) @ (np.asarray(light.soft, float) * gain), 0, None)
+
+
+def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(3,) radiance of a white diffuse surface of unit normal (3,), axes of the cube, under all of its hemisphere."""
+    from arfx.stages.gi.cube import texel_directions, texel_solid_angles
+
+    d, solid = texel_directions(cube.shape[1]), texel_solid_angles(cube.shape[1])
+    weight = np.clip(d @ normal, 0, None) * solid
+    return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def look_at(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: no cover - compiled
+    """(r, g, b) of the environment. maps : of `octahedral`;  turn (3, 3) : axes of the maps from those of d (unit)."""
+    x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
+    y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
+    z = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    scale = one / (abs(x) + abs(y) + abs(z))
+    u, v = x * scale, y * scale
+    if z < 0:
+        a = (one - abs(v)) * (one if u >= 0 else -one)
+        v = (one - abs(u)) * (one if v >= 0 else -one)
+        u = a
+    last = widths.shape[0] - 1
+    k = 0
+    while k < last - 1 and half_deg > widths[k + 1]:
+        k += 1
+    m = min(max((half_deg - widths[k]) / (widths[k + 1] - widths[k]), zero), one)
+    side = np.float32(maps.shape[1] - 2)
+    s, t = (u + one) * half * side + half, (v + one) * half * side + half
+    i, j = min(max(int(s), 0), maps.shape[1] - 2), min(max(int(t), 0), maps.shape[1] - 2)
+    fs, ft = s - np.float32(i), t - np.float32(j)
+    w00, w01, w10, w11 = (one - fs) * (one - ft), fs * (one - ft), (one - fs) * ft, fs * ft
+    r, g, b = zero, zero, zero
+    for q in range(2):
+        share = m if q else one - m
+        if share <= 0:
+            continue
+        p = maps[k + q]
+        r += share * (w00 * p[j, i, 0] + w01 * p[j, i + 1, 0] + w10 * p[j + 1, i, 0] + w11 * p[j + 1, i + 1, 0])
+        g += share * (w00 * p[j, i, 1] + w01 * p[j, i + 1, 1] + w10 * p[j + 1, i, 1] + w11 * p[j + 1, i + 1, 1])
+        b += share * (w00 * p[j, i, 2] + w01 * p[j, i + 1, 2] + w10 * p[j + 1, i, 2] + w11 * p[j + 1, i + 1, 2])
+    return r, g, b
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def warped(x):  # pragma: no cover - compiled
+    """Texture coordinate, -1..1 inside, of a place x on the plane in units of its texture's half side."""
+    return WARP * x / (np.float32(1) + (WARP - np.float32(1)) * abs(x))
+
+
+def unwarped(u: np.ndarray) -> np.ndarray:
+    """The inverse of `warped`."""
+    k = float(WARP)
+    return np.asarray(u / (k - (k - 1) * np.abs(u)))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def first_plane(axes, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
+    """(plane, distance) of the nearest plane that is met from its front; plane -1 = none."""
+    best, found = np.float32(1e30), -1
+    for p in range(axes.shape[0]):
+        nx, ny, nz = axes[p, 3, 0], axes[p, 3, 1], axes[p, 3, 2]
+        towards = -(dx * nx + dy * ny + dz * nz)
+        if towards <= np.float32(1e-6):
+            continue
+        h = (x - axes[p, 0, 0]) * nx + (y - axes[p, 0, 1]) * ny + (z - axes[p, 0, 2]) * nz
+        t = max(h, np.float32(0)) / towards
+        if t < best:
+            best, found = t, p
+    return found, best
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
+    """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over `covers` sides of it."""
+    one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
+    far = max(abs(a), abs(b))
+    last = np.float32(mips.shape[0] - 1)
+    level = np.log2(max(covers * np.float32(mips[0, 1]), one))
+    # beyond the texture the plane looks as it does on average
+    level = min(max(level, last * min(max((far - one) * np.float32(2), zero), one)), last)
+    l0 = int(level)
+    m = level - np.float32(l0)
+    u, v = min(max(warped(a), -one), one), min(max(warped(b), -one), one)
+    r, g, c = zero, zero, zero
+    for q in range(2):
+        share = m if q else one - m
+        if share <= 0:
+            continue
+        offset, n = mips[l0 + q, 0], mips[l0 + q, 1]
+        s = min(max((u + one) * half * np.float32(n) - half, zero), np.float32(n - 1))
+        w = min(max((v + one) * half * np.float32(n) - half, zero), np.float32(n - 1))
+        i, j = min(int(s), max(n - 2, 0)), min(int(w), max(n - 2, 0))
+        i1, j1 = min(i + 1, n - 1), min(j + 1, n - 1)
+        fs, fw = s - np.float32(i), w - np.float32(j)
+        at00, at01, at10, at11 = offset + j * n + i, offset + j * n + i1, offset + j1 * n + i, offset + j1 * n + i1
+        w00, w01, w10, w11 = (one - fs) * (one - fw), fs * (one - fw), (one - fs) * fw, fs * fw
+        r += share * (w00 * texture[at00, 0] + w01 * texture[at01, 0] + w10 * texture[at10, 0] + w11 * texture[at11, 0])
+        g += share * (w00 * texture[at00, 1] + w01 * texture[at01, 1] + w10 * texture[at10, 1] + w11 * texture[at11, 1])
+        c += share * (w00 * texture[at00, 2] + w01 * texture[at01, 2] + w10 * texture[at10, 2] + w11 * texture[at11, 2])
+    return r, g, c
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def behind(
+    axes, half_m, textures, mips, maps, widths, turn, skip, x, y, z, dx, dy, dz, tan_half, half_deg
+):  # pragma: no cover - compiled
+    """(r, g, b) of what lies behind the voxels from x, y, z (metres) along d: planes nearest first, then the environment.
+
+    A cone that lies across a plane's horizon sees it with the part of its width that is under it.
+    textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side;  skip : a plane not to be met
+    """
+    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    wide = tan_half / np.sqrt(one + tan_half * tan_half)
+    r, g, b, left = zero, zero, zero, one
+    nearer_than = np.float32(-1)
+    for _ in range(axes.shape[0]):
+        best, p, lies = np.float32(1e30), -1, zero
+        for k in range(axes.shape[0]):
+            down = -(dx * axes[k, 3, 0] + dy * axes[k, 3, 1] + dz * axes[k, 3, 2])
+            if k == skip or down <= -wide:
+                continue
+            # middle of the part of the cone that is under the horizon
+            low = max(down, half * (down + wide))
+            h = (x - axes[k, 0, 0]) * axes[k, 3, 0] + (y - axes[k, 0, 1]) * axes[k, 3, 1] + (z - axes[k, 0, 2]) * axes[k, 3, 2]
+            t = max(h, zero) / max(low, np.float32(1e-4))
+            if t > nearer_than and t < best:
+                best, p, lies = t, k, down
+        if p < 0:
+            break
+        nearer_than = best
+        share = left * min(max(half + half * lies / wide, zero), one)
+        sink = max(half * (lies + wide) - lies, zero)
+        ex, ey, ez = dx - sink * axes[p, 3, 0], dy - sink * axes[p, 3, 1], dz - sink * axes[p, 3, 2]
+        qx, qy, qz = x + best * ex - axes[p, 0, 0], y + best * ey - axes[p, 0, 1], z + best * ez - axes[p, 0, 2]
+        a = (qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]) / half_m
+        c = (qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]) / half_m
+        # of the texture's side: the warp's slope is WARP / (1 + (WARP - 1) |x|)^2
+        slope = one + (WARP - one) * max(abs(a), abs(c))
+        pr, pg, pb = on_plane(textures[p], mips, a, c, best * tan_half / half_m * WARP / (slope * slope))
+        r += share * pr
+        g += share * pg
+        b += share * pb
+        left -= share
+        if left <= np.float32(1e-3):
+            break
+    if left > np.float32(1e-3):
+        er, eg, eb = look_at(maps, widths, turn, dx, dy, dz, half_deg)
+        r += left * er
+        g += left * eg
+        b += left * eb
+    return r, g, b
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def behind_many(
+    points, directions, skip, tan_half, half_deg, axes, half_m, textures, mips, maps, widths, turn
+):  # pragma: no cover - compiled
+    """(m, 3) of `behind` from points (m, 3), metres, along directions (m, 3)."""
+    out = np.empty((points.shape[0], 3), np.float32)
+    for i in range(points.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2] = behind(
+            axes, half_m, textures, mips, maps, widths, turn, skip, points[i, 0], points[i, 1], points[i, 2],
+            directions[i, 0], directions[i, 1], directions[i, 2], tan_half, half_deg,
+        )  # fmt: skip
+    return out
