@@ -28,7 +28,8 @@ _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %:
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """voxels a side;  plane_side : texels of a plane's change, plane_cones each;  texture_side : texels of the picture on it
+    """voxels a side;  plane_side : texels of a plane's change, a power of two, plane_cones each
+    texture_side : texels of the picture on it, a power of two
     block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels
     """
 

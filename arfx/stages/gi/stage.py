@@ -38,7 +38,7 @@ PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {
     "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
     "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.002),
-    "high": LevelSettings(128, 256, 24, 512, 1, True, 1.1, 0.002),
+    "high": LevelSettings(128, 256, 16, 512, 1, True, 1.1, 0.002),
 }
 
 
@@ -205,10 +205,11 @@ class Gi:
             points, wanted, index = chosen(*choice)
             light = light_points(points, wanted, eye, *cones)
         near: Any = (*surface, box.x0, box.y0, block if block > 1 else 0, *axes, *limits, f32(volume.voxel_m))
-        spread_light, points, wanted, pixels = spread(*near, points, light, index)
+        near = (*near, points, light, index)
+        spread_light, points, wanted, pixels = spread(*near)
         fresh = light_points(points, wanted, eye, *cones)
-        seen: Any = (*surface, *axes)
-        out[box.slices_in(now.rect)] += reflected(*seen, eye, limits[1], spread_light, fresh, wanted, pixels)
+        last: Any = (*surface, *axes, eye, limits[1], spread_light, fresh, wanted, pixels)
+        out[box.slices_in(now.rect)] += reflected(*last)
         return out
 
     def _disc(self, facts: FrameFacts, scene: Scene, frame: Rect) -> tuple[Rect, str]:
