@@ -58,6 +58,8 @@ class Explanations:
     best, best_cost, bic : by number of lights;  count : the number that the criterion chose;  plain : samples as they came
     """
 
+    plain_models: list[list[Model]]
+
     def __init__(self, s: Samples, params: Params, start: Explanations | None = None) -> None:
         """start : of the same observations under other weights; its minima are followed, none is searched again."""
         self.params, most = params, max(0, min(params.most_lights, 2))

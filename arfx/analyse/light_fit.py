@@ -138,9 +138,8 @@ def fit(
         return LightFit(REFUSED, f"one normal only: all lie within {about['span_deg']:.2g} degrees", seen, seen, **about)
     if len(s.normals) < 4:
         return LightFit(REFUSED, f"{len(s.normals)} normals only: a direction beside ambient light takes 4", seen, seen, **about)
-    error, found = params.model_error, None
+    error, found = params.model_error, Explanations(s, params)
     for _ in range(4):  # what no lights explain is an error of the model, and not one that averages out
-        found = Explanations(s, params, found)
         misfit = min(found.misfit(k) for k in range(len(found.best)))
         if misfit <= 1.5:
             break
@@ -148,6 +147,7 @@ def fit(
         if error > params.most_error:
             break
         s = gather(normals, irradiance, variance, group, error) or s
+        found = Explanations(s, params, found)
     about["model_error"] = error
     if error > params.most_error:
         why = f"no lights explain what was seen to better than {error:.1%}: exposure or light changed, or the surface is glossy"

@@ -28,6 +28,7 @@ from arfx.analyse.light_fit import MEASURED, REFUSED, LightFit, fit
 from arfx.analyse.light_gain import drift, gains, matched
 from arfx.core.numerics import angle_between
 
+_AGREE_DEG = 3.0  # between the halves of a clip whose brightness wanders while one normal is seen at a time
 CONSTANT, SEGMENTS, SHARED, WINDOWS = "constant", "segments", "shared", "windows"
 _MOST_DRIFT = 0.02  # of the level, light_gain.drift: an account under which normals change more does not hold
 
@@ -66,8 +67,10 @@ def fit_over_time(
     def run(rows: np.ndarray, group: np.ndarray | None) -> LightFit:
         return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p)
 
-    def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
-        return _confirmed(found, [run(rows, group) for rows in halves], p.limit_deg) if found.verdict == MEASURED else found
+    def confirmed(
+        found: LightFit, halves: list[np.ndarray], group: np.ndarray | None, limit_deg: float = p.limit_deg
+    ) -> LightFit:
+        return _confirmed(found, [run(rows, group) for rows in halves], limit_deg) if found.verdict == MEASURED else found
 
     every = np.ones(len(times), bool)
     start, stop = float(times.min()), float(times.max())
@@ -87,7 +90,7 @@ def fit_over_time(
         shared = run(every, group)
         if shared.verdict == MEASURED and shared.model_error <= good_error and drift(times, n, E, group) <= _MOST_DRIFT:
             if name == SHARED:
-                shared = confirmed(shared, [~late, late], group)
+                shared = confirmed(shared, [~late, late], group, min(p.limit_deg, _AGREE_DEG))
             if shared.verdict == MEASURED:
                 present = np.unique(group)  # the groups that fit numbers
                 return name, [Span(a, b, shared, int(np.abs(present - g).argmin())) for g, (a, b) in enumerate(pairwise(edges))]

@@ -182,7 +182,8 @@ class Lightmap:
             coverage, normal, position, part[Layer.ALBEDO], part[Layer.MATERIAL], part[Layer.EMISSIVE], left,
             eye.astype(f32), light.towards[reaching].astype(f32),
             (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
-            self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32), self._paper,
+            self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32),
+            self._paper,
         )  # fmt: skip
         if box == now.rect:
             return virtual
