@@ -16,13 +16,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from arfx.core.light import harmonics
+from arfx.core.light import DIFFUSE, harmonics
 
 SIZE = 16
 FACES = ("right", "left", "down", "up", "front", "back")  # +x, -x, +y, -y, +z, -z of the camera (OpenCV axes)
-# Share of each degree of a radiance distribution that is left in the radiance of a white diffuse surface
-# (Ramamoorthi and Hanrahan 2001, eq. 8, over pi).
-_COSINE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
 
 
 def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
@@ -160,7 +157,7 @@ def soft_light(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
     """
     n = faces.shape[1]
     basis = _basis(n, np.asarray(world_from_camera, float).round(12).tobytes())
-    return _COSINE[:, None] * (basis.T @ faces.reshape(-1, 3))
+    return DIFFUSE[:, None] * (basis.T @ faces.reshape(-1, 3))
 
 
 @lru_cache(maxsize=2)
@@ -168,49 +165,3 @@ def _basis(size: int, rotation: bytes) -> np.ndarray:
     """(6 n n, 9) harmonics of the texels' world directions times their solid angles."""
     directions = face_directions(size).reshape(-1, 3) @ np.frombuffer(rotation).reshape(3, 3).T
     return harmonics(directions) * np.tile(solid_angles(size).ravel(), 6)[:, None]
-
-
-class Surroundings:
-    """Soft light over the frames of a clip: each frame's, smoothed over `seconds`, so that it does not flicker."""
-
-    def __init__(self, seconds: float = 0.5) -> None:
-        self.seconds = seconds
-        self.soft: np.ndarray | None = None
-        self.time_s = 0.0
-
-    def step(self, time_s: float, image: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
-        """Take the next frame (times ascend); returns (9, 3) as `soft_light`."""
-        now = soft_light(fold(image), world_from_camera)
-        if self.soft is None:
-            self.soft = now
-        else:
-            share = 1 - np.exp(-max(time_s - self.time_s, 0.0) / self.seconds)
-            self.soft = self.soft + share * (now - self.soft)
-        self.time_s = time_s
-        return self.soft
-
-    def state(self) -> dict:
-        """JSON-able; `restore` continues from it exactly."""
-        return {"soft": None if self.soft is None else self.soft.tolist(), "time_s": self.time_s}
-
-    def restore(self, state: dict) -> None:
-        self.soft = None if state["soft"] is None else np.array(state["soft"])
-        self.time_s = state["time_s"]
-
-
-def scaled_to(soft: np.ndarray, normals: np.ndarray, radiance: np.ndarray) -> np.ndarray:
-    """Soft light times one factor per channel, so that white surfaces with `normals` show `radiance` on average.
-
-    soft : (9, 3);  normals : (k, 3) unit, WORLD;  radiance : (k, 3) measured. Where the soft light has nothing there
-    (a black picture) the light is made even instead.
-    """
-    have = np.clip(harmonics(np.atleast_2d(normals)) @ soft, 0, None).mean(0)
-    want = np.atleast_2d(radiance).mean(0)
-    out = np.zeros((9, 3))
-    for c in range(3):
-        even = want[c] / 0.28209479177387814
-        if have[c] > 1e-3 * max(want[c], 1e-6):
-            out[:, c] = soft[:, c] * (want[c] / have[c])
-        else:
-            out[0, c] = even
-    return out

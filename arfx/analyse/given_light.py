@@ -9,13 +9,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from arfx.core.light import DirectionalLight, Light, harmonics
+from arfx.core.light import DIFFUSE, DirectionalLight, Light, harmonics
 from arfx.core.numerics import divide, normalise
 
 ROWS = 64  # a panorama is reduced to: 2.8 degrees a pixel
 STANDS_OUT = 6.0  # times the panorama's mean radiance from which a pixel belongs to a lamp
 LEAST_SHARE = 0.1  # of all light that a lamp gives
-_COSINE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])  # as in environment.py
 AMBIENT, DIRECT = 0.45, 0.5  # radiance of a white surface without, and from a facing light, where only a direction is given
 
 
@@ -58,7 +57,7 @@ def from_panorama(picture: np.ndarray) -> Light:
         lamps.append(DirectionalLight((float(d[0]), float(d[1]), float(d[2])), _triple(rgb), float(min(size, 90.0))))
         rest[on] = np.minimum(small[on], base)
     basis = harmonics(direction.reshape(-1, 3)) * solid.reshape(-1, 1)
-    soft = _COSINE[:, None] * (basis.T @ rest.reshape(-1, 3))  # of a white diffuse surface over its normal
+    soft = DIFFUSE[:, None] * (basis.T @ rest.reshape(-1, 3))  # of a white diffuse surface over its normal
     ambient = soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]
     return Light(_triple(ambient), tuple(lamps), "environment file", tuple(_triple(row) for row in soft))
 

@@ -28,6 +28,7 @@ from arfx.analyse.light_fit import MEASURED, REFUSED, LightFit, fit
 from arfx.analyse.light_gain import drift, gains, matched
 from arfx.core.numerics import angle_between
 
+_APART_DEG = 10.0
 _AGREE_DEG = 3.0  # between the halves of a clip whose brightness wanders while one normal is seen at a time
 CONSTANT, SEGMENTS, SHARED, WINDOWS = "constant", "segments", "shared", "windows"
 _MOST_DRIFT = 0.02  # of the level, light_gain.drift: an account under which normals change more does not hold
@@ -67,10 +68,10 @@ def fit_over_time(
     def run(rows: np.ndarray, group: np.ndarray | None) -> LightFit:
         return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p)
 
-    def confirmed(
-        found: LightFit, halves: list[np.ndarray], group: np.ndarray | None, limit_deg: float = p.limit_deg
-    ) -> LightFit:
-        return _confirmed(found, [run(rows, group) for rows in halves], limit_deg) if found.verdict == MEASURED else found
+    agree_deg = p.limit_deg if _several(times, n) else min(p.limit_deg, _AGREE_DEG)
+
+    def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
+        return _confirmed(found, [run(rows, group) for rows in halves], agree_deg) if found.verdict == MEASURED else found
 
     every = np.ones(len(times), bool)
     start, stop = float(times.min()), float(times.max())
@@ -90,7 +91,7 @@ def fit_over_time(
         shared = run(every, group)
         if shared.verdict == MEASURED and shared.model_error <= good_error and drift(times, n, E, group) <= _MOST_DRIFT:
             if name == SHARED:
-                shared = confirmed(shared, [~late, late], group, min(p.limit_deg, _AGREE_DEG))
+                shared = confirmed(shared, [~late, late], group)
             if shared.verdict == MEASURED:
                 present = np.unique(group)  # the groups that fit numbers
                 return name, [Span(a, b, shared, int(np.abs(present - g).argmin())) for g, (a, b) in enumerate(pairwise(edges))]
@@ -112,6 +113,14 @@ def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], windo
         pieces = max(1, int(np.ceil((b - a) / max(window_s, 1e-6) - 1e-9)))
         out += [a + (b - a) * (i + 1) / pieces for i in range(pieces)]
     return out
+
+
+def _several(times: np.ndarray, n: np.ndarray) -> bool:
+    """Whether most frames show normals that are apart: then light that changes is told from a direction that does."""
+    frame = np.unique(times, return_inverse=True)[1]
+    count = np.bincount(frame)
+    mean = np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1) / count[:, None]
+    return float(np.mean(np.linalg.norm(mean, axis=1) < np.cos(np.radians(_APART_DEG / 2)))) > 0.5
 
 
 def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:

@@ -15,14 +15,13 @@ import numpy as np
 
 from arfx.analyse.environment import face_directions, fold, solid_angles
 from arfx.analyse.icosphere import icosphere
-from arfx.core.light import Light, harmonics
+from arfx.core.light import DIFFUSE, Light, harmonics
 from arfx.core.numerics import divide, normalise
 
 FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
 RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 % of the light is left to noise
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
-_COSINE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])  # as in environment.py
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +71,7 @@ def soft_light(
             sky = np.where(arriving > 1e-3 * np.max(shown), sky * divide(shown, arriving), shown)
         below = np.minimum(plane, arriving if shown is None else shown)  # no plane is brighter than white
         radiance = np.where(above, sky, below)
-        total += _COSINE[:, None] * ((harmonics(d) * solid[:, None]).T @ radiance)
+        total += DIFFUSE[:, None] * ((harmonics(d) * solid[:, None]).T @ radiance)
     soft = total / len(looks)
     ambient = soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]
     light = Light(_triple(ambient), (), "environment", tuple(_triple(row) for row in soft))

@@ -8,6 +8,10 @@ import numpy as np
 
 from arfx.core.numerics import normalise
 
+# Share of each degree of a radiance distribution that is left in the radiance of a white diffuse surface over its normal
+# (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the nine `harmonics`.
+DIFFUSE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
+
 
 @dataclass(frozen=True)
 class DirectionalLight:

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from arfx.analyse.environment import (
-    Surroundings,
     face_directions,
     fold,
     fold_corrected,
     from_panorama,
     look_up,
     mip_chain,
-    scaled_to,
     soft_light,
     solid_angles,
     told,
@@ -77,26 +75,6 @@ def test_harmonics_are_orthonormal() -> None:
     basis = harmonics(face_directions(64).reshape(-1, 3))
     weight = np.tile(solid_angles(64).ravel(), 6)
     assert np.abs(basis.T @ (basis * weight[:, None]) - np.eye(9)).max() < 2e-3
-
-
-def test_scaled_light_matches_what_was_measured_and_black_stays_finite() -> None:
-    n = np.array([[0.0, 0, 1.0]])
-    for picture in (GREY, 0 * GREY, np.full_like(GREY, np.nan)):
-        soft = scaled_to(soft_light(fold(picture), np.eye(3)), n, np.array([[0.5, 0.4, 0.3]]))
-        assert np.isfinite(soft).all()
-        assert harmonics(n) @ soft == pytest.approx(np.array([[0.5, 0.4, 0.3]]))
-
-
-def test_smoothing_follows_slowly_and_resumes_exactly() -> None:
-    a, b = Surroundings(0.5), Surroundings(0.5)
-    first = a.step(0.0, GREY, np.eye(3)).copy()
-    after = a.step(0.1, 2 * GREY, np.eye(3)).copy()
-    assert (after[0] / first[0] - 1 > 0.15).all() and (after[0] / first[0] - 1 < 0.25).all()
-    b.restore(Surroundings(0.5).state())
-    b.step(0.0, GREY, np.eye(3))
-    c = Surroundings(0.5)
-    c.restore(b.state())
-    assert (c.step(0.1, 2 * GREY, np.eye(3)) == after).all()
 
 
 def largest_step(faces: np.ndarray) -> float:
