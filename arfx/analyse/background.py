@@ -129,7 +129,7 @@ def _evened(image: np.ndarray) -> np.ndarray:
     """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves it nearly as it was."""
     value = image.astype(np.float32)
     off = value - cv2.blur(value, (NEAR_PX, NEAR_PX))
-    size = np.sqrt(cv2.blur(off * off, (NEAR_PX, NEAR_PX))) + FLAT
+    size = np.sqrt(np.maximum(cv2.blur(off * off, (NEAR_PX, NEAR_PX)), 0)) + FLAT
     return np.clip(128 + 48 * off / size, 0, 255).astype(np.uint8)
 
 

@@ -79,4 +79,13 @@ def _table(figures: dict[str, Any]) -> None:
     if "map" in figures:
         click.echo(f"map: at most {figures['map']['position_mm_max']:.2f} mm, {figures['map']['rotation_deg_max']:.2f} deg off")
     if "light" in figures:
-        click.echo(f"light: {figures['light']['direction_deg']['median']:.2f} deg off (median)")
+        click.echo(_light(figures["light"]))
+
+
+def _light(light: dict[str, Any]) -> str:
+    text = f"light: a direction claimed in {light['measured']} of {light['frames']} frames, {light['false']} of them falsely"
+    if "direction_deg" in light:
+        text += f", {light['direction_deg']['median']:.2f} deg off (median)"
+    if "irradiance" in light:
+        text += f"; irradiance {light['irradiance']['median']:.1%} off (median)"
+    return f"{text}; bias {light['bias_grey']:.1f} grey levels off"
