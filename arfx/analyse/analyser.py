@@ -28,7 +28,7 @@ from arfx.analyse.survey import Survey
 from arfx.analyse.tracker import Found, Tracker
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import MarkerSpec, anchor_marker
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError, NothingToDoError
@@ -160,7 +160,7 @@ class Analyser:
         return replace(analysis, summary={**analysis.summary, "edge_transfer": self._refiner.transfer})
 
     def _anchored(self, analysis: Analysis, motion: BackgroundMotion) -> tuple[FrameFacts, ...]:
-        anchor = next((m for m in self.markers if m.key in analysis.world_from_marker), self.markers[0])
+        anchor = anchor_marker(self.markers, analysis.world_from_marker)
         stands = analysis.world_from_marker.get(anchor.key, Pose.identity())
         return with_anchors(analysis.facts, motion.steps, self.camera, stands, AROUND * anchor.size_m)
 

@@ -16,6 +16,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from arfx.core.cube import face_directions, solid_angles
 from arfx.core.light import DIFFUSE, harmonics
 
 SIZE = 16
@@ -120,34 +121,6 @@ def told(faces: np.ndarray) -> dict:
     """What FrameFacts.extra["environment"] holds: {"size", "faces": base64 of float16}; WORLD axes."""
     half = np.clip(faces, 0, 6e4).astype("<f2")
     return {"size": int(faces.shape[1]), "faces": base64.b64encode(half.tobytes()).decode("ascii")}
-
-
-@lru_cache(maxsize=4)
-def face_directions(size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) unit directions of the texels' centres, camera frame (x right, y down, z forward)."""
-    t = (np.arange(size) + 0.5) / size * 2 - 1
-    v, u = np.meshgrid(t, t, indexing="ij")
-    one = np.ones_like(u)
-    out = np.stack(
-        [
-            np.stack([one, v, -u], -1), np.stack([-one, v, -u], -1), np.stack([u, one, -v], -1), np.stack([u, -one, -v], -1),
-            np.stack([u, v, one], -1), np.stack([u, v, -one], -1),
-        ]
-    )  # fmt: skip
-    out /= np.linalg.norm(out, axis=-1, keepdims=True)
-    out.setflags(write=False)
-    return out
-
-
-@lru_cache(maxsize=4)
-def solid_angles(size: int = SIZE) -> np.ndarray:
-    """(size, size) steradians of a face's texels; six faces make 4 pi exactly."""
-    t = np.arange(size + 1) / size * 2 - 1
-    v, u = np.meshgrid(t, t, indexing="ij")
-    corner = np.arctan2(u * v, np.sqrt(u * u + v * v + 1))
-    out: np.ndarray = corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
-    out.setflags(write=False)
-    return out
 
 
 def soft_light(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:

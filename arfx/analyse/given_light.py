@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from arfx.core.light import DIFFUSE, DirectionalLight, Light, harmonics
+from arfx.core.light import DIFFUSE, DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import divide, normalise
 
 ROWS = 64  # a panorama is reduced to: 2.8 degrees a pixel
@@ -28,7 +28,7 @@ def from_direction(given: tuple[float, ...], size_deg: float) -> tuple[Light, bo
     """(light in anchor axes, whether its brightness is stated). given : azimuth, elevation, and perhaps R, G, B."""
     d = towards(given[0], given[1])
     rgb = given[2:] if len(given) == 5 else (DIRECT,) * 3
-    lamp = DirectionalLight((float(d[0]), float(d[1]), float(d[2])), (rgb[0], rgb[1], rgb[2]), size_deg)
+    lamp = DirectionalLight(triple(d), (rgb[0], rgb[1], rgb[2]), size_deg)
     return Light((AMBIENT,) * 3, (lamp,), "given"), len(given) == 5
 
 
@@ -54,12 +54,11 @@ def from_panorama(picture: np.ndarray) -> Light:
         facing = np.clip(direction[on] @ d, 0, None)
         rgb = (above * (solid[on] * facing)[:, None]).sum(0) / np.pi
         size = 2 * np.degrees(np.arccos(np.clip(1 - solid[on].sum() / (2 * np.pi), -1, 1)))
-        lamps.append(DirectionalLight((float(d[0]), float(d[1]), float(d[2])), _triple(rgb), float(min(size, 90.0))))
+        lamps.append(DirectionalLight(triple(d), triple(rgb), float(min(size, 90.0))))
         rest[on] = np.minimum(small[on], base)
     basis = harmonics(direction.reshape(-1, 3)) * solid.reshape(-1, 1)
     soft = DIFFUSE[:, None] * (basis.T @ rest.reshape(-1, 3))  # of a white diffuse surface over its normal
-    ambient = soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]
-    return Light(_triple(ambient), tuple(lamps), "environment file", tuple(_triple(row) for row in soft))
+    return Light.of_soft(soft, tuple(lamps), "environment file")
 
 
 def fitted_to(light: Light, normals: np.ndarray, radiance: np.ndarray, keep_lamps: bool) -> Light:
@@ -72,7 +71,7 @@ def fitted_to(light: Light, normals: np.ndarray, radiance: np.ndarray, keep_lamp
     n, want = np.atleast_2d(normals), np.atleast_2d(radiance).mean(0)
     if keep_lamps:
         lit = (light.radiance(n) - light.soft_radiance(n)).mean(0)
-        return Light(_triple(np.clip(want - lit, 0, None)), light.lights, light.source)
+        return Light(triple(np.clip(want - lit, 0, None)), light.lights, light.source)
     factor = divide(want, light.radiance(n).mean(0), where_zero=1.0)
     return light.scaled(factor)
 
@@ -96,7 +95,3 @@ def _components(mask: np.ndarray) -> tuple[int, np.ndarray]:
         if a and b and a != b:
             labels[labels == b] = a
     return count, labels
-
-
-def _triple(v: np.ndarray) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])

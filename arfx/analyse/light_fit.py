@@ -25,7 +25,7 @@ from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_explain import Explanations, Params
 from arfx.analyse.light_samples import Samples, gather
 from arfx.analyse.light_search import NO_CONE_DEG, SKY, Model, refine
-from arfx.core.light import DirectionalLight, Light, harmonics
+from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import condition
 
 MEASURED, REFUSED = "measured", "refused"
@@ -105,14 +105,14 @@ class LightFit:
             soft += (share * harmonics(li.direction))[:, None] * li.rgb[group]
             ambient = ambient + li.rgb[group] * (1 / 3 if li.sky else 1 / 4)
         return Light(
-            _triple(ambient),
+            triple(ambient),
             tuple(
                 DirectionalLight(
-                    _triple(li.direction), _triple(li.rgb[group]), li.angular_size_deg, li.confidence_deg
+                    triple(li.direction), triple(li.rgb[group]), li.angular_size_deg, li.confidence_deg
                 )
                 for li in hard
             ),
-            source, tuple(_triple(row) for row in soft) if rest else (),
+            source, tuple(triple(row) for row in soft) if rest else (),
         )  # fmt: skip
 
 
@@ -179,10 +179,6 @@ def fit(
     size, known = _angular_size(model, found.bound() - found.best_cost[count] + model.chi2)
     lights = tuple(g if g.sky else replace(g, angular_size_deg=size, size_known=known) for g in guess)
     return LightFit(MEASURED, told, amp[:, :, 0], seen, lights, lights, **about)
-
-
-def _triple(v: np.ndarray) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])
 
 
 def _mean_rgb(s: Samples) -> np.ndarray:

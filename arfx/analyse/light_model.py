@@ -15,7 +15,6 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-LIGHTS = 3  # columns beside the ambient one, at most
 _SINGULAR = 1e-10  # of a column's own square: what is left of it beside the others
 
 

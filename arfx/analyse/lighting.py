@@ -30,7 +30,7 @@ from arfx.analyse.photometry_solve import Photometry, solve
 from arfx.analyse.records import Analysis
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import MarkerSpec, anchor_marker
 
 LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 
@@ -47,7 +47,8 @@ def lighted(
     facts = analysis.facts
     room = _rooms(analysis)
     readings, photometry = _readings(analysis, meter, room, params)
-    anchor = next((m.key for m in markers if m.key in analysis.world_from_marker), markers[0].key)
+    stands_on = anchor_marker(markers, analysis.world_from_marker)
+    anchor = stands_on.key
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
     known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
@@ -66,11 +67,10 @@ def lighted(
         f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
         for k, f in enumerate(facts)
     )
-    size_m = next(m.size_m for m in markers if m.key == anchor)
     shaded = {
         frame: found
         for frame, key, patches in meter.readings
-        if frame in known and key == anchor and (found := already_blocked(quarters(patches, bias), size_m))
+        if frame in known and key == anchor and (found := already_blocked(quarters(patches, bias), stands_on.size_m))
     }
     lit = tuple(f.with_(extra={**f.extra, "already_blocked": shaded[k]}) if k in shaded else f for k, f in enumerate(lit))
     marker = analysis.world_from_marker.get(anchor)

@@ -9,6 +9,7 @@ Source: Tan, Chen, Sun 2010, eq. (7) to (9).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from arfx.analyse import light_map
 from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_fit import paper_lights
 from arfx.analyse.lighting_params import LightParams
-from arfx.core.light import DirectionalLight, Light, harmonics
+from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import normalise
 
 _RIDGE = 1e-3  # of the harmonics' own weight: directions that no marker faced say nothing
@@ -44,14 +45,13 @@ def paper_lights_of(
         for d in peaks[:2]:
             rgb = np.clip(sphere.interpolate(value, d) - least, 0, None)
             towards = turn.T @ d
-            lamps.append(DirectionalLight(_triple(towards), _triple(rgb), 0.0))
+            lamps.append(DirectionalLight(triple(towards), triple(rgb), 0.0))
             rest -= np.clip(sphere.vertices @ d, 0, None)[:, None] * rgb
         weight = known.astype(float)
         normal = basis.T @ (basis * weight[:, None]) + _RIDGE * max(weight.sum(), 1.0) * np.eye(9)
         soft = np.linalg.solve(normal, basis.T @ (rest * weight[:, None]))
-        ambient = soft[0] * basis[0, 0]
-        light = Light(_triple(ambient), (), "marker", tuple(_triple(row) for row in soft)).turned(turn.T)
-        out.append(Light(light.ambient_rgb, tuple(lamps), "marker", light.soft))
+        light = Light.of_soft(soft, (), "marker").turned(turn.T)
+        out.append(replace(light, lights=tuple(lamps)))
     return out
 
 
@@ -60,7 +60,3 @@ def _upright(up: np.ndarray) -> np.ndarray:
     across = np.array([1.0, 0, 0]) if abs(up[0]) < 0.9 else np.array([0.0, 1, 0])
     x = normalise(across - (across @ up) * up)
     return np.stack([x, np.cross(up, x), up])
-
-
-def _triple(v: np.ndarray) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])

@@ -18,7 +18,7 @@ from arfx.analyse.lighting_paper import paper_lights_of
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.surroundings import Look, matched, soft_light
 from arfx.core.facts import FrameFacts
-from arfx.core.light import Light
+from arfx.core.light import Light, triple
 from arfx.core.numerics import divide, normalise
 
 ASSUMED = "assumed"
@@ -127,7 +127,7 @@ class RoomLight:
         measured = self.y[shows]
         if not looks:
             level = np.median(measured, 0) if len(measured) else np.array(Light().ambient_rgb)
-            return Light(_triple(level), (), "ambient"), "ambient"
+            return Light(triple(level), (), "ambient"), "ambient"
         turns = []
         for one in looks:
             pose = self.facts[one.frame].camera_from_world
@@ -159,14 +159,13 @@ class RoomLight:
         factors = smoothed(at, factors, variance, stepped, self.params.drift_per_s)
         factors = np.clip(factors, LEAST_FACTOR, MOST_FACTOR)
         out = {}
-        steps = {k for k, new in zip(self.lit, stepped, strict=True) if new}
-        for k in self.frames:
-            i = int(np.searchsorted(self.lit, k))
+        before = np.searchsorted(self.lit, self.frames)
+        for k, i in zip(self.frames, before, strict=True):
             if i < len(self.lit) and self.lit[i] == k:
                 factor = factors[i]
             elif i == 0 or i == len(self.lit):
                 factor = factors[min(i, len(self.lit) - 1)]
-            elif self.lit[i] in steps:
+            elif stepped[i]:
                 factor = factors[i - 1]
             else:
                 share = (self.facts[k].time_s - at[i - 1]) / (at[i] - at[i - 1])
@@ -247,7 +246,3 @@ def _report(verdict: str, source: str, reason: str, light: Light, **more: Any) -
         "source": source, **normals, **more, "ambient_rgb": document["ambient_rgb"], "lights": document["lights"],
         "verdict": verdict, "reason": reason,
     }  # fmt: skip
-
-
-def _triple(v: np.ndarray) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.analyse.environment import face_directions, fold, solid_angles
+from arfx.analyse import environment
 from arfx.analyse.icosphere import icosphere
-from arfx.core.light import DIFFUSE, Light, harmonics
+from arfx.core.cube import face_directions, solid_angles
+from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
 
 FACE_PX = 6  # of the folded cube that is kept
@@ -43,7 +44,7 @@ def look(frame: int, picture: np.ndarray, quad: np.ndarray) -> Look:
     inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
     beside = picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
     small = cv2.resize(np.ascontiguousarray(picture, np.float32), (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)))
-    return Look(frame, fold(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
+    return Look(frame, environment.fold(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
 
 
 def soft_light(
@@ -71,10 +72,8 @@ def soft_light(
             sky = np.where(arriving > 1e-3 * np.max(shown), sky * divide(shown, arriving), shown)
         below = np.minimum(plane, arriving if shown is None else shown)  # no plane is brighter than white
         radiance = np.where(above, sky, below)
-        total += DIFFUSE[:, None] * ((harmonics(d) * solid[:, None]).T @ radiance)
-    soft = total / len(looks)
-    ambient = soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]
-    light = Light(_triple(ambient), (), "environment", tuple(_triple(row) for row in soft))
+        total += environment.soft_light(radiance.reshape(one.cube.shape), turn)
+    light = Light.of_soft(total / len(looks), (), "environment")
     if shown is None:
         return light
     return light.scaled(divide(shown, light.radiance(up), where_zero=1.0))  # what degree 2 rounds off
@@ -95,9 +94,4 @@ def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
     soft = np.array(light.soft, float)
     rough = np.diag(np.repeat([0.0, 1.0, 4.0], [1, 3, 5])) * RIDGE + 1e-9 * np.eye(9)
     soft = soft + np.linalg.solve(basis.T @ basis / len(rows) + rough, basis.T @ (want - basis @ soft) / len(rows))
-    ambient = soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]
-    return Light(_triple(ambient), (), light.source, tuple(_triple(row) for row in soft))
-
-
-def _triple(v: np.ndarray) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])
+    return Light.of_soft(soft, (), light.source)

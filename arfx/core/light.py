@@ -62,15 +62,22 @@ class Light:
 
     def scaled(self, factor: np.ndarray) -> Light:
         """The light times a factor (3,), one per channel."""
-        lights = tuple(replace(li, rgb=_triple(np.array(li.rgb) * factor)) for li in self.lights)
-        soft = tuple(_triple(np.array(row) * factor) for row in self.soft)
-        return Light(_triple(np.array(self.ambient_rgb) * factor), lights, self.source, soft)
+        lights = tuple(replace(li, rgb=triple(np.array(li.rgb) * factor)) for li in self.lights)
+        soft = tuple(triple(np.array(row) * factor) for row in self.soft)
+        return Light(triple(np.array(self.ambient_rgb) * factor), lights, self.source, soft)
 
     def turned(self, rotation: np.ndarray) -> Light:
         """The light in other axes. rotation : (3, 3), to those from the light's."""
-        lights = tuple(replace(li, direction=_triple(np.asarray(rotation) @ li.unit)) for li in self.lights)
-        soft = tuple(_triple(row) for row in turned_harmonics(np.array(self.soft, float), rotation)) if self.soft else ()
+        lights = tuple(replace(li, direction=triple(np.asarray(rotation) @ li.unit)) for li in self.lights)
+        soft = tuple(triple(row) for row in turned_harmonics(np.array(self.soft, float), rotation)) if self.soft else ()
         return Light(self.ambient_rgb, lights, self.source, soft)
+
+    @staticmethod
+    def of_soft(soft: np.ndarray, lights: tuple[DirectionalLight, ...], source: str) -> Light:
+        """A light whose ambient part is `soft` (9, 3), with its mean over all normals."""
+        return Light(
+            triple(soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]), lights, source, tuple(triple(row) for row in soft)
+        )
 
     def to_json(self) -> dict:
         return {
@@ -129,5 +136,6 @@ def _evenly() -> np.ndarray:
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
 
 
-def _triple(v: np.ndarray) -> tuple[float, float, float]:
+def triple(v: np.ndarray) -> tuple[float, float, float]:
+    """(3,) as plain numbers."""
     return float(v[0]), float(v[1]), float(v[2])

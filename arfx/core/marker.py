@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,3 +68,8 @@ def canonical_family(name: str) -> str:
         if s == known.upper():
             return known
     raise ConfigError(f"unknown marker family {name!r}", "one of " + ", ".join(FAMILIES))
+
+
+def anchor_marker(markers: Sequence[MarkerSpec], placed: Container[str]) -> MarkerSpec:
+    """The marker that the model stands on: the first of `markers` whose key has a place in the map, else the first."""
+    return next((m for m in markers if m.key in placed), markers[0])

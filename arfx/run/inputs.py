@@ -156,11 +156,6 @@ def _card_m(config: JobConfig, anchor: str) -> tuple[float, float, float, float]
     return -half, -half, half, half
 
 
-def anchor_key(markers: tuple[MarkerSpec, ...], world_from_marker: Mapping[str, Pose]) -> str:
-    """The first configured marker that has a place in the map."""
-    return next((m.key for m in markers if m.key in world_from_marker), markers[0].key)
-
-
 def marker_map(config: JobConfig) -> dict[str, Pose] | None:
     """World poses of the markers from --marker-map: TOML of [[marker]] tables, or a WPILib field layout (JSON)."""
     path = config.input.marker_map

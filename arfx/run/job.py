@@ -18,6 +18,7 @@ from arfx.analyse.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
 from arfx.core.facts import FrameFacts
+from arfx.core.marker import anchor_marker
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
@@ -31,7 +32,7 @@ from arfx.run.analysis import analyse_clip
 from arfx.run.chunks import Chunk, borders
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, write_lines, write_text
-from arfx.run.inputs import Inputs, anchor_key, make_scene, open_inputs
+from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.parameters import folds_wanted, light_wanted, make_stages
 from arfx.run.preview import pick
 from arfx.run.summary import build_report
@@ -215,7 +216,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
         clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
     )  # fmt: skip
     world = done.analysis.world_from_marker
-    anchor = anchor_key(config.markers, world)
+    anchor = anchor_marker(config.markers, world).key
     scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed, done.analysis.static)
     facts = with_model(done.analysis.facts, scene)
     notices = list(done.analysis.notices)

@@ -26,9 +26,7 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
         asked = list(config.pipeline.stages)
     for name in asked:
         if name not in EFFECTS:
-            have = f"effects in this version: {', '.join(EFFECTS)}" if EFFECTS else "this version has no optional effects yet"
-            hint = near(name, EFFECTS) if EFFECTS else "leave --pipeline out for the plain composite"
-            raise ConfigError(f"there is no effect {name!r}; {have}", hint)
+            raise ConfigError(f"there is no effect {name!r}; effects in this version: {', '.join(EFFECTS)}", near(name, EFFECTS))
     ordered = [name for name in EFFECTS if name in asked]
     if asked != ordered:
         raise ConfigError(

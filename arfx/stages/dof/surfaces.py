@@ -16,17 +16,16 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
+from arfx.stages import viewing
+from arfx.stages.viewing import GRID_PX
 
-GRID_PX = 8
 _MARGIN = 1.25  # a print and its white border, as a share of the black square
 _SAME_PLANE = 0.1  # a marker whose corners leave the main plane by less than this share of its side lies in it
 
 
 def direction_grid(camera: Camera) -> np.ndarray:
-    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel; where there is none, the axis."""
-    x = np.arange(0, camera.width + GRID_PX, GRID_PX)
-    y = np.arange(0, camera.height + GRID_PX, GRID_PX)
-    d = camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
+    """(gh, gw, 3) viewing directions as `viewing.direction_grid`; where there is none, the axis."""
+    d = viewing.direction_grid(camera)
     return np.where(np.isfinite(d).all(-1, keepdims=True), d, [0.0, 0.0, 1.0])
 
 

@@ -7,8 +7,8 @@ import numba
 import numpy as np
 
 from arfx.stages.gi.surroundings import WARP, first_plane
+from arfx.stages.viewing import GRID_PX
 
-GRID_PX = 8  # pitch of the table of viewing directions, linear between
 _FAST = {"contract", "nsz", "arcp"}
 _RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
 

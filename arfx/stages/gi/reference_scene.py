@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import SRGB
+from arfx.core.cube import face_directions, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.cube import texel_directions, texel_solid_angles
 from arfx.stages.gi.surroundings import Planes
 
 
@@ -121,7 +121,7 @@ class Surroundings:
         places = self.axes[0, 0] + u * self.axes[0, 1] + v * self.axes[0, 2]
         sampled, known = self._look(places, np.zeros(len(places), int))
         self._mean = sampled[known].mean(0) if known.any() else 0.4 * irradiance(cube, self._turn[:, 2])
-        d, solid = texel_directions(cube.shape[1]).reshape(-1, 3), np.tile(texel_solid_angles(cube.shape[1]).ravel(), 6)
+        d, solid = face_directions(cube.shape[1]).reshape(-1, 3), np.tile(solid_angles(cube.shape[1]).ravel(), 6)
         below = (d @ self._turn[:, 2] < 0)[:, None]
         flat = np.where(below, self._mean, cube.reshape(-1, 3))
         self._flat = flat * solid[:, None], d @ self._turn, solid
@@ -166,7 +166,7 @@ class Surroundings:
         major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
         q = divide(d, np.abs(major)[:, None])
         x, y, z = q[:, 0], q[:, 1], q[:, 2]
-        # as cube.texel_directions: rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
+        # as core.cube.face_directions: rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
         u = np.choose(axis, [-z, x, x])
         v = np.choose(axis, [y, -z, y])
         face = 2 * axis + (major < 0)
@@ -193,6 +193,6 @@ class Surroundings:
 
 def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(3,) radiance of a white surface of that normal, axes of the cube."""
-    d, solid = texel_directions(cube.shape[1]), texel_solid_angles(cube.shape[1])
+    d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
     weight = np.clip(d @ normal, 0, None) * solid
     return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())

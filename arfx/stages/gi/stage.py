@@ -31,8 +31,8 @@ from arfx.stages.gi.plane_pixels import add_delta, shown_radius_m
 from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.surroundings import Planes
-from arfx.stages.lightmap.lookup import direction_grid
 from arfx.stages.lightmap.stage import Kept
+from arfx.stages.viewing import direction_grid
 
 PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {

@@ -14,6 +14,7 @@ from functools import lru_cache
 import numba
 import numpy as np
 
+from arfx.core.cube import face_directions, solid_angles
 from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
 
@@ -49,10 +50,8 @@ def _directions() -> np.ndarray:
 @lru_cache(maxsize=2)
 def _kernels(size: int) -> np.ndarray:
     """(widths, texels, 6 size^2) float32: share of each cube texel in each octahedral one; rows sum to 1."""
-    from arfx.stages.gi.cube import texel_directions, texel_solid_angles
-
-    to, source = _directions().reshape(-1, 3), texel_directions(size).reshape(-1, 3)
-    solid = np.tile(texel_solid_angles(size).ravel(), 6)
+    to, source = _directions().reshape(-1, 3), face_directions(size).reshape(-1, 3)
+    solid = np.tile(solid_angles(size).ravel(), 6)
     angle = np.degrees(np.arccos(np.clip(to @ source.T, -1, 1)))
     pitch = 90.0 / size
     out = []
@@ -74,9 +73,7 @@ def octahedral(cube: np.ndarray) -> np.ndarray:
 def from_light(light: Light, size: int = 8) -> np.ndarray:
     """A cube (6, n, n, 3), WORLD axes, that gives about the light's soft radiance, but for its scale: where no picture
     of the surroundings is."""
-    from arfx.stages.gi.cube import texel_directions
-
-    d = texel_directions(size)
+    d = face_directions(size)
     if not light.soft:
         return np.ones(d.shape)
     # a cosine lobe leaves 2/3 and 1/4 of degrees 1 and 2; the latter is given back by half only, as it rings
@@ -86,9 +83,7 @@ def from_light(light: Light, size: int = 8) -> np.ndarray:
 
 def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(3,) radiance of a white diffuse surface of unit normal (3,), axes of the cube, under all of its hemisphere."""
-    from arfx.stages.gi.cube import texel_directions, texel_solid_angles
-
-    d, solid = texel_directions(cube.shape[1]), texel_solid_angles(cube.shape[1])
+    d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
     weight = np.clip(d @ normal, 0, None) * solid
     return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())
 

@@ -11,19 +11,10 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
-from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.lightmap.plane import PlaneTexture
-
-GRID_PX = 8  # error below 1e-3 px for usual lenses
-
-
-def direction_grid(camera: Camera) -> np.ndarray:
-    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step beyond the picture."""
-    x = np.arange(0, camera.width + GRID_PX, GRID_PX)
-    y = np.arange(0, camera.height + GRID_PX, GRID_PX)
-    return camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
+from arfx.stages.viewing import GRID_PX
 
 
 def light_left(

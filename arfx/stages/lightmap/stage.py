@@ -29,12 +29,13 @@ from arfx.errors import ConfigError
 from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.lookup import direction_grid, light_left
+from arfx.stages.lightmap.lookup import light_left
 from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, ambient_texture, beam_texture, bounded
 from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.region import ground_of
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
 from arfx.stages.lightmap.shading import harmonic_terms, highlight_width, shade
+from arfx.stages.viewing import direction_grid
 
 PAD_PX = 2  # around the model's box: the raster may write there
 _KEPT = 8  # lights whose shadows are kept; at the standard level 1.3 MB each

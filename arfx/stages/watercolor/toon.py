@@ -33,7 +33,7 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         slope = soft[[3, 1, 2]].sum(1) if len(soft) == 9 else np.zeros(3)  # harmonics x, y, z
         length = float(np.linalg.norm(slope))
         best = slope / length if length > 1e-6 else np.asarray(up, float)
-    return best, np.clip(np.nan_to_num(light.radiance(best)), 0, None)
+    return best, np.clip(light.radiance(best), 0, None)
 
 
 def toon(

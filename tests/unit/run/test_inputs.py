@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from arfx.config.load import load
+from arfx.core.marker import anchor_marker
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError
-from arfx.run.inputs import anchor_key, marker_map, placement
+from arfx.run.inputs import marker_map, placement
 from arfx.run.parameters import light_wanted, parameters, pipeline
 
 
@@ -52,7 +53,7 @@ def test_the_anchor_is_the_first_configured_marker_with_a_place(tmp_path: Path) 
     path = tmp_path / "map.toml"
     path.write_text("")
     config = job(tmp_path, path)
-    assert anchor_key(config.markers, {"36h11:4": Pose.identity()}) == "36h11:4"  # type: ignore[attr-defined]
+    assert anchor_marker(config.markers, {"36h11:4": Pose.identity()}).key == "36h11:4"  # type: ignore[attr-defined]
 
 
 def test_pipelines_name_existing_effects_in_order() -> None:

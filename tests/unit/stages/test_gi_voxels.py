@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from arfx.core.cube import mip_level, solid_angles
 from arfx.core.model import Model, Part
 from arfx.stages.gi.cones import even_cones, six_cones, steps_of, trace_many
-from arfx.stages.gi.cube import mip_level, texel_solid_angles
 from arfx.stages.gi.pyramid import Atlas, atlas_of, levels_of, structure_of
 from arfx.stages.gi.voxelise import voxelise
 from tests.unit.stages.gi_scenes import GLOWING, MATT_RED, MATT_WHITE, NIGHT, ball, box, box_model, on_plane
@@ -131,7 +131,7 @@ def test_cone_weights_sum_to_one() -> None:
 @pytest.mark.parametrize(("half_deg", "level"), [(1, 1.45), (5, 3.77), (15, 5.36), (30, 6.34)])
 def test_mip_level_of_a_cone(half_deg: float, level: float) -> None:
     assert mip_level(np.radians(half_deg), 128) == pytest.approx(level, abs=0.01)
-    assert 6 * texel_solid_angles(8).sum() == pytest.approx(4 * np.pi)
+    assert 6 * solid_angles(8).sum() == pytest.approx(4 * np.pi)
 
 
 def test_samples_of_a_cone_leave_no_gap() -> None:

@@ -1,4 +1,4 @@
-"""Directions and solid angles of a cube map's texels; faces +x, -x, +y, -y, +z, -z, as the analysis folds them."""
+"""The layout of a cube map: faces +x, -x, +y, -y, +z, -z, each (size, size)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from arfx.core.numerics import normalise
 
 
 @lru_cache(maxsize=4)
-def texel_directions(size: int) -> np.ndarray:
-    """(6, size, size, 3) unit. A face's rows and columns run along the other two axes, the last of them towards -z on the
-    sides and towards +z's y on front and back: the layout of analyse.environment."""
+def face_directions(size: int) -> np.ndarray:
+    """(6, size, size, 3) unit directions of the texels' centres.
+
+    A face's rows and columns run along the other two axes, the last of them towards -z on the sides: with camera axes
+    (x right, y down, z forward) a picture lies upright on +z.
+    """
     t = (np.arange(size) + 0.5) / size * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     one = np.ones_like(u)
@@ -23,8 +26,8 @@ def texel_directions(size: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def texel_solid_angles(size: int) -> np.ndarray:
-    """(size, size) steradians; six faces make 4 pi."""
+def solid_angles(size: int) -> np.ndarray:
+    """(size, size) steradians of a face's texels; six faces make 4 pi exactly."""
     t = np.arange(size + 1) / size * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     corner = np.arctan2(u * v, np.sqrt(u * u + v * v + 1))
