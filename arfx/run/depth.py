@@ -50,7 +50,7 @@ def with_depth(
     camera: Camera,
     align: bool,
     progress: Progress,
-) -> tuple[list[FrameFacts], dict[str, Any]]:
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
     """The facts with `extra["real_depth"]`, and a summary for the report.
 
     of_frames : number of each frame's map;  align : scale the maps to the markers' planes, else take them at their word
@@ -94,7 +94,7 @@ def with_depth(
         "path": str(maps.path), "maps": len(maps.files), "paired_by": _paired(maps), "frames_with": got,
         "frames_without": len(facts) - got, "holes": float(np.mean([t.holes for t in told.values()])), **scale.to_json(),
     }  # fmt: skip
-    return out, summary
+    return tuple(out), summary
 
 
 def _paired(maps: DepthMaps) -> str:

@@ -38,7 +38,7 @@ class Canvas:
 
     def view(self, names: frozenset[Layer], rect: Rect) -> Layers:
         """Read-only layers over `rect`."""
-        arrays = {}
+        arrays: dict[Layer, np.ndarray] = {}
         for name in names:
             if name is Layer.REAL_DEPTH and name not in self.stored:  # most jobs have none: one value, seen everywhere
                 arrays[name] = np.broadcast_to(np.float32(np.inf), (rect.height, rect.width))

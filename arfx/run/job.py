@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -245,7 +245,9 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.pts))
 
 
-def _depth(inputs: Inputs, done: Pass, facts: list[FrameFacts], options: Options) -> tuple[list[FrameFacts], dict[str, Any]]:
+def _depth(
+    inputs: Inputs, done: Pass, facts: Sequence[FrameFacts], options: Options
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
     """The facts with each frame's real depth, and a summary."""
     assert inputs.depth is not None
     times_s = [float((t - done.origin) * inputs.info.time_base) for t in done.pts]

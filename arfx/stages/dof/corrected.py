@@ -147,8 +147,8 @@ def _fronts(measured: DepthLayers, rect: Rect, at: Circles, ladder: Ladder, para
         largest = max(float(front.radius.max()), SHARP_PX)
         box = _box(front.coverage, rect).pad(int(np.ceil(2 * largest)) + 1).clip(rect)
         part = box.slices_in(rect)
-        arrays = (np.ascontiguousarray(a[part]) for a in (front.radius, front.colour, front.coverage))
-        cuts.append(_cut_out(box, *arrays, np.float32(1), ladder, largest, params))
+        radius, colour, coverage = (np.ascontiguousarray(a[part]) for a in (front.radius, front.colour, front.coverage))
+        cuts.append(_cut_out(box, radius, colour, coverage, np.float32(1), ladder, largest, params))
     return cuts
 
 
