@@ -131,6 +131,7 @@ class Frame:
             coded = np.stack([parts[2], parts[0], parts[1]] if f.layout.kind == "rgb" else parts * 3, -1)  # gbrp: G, B, R
             return np.ascontiguousarray(f.orientation.upright(coded))
         from arfx.media import kernels
+        from arfx.media.curves import decode_curve
 
         coded = np.empty((r.height, r.width, 3), np.float32)
         to_rgb = np.linalg.inv(yuv_from_rgb(f.matrix))
@@ -139,7 +140,7 @@ class Frame:
             planes[0], planes[1], planes[2], (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited,
             chroma_size(f.layout, f.width, f.height), tuple(np.float32(v) for v in (yo, 1 / yn, co, 1 / cn)),
             tuple(np.float32(v) for v in (to_rgb[0, 2], -to_rgb[1, 1], -to_rgb[1, 2], to_rgb[2, 1])),
-            kernels.decode_table(f.transfer), coded,
+            decode_curve(f.transfer), coded,
         )  # fmt: skip
         return np.ascontiguousarray(f.orientation.upright(coded))
 
@@ -166,20 +167,19 @@ class Frame:
 
 def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:
     from arfx.media import kernels
+    from arfx.media.curves import encode_curve
 
     (_, yn), (_, cn) = f.luma_steps, f.chroma_steps
     y_low, y_high, c_low, c_high = f.legal
-    d_cb, d_cr = np.empty((2, r.height, r.width), np.float32)
-    spans = np.empty((r.height, 2), np.int32)
+    rect, (sub_x, sub_y), (left, top) = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited
+    chroma = np.empty((2, r.height, -(-r.x1 >> sub_x) - (r.x0 >> sub_x)), np.float32)
+    reach = np.empty((r.height, 2), np.int32)
     bad = kernels.edit_luma(
-        planes[0], r.x0, r.y0, before.view(np.int32), after.view(np.int32), kernels.encode_table(f.transfer),
-        yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, d_cb, d_cr, spans,
+        planes[0], rect, before.view(np.int32), after.view(np.int32), encode_curve(f.transfer),
+        yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, f.width, sub_x, left, chroma, reach,
     )  # fmt: skip
-    for plane, diff in ((planes[1], d_cb), (planes[2], d_cr)):
-        kernels.edit_chroma(
-            plane, diff, spans, (r.x0, r.y0, r.x1, r.y1), (f.width, f.height), (f.layout.sub_x, f.layout.sub_y), f.cosited,
-            np.float32(cn), c_low, c_high,
-        )  # fmt: skip
+    for plane, lines in zip(planes[1:3], chroma, strict=True):
+        kernels.edit_chroma(plane, lines, reach, rect, f.height, (sub_x, sub_y), top, np.float32(cn), c_low, c_high)
     return int(bad)
 
 
