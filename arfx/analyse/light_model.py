@@ -178,7 +178,8 @@ def _turn(v, w, out):  # pragma: no cover - compiled
 def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m, passes, gain):  # pragma: no cover - compiled
     """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns chi squared.
 
-    Ends after `passes`, or where one gains less than the share `gain`. The Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless.
+    Ends after `passes`, or where one gains less than the share `gain`. The
+    Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless.
     """
     k, q = normals.shape[1], len(dirs)
     bodies = 0

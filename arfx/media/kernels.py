@@ -98,6 +98,38 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, t
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def linear_at_yuv(y, u, v, pixels, steps, cosited, chroma_size, scale, matrix, table, out):
+    """out (n, 3) = linear_from_yuv of single pixels (n, 2), x and y, coded; other arguments as there."""
+    sx, sy = steps
+    cw, ch = chroma_size
+    yo, yf, co, cf = scale
+    rv, gu, gv, bu = matrix
+    zero = np.float32(0)
+    for k in range(len(pixels)):
+        x, row = pixels[k, 0], pixels[k, 1]
+        p = np.float32(x / (1 << sx)) if cosited[0] else np.float32((x + 0.5) / (1 << sx) - 0.5)
+        q = np.float32(row / (1 << sy)) if cosited[1] else np.float32((row + 0.5) / (1 << sy) - 0.5)
+        p, q = min(max(p, zero), np.float32(cw - 1)), min(max(q, zero), np.float32(ch - 1))
+        i0, r0 = np.int32(p), np.int32(q)
+        i1, r1 = min(i0 + 1, cw - 1), min(r0 + 1, ch - 1)
+        t, f = p - np.float32(i0), q - np.float32(r0)
+        a, b = np.float32(u[r0, i0]), np.float32(u[r1, i0])
+        c, d = np.float32(u[r0, i1]), np.float32(u[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cb = left + t * (right - left)
+        a, b = np.float32(v[r0, i0]), np.float32(v[r1, i0])
+        c, d = np.float32(v[r0, i1]), np.float32(v[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cr = left + t * (right - left)
+        luma = (np.float32(y[row, x]) - yo) * yf
+        for n in range(3):
+            coded = luma + rv * cr if n == 0 else (luma - gu * cb - gv * cr if n == 1 else luma + bu * cb)
+            e = min(max((coded - np.float32(-1.25)) * np.float32(4096.0), zero), np.float32(14335.999))
+            i = np.int32(e)
+            out[k, n] = table[i] + (e - np.float32(i)) * (table[i + 1] - table[i])
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
 def encode_bits(bits, table, out):
     """out[k] = the transfer function of the float32 with bits[k] (n,) int32, by linear interpolation; odd in the value."""
     zero, last = np.int32(0), np.int32(4607)
