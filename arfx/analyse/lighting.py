@@ -25,6 +25,7 @@ from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.lighting_room import Readings, RoomLight
 from arfx.analyse.meter import LightMeter
 from arfx.analyse.photometry import WHITE, stack
+from arfx.analyse.photometry_clip import comparable
 from arfx.analyse.photometry_paper import solve_paper
 from arfx.analyse.photometry_solve import Photometry, solve
 from arfx.analyse.records import Analysis
@@ -129,8 +130,11 @@ def _readings(
     else:
         photometry = solve(intensity, variance, WHITE, None, clipped, params.albedos, params.ink, params.paper)
     frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
+    y, own, fit = photometry.y, photometry.var_y_own, photometry.seen
+    if params.formula == "corrected":
+        y, own, fit = comparable(photometry, intensity, variance, WHITE, clipped)
     used = photometry.seen
-    return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used]), photometry
+    return Readings(frames[used], normals[used], y[used], own[used], fit[used]), photometry
 
 
 def _parts(facts: Sequence[FrameFacts], static: str) -> list[list[int]]:

@@ -41,12 +41,14 @@ Lights = dict[int, Light]
 @dataclass(frozen=True, eq=False)
 class Readings:
     """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, ROOM axes
-    y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it"""
+    y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it
+    fit : (k,) False where it cannot be compared with the others to a per cent (photometry_clip)"""
 
     frame: np.ndarray
     normal: np.ndarray
     y: np.ndarray
     variance: np.ndarray
+    fit: np.ndarray
 
 
 class RoomLight:
@@ -61,7 +63,7 @@ class RoomLight:
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
         mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
-        self.y, self.variance = readings.y[mine], readings.variance[mine]
+        self.y, self.variance, self.fit = readings.y[mine], readings.variance[mine], readings.fit[mine]
         lit, first, self.which = np.unique(self.numbers, return_index=True, return_inverse=True)  # which : reading's row of lit
         self.lit = lit.tolist()
         self.observations = [
@@ -81,8 +83,9 @@ class RoomLight:
             return self._as_printed(paper_lights_of(self.observations, self.map_params, self.params))
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
+        on = self.fit if self.fit.any() else np.ones(len(times), bool)
         account, spans = fit_over_time(
-            times, self.normals, self.y, self.variance, breaks, self.params.window_s,
+            times[on], self.normals[on], self.y[on], self.variance[on], breaks, self.params.window_s,
             FitParams(most_lights=self.params.most_lights, limit_deg=self.params.limit_deg),
         )  # fmt: skip
         told = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit

@@ -138,9 +138,19 @@ def reduced(pixels: np.ndarray, spots: Spots, clip_low: float = CLIP_LOW, clip_h
 
 @cache
 def _cut() -> np.ndarray:
-    """(257,) bias, over the deviation, of a normal distribution's mean whose share _SHARES is cut off at one end."""
-    p = np.clip(_SHARES, 0, 0.99)
-    return np.where(p > 0, np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p), 0)
+    """(257,) `cut_off` of _SHARES."""
+    return cut_off(_SHARES)
+
+
+def cut_off(share: np.ndarray) -> np.ndarray:
+    """Deviation, over that of one sample, that a mean gets where a share of its samples was clipped and dropped.
+
+    For a normal distribution that is cut off at one end its mean is off by a third of this; but samples are not spread
+    normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped.
+    """
+    p = np.clip(share, 0, 0.99)
+    lost = np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
+    return np.where(p > 0, 3 * lost, 0.0)
 
 
 def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

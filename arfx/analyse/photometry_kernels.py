@@ -193,7 +193,7 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
 def uncertainty(mean, spread, tally, shared, leak, half_grey, cut, out):  # pragma: no cover - compiled
     """out (8, 3) = variances of the means: noise, rounding, the share that is cut off, and blur from the other cells.
 
-    cut : bias of a mean over its deviation, for clipped shares in even steps from 0 to 1
+    cut : deviation of a mean over a sample's, for clipped shares in even steps from 0 to 1
     """
     bright, dark, whites, blacks = np.zeros(3), np.zeros(3), 0, 0
     brightest = np.zeros(3)
