@@ -161,7 +161,7 @@ def fit(
     # directions are the exponent's, amplitudes those of the values as they came: what is shown beside them has to match
     amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
     sky = model.soft >= SKY
-    order = np.lexsort([-model.shares(), sky])
+    order = np.lexsort([-model.shares, sky])
     guess = tuple(
         FittedLight(model.dirs[i], amp[:, :, 1 + i], NO_CONE_DEG, *((180.0, True) if sky[i] else (DEFAULT_SIZE_DEG, False)))
         for i in order

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,9 +35,11 @@ class Samples:
     ignored: int
     gamma: float = 1.0
 
-    @property
+    @cached_property
     def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        return self.normals, self.value, self.weight, self.starts
+        """normals, value, weight and starts as light_model takes them."""
+        rows = (np.ascontiguousarray(a.T) for a in (self.normals, self.value))
+        return *rows, self.weight, self.starts  # type: ignore[return-value]
 
     @property
     def groups(self) -> int:

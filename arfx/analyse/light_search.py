@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,8 @@ SOFT_DEG = (10.0, 20.0, 35.0)  # half-angles of a large light, tried beside a po
 SKY = 1.0
 RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
 RADII = np.array([1, 1.5, 2.2, 3.3, 4.5])  # of the stronger from the light that they replace, over the least
+FINE_GAIN, FOLLOWED_GAIN, ROUGH_GAIN = 1e-6, 1e-4, 1e-3  # of chi squared: a pass that gains less is the last
+_SAME_DEG = 1.0  # minima nearer to each other than that are one
 _APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
 
 
@@ -38,10 +41,11 @@ class Model:
     def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
         """(ambient and lights (g, 3, q + 1) in units of the samples' scale, residuals (k, 3) in deviations)"""
         q, s = self.count, self.at
-        amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((len(s.normals), 3))
+        amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals)))
         light_model.evaluate(*s.data, self.dirs, np.arange(q), np.ones(q), self.soft, q, amp, residual)
-        return amp, residual
+        return amp, residual.T
 
+    @cached_property
     def shares(self) -> np.ndarray:
         """(q,) of each light in all the light that was seen."""
         s = self.at
@@ -51,8 +55,11 @@ class Model:
         return (s.weight @ seen) / max(float(s.weight @ (seen.sum(1) + amp[:, 0])), 1e-300)
 
 
-def refine(s: Samples, dirs: np.ndarray, soft: np.ndarray | float = 0.0, held: int | None = None, passes: int = 25) -> Model:
-    """Nearest minimum over all directions, the one with number `held` kept."""
+def refine(
+    s: Samples, dirs: np.ndarray, soft: np.ndarray | float = 0.0, held: int | None = None, passes: int = 25,
+    gain: float = FINE_GAIN,
+) -> Model:  # fmt: skip
+    """Nearest minimum over all directions, the one with number `held` kept. passes, gain : see light_model.refine"""
     d = np.array(dirs, float).reshape(-1, 3)
     q = len(d)
     soft = np.array(np.broadcast_to(soft, q), float)
@@ -60,7 +67,7 @@ def refine(s: Samples, dirs: np.ndarray, soft: np.ndarray | float = 0.0, held: i
     if held is not None:
         body[held + 1 :] -= 1
         body[held] = -1
-    chi = light_model.refine(*s.data, d, np.arange(q), np.ones(q), body, soft, q, passes)
+    chi = light_model.refine(*s.data, d, np.arange(q), np.ones(q), body, soft, q, passes, gain)
     return Model(d, float(chi), s, soft)
 
 
@@ -92,7 +99,7 @@ def search_sky(s: Samples, first: list[Model]) -> list[Model]:
 def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[Model]:
     count = len(soft)
     chi = _scan(s, many, np.arange(count), np.ones(count), soft, count)
-    found: list[Model] = []
+    rough: list[Model] = []
     free, near = np.ones(len(many), bool), np.cos(np.radians(_APART_DEG))
     for i in np.argsort(chi, kind="stable"):
         if not free[i]:
@@ -100,10 +107,21 @@ def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[M
         for order in ([0], [0, 1], [1, 0]):
             if len(order) == count:
                 free &= (many * many[i][order]).sum(-1).min(-1) <= near
-        found.append(refine(s, many[i], soft))
-        if len(found) == most:
+        rough.append(refine(s, many[i], soft, None, 12, ROUGH_GAIN))
+        if len(rough) == most:
             break
-    return sorted(found, key=lambda m: m.chi2)
+    return _different([refine(s, m.dirs, m.soft) for m in _different(rough)])
+
+
+def _different(models: list[Model]) -> list[Model]:
+    """Best first, each minimum once."""
+    found: list[Model] = []
+    for m in sorted(models, key=lambda m: m.chi2):
+        orders = ([0, 1], [1, 0]) if m.count == 2 and m.soft[0] == m.soft[1] else (list(range(m.count)),)
+        near = np.cos(np.radians(_SAME_DEG))
+        if not any(((m.dirs[order] * f.dirs).sum(1) > near).all() for f in found for order in orders if len(order) == f.count):
+            found.append(m)
+    return found
 
 
 def cone_deg(model: Model, light: int, bound: float) -> float:
@@ -154,7 +172,7 @@ def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound:
             many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
             for i in np.argsort(_scan(s, many, column, strength, soft, q), kind="stable")[:2]:
                 d = np.array(many[i])
-                chi = float(light_model.refine(*s.data, d, column, strength, body, soft, q, 12))
+                chi = float(light_model.refine(*s.data, d, column, strength, body, soft, q, 12, FINE_GAIN))
                 # one that has moved to where the light was leaves it in its place, beside one that no normal sees
                 if chi < best and np.degrees(angle_between(d[1], place)) > 0.9 * least_deg:
                     best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))

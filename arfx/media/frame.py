@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
+from typing import Any
 
 import av
 import numpy as np
@@ -18,6 +20,7 @@ from arfx.errors import RenderError
 from arfx.media.orient import Orientation
 from arfx.media.planes import PixelLayout, chroma_size, copy_picture, planes_of
 
+LEAST_SPARSE = 3  # pixels of a rectangle for each that is wanted, from which these alone are converted
 SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
 
 
@@ -131,18 +134,46 @@ class Frame:
             coded = np.stack([parts[2], parts[0], parts[1]] if f.layout.kind == "rgb" else parts * 3, -1)  # gbrp: G, B, R
             return np.ascontiguousarray(f.orientation.upright(coded))
         from arfx.media import kernels
-        from arfx.media.curves import decode_curve
 
         coded = np.empty((r.height, r.width, 3), np.float32)
-        to_rgb = np.linalg.inv(yuv_from_rgb(f.matrix))
-        (yo, yn), (co, cn) = f.luma_steps, f.chroma_steps
         kernels.linear_from_yuv(
             planes[0], planes[1], planes[2], (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited,
-            chroma_size(f.layout, f.width, f.height), tuple(np.float32(v) for v in (yo, 1 / yn, co, 1 / cn)),
-            tuple(np.float32(v) for v in (to_rgb[0, 2], -to_rgb[1, 1], -to_rgb[1, 2], to_rgb[2, 1])),
-            decode_curve(f.transfer), coded,
+            *self._yuv_factors(), coded,
         )  # fmt: skip
         return np.ascontiguousarray(f.orientation.upright(coded))
+
+    def linear_at(self, pixels: np.ndarray) -> np.ndarray:
+        """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y. Raises RenderError if one leaves the picture."""
+        if not len(pixels):
+            return np.zeros((0, 3), np.float32)
+        x, y = pixels[:, 0], pixels[:, 1]
+        rect = Rect(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
+        f, coded = self.format, self._coded(rect)
+        plain = f.layout.kind == "yuv" and f.orientation == Orientation()
+        if not plain or coded.area < LEAST_SPARSE * len(pixels):
+            return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
+        from arfx.media import kernels
+
+        planes = planes_of(self.picture, f.layout)
+        out = np.empty((len(pixels), 3), np.float32)
+        kernels.linear_at_yuv(
+            planes[0], planes[1], planes[2], np.ascontiguousarray(pixels, np.int32), (f.layout.sub_x, f.layout.sub_y), f.cosited,
+            *self._yuv_factors(), out,
+        )  # fmt: skip
+        return out
+
+    def _yuv_factors(self) -> tuple[Any, Any, Any, Any]:
+        """What the kernels take after a picture's planes and layout: chroma's size, scale, matrix, and the decoding curve."""
+        from arfx.media.curves import decode_curve
+
+        f = self.format
+        to_rgb = _rgb_from_yuv(f.matrix)
+        (yo, yn), (co, cn) = f.luma_steps, f.chroma_steps
+        return (
+            chroma_size(f.layout, f.width, f.height), tuple(np.float32(v) for v in (yo, 1 / yn, co, 1 / cn)),
+            tuple(np.float32(v) for v in (to_rgb[0, 2], -to_rgb[1, 1], -to_rgb[1, 2], to_rgb[2, 1])),
+            decode_curve(f.transfer),
+        )  # fmt: skip
 
     def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before) inside `rect`.
@@ -163,6 +194,11 @@ class Frame:
         if bad:
             raise RenderError(f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not finite numbers")
         return Frame(picture, f, self.index, self.pts, self.key)
+
+
+@lru_cache(maxsize=8)
+def _rgb_from_yuv(matrix: str) -> np.ndarray:
+    return np.linalg.inv(yuv_from_rgb(matrix))
 
 
 def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:

@@ -98,6 +98,39 @@ def _widen(few, c0, columns, step, cosited, x0, out):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
+def linear_at_yuv(y, u, v, pixels, steps, cosited, chroma_size, scale, matrix, curve, out):
+    """out (n, 3) = linear_from_yuv of single pixels (n, 2), x and y, coded; other arguments as there."""
+    sx, sy = steps
+    cw, ch = chroma_size
+    yo, yf, co, cf = scale
+    rv, gu, gv, bu = matrix
+    zero = np.float32(0)
+    coded = np.empty((3, len(pixels)), np.float32)
+    for k in range(len(pixels)):
+        x, row = pixels[k, 0], pixels[k, 1]
+        p = np.float32(x / (1 << sx)) if cosited[0] else np.float32((x + 0.5) / (1 << sx) - 0.5)
+        q = np.float32(row / (1 << sy)) if cosited[1] else np.float32((row + 0.5) / (1 << sy) - 0.5)
+        p, q = min(max(p, zero), np.float32(cw - 1)), min(max(q, zero), np.float32(ch - 1))
+        i0, r0 = np.int32(p), np.int32(q)
+        i1, r1 = min(i0 + 1, cw - 1), min(r0 + 1, ch - 1)
+        t, f = p - np.float32(i0), q - np.float32(r0)
+        a, b = np.float32(u[r0, i0]), np.float32(u[r1, i0])
+        c, d = np.float32(u[r0, i1]), np.float32(u[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cb = left + t * (right - left)
+        a, b = np.float32(v[r0, i0]), np.float32(v[r1, i0])
+        c, d = np.float32(v[r0, i1]), np.float32(v[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cr = left + t * (right - left)
+        luma = (np.float32(y[row, x]) - yo) * yf
+        coded[0, k], coded[1, k], coded[2, k] = luma + rv * cr, luma - gu * cb - gv * cr, luma + bu * cb
+    light, base, mantissa = np.empty_like(coded[0]), np.empty_like(coded[0]), np.empty_like(coded[0])
+    for c in range(3):
+        apply_curve(coded[c], curve, base, mantissa, light)
+        out[:, c] = light
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _all_finite(before, after):
     """Whether all float32 with these bits are finite: none has all bits of its exponent set."""
     infinite, highest = np.int32(0x7F800000), np.int32(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import av
@@ -86,6 +87,10 @@ def reference_linear(f: Frame) -> np.ndarray:
 def test_linear_light_is_the_textbooks(name: str, location: str) -> None:
     f = frame(name, location=location)
     assert np.abs(f.linear(f.rect) - reference_linear(f)).max() < 2e-5  # float32 and the series
+    for turn, step in ((Orientation(), 7), (Orientation(), 1), (Orientation(True, True, False), 7)):  # sparse, dense, turned
+        g = Frame(f.picture, replace(f.format, orientation=turn), 5, 7)
+        y, x = np.mgrid[0 : g.rect.height : step, 0 : g.rect.width : step]
+        assert np.abs(g.linear_at(np.stack([x.ravel(), y.ravel()], -1)) - g.linear(g.rect)[y, x].reshape(-1, 3)).max() < 1e-5
 
 
 @pytest.mark.parametrize("transfer", ["srgb", "bt709", "bt1886", "gamma:2.2"])
