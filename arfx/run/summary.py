@@ -46,6 +46,7 @@ def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> di
         "pose": _pose(planned),
         "light": _light(planned),
         "depth": meta.get("depth"),
+        "lens": meta["summary"].get("footage_lens"),
         "stages": rows,
         "health": _health(planned),
         "timing": _timing(spent, planned.plan_s, join_s, chunks),
@@ -163,6 +164,9 @@ def _health(planned: Planned) -> list[dict[str, Any]]:
         rows.append(_check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
     rows += _light_health(summary.get("light"))
     rows += _depth_health(meta.get("depth"))
+    if (lens := summary.get("footage_lens")) is not None:
+        told = f"{lens['focus']:.3g} ± {lens['focus_ci95']:.2g}" if lens["known"] else "unknown"
+        rows.append(_check("focus of the footage's lens (dioptres)", told, "known", lens["known"], f"no blur: {lens['reason']}"))
     absent = sum(f.status == ABSENT for f in planned.facts)
     rows.append(_check("frames without a pose", absent, 0, absent == 0, "object left out there"))
     whole = meta["truncated"] is None
