@@ -22,6 +22,7 @@ _PATHS: tuple[KeyPath, ...] = (
     ("input", "clip"),
     ("input", "camera"),
     ("input", "marker_map"),
+    ("input", "depth"),
     ("model", "file"),
     ("light", "environment"),
     ("output", "path"),

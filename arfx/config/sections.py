@@ -60,6 +60,12 @@ class InputSection(Section):
     clip: Path | None = Field(default=None, description="the video to process")
     camera: Path | None = Field(default=None, description="calibration file; missing: a stated guess, with a warning")
     marker_map: Path | None = Field(default=None, description="known layout of several markers (TOML, or WPILib field JSON)")
+    depth: Path | None = Field(default=None, description="real depth: a folder of maps (16-bit PNG or PGM, EXR), or one map")
+    depth_scale: float | None = Field(default=None, gt=0, description="stored values to a metre; default 1000, of EXR 1")
+    depth_start: Time | None = Field(default=None, description="when the first map was taken, from the clip's first frame")
+    depth_align: Literal["marker", "none"] = Field(
+        default="marker", description="marker: the maps' scale is what makes the markers' planes true; none: as stated"
+    )
     start: Time | None = Field(default=None, description="first moment to process, from the clip's first frame")
     end: Time | None = Field(default=None, description="last moment to process, from the clip's first frame")
     transfer: Annotated[str, BeforeValidator(lambda v: Transfer(str(v)).name)] = Field(

@@ -29,6 +29,7 @@ class Layer(StrEnum):
     MOTION = "motion"  # (h, w, 2) px, from the previous frame
     SHADOW = "shadow"  # (h, w, 3) ratio of light left on the real surface, 1 = none taken
     IRRADIANCE = "irradiance"  # (h, w, 3) on the virtual surface
+    REAL_DEPTH = "real_depth"  # (h, w) metres along the axis of the real surface, measured; inf = the job has no depth
 
 
 # (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing virtual, no shadow.
@@ -45,6 +46,7 @@ _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
     Layer.MOTION: (2, np.float32, 0.0),
     Layer.SHADOW: (3, np.float32, 1.0),
     Layer.IRRADIANCE: (3, np.float32, 0.0),
+    Layer.REAL_DEPTH: (0, np.float32, np.inf),
 }
 
 

@@ -38,8 +38,11 @@ class Canvas:
 
     def view(self, names: frozenset[Layer], rect: Rect) -> Layers:
         """Read-only layers over `rect`."""
-        arrays = {}
+        arrays: dict[Layer, np.ndarray] = {}
         for name in names:
+            if name is Layer.REAL_DEPTH and name not in self.stored:  # most jobs have none: one value, seen everywhere
+                arrays[name] = np.broadcast_to(np.float32(np.inf), (rect.height, rect.width))
+                continue
             where, array = self.stored.get(name, (Rect(0, 0, 0, 0), np.empty(0)))
             if where.contains(rect) and not where.empty:
                 arrays[name] = array[rect.slices_in(where)]
@@ -88,15 +91,19 @@ def run_frame(
     prepared: Mapping[str, Any],
     seed: int = 0,
     past: Sequence[tuple[Canvas, FrameFacts]] = (),
+    real_depth_m: np.ndarray | None = None,
 ) -> FrameResult:
     """Run a plan that has steps.
 
     plate : (h, w, 3) float32 linear light over plan.rect
     past : canvases of the frames before, oldest first, as many as the largest reach asks for
+    real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite.
     """
     canvas = Canvas(plate, plan.rect)
+    if real_depth_m is not None:
+        canvas.put(Layer.REAL_DEPTH, plan.rect, real_depth_m)
     seconds: dict[str, float] = {}
     for step in plan.steps:
         stage = stages[step.stage]

@@ -23,9 +23,11 @@ from arfx.core.units import length_m
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import load_camera
 from arfx.media.clip import ClipInfo, probe
+from arfx.media.depth_maps import DepthMaps
 from arfx.media.images import load_image
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
+from arfx.run.depth import job_depth
 from arfx.stages.raster.mesh import check_extent
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
@@ -41,6 +43,7 @@ class Inputs:
     output: OutputPlan
     notices: tuple[str, ...]
     panorama: np.ndarray | None = None
+    depth: DepthMaps | None = None
 
 
 def open_inputs(config: JobConfig) -> Inputs:
@@ -64,8 +67,17 @@ def open_inputs(config: JobConfig) -> Inputs:
     model = job_model(config)
     check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
     return Inputs(
-        config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices), panorama(config)
-    )
+        config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices), panorama(config),
+        open_maps(config, clip),
+    )  # fmt: skip
+
+
+def open_maps(config: JobConfig, clip: ClipInfo) -> DepthMaps | None:
+    """The job's depth, its first map read, so that what is wrong with all of them is said before the clip is analysed."""
+    maps = job_depth(config)
+    if maps is not None:
+        maps.load(0, clip.width, clip.height)
+    return maps
 
 
 def panorama(config: JobConfig) -> np.ndarray | None:

@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,9 @@ from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, names_sequence
 from arfx.media.writer import chunk_suffix
 from arfx.plan.planner import plan_frame
-from arfx.run.analysis import analyse_clip
+from arfx.run.analysis import Pass, analyse_clip
 from arfx.run.chunks import Chunk, borders
+from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, write_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
@@ -177,7 +178,8 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     if config.params["light"].environment:
         base.append(file_digest(config.params["light"].environment))
     analysis_key = digest(*base)
-    job_key = digest(*base, tree, model_key, inputs.output.to_json())
+    maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
+    job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps)
     stages = make_stages(config)
     if not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists()):
         folder.plan.unlink(missing_ok=True)  # until all of the analysis is written, nothing here counts as done
@@ -219,7 +221,11 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     anchor = anchor_marker(config.markers, world).key
     scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed, done.analysis.static)
     facts = with_model(done.analysis.facts, scene)
-    notices = list(done.analysis.notices)
+    notices, depth = list(done.analysis.notices), None
+    if inputs.depth is not None:
+        facts, depth = _depth(inputs, done, facts, options)
+        if not depth["known"]:
+            notices.append(f"the real depth is not used: {depth['reason']}")
     seen = done.analysis.summary["markers_seen"]
     notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
     if done.truncated:
@@ -230,13 +236,26 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     document = {
         "job_key": job_key, "pts": done.pts, "anchor": anchor, "world_from_marker": {k: p.to_json() for k, p in world.items()},
         "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
-        "previews": pick(facts), "notices": [*inputs.notices, *notices],
+        "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,
     }  # fmt: skip
     write_text(folder.frames, json.dumps(document, default=float))
     # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
     part = clock.before_s / max(done.decode_s + done.analyse_s, 1e-9)
     seconds = {"decode": done.decode_s * (1 + part), "analyse": done.analyse_s * (1 + part)}
     log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.pts))
+
+
+def _depth(
+    inputs: Inputs, done: Pass, facts: Sequence[FrameFacts], options: Options
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
+    """The facts with each frame's real depth, and a summary."""
+    assert inputs.depth is not None
+    times_s = [float((t - done.origin) * inputs.info.time_base) for t in done.pts]
+    of_frames = inputs.depth.of_frames(times_s, done.before, done.whole)
+    align = inputs.config.input.depth_align == "marker"
+    return with_depth(
+        facts, inputs.depth, of_frames, done.analysis.world_from_marker, inputs.camera, align, options.progress
+    )  # fmt: skip
 
 
 def _chunks(planned: Planned) -> list[Chunk]:

@@ -45,6 +45,7 @@ def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> di
         },
         "pose": _pose(planned),
         "light": _light(planned),
+        "depth": meta.get("depth"),
         "stages": rows,
         "health": _health(planned),
         "timing": _timing(spent, planned.plan_s, join_s, chunks),
@@ -128,6 +129,18 @@ def _light_health(light: dict[str, Any] | None) -> list[dict[str, Any]]:
     return rows
 
 
+def _depth_health(depth: dict[str, Any] | None) -> list[dict[str, Any]]:
+    if depth is None:
+        return []
+    told = "as stated" if depth["residual"] is None else depth["residual"]
+    rows = [_check("real depth: miss of the markers' planes", told if depth["known"] else depth["reason"], 0.1, depth["known"],
+                   "not used: the real scene is the markers' planes")]  # fmt: skip
+    if depth["known"]:
+        without = depth["frames_without"]
+        rows.append(_check("frames without real depth", without, 0, without == 0, "markers' planes there"))
+    return rows
+
+
 def _health(planned: Planned) -> list[dict[str, Any]]:
     """Every estimate of the job with its limit and what was done about it."""
     camera, summary, meta = planned.inputs.camera, planned.meta["summary"], planned.meta
@@ -149,6 +162,7 @@ def _health(planned: Planned) -> list[dict[str, Any]]:
         value = summary["map"]["condition"]
         rows.append(_check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
     rows += _light_health(summary.get("light"))
+    rows += _depth_health(meta.get("depth"))
     absent = sum(f.status == ABSENT for f in planned.facts)
     rows.append(_check("frames without a pose", absent, 0, absent == 0, "object left out there"))
     whole = meta["truncated"] is None

@@ -17,15 +17,18 @@ from arfx.config.load import load
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, level_named
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
+from arfx.media.depth_maps import DepthMaps
 from arfx.media.frames import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter
+from arfx.run.depth import job_depth, real_depth_layer
 from arfx.run.folder import JobFolder, disk_error, read_lines
 from arfx.run.frame import Canvas, run_frame
 from arfx.run.inputs import job_model, make_scene
@@ -49,6 +52,7 @@ class Context:
     levels: dict[str, Level]
     pts: list[int]
     previews: frozenset[int]
+    depth: DepthMaps | None = None
     prepared: dict[str, Any] = field(default_factory=dict)
 
     def prepare(self, names: set[str]) -> None:
@@ -93,7 +97,9 @@ def open_context(folder: str, job_key: str) -> Context:
     stages = make_stages(config)
     levels = {name: level_named(stage.levels, config.pipeline.quality) for name, stage in stages.items()}
     output = OutputPlan.from_json(inputs["output"])
-    return Context(config, info, output, scene, stages, levels, frames["pts"], frozenset(frames["previews"]))
+    return Context(
+        config, info, output, scene, stages, levels, frames["pts"], frozenset(frames["previews"]), job_depth(config)
+    )  # fmt: skip
 
 
 def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, tick: Tick) -> dict[str, Any]:
@@ -167,9 +173,15 @@ def _frame(
     start = time.perf_counter()
     plate = frame.linear(plan.rect)
     seconds["edit"] += time.perf_counter() - start
+    depth = None
+    if context.depth is not None and any(Layer.REAL_DEPTH in context.stages[s.stage].reads for s in plan.steps):
+        start = time.perf_counter()
+        depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
+        seconds["decode"] += time.perf_counter() - start
     result = run_frame(
-        plate, facts, plan, context.scene, context.stages, context.levels, context.prepared, context.scene.seed, tuple(past)
-    )
+        plate, facts, plan, context.scene, context.stages, context.levels, context.prepared, context.scene.seed, tuple(past),
+        depth,
+    )  # fmt: skip
     past.append((result.canvas, facts))
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s
