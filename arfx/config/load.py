@@ -23,6 +23,7 @@ _PATHS: tuple[KeyPath, ...] = (
     ("input", "camera"),
     ("input", "marker_map"),
     ("input", "depth"),
+    ("input", "poses"),
     ("model", "file"),
     ("light", "environment"),
     ("output", "path"),

@@ -20,6 +20,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, level_named
 from arfx.errors import RenderError
@@ -93,6 +94,7 @@ def open_context(folder: str, job_key: str) -> Context:
     scene = make_scene(
         config, Camera.from_json(inputs["camera"]), job_model(config), world,
         frames["anchor"], config.pipeline.seed, frames["static"],
+        [RealPlane.from_json(p) for p in frames.get("real_planes", [])],
     )  # fmt: skip
     stages = make_stages(config)
     levels = {name: level_named(stage.levels, config.pipeline.quality) for name, stage in stages.items()}

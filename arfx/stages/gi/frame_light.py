@@ -60,8 +60,9 @@ class Around:
     def lit(self, field: Field) -> Around:
         """With the voxels' light, and the picture darkened and lit by the object."""
         side = self.picture.shape[1]
-        picture = self.picture * enlarged(field.direct, side)
-        return replace(self, atlas=field.atlas, back=self.back.with_textures(picture, self.known, self.mean))
+        open_ = enlarged(field.open, side)
+        picture = self.picture * enlarged(field.direct, side) * open_[..., None]
+        return replace(self, atlas=field.atlas, back=self.back.with_textures(picture, self.known * open_, self.mean))
 
     @property
     def arguments(self) -> tuple:
