@@ -46,6 +46,8 @@ def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> di
         "pose": _pose(planned),
         "light": _light(planned),
         "stages": rows,
+        "levels": planned.levels,
+        "predicted": planned.predicted,
         "health": _health(planned),
         "timing": _timing(spent, planned.plan_s, join_s, chunks),
         "notices": meta["notices"],
