@@ -40,7 +40,7 @@ def errors_of_clip(file: Path) -> Errors:
     try:
         own, shipped = _read(file), shipped_errors()
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as e:
-        raise InputError(f"{file} is not a tradeoff.json: {e}", "make one: arfx tradeoff CLIP … -o DIR") from None
+        raise InputError(f"{file} is not a tradeoff.json: {e}", "make one: arfx tradeoff CLIP … --report DIR") from None
     return Errors({**shipped.by_level, **own.by_level}, own.source)
 
 

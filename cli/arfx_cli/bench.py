@@ -25,7 +25,9 @@ def parse_size(text: str) -> tuple[int, int]:
 @click.option(
     "--size", "sizes", metavar="WxH", multiple=True, default=["1280x720"], show_default=True, help="Picture size, repeatable."
 )
-@click.option("--calibrate", is_flag=True, help="Measure this machine's price list, which `plan` and --budget use; under a minute.")
+@click.option(
+    "--calibrate", is_flag=True, help="Measure this machine's price list, which `plan` and --budget use; under a minute."
+)
 @message_options
 def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibrate: bool, as_json: bool) -> None:
     """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a tenth of the picture.
