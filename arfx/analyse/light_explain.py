@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from arfx.analyse.light_samples import Samples
 from arfx.analyse.light_search import (
@@ -136,7 +136,7 @@ class Explanations:
         """Cost up to which another explanation is no worse, at 95 % for two parameters."""
         dof = max(self.effective - self._parameters(self.count), 1.0)
         wider = max(1.0, self.misfit(self.count))
-        return float(self.best_cost[self.count] + 2 * fisher.ppf(0.95, 2, dof) * wider)
+        return float(self.best_cost[self.count] + 2 * fdtri(2, dof, 0.95) * wider)
 
     def cone(self, light: int) -> float:
         """Of one light of the chosen model, degrees, over all exponents that are within the bound."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from arfx.core.numerics import divide
 
@@ -80,7 +80,7 @@ def robust(
     groups = np.count_nonzero((w > 0).any(0))
     if spare > 0:
         noise_b = max(noise_b, (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1), (influence.sum(1) ** 2).sum())
-    quantile = float(student.ppf(0.975, spare)) if spare > 0 else 1.96
+    quantile = float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
     top = np.where(w0 > 0, grey, -np.inf).max(1)
     level = float(np.median(top[seen]))
     bright = float(np.median(y[seen]))

@@ -51,6 +51,17 @@ class Canvas:
         else:
             self.stored[name] = (rect, array)
 
+    def take(self, name: Layer, made: np.ndarray | Patch, need: Rect, out: Rect) -> tuple[Rect, np.ndarray]:
+        """Write what a stage that saw `need` made, over `out`. Returns the pixels of it that are not neutral by definition."""
+        patch = made if isinstance(made, Patch) else Patch(need, made)
+        where = patch.rect.clip(out)
+        pixels = patch.array[where.slices_in(patch.rect)]
+        if where == out or name not in self.stored:
+            self.put(name, where, pixels)
+        else:  # neutral there now, whatever it was before
+            self.put(name, out, Patch(where, pixels).over(name, out))
+        return where, pixels
+
 
 @dataclass(frozen=True)
 class FrameResult:
@@ -102,15 +113,9 @@ def run_frame(
         rng = rng_for(seed, facts.index, stage.name)
         made = stage.run(window, scene, prepared[stage.name], levels[stage.name], rng)
         for name, array in made.items():
-            part = array if isinstance(array, Patch) else Patch(step.need, array)
-            where = part.rect.clip(step.out)
-            pixels = part.array[where.slices_in(part.rect)]
+            where, pixels = canvas.take(name, array, step.need, step.out)
             if name is not Layer.DEPTH:  # infinite where nothing is
                 _require_finite(pixels, name, stage.name, facts.index, where)
-            if where == step.out or name not in canvas.stored:
-                canvas.put(name, where, pixels)
-            else:  # neutral there now, whatever it was before
-                canvas.put(name, step.out, Patch(where, pixels).over(name, step.out))
         seconds[stage.name] = seconds.get(stage.name, 0.0) + time.perf_counter() - start
     where, image = canvas.stored[Layer.IMAGE]
     return FrameResult(image[plan.changed.slices_in(where)], plate[plan.changed.slices_in(plan.rect)], seconds, canvas)

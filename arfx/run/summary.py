@@ -48,6 +48,8 @@ def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> di
         "depth": meta.get("depth"),
         "lens": meta["summary"].get("footage_lens"),
         "stages": rows,
+        "levels": planned.levels,
+        "predicted": planned.predicted,
         "health": _health(planned),
         "timing": _timing(spent, planned.plan_s, join_s, chunks),
         "notices": meta["notices"],
