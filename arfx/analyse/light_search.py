@@ -51,7 +51,8 @@ class Model:
         s = self.at
         amp = np.repeat(self.amplitudes()[0], np.diff(s.starts), 0).sum(1)  # (k, q + 1)
         c, h = s.normals @ self.dirs.T, np.maximum(self.soft, 1e-9)
-        seen = np.where(c < h, np.clip(c + h, 0, None) ** 2 / (4 * h), c) * amp[:, 1:]
+        on = np.where(self.soft >= SKY, 1.0, s.data[4][:, None])
+        seen = np.where(c < h, np.clip(c + h, 0, None) ** 2 / (4 * h), c) * on * amp[:, 1:]
         return (s.weight @ seen) / max(float(s.weight @ (seen.sum(1) + amp[:, 0])), 1e-300)
 
 

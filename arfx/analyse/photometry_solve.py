@@ -21,6 +21,9 @@ MEASURED, DEGENERATE = "measured", "degenerate"
 INK, PAPER = 0.05, 0.88  # albedos of print
 INK_SIGMA = 0.01  # of the ink's, beside a paper of .88: .03 to .07
 TRANSFER = 0.08  # by so much the exponent of the camera's curve may be another than stated
+# Coded steps of 1/255 by which all dark cells of a clip may be off together: half a step of chroma is 1 of blue, and a codec
+# leaves smooth chroma where its rounding put it.
+STEPS = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,7 @@ def solve(
     intensity: np.ndarray, variance: np.ndarray | None = None, white: np.ndarray | None = None,
     albedo: np.ndarray | None = None, clipped: np.ndarray | None = None, albedos: str = "known",
     ink: float = INK, paper: float = PAPER, ink_sigma: float = INK_SIGMA, transfer: float = TRANSFER,
+    steps: float = STEPS,
 ) -> Photometry:  # fmt: skip
     """The `corrected` formula.
 
@@ -70,6 +74,7 @@ def solve(
         ink's albedo is solved per channel beside b, which takes light that changes)
     ink_sigma : standard deviation of the ink's albedo, which is an unknown with this prior beside b; 0 with `albedo` given
     transfer : range by which the exponent of the camera's curve may be off, goes into bias_95
+    steps : of 1/255 by which the coded values of all dark cells may be off together; goes there too
     Raises ValueError for wrong shapes.
     """
     value = np.asarray(intensity, float)
@@ -81,7 +86,7 @@ def solve(
             raise ValueError("white (p,) or albedo is needed")
         albedo = np.where(white, paper, ink)
     else:
-        ink_sigma = transfer = 0.0
+        ink_sigma = transfer = steps = 0.0
     rho = np.broadcast_to(np.asarray(albedo, float), (frames, patches))
     weight, known_noise, ignored = weights(value, variance, rho)
     share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
@@ -95,6 +100,9 @@ def solve(
             part = robust(grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma)
         if part["determined"] and transfer > 0:
             part["bias_95"] = _with_other_curves(part, grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma, transfer)
+        if part["determined"] and steps > 0:
+            level = float(np.median(grey[dark & (w > 0)]))
+            part["bias_95"] = _widened(part["bias_95"], part["bias"], steps / 255 * slope_of_code(level))
         parts.append(part)
     return assemble("corrected", parts, share, ignored)
 
@@ -112,6 +120,16 @@ def _with_other_curves(
         if other["determined"]:
             low, high = min(low, other["bias_95"][0]), max(high, other["bias_95"][1])
     return low, high
+
+
+def _widened(interval: tuple[float, float], middle: float, by: float) -> tuple[float, float]:
+    low, high = middle - interval[0], interval[1] - middle
+    return middle - float(np.hypot(low, by)), middle + float(np.hypot(high, by))
+
+
+def slope_of_code(level: float) -> float:
+    """Linear light per coded value at a linear level: sRGB's, of which all curves are near enough."""
+    return float(2.4 / 1.055 * max(level, 0.0) ** (1 - 1 / 2.4)) if level > 0.0031 else 1 / 12.92
 
 
 def weights(value: np.ndarray, variance: np.ndarray | None, rho: np.ndarray) -> tuple[np.ndarray, bool, int]:
