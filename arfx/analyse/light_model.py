@@ -5,10 +5,10 @@ projection): a small non-negative least squares per group of observations and ch
 have amplitudes of their own. Several directions may form one light (`column`) with fixed relative `strength`, and turn
 together as one `body`: so a light is replaced by a rigid pair, to see whether the data would have noticed.
 
-Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of unit
-vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on; dirs (q, 3) unit; column (q,) int 0..m-1;
-strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,) int, -1 = held; amp (g, 3, m + 1), ambient
-first; residual (3, k), times sqrt(weight).
+Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of
+unit vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on;
+dirs (q, 3) unit; column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,)
+int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(weight).
 """
 
 from __future__ import annotations

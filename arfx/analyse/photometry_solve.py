@@ -24,6 +24,7 @@ TRANSFER = 0.08  # by so much the exponent of the camera's curve may be another 
 # Coded steps of 1/255 by which all dark cells of a clip may be off together: half a step of chroma is 1 of blue, and a codec
 # leaves smooth chroma where its rounding put it.
 STEPS = 1.5
+_ENOUGH = 100  # frames that tell how much the bias depends on the curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,15 +112,18 @@ def _with_other_curves(
     part: dict, grey: np.ndarray, w: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool,
     ink_sigma: float, transfer: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """The bias's interval, widened to what it is under other exponents of the camera's curve. Arguments as for `robust`."""
+    """The bias's interval, moved to what the bias is under other exponents of the camera's curve. Arguments as for `robust`."""
     low, high = part["bias_95"]
+    some = slice(None, None, max(1, len(grey) // _ENOUGH))
+    grey, w, rho, dark = grey[some], w[some], rho[some], dark[some]
     size = np.maximum(np.abs(grey), 1e-4)
-    for exponent in (1 / (1 - transfer), 1 / (1 + transfer)):
+    found = []
+    for exponent in (1.0, 1 / (1 - transfer), 1 / (1 + transfer)):
         slope = exponent * size ** (exponent - 1)
-        other = robust(np.sign(grey) * np.abs(grey) ** exponent, w / slope**2, rho, dark, known, find_ink, ink_sigma)
-        if other["determined"]:
-            low, high = min(low, other["bias_95"][0]), max(high, other["bias_95"][1])
-    return low, high
+        value = np.sign(grey) * np.abs(grey) ** exponent
+        found.append(robust(value, w / slope**2, rho, dark, known, find_ink, ink_sigma))
+    off = [f["bias"] - found[0]["bias"] for f in found if f["determined"] and found[0]["determined"]] or [0.0]
+    return low + min(off), high + max(off)
 
 
 def _widened(interval: tuple[float, float], middle: float, by: float) -> tuple[float, float]:
