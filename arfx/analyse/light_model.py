@@ -152,6 +152,25 @@ def evaluate(normals, value, weight, starts, lit, dirs, column, strength, soft, 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def shares(normals, value, weight, starts, lit, dirs, column, strength, soft, m, out):  # pragma: no cover - compiled
+    """out (m,) = share of each column's lights in all the light that was seen."""
+    k = normals.shape[1]
+    amp, residual = np.empty((len(starts) - 1, 3, m + 1)), np.empty((3, k))
+    A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
+    _fill(normals, lit, dirs, column, strength, soft, A)
+    _explain(value, weight, starts, A, B, amp, residual)
+    total = 0.0
+    out[:] = 0.0
+    for g in range(len(starts) - 1):
+        for p in range(m + 1):
+            part = amp[g, :, p].sum() * B[p, starts[g] : starts[g + 1]].sum()
+            total += part
+            if p > 0:
+                out[p - 1] += part
+    out /= max(total, 1e-300)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def scan(normals, value, weight, starts, lit, many, column, strength, soft, m, out):  # pragma: no cover - compiled
     """out (n,) = chi squared of each of `many` (n, q, 3) sets of directions."""
     k = normals.shape[1]
