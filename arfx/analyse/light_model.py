@@ -5,10 +5,10 @@ projection): a small non-negative least squares per group of observations and ch
 have amplitudes of their own. Several directions may form one light (`column`) with fixed relative `strength`, and turn
 together as one `body`: so a light is replaced by a rigid pair, to see whether the data would have noticed.
 
-Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of unit
-vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; dirs (q, 3) unit; column (q,) int 0..m-1;
-strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,) int, -1 = held; amp (g, 3, m + 1), ambient
-first; residual (3, k), times sqrt(weight).
+Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of
+unit vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on;
+dirs (q, 3) unit; column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,)
+int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(weight).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _non_negative(G, h, best):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _fill(normals, dirs, column, strength, soft, A):  # pragma: no cover - compiled
+def _fill(normals, lit, dirs, column, strength, soft, A):  # pragma: no cover - compiled
     """A (m + 1, k) : what each column's lights give each normal, of strength 1; the first is ambient light."""
     k = normals.shape[1]
     A[0] = 1.0
@@ -86,15 +86,19 @@ def _fill(normals, dirs, column, strength, soft, A):  # pragma: no cover - compi
     for q in range(len(dirs)):
         x, y, z, size, s = dirs[q, 0], dirs[q, 1], dirs[q, 2], strength[q], soft[q]
         row = A[column[q] + 1]
-        if s > 0:
+        if s >= 1:  # a sky: not switched with the lamps
+            for i in range(k):
+                low = max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z + 1, 0.0)
+                row[i] += size * low * low / 4
+        elif s > 0:
             scale = 1 / (4 * s)
             for i in range(k):
                 c = normals[0, i] * x + normals[1, i] * y + normals[2, i] * z
                 low = max(c + s, 0.0)
-                row[i] += size * (c if c >= s else low * low * scale)
+                row[i] += size * lit[i] * (c if c >= s else low * low * scale)
         else:
             for i in range(k):
-                row[i] += size * max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z, 0.0)
+                row[i] += size * lit[i] * max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z, 0.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -140,21 +144,40 @@ def _explain(value, weight, starts, A, B, amp, residual):  # pragma: no cover - 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(normals, value, weight, starts, dirs, column, strength, soft, m, amp, residual):  # pragma: no cover - compiled
+def evaluate(normals, value, weight, starts, lit, dirs, column, strength, soft, m, amp, residual):  # pragma: no cover - compiled
     """Chi squared of one set of directions with the best amplitudes; amp and residual are filled."""
     A = np.empty((m + 1, normals.shape[1]))
-    _fill(normals, dirs, column, strength, soft, A)
+    _fill(normals, lit, dirs, column, strength, soft, A)
     return _explain(value, weight, starts, A, np.empty_like(A), amp, residual)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def scan(normals, value, weight, starts, many, column, strength, soft, m, out):  # pragma: no cover - compiled
+def shares(normals, value, weight, starts, lit, dirs, column, strength, soft, m, out):  # pragma: no cover - compiled
+    """out (m,) = share of each column's lights in all the light that was seen."""
+    k = normals.shape[1]
+    amp, residual = np.empty((len(starts) - 1, 3, m + 1)), np.empty((3, k))
+    A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
+    _fill(normals, lit, dirs, column, strength, soft, A)
+    _explain(value, weight, starts, A, B, amp, residual)
+    total = 0.0
+    out[:] = 0.0
+    for g in range(len(starts) - 1):
+        for p in range(m + 1):
+            part = amp[g, :, p].sum() * B[p, starts[g] : starts[g + 1]].sum()
+            total += part
+            if p > 0:
+                out[p - 1] += part
+    out /= max(total, 1e-300)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def scan(normals, value, weight, starts, lit, many, column, strength, soft, m, out):  # pragma: no cover - compiled
     """out (n,) = chi squared of each of `many` (n, q, 3) sets of directions."""
     k = normals.shape[1]
     amp, residual = np.empty((len(starts) - 1, 3, m + 1)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
     for n in range(len(many)):
-        _fill(normals, many[n], column, strength, soft, A)
+        _fill(normals, lit, many[n], column, strength, soft, A)
         out[n] = _explain(value, weight, starts, A, B, amp, residual)
 
 
@@ -175,7 +198,9 @@ def _turn(v, w, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m, passes, gain):  # pragma: no cover - compiled
+def refine(
+    normals, value, weight, starts, lit, dirs, column, strength, body, soft, m, passes, gain
+):  # pragma: no cover - compiled
     """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns chi squared.
 
     Ends after `passes`, or where one gains less than the share `gain`. The
@@ -189,7 +214,7 @@ def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m
     amp = np.empty((len(starts) - 1, 3, m + 1))
     r0, r1 = np.empty((3, k)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
-    _fill(normals, dirs, column, strength, soft, A)
+    _fill(normals, lit, dirs, column, strength, soft, A)
     best = _explain(value, weight, starts, A, B, amp, r0)
     if n == 0:
         return best
@@ -208,7 +233,7 @@ def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m
                     _turn(dirs[i], w, trial[i])
                 else:
                     trial[i] = dirs[i]
-            _fill(normals, trial, column, strength, soft, A)
+            _fill(normals, lit, trial, column, strength, soft, A)
             _explain(value, weight, starts, A, B, amp, r1)
             after = r1.reshape(-1)
             row = J[p]
@@ -237,7 +262,7 @@ def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m
                     _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3], trial[i])
                 else:
                     trial[i] = dirs[i]
-            _fill(normals, trial, column, strength, soft, A)
+            _fill(normals, lit, trial, column, strength, soft, A)
             chi = _explain(value, weight, starts, A, B, amp, r1)
             if chi < best:
                 moved = best - chi > gain * best + 1e-9

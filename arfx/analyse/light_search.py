@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
 from arfx.analyse import light_model
 from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_samples import Samples
-from arfx.core.numerics import angle_between, normalise
+from arfx.core.numerics import angle_between
 
 AZIMUTHS = np.arange(12) * np.pi / 6
 RINGS_DEG = np.array([0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 45])
@@ -42,17 +42,21 @@ class Model:
         """(ambient and lights (g, 3, q + 1) in units of the samples' scale, residuals (k, 3) in deviations)"""
         q, s = self.count, self.at
         amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals)))
-        light_model.evaluate(*s.data, self.dirs, np.arange(q), np.ones(q), self.soft, q, amp, residual)
+        light_model.evaluate(*s.data, self.dirs, *_each(q), self.soft, q, amp, residual)
         return amp, residual.T
 
     @cached_property
     def shares(self) -> np.ndarray:
         """(q,) of each light in all the light that was seen."""
-        s = self.at
-        amp = np.repeat(self.amplitudes()[0], np.diff(s.starts), 0).sum(1)  # (k, q + 1)
-        c, h = s.normals @ self.dirs.T, np.maximum(self.soft, 1e-9)
-        seen = np.where(c < h, np.clip(c + h, 0, None) ** 2 / (4 * h), c) * amp[:, 1:]
-        return (s.weight @ seen) / max(float(s.weight @ (seen.sum(1) + amp[:, 0])), 1e-300)
+        out = np.empty(self.count)
+        light_model.shares(*self.at.data, self.dirs, *_each(self.count), self.soft, self.count, out)
+        return out
+
+
+@cache
+def _each(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """column and strength of lights that are each their own."""
+    return np.arange(count), np.ones(count)
 
 
 def refine(
@@ -62,12 +66,12 @@ def refine(
     """Nearest minimum over all directions, the one with number `held` kept. passes, gain : see light_model.refine"""
     d = np.array(dirs, float).reshape(-1, 3)
     q = len(d)
-    soft = np.array(np.broadcast_to(soft, q), float)
+    soft = np.full(q, soft, float) if np.ndim(soft) == 0 else np.array(soft, float)
     body = np.arange(q)
     if held is not None:
         body[held + 1 :] -= 1
         body[held] = -1
-    chi = light_model.refine(*s.data, d, np.arange(q), np.ones(q), body, soft, q, passes, gain)
+    chi = light_model.refine(*s.data, d, *_each(q), body, soft, q, passes, gain)
     return Model(d, float(chi), s, soft)
 
 
@@ -98,7 +102,7 @@ def search_sky(s: Samples, first: list[Model]) -> list[Model]:
 
 def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[Model]:
     count = len(soft)
-    chi = _scan(s, many, np.arange(count), np.ones(count), soft, count)
+    chi = _scan(s, many, *_each(count), soft, count)
     rough: list[Model] = []
     free, near = np.ones(len(many), bool), np.cos(np.radians(_APART_DEG))
     for i in np.argsort(chi, kind="stable"):
@@ -183,9 +187,13 @@ def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound:
 
 def around(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
     """(12, 3) directions at `radius_deg` from the unit vector d, at AZIMUTHS + turn."""
-    u = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
-    a, azimuth = np.radians(radius_deg), (AZIMUTHS + turn)[:, None]
-    return np.cos(a) * d + np.sin(a) * (np.cos(azimuth) * u + np.sin(azimuth) * np.cross(d, u))
+    x, y, z = d.tolist()
+    across = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))[int(np.abs(d).argmin())]  # d x the axis farthest from it
+    length = np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
+    p, q, r = (c / length for c in across)
+    basis = np.array([[p, q, r], [y * r - z * q, z * p - x * r, x * q - y * p]])
+    a, azimuth = np.radians(radius_deg), AZIMUTHS + turn
+    return np.cos(a) * d + np.sin(a) * (np.stack([np.cos(azimuth), np.sin(azimuth)], -1) @ basis)
 
 
 def _scan(s: Samples, many: np.ndarray, column: np.ndarray, strength: np.ndarray, soft: np.ndarray, lights: int) -> np.ndarray:

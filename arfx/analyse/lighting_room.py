@@ -15,7 +15,7 @@ from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_explain import Params as FitParams
 from arfx.analyse.light_fit import MEASURED, REFUSED
 from arfx.analyse.light_map_kernels import walked
-from arfx.analyse.light_time import CONSTANT, SEGMENTS, SHARED, WINDOWS, Span, fit_over_time
+from arfx.analyse.light_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
 from arfx.analyse.lighting_paper import paper_lights_of
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.surroundings import Look, matched, soft_light
@@ -31,6 +31,7 @@ MODEL_ERROR = 0.003  # of a model's irradiance, relative: a reading of one norma
 LEAST_SEEN = 0.02  # of the brightest irradiance seen: darker normals say nothing about a frame's brightness
 _ACCOUNTS = {
     CONSTANT: "constant over the clip",
+    SWITCHED: "its lamps are switched",
     SEGMENTS: "constant between its steps",
     SHARED: "its direction rests, its brightness or the exposure changes",
     WINDOWS: "its direction changes",

@@ -64,7 +64,7 @@ def robust(
         size = float(np.median(np.abs(z[w0 > 0]))) / 0.6745 * np.sqrt(count / spare) if spare > 0 else 0.0
         scale = max(1.0, size) if known else size
         last, w = w, w0 * np.minimum(1.0, divide(_HUBER * scale, np.abs(z), where_zero=1.0))
-        settled = abs(b - before) <= 1e-9 * max(abs(b), 1e-6) if one_ink else True
+        settled = abs(b - before) <= 1e-6 * max(abs(b), 1e-3 * float(np.abs(grey).max())) if one_ink else True
         if np.abs(w - last).max() <= 1e-6 * w0.max() and settled and i:
             break
     r = np.where(dark, k, rho) if one_ink else rho

@@ -3,6 +3,7 @@
 Where the paper is clipped the ink tells the light, and where it is not the paper tells it better. But the two have one scale
 only as far as the camera's curve is known: some per cent of difference between frames of either kind would pass for the
 shape of the light over its normals. So a fit gets readings of one kind: the paper's, where few are clipped, else the ink's.
+(Even where nothing tells the bias: light with a constant added has the same directions.)
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def comparable(
     """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over normals). Arguments as for `solve`."""
     spoilt = p.seen & (np.where(white, clipped, 0).sum(1) > SPOILT * white.sum())
     share = float(spoilt.sum()) / max(int(p.seen.sum()), 1)
-    if not spoilt.any() or not p.determined.all():
+    if not spoilt.any() or (share <= FEW and not p.determined.all()):
         return p.y, p.var_y_own, p.seen
     if share <= FEW:
         return p.y, p.var_y_own, p.seen & ~spoilt

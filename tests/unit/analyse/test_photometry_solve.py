@@ -27,7 +27,7 @@ def clip(
     ), y  # fmt: skip
 
 
-EXACT: dict = {"ink_sigma": 0.0, "transfer": 0.0}  # print and curve are as stated
+EXACT: dict = {"ink_sigma": 0.0, "transfer": 0.0, "steps": 0.0}  # print and curve are as stated
 
 
 def finite(p: Photometry) -> bool:
@@ -93,7 +93,7 @@ def test_the_interval_of_the_bias_holds_the_truth(noise: float) -> None:
 def test_the_inks_tolerance_is_in_the_interval() -> None:
     """Light that rests cannot tell the ink from the bias: the interval is as wide as what is known of inks."""
     grey, _ = clip(rho=np.where(WHITE, 0.87, 0.044), noise=1e-4, low=0.6, high=0.6)  # other print than assumed
-    p = solve(grey, np.full(grey.shape, 1e-8), WHITE, transfer=0)
+    p = solve(grey, np.full(grey.shape, 1e-8), WHITE, transfer=0, steps=0)
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
     assert np.abs(p.bias - 0.02).max() > 1e-3 and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
     exact = solve(grey, np.full(grey.shape, 1e-8), WHITE, **EXACT)
@@ -103,7 +103,7 @@ def test_the_inks_tolerance_is_in_the_interval() -> None:
 def test_light_that_changes_tells_the_ink_beside_the_bias() -> None:
     for known in (True, False):
         grey, y = clip(rho=np.where(WHITE, PAPER, 0.067), noise=5e-4)
-        p = solve(grey, np.full(grey.shape, 2.5e-7) if known else None, WHITE, transfer=0)
+        p = solve(grey, np.full(grey.shape, 2.5e-7) if known else None, WHITE, transfer=0, steps=0)
         assert np.abs(p.bias - 0.02).max() < 5e-4 and np.abs(p.ink - 0.067).max() < 1e-3 and np.abs(p.y / y - 1).max() < 0.01
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all() and np.ptp(p.bias_95, axis=1).max() < 3e-3
 
@@ -113,8 +113,17 @@ def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
         grey, _ = clip(rho=np.where(WHITE, 0.85, 0.06), noise=2e-4)
         p = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE)
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all(), exponent
-        narrow = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE, transfer=0)
+        narrow = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE, transfer=0, steps=0)
         assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).any()
+
+
+def test_a_codecs_steps_are_in_the_interval() -> None:
+    grey, _ = clip(noise=2e-4)
+    off = grey + np.array([-0.0012, 0.0, 0.0012]) * ~WHITE[:, None]  # chroma off by half a step in every dark cell
+    p = solve(off, np.full(grey.shape, 4e-8), WHITE, ink_sigma=0, transfer=0)
+    assert np.abs(p.bias - 0.02).max() > 1e-3 and ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
+    narrow = solve(off, np.full(grey.shape, 4e-8), WHITE, **EXACT)
+    assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).all()
 
 
 def test_the_variance_of_the_light_is_right() -> None:
