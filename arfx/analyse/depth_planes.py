@@ -107,9 +107,7 @@ def _best(cloud: Cloud, free: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray
     return None if best is None or best[0] < 8 else best[1:]
 
 
-def _refined(
-    cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float
-) -> tuple[np.ndarray, float, np.ndarray] | None:
+def _refined(cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray, float, np.ndarray] | None:
     rows = np.zeros(0, int)
     for _ in range(6):
         rows = _connected(cloud, np.flatnonzero(_on(cloud, free, normal, offset)))

@@ -60,7 +60,9 @@ class InputSection(Section):
     clip: Path | None = Field(default=None, description="the video to process")
     camera: Path | None = Field(default=None, description="calibration file; missing: a stated guess, with a warning")
     marker_map: Path | None = Field(default=None, description="known layout of several markers (TOML, or WPILib field JSON)")
-    poses: Path | None = Field(default=None, description="camera poses, a line tx ty tz qx qy qz qw for each frame, or with times")
+    poses: Path | None = Field(
+        default=None, description="camera poses, a line tx ty tz qx qy qz qw for each frame, or with times"
+    )
     depth: Path | None = Field(default=None, description="real depth: a folder of maps (16-bit PNG or PGM, EXR), or one map")
     depth_scale: float | None = Field(default=None, gt=0, description="stored values to a metre; default 1000, of EXR 1")
     depth_start: Time | None = Field(default=None, description="when the first map was taken, from the clip's first frame")

@@ -65,11 +65,15 @@ def load_poses(path: Path) -> CameraPath:
         except ValueError:
             values = np.zeros(0)
         length = float(np.linalg.norm(values[-4:])) if len(values) in (7, 8) else 0.0
-        if len(values) not in (7, 8) or (columns and len(values) != columns) or not np.isfinite(values).all() or (
-            abs(length - 1) > _UNIT
+        if (
+            len(values) not in (7, 8)
+            or (columns and len(values) != columns)
+            or not np.isfinite(values).all()
+            or (abs(length - 1) > _UNIT)
         ):
             raise InputError(
-                f"poses {path}, line {number}: {line.strip()!r} is not a pose", "tx ty tz qx qy qz qw, perhaps the time before them"
+                f"poses {path}, line {number}: {line.strip()!r} is not a pose",
+                "tx ty tz qx qy qz qw, perhaps the time before them",
             )
         columns = len(values)
         rows.append(values)

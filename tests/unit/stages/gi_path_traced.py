@@ -121,7 +121,11 @@ def regions(name: str) -> dict[str, np.ndarray]:
     away = np.nan_to_num(np.hypot(g[..., 0], g[..., 1]), nan=np.inf)
     bare = (cv2.dilate((coverage > 0).astype(np.uint8), span) == 0) & even
     near = CONTACT_M if len(t.scene.world_from_marker) < 2 else 0.16
-    return {"object": (coverage > 0.99) & even, "contact": bare & (away < near), "plane": bare & (away >= near) & (away < PLANE_M)}
+    return {
+        "object": (coverage > 0.99) & even,
+        "contact": bare & (away < near),
+        "plane": bare & (away >= near) & (away < PLANE_M),
+    }
 
 
 def errors(name: str, level: str, samples: int = 64) -> dict[str, tuple[float, float]]:
