@@ -14,6 +14,7 @@ POINTS = 80
 STILL_PX = 0.7  # in a reduced picture: sensor noise and compression move corners by a tenth
 SHARE = 0.6  # of the corners that have to stay
 _LEAST_POINTS = 8
+_WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
 
 class RestCheck:
@@ -38,7 +39,10 @@ class RestCheck:
         factor = max(1, round(luma.shape[1] / WIDTH_PX))
         small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
         if self._first is None:
-            found = cv2.goodFeaturesToTrack(small, POINTS, 0.02, 8)
+            value = small.astype(np.float32)
+            off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
+            contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
+            found = cv2.goodFeaturesToTrack(small, POINTS, 0.02, 8, mask=contrast.astype(np.uint8))
             self._first = small
             self._points = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
             return

@@ -18,7 +18,8 @@ from arfx.analyse.depth_cloud import Cloud
 from arfx.core.numerics import divide, normalise
 
 MOST_PLANES = 6
-HYPOTHESES = 160
+HYPOTHESES = 120
+SCORED = 2500  # points that hypotheses are judged by
 LEAST_SHARE = 0.03  # of all points: less is furniture
 NEAR = 3.0  # noises: on the plane
 TAKEN = 5.0  # noises: no seed of another plane
@@ -61,11 +62,8 @@ def find_planes(cloud: Cloud, most: int = MOST_PLANES, seed: int = 0) -> list[Fo
         if len(rows) < LEAST_SHARE * count:
             break
         off = 1e3 * distance[rows]
-        out.append(
-            FoundPlane(
-                normal, offset, rows, float(np.sqrt((off**2).mean())), float(np.median(np.abs(off))), len(rows) / count
-            )  # fmt: skip
-        )
+        rms, typical = float(np.sqrt((off**2).mean())), float(np.median(np.abs(off)))
+        out.append(FoundPlane(normal, offset, rows, rms, typical, len(rows) / count))
     return sorted(out, key=lambda p: -p.share)
 
 
@@ -79,29 +77,33 @@ def _fit(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
     return normal, float(normal @ centre)
 
 
-def _on(cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
+def _on(cloud: Cloud, rows: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
+    """Those of the points `rows` that lie on a plane."""
+    points = cloud.points[rows]
     # noise is along the ray: what of it is across the plane
-    slope = np.abs(normalise(cloud.points) @ normal)
-    near = np.abs(cloud.points @ normal - offset) < NEAR * np.maximum(cloud.noise_m * slope, 5e-4)
-    return np.asarray(free & near & (np.abs(cloud.normals @ normal) > FACING))
+    slope = np.abs(normalise(points) @ normal)
+    near = np.abs(points @ normal - offset) < NEAR * np.maximum(cloud.noise_m[rows] * slope, 5e-4)
+    return np.asarray(rows[near & (np.abs(cloud.normals[rows] @ normal) > FACING)])
 
 
 def _best(cloud: Cloud, free: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, float] | None:
     """The hypothesis with the most points; the best few are refitted to what lies on them before they are compared."""
     scored = []
+    some = np.flatnonzero(free)
+    some = some[:: max(1, len(some) // SCORED)]
     for s in seeds:
         rows = cloud.neighbours[s]
         normal, offset = _fit(cloud.points[rows], np.ones(len(rows)))
-        scored.append((int(_on(cloud, free, normal, offset).sum()), normal, offset))
+        scored.append((len(_on(cloud, some, normal, offset)), normal, offset))
     scored.sort(key=lambda c: -c[0])
     best: tuple[int, np.ndarray, float] | None = None
-    for _, normal, offset in scored[:12]:
+    for _, normal, offset in scored[:8]:
         for _ in range(3):
-            rows = np.flatnonzero(_on(cloud, free, normal, offset))
+            rows = _on(cloud, some, normal, offset)
             if len(rows) < 8:
                 break
             normal, offset = _fit(cloud.points[rows], cloud.noise_m[rows] ** -2)
-        n = int(_on(cloud, free, normal, offset).sum())
+        n = len(_on(cloud, some, normal, offset))
         if best is None or n > best[0]:
             best = n, normal, offset
     return None if best is None or best[0] < 8 else best[1:]
@@ -110,7 +112,7 @@ def _best(cloud: Cloud, free: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray
 def _refined(cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray, float, np.ndarray] | None:
     rows = np.zeros(0, int)
     for _ in range(6):
-        rows = _connected(cloud, np.flatnonzero(_on(cloud, free, normal, offset)))
+        rows = _connected(cloud, _on(cloud, np.flatnonzero(free), normal, offset))
         if len(rows) < 8:
             return None
         off = (cloud.points[rows] @ normal - offset) / (NEAR * cloud.noise_m[rows])

@@ -46,7 +46,7 @@ class PlaneMesh:
 
     def triangles(self) -> tuple[np.ndarray, np.ndarray]:
         """(vertices (v, 3) metres, plane axes, z = 0; faces (f, 3) int32, towards +z)."""
-        rows, columns = self.mask.shape
+        columns = self.mask.shape[1]
         row, column = np.nonzero(self.mask)
         a = row * (columns + 1) + column
         b, c, d = a + 1, a + columns + 2, a + columns + 1

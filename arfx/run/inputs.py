@@ -27,8 +27,8 @@ from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps
 from arfx.media.images import load_image
 from arfx.media.models import load_model
-from arfx.media.pose_files import CameraPath, load_poses
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
+from arfx.media.pose_files import CameraPath, load_poses
 from arfx.run.depth import job_depth
 from arfx.stages.raster.mesh import check_extent
 

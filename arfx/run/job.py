@@ -277,7 +277,8 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     document = {
         "job_key": job_key, "pts": done.pts, "anchor": anchor, "world_from_marker": {k: p.to_json() for k, p in world.items()},
         "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
-        "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth, "real_planes": [p.to_json() for p in planes],
+        "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,
+        "real_planes": [p.to_json() for p in planes],
     }  # fmt: skip
     write_text(folder.frames, json.dumps(document, default=float))
     # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was

@@ -39,7 +39,8 @@ LOOK_M = 0.1  # side of the square beside which the plane's radiance is looked a
 def measured_planes(maps: DepthMaps, facts: Sequence[FrameFacts], camera: Camera) -> list[RealPlane]:
     """The real scene's planes in the world of facts that have poses and depth; those seen most first."""
     with_both = [f for f in facts if f.camera_from_world is not None and real_depth_of(f) is not None]
-    some, used = [], set()
+    some: list[tuple[np.ndarray, Pose]] = []
+    used: set[int] = set()
     for f in _spread(with_both):
         depth, pose = real_depth_of(f), f.camera_from_world
         assert depth is not None and pose is not None
