@@ -70,6 +70,7 @@ class Found:
     windows: dict[int, Any]
     places: dict[tuple[str, str], str] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
+    spent_s: dict[str, float] = field(default_factory=dict)
 
 
 def measure(planned: Planned, frames: int, progress: Progress) -> Found:
@@ -107,7 +108,7 @@ def measure(planned: Planned, frames: int, progress: Progress) -> Found:
     progress("pipelines", len(effects), total)
     found.pipelines = _whole(stages, usual, best, benches, samples, found)
     found.pipelines += _other_pipeline(planned, usual, best, benches, samples)
-    found.prepare_s = shop.prepare_s
+    found.prepare_s, found.spent_s = shop.prepare_s, shop.spent_s
     progress("pipelines", total, total)
     return found
 

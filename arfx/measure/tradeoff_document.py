@@ -8,7 +8,7 @@ from typing import Any
 from arfx.measure.tradeoff import QUALITIES, Found, Row, facts_of
 from arfx.run.job import Planned
 
-SEEN_MEAN, SEEN_P99 = 1.0, 8.0  # grey levels: more than either is taken for visible
+SEEN_MEAN, SEEN_P99 = 1.0, 12.0  # grey levels: more than either is taken for visible
 
 
 def document(found: Found, planned: Planned, seconds: float) -> dict[str, Any]:
@@ -18,11 +18,14 @@ def document(found: Found, planned: Planned, seconds: float) -> dict[str, Any]:
     for r in found.effects:
         if r.formula == own.get(r.name, ""):
             stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
+    names = [r.name for r in found.effects]
     return {
         "clip": str(planned.inputs.info.path), "frames": facts_of(found.samples, planned.facts),
         "windows": {str(i): w.to_json() for i, w in found.windows.items()},
-        "effects": [_row(r, found) for r in found.effects], "pipelines": [_row(r, found) for r in found.pipelines],
+        "effects": [_row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))],
+        "pipelines": [_row(r, found) for r in found.pipelines],
         "recommendation": recommendation(found), "seconds": seconds,
+        "seconds_spent": found.spent_s,
         "source": f"measured on {len(found.samples)} frames of {planned.inputs.info.path.name}", "errors": stages,
     }  # fmt: skip
 

@@ -23,6 +23,7 @@ from arfx.core.stage import Level, Stage, Window
 from arfx.run.frame import Canvas, rng_for
 
 NEAR_PX = 16
+AGAIN_S = 1.0
 SRGB = Transfer("srgb")
 Chain = tuple[tuple[str, str], ...]  # (stage, level) in running order; a stage left out is absent
 
@@ -35,6 +36,7 @@ class Shop:
     stages: Mapping[str, Stage]
     prepared: dict[tuple[str, str], Any] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
+    spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the measuring itself took
 
     def at(self, stage: str, level: Level) -> Any:
         key = (stage, level.name)
@@ -102,12 +104,19 @@ class FrameBench:
         return canvas
 
     def _do(self, canvas: Canvas, stage: Stage, level: Level, step: Step) -> None:
+        began = time.perf_counter()
         prepared = self.shop.at(stage.name, level)
         frame, need = self.shop.scene.camera.rect, step.need
         window = Window((canvas.view(stage.reads, need),), (self.facts,))
         start = time.perf_counter()
         made = stage.run(window, self.shop.scene, prepared, level, rng_for(self.shop.scene.seed, self.facts.index, stage.name))
         spent = time.perf_counter() - start
+        if spent < AGAIN_S:  # the first run loads code and makes what is kept for this light
+            start = time.perf_counter()
+            stage.run(window, self.shop.scene, prepared, level, rng_for(self.shop.scene.seed, self.facts.index, stage.name))
+            spent = min(time.perf_counter() - start, self.seconds.get((stage.name, level.name), spent))
+        told = f"{stage.name}/{level.name}"
+        self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.perf_counter() - began
         for layer, array in made.items():
             canvas.take(layer, array, need, step.out)
         whole = next(s for s in self.plan.steps if s.stage == stage.name)
