@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from arfx.analyse.environment import look_up
 from arfx.analyse.lighting import lighted
 from arfx.analyse.lighting_params import LightParams, parse_light
 from arfx.analyse.meter import LightMeter
@@ -20,6 +21,7 @@ from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError
+from arfx.stages.lightmap.printed_map import printed_map
 
 KEY, MARKER = "36h11:3", MarkerSpec("36h11", 3, 0.1)
 LAMP = normalise(np.array([-0.6, -0.5, -0.6]))  # camera axes: left, above, behind the camera
@@ -203,6 +205,20 @@ def test_the_papers_formula_finds_a_peak_within_its_own_error() -> None:
     assert report["formula"] == "paper" and report["lights"] and "no confidence" in report["reason"]
     for f in done.facts:
         assert f.light is not None and np.isfinite(f.light.radiance(np.eye(3))).all()
+
+
+@pytest.mark.parametrize("level", [2, 3, 4, 5])
+def test_the_papers_light_map_is_written_with_every_frame(level: int) -> None:
+    """M at the marker's normal is what the marker shows: f = 1 there, full replacement, eq. (7)."""
+    clip = Clip(frames=12)
+    done = run(clip, LightParams(formula="paper", map_level=level))
+    for k, f in enumerate(done.facts):
+        cube, axes = printed_map(f.extra)
+        n = axes @ UP
+        lamps = f.light.radiance(UP) - f.light.soft_radiance(UP)  # type: ignore[union-attr]
+        shown = look_up(cube, n[None])[0] + lamps
+        assert shown == pytest.approx(clip.exact(k, f, UP), rel=0.05 if level > 2 else 0.15), k
+    assert "light_map" not in run(Clip(frames=4)).facts[0].extra
 
 
 def test_the_meter_goes_on_from_its_state_to_the_same_readings() -> None:
