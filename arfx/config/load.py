@@ -23,9 +23,11 @@ _PATHS: tuple[KeyPath, ...] = (
     ("input", "camera"),
     ("input", "marker_map"),
     ("input", "depth"),
+    ("input", "poses"),
     ("model", "file"),
     ("light", "environment"),
     ("output", "path"),
+    ("pipeline", "tradeoff"),
 )
 
 

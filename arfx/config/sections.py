@@ -60,6 +60,9 @@ class InputSection(Section):
     clip: Path | None = Field(default=None, description="the video to process")
     camera: Path | None = Field(default=None, description="calibration file; missing: a stated guess, with a warning")
     marker_map: Path | None = Field(default=None, description="known layout of several markers (TOML, or WPILib field JSON)")
+    poses: Path | None = Field(
+        default=None, description="camera poses, a line tx ty tz qx qy qz qw for each frame, or with times"
+    )
     depth: Path | None = Field(default=None, description="real depth: a folder of maps (16-bit PNG or PGM, EXR), or one map")
     depth_scale: float | None = Field(default=None, gt=0, description="stored values to a metre; default 1000, of EXR 1")
     depth_start: Time | None = Field(default=None, description="when the first map was taken, from the clip's first frame")
@@ -79,6 +82,9 @@ class MarkerSection(Section):
 
 class ModelSection(Section):
     file: Path | None = Field(default=None, description="glTF/GLB, OBJ, PLY, STL or another format that trimesh reads")
+    anchor: Literal["marker", "plane"] = Field(
+        default="marker", description="what the model stands on: a marker, or the dominant level plane of the depth input"
+    )
     scale: float = Field(default=1.0, gt=0, description="metres per file unit")
     fit: Length | None = Field(default=None, description="largest extent after scaling; overrides scale")
     rotate: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="degrees about marker x, y, z, in this order")
@@ -89,6 +95,10 @@ class ModelSection(Section):
 class PipelineSection(Section):
     stages: list[str] | Literal["auto"] = Field(default="auto", description="effects allowed, in order; auto = those that exist")
     quality: Literal["draft", "standard", "high", "reference"] = Field(default="standard", description="level of every effect")
+    budget: Time | None = Field(default=None, gt=0, description="seconds for the whole job: levels are the best that keep it")
+    fps: float | None = Field(default=None, gt=0, description="the same as a rate: frames of the clip per second of work")
+    max_error: float | None = Field(default=None, ge=0, description="levels are the cheapest within it, mean grey levels")
+    tradeoff: Path | None = Field(default=None, description="tradeoff.json of this clip, for its errors; default shipped ones")
     skip: bool = Field(default=True, description="leave out what a frame does not call for; false forces every stage")
     seed: int = Field(default=0, ge=0, description="seed of all random numbers")
 

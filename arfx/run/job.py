@@ -17,29 +17,35 @@ from arfx.analyse.files import read_facts, write_facts
 from arfx.analyse.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
+from arfx.core.cost import Prices, load_prices
 from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
 from arfx.core.marker import anchor_marker
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
-from arfx.core.stage import level_named
 from arfx.errors import ConfigError, JobInterruptedError, RenderError
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, names_sequence
 from arfx.media.writer import chunk_suffix
-from arfx.plan.planner import plan_frame
+from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import Pass, analyse_clip
+from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
 from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, write_lines, write_text
+from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.parameters import folds_wanted, light_wanted, make_stages
+from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
+from arfx.run.predict import Terms
 from arfx.run.preview import pick
+from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
 from arfx.run.warm import warming
 from arfx.run.worker import keep_memory
+from arfx.stages import STAGES
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
@@ -81,6 +87,9 @@ class Planned:
     plan_s: float = 0.0
     stage_names: list[str] = field(default_factory=list)
     any_thread: bool = True  # no stage is bound to the thread that prepared it
+    prices: Prices = field(default_factory=Prices)
+    levels: dict[str, Any] = field(default_factory=dict)  # how they were chosen
+    predicted: dict[str, Any] = field(default_factory=dict)  # seconds of the whole job
 
 
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
@@ -175,13 +184,18 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     ]
     if config.input.marker_map:
         base.append(file_digest(config.input.marker_map))
+    if config.input.poses:
+        base.append(file_digest(config.input.poses))
     if config.params["light"].environment:
         base.append(file_digest(config.params["light"].environment))
     analysis_key = digest(*base)
     maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
     job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps)
     stages = make_stages(config)
-    if not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists()):
+    wish = wish_of(config)
+    errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
+    fresh = not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists())
+    if fresh:
         folder.plan.unlink(missing_ok=True)  # until all of the analysis is written, nothing here counts as done
         _analyse(inputs, folder, analysis_key, job_key, options, log)
         write_text(folder.job, to_toml({**tree, "output": output}))
@@ -189,16 +203,36 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     meta = json.loads(folder.frames.read_text(encoding="utf-8"))
     facts = list(read_facts(folder.facts))
     world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
-    scene = make_scene(config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed, meta["static"])
-    frame = inputs.camera.rect
+    scene = make_scene(
+        config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed, meta["static"],
+        [RealPlane.from_json(p) for p in meta["real_planes"]],
+    )  # fmt: skip
     start = time.perf_counter()
-    levels = {name: level_named(s.levels, config.pipeline.quality) for name, s in stages.items()}
-    plans = [plan_frame(list(stages.values()), levels, f, scene, frame, config.pipeline.skip) for f in facts]
-    write_lines(folder.plan, (p.to_json() for p in plans))
     any_thread = not any(getattr(s, "one_thread", False) for s in stages.values())
-    return Planned(
-        inputs, folder, job_key, analysis_key, facts, plans, scene, meta, log, time.perf_counter() - start, list(stages),
-        any_thread,
+    planned = Planned(
+        inputs, folder, job_key, analysis_key, facts, [], scene, meta, log, 0.0, list(stages), any_thread, load_prices()
+    )
+    terms = _terms(planned, options)
+    if fresh:
+        choose(planned, stages, wish, errors, terms, options.notice)
+    document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
+    planned.levels, planned.predicted = document["levels"], document["predicted"]
+    planned.plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
+    planned.plan_s = time.perf_counter() - start
+    return planned
+
+
+def _terms(planned: Planned, options: Options) -> Terms:
+    inputs, frames = planned.inputs, len(planned.facts)
+    spent = planned.log.spent(planned.analysis_key, [])
+    workers, threads = options.workers, False
+    if workers is None:
+        workers, threads = default_workers(frames * inputs.camera.rect.area, planned.any_thread)
+    workers = max(min(workers, len(borders(frames))), 1)
+    decode_s = spent.seconds.get("decode", 0.0)
+    return Terms(
+        frames, inputs.camera.rect.area / 1e6, decode_s, spent.wall_s, inputs.output.codec, workers,
+        0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6,
     )  # fmt: skip
 
 
@@ -213,21 +247,28 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     config = inputs.config
     span = (config.input.start, config.input.end)
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
-    done = analyse_clip(
-        inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
-        clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
-    )  # fmt: skip
+    if config.model.anchor == "plane":
+        done = analyse_plane(inputs, span, clock, light_wanted(config), folds_wanted(config))
+    else:
+        done = analyse_clip(
+            inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
+            clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
+        )  # fmt: skip
     world = done.analysis.world_from_marker
-    anchor = anchor_marker(config.markers, world).key
+    anchor = ANCHOR if config.model.anchor == "plane" else anchor_marker(config.markers, world).key
     scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed, done.analysis.static)
     facts = with_model(done.analysis.facts, scene)
     notices, depth = list(done.analysis.notices), None
+    planes: list[RealPlane] = []
     if inputs.depth is not None:
         facts, depth = _depth(inputs, done, facts, options)
         if not depth["known"]:
             notices.append(f"the real depth is not used: {depth['reason']}")
+        elif any(Layer.REAL_DEPTH in STAGES[name].reads for name in pipeline(config)):
+            planes = measured_planes(inputs.depth, facts, inputs.camera)
     seen = done.analysis.summary["markers_seen"]
-    notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
+    if config.model.anchor == "marker":
+        notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
     if done.truncated:
         notices.append(done.truncated)
     for notice in notices:
@@ -237,6 +278,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
         "job_key": job_key, "pts": done.pts, "anchor": anchor, "world_from_marker": {k: p.to_json() for k, p in world.items()},
         "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
         "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,
+        "real_planes": [p.to_json() for p in planes],
     }  # fmt: skip
     write_text(folder.frames, json.dumps(document, default=float))
     # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
@@ -252,7 +294,7 @@ def _depth(
     assert inputs.depth is not None
     times_s = [float((t - done.origin) * inputs.info.time_base) for t in done.pts]
     of_frames = inputs.depth.of_frames(times_s, done.before, done.whole)
-    align = inputs.config.input.depth_align == "marker"
+    align = inputs.config.input.depth_align == "marker" and inputs.config.model.anchor == "marker"
     return with_depth(
         facts, inputs.depth, of_frames, done.analysis.world_from_marker, inputs.camera, align, options.progress
     )  # fmt: skip
