@@ -93,12 +93,13 @@ def _sum(
                     _halve(p[j], p[other], small[c, (y + j) // 2])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _halve(top, bottom, out):  # pragma: no cover - compiled
     w = top.shape[0]
     zero, one, quarter = np.float32(0), np.float32(1), np.float32(0.25)
     for i in range(w // 2):
-        s = (top[2 * i] + top[2 * i + 1] + bottom[2 * i] + bottom[2 * i + 1]) * quarter
+        a, b = np.uint64(2) * np.uint64(i), np.uint64(2) * np.uint64(i) + np.uint64(1)
+        s = (top[a] + top[b] + bottom[a] + bottom[b]) * quarter
         out[i] = np.sqrt(min(max(s, zero), one))
     if w % 2:
         out[w // 2] = np.sqrt(min(max((top[w - 1] + bottom[w - 1]) * np.float32(0.5), zero), one))
@@ -176,7 +177,7 @@ def washed(colours: np.ndarray, near: np.ndarray, contrast: float, rounds: int) 
     return root
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _pull(root, near, sharp):  # pragma: no cover - compiled
     out = np.empty_like(root)
     one = np.float32(1)
