@@ -68,6 +68,7 @@ def _sum(
     h, w = first.shape
     r, g, b = np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32)
     pixel, a = np.empty((ROWS, w, 4)), np.empty((ROWS, w), np.int32)
+    sums, one, two, three = total.reshape(-1), np.uint64(1), np.uint64(2), np.uint64(3)
     for y in range(y0, y1, ROWS):
         rows = min(ROWS, y1 - y)
         for j in range(rows):
@@ -78,9 +79,11 @@ def _sum(
         if rows == ROWS:
             for x in range(w):
                 for j in range(ROWS):
-                    k = np.uint64(a[j, x])
-                    for c in range(4):
-                        total[k, c] += pixel[j, x, c]
+                    # all four at once: nothing is written between what is read
+                    i = np.uint64(4) * np.uint64(a[j, x])
+                    p0, p1, p2, p3 = pixel[j, x, 0], pixel[j, x, 1], pixel[j, x, 2], pixel[j, x, 3]
+                    t0, t1, t2, t3 = sums[i], sums[i + one], sums[i + two], sums[i + three]
+                    sums[i], sums[i + one], sums[i + two], sums[i + three] = t0 + p0, t1 + p1, t2 + p2, t3 + p3
         else:
             for j in range(rows):
                 for x in range(w):
@@ -115,54 +118,69 @@ def neighbours(labels: np.ndarray, count: int) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True)
 def _neighbours(labels, count, step):  # pragma: no cover - compiled
-    """Looks at every `step`-th row and column: what crosses them."""
-    out = np.full((count, NEIGHBOURS), -1, np.int32)
+    """Looks at every `step`-th row: what touches along it and below it."""
+    out, number = np.full((count, NEIGHBOURS), -1, np.int32), np.zeros(count, np.uint8)
     h, w = labels.shape
     for y in range(0, h, step):
-        for x in range(w - 1):
-            a, b = labels[y, x], labels[y, x + 1]
+        a = labels[y, 0]
+        for x in range(1, w):
+            b = labels[y, x]
             if a != b:
-                _join(out, a, b)
-        if y + 1 < h:  # along the row, what lies below; a pair once only
-            last_a = last_b = -1
+                _join(out, number, a, b)
+                a = b
+        if y + 1 < h:
+            last_a = last_b = np.int32(-1)  # a pair once along the row
             for x in range(0, w, 2):
                 a, b = labels[y, x], labels[y + 1, x]
                 if a != b and (a != last_a or b != last_b):
-                    _join(out, a, b)
+                    _join(out, number, a, b)
                     last_a, last_b = a, b
+    _both_ways(out, number)
     return out
 
 
 @numba.njit(cache=True, nogil=True)
 def neighbours_within(labels, mask, count):  # pragma: no cover - compiled
     """The same where both pixels are in the mask (h, w)."""
-    out = np.full((count, NEIGHBOURS), -1, np.int32)
+    out, number = np.full((count, NEIGHBOURS), -1, np.int32), np.zeros(count, np.uint8)
     h, w = labels.shape
-    for y in range(0, h - 1):
+    for y in range(0, h - 1, 2):
+        last_a = last_b = np.int32(-1)
         for x in range(w - 1):
-            a = labels[y, x]
             if mask[y, x]:
-                if labels[y, x + 1] != a and mask[y, x + 1]:
-                    _join(out, a, labels[y, x + 1])
-                if labels[y + 1, x] != a and mask[y + 1, x]:
-                    _join(out, a, labels[y + 1, x])
+                a = labels[y, x]
+                b, c = labels[y, x + 1], labels[y + 1, x]
+                if a != b and mask[y, x + 1]:
+                    _join(out, number, a, b)
+                if a != c and mask[y + 1, x] and (a != last_a or c != last_b):
+                    _join(out, number, a, c)
+                    last_a, last_b = a, c
+    _both_ways(out, number)
     return out
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _join(out, a, b):  # pragma: no cover - compiled
-    for m in range(NEIGHBOURS):
-        if out[a, m] == b:
+def _join(out, number, a, b):  # pragma: no cover - compiled
+    """Note the pair once, with the lower of the two."""
+    low, high = min(a, b), max(a, b)
+    n = number[low]
+    for m in range(n):
+        if out[low, m] == high:
             return
-        if out[a, m] < 0:
-            out[a, m] = b
-            break
-    for m in range(NEIGHBOURS):
-        if out[b, m] == a:
-            return
-        if out[b, m] < 0:
-            out[b, m] = a
-            return
+    if n < NEIGHBOURS:
+        out[low, n] = high
+        number[low] = n + 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _both_ways(out, number):  # pragma: no cover - compiled
+    noted = number.copy()
+    for low in range(out.shape[0]):
+        for m in range(noted[low]):
+            high = out[low, m]
+            if number[high] < NEIGHBOURS:
+                out[high, number[high]] = low
+                number[high] += 1
 
 
 def washed(colours: np.ndarray, near: np.ndarray, contrast: float, rounds: int) -> np.ndarray:

@@ -26,7 +26,7 @@ _FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may giv
 
 def pad_px(cell_px: float) -> int:
     """How far outside the picture sites are still needed."""
-    return int(np.ceil(4 * _COARSEST * cell_px)) + GRID_PX
+    return int(np.ceil(2.5 * _COARSEST * cell_px))
 
 
 def frame_field(

@@ -48,7 +48,8 @@ def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, 
             k = _U(a[x])
             for c in range(3):
                 out[y, x, c] = colours[k, c]
-        if lh > 0 and line_row(line, y, row, lines):
+        if lh > 0:
+            line_row(line, y, row, lines)
             for x in range(w):
                 s = lines[x] * opacity
                 for c in range(3):
@@ -173,7 +174,7 @@ def _grain_row(grain, y, x0, height):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def line_row(line, y, row, lines):  # pragma: no cover - compiled
-    """One row of the picture's lines, bilinear between the centres of pixels of twice the size; whether there is any.
+    """One row of the picture's lines, bilinear between the centres of pixels of twice the size.
 
     row (lw,), lines (at least w + 1,) are written.
     """
@@ -181,13 +182,9 @@ def line_row(line, y, row, lines):  # pragma: no cover - compiled
     w = lines.shape[0] - 1
     j = y // 2
     k = min(j + 1, lh - 1) if y % 2 else max(j - 1, 0)
-    most, far, close = _F(0), _F(0.25), _F(0.75)
+    far, close = _F(0.25), _F(0.75)
     for x in range(lw):
         row[x] = close * line[j, x] + far * line[k, x]
-        most = max(most, row[x])
-    if most == _F(0):
-        lines[:] = _F(0)
-        return False
     one, two = _U(1), _U(2)
     for x in range(lw - 2):
         i = _U(x) + one
@@ -197,4 +194,3 @@ def line_row(line, y, row, lines):  # pragma: no cover - compiled
         lines[2 * i] = close * row[i] + far * row[max(i - 1, 0)]
         if 2 * i + 1 <= w:
             lines[2 * i + 1] = close * row[i] + far * row[min(i + 1, lw - 1)]
-    return True
