@@ -5,7 +5,8 @@
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
 and gives the same bits. Cost: O(pixels). Memory: about 120 bytes a pixel while a frame is painted, 68 of them the layers that
 it reads (4 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
-Levels: draft has coarser cells by chamfer distance, reference float64 labels by other means; high is standard so far.
+Levels: draft has coarser cells by chamfer distance; high paints the patterns carried forward and backward and fades between
+them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
 """
 
@@ -16,6 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 
 from arfx.core.cost import Cost
@@ -29,7 +31,7 @@ from arfx.stages.watercolor.cells import means_and_half, neighbours, neighbours_
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import line_strength, virtual_edges
-from arfx.stages.watercolor.field import FACT, frame_field
+from arfx.stages.watercolor.field import FACT, frame_field, ways
 from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, wobble_of
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.paint import paint, paint_cells
@@ -42,7 +44,7 @@ from arfx.stages.watercolor.toon import EVEN, toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
-_KEPT_SETS, _KEPT_PICTURES = 3, 2
+_KEPT_SETS, _KEPT_PICTURES = 4, 2
 _LARGEST_KEPT_PX = 16_000_000
 _VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBEDO, Layer.EMISSIVE)
 
@@ -78,7 +80,7 @@ class Watercolor:
     name = "watercolor"
     reads = frozenset({Layer.IMAGE, *_VIRTUAL})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.1), Level("standard", 0.13), Level("high", 0.13), Level("reference", 4.0))
+    levels = (Level("draft", 0.1), Level("standard", 0.13), Level("high", 0.26), Level("reference", 4.0))
     needs_facts = frozenset({"flow", "light"})
     reach = 0
     Params = WatercolorParams
@@ -112,24 +114,38 @@ class Watercolor:
         if p.formula == "paper":
             image = self._with_toon(now, box, facts, scene).whole()
             return {Layer.IMAGE: printed(image, now.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, rng)}
-        where, pose, sites_key = self._field(facts, scene, prepared, level)
-        make = lambda: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)  # noqa: E731
+        fields = [
+            (self._field(facts, scene, prepared, level, way), share)
+            for way, share in ways(facts, p.anchored, level.name == "high")
+        ]
+
+        def make() -> np.ndarray:
+            painted = [self._painted(now, box, facts, scene, prepared, level, *field) for field, _ in fields]
+            if len(painted) == 1:
+                return painted[0]
+            (_, first), (_, second) = fields
+            return cv2.addWeighted(painted[0], first, painted[1], second, 0).reshape(painted[0].shape)
+
         if now.rect.area > _LARGEST_KEPT_PX:
             return {Layer.IMAGE: make()}
-        seen = (box, facts.opacity, repr(facts.light or scene.light), None if pose is None else tuple(pose.to_json()))
-        return {Layer.IMAGE: prepared.pictures.get((sites_key, now.rect, _content(now, box), *seen), make)}
+        key = (
+            tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, _content(now, box), box, facts.opacity,
+            repr(facts.light or scene.light), tuple(None if pose is None else tuple(pose.to_json()) for (_, pose, _), _ in fields),
+        )  # fmt: skip
+        return {Layer.IMAGE: prepared.pictures.get(key, make)}
 
-    def _field(self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level) -> tuple[Field, Any, bytes]:
+    def _field(
+        self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, way: str
+    ) -> tuple[Field, Any, bytes]:  # fmt: skip
         """(where the sites come from, the pose that goes with it, a number of the field's content)."""
         p, cell_px = self.params, self._cell_px(level)
 
         def make() -> tuple[Field, Any, bytes]:
-            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored)
+            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored, way)
             return where, pose, _field_key(where)
 
-        found = facts.extra.get(FACT, {})
-        pose = facts.camera_from_world
-        key = (found.get("nodes"), repr(found.get("pose")), None if found or pose is None else tuple(pose.to_json()))
+        found, pose = facts.extra.get(FACT, {}), facts.camera_from_world
+        key = (found.get(way), repr(found.get("pose")), None if found or pose is None else tuple(pose.to_json()))
         made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
         return made
 
