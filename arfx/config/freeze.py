@@ -35,13 +35,9 @@ def frozen(config: JobConfig) -> dict[str, Any]:
         tree["model"]["fit"] = f"{float(tree['model']['fit'])!r}m"
     tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]
     for section, key in (
-        ("input", "clip"),
-        ("input", "camera"),
-        ("input", "marker_map"),
-        ("input", "depth"),
-        ("model", "file"),
-        ("output", "path"),
-    ):
+        ("input", "clip"), ("input", "camera"), ("input", "marker_map"), ("input", "depth"), ("model", "file"),
+        ("output", "path"), ("pipeline", "tradeoff"),
+    ):  # fmt: skip
         path = tree[section][key]
         if path is not None:
             tree[section][key] = str(Path(path).absolute())

@@ -27,6 +27,7 @@ _PATHS: tuple[KeyPath, ...] = (
     ("model", "file"),
     ("light", "environment"),
     ("output", "path"),
+    ("pipeline", "tradeoff"),
 )
 
 

@@ -95,6 +95,10 @@ class ModelSection(Section):
 class PipelineSection(Section):
     stages: list[str] | Literal["auto"] = Field(default="auto", description="effects allowed, in order; auto = those that exist")
     quality: Literal["draft", "standard", "high", "reference"] = Field(default="standard", description="level of every effect")
+    budget: Time | None = Field(default=None, gt=0, description="seconds for the whole job: levels are the best that keep it")
+    fps: float | None = Field(default=None, gt=0, description="the same as a rate: frames of the clip per second of work")
+    max_error: float | None = Field(default=None, ge=0, description="levels are the cheapest within it, mean grey levels")
+    tradeoff: Path | None = Field(default=None, description="tradeoff.json of this clip, for its errors; default shipped ones")
     skip: bool = Field(default=True, description="leave out what a frame does not call for; false forces every stage")
     seed: int = Field(default=0, ge=0, description="seed of all random numbers")
 

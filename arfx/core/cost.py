@@ -1,8 +1,27 @@
-"""Predicted cost of a step."""
+"""Predicted cost: a price list fitted on a machine, and predictions that carry their interval.
+
+A price is linear in a few terms of the work, with coefficients >= 0, so that more work never costs less:
+
+frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box · mfaces triangles, millions ·
+new_directions, new_lights 1 where the frame's light is not one that was met before
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import math
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+TERMS = ("frames", "mpx", "object_mpx", "mfaces", "new_directions", "new_lights")
+# An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
+_REACH = 1.645
+UNCALIBRATED = 0.7  # spread of a price from another machine: a factor of 3 either way
+FORMAT = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,3 +34,119 @@ class Cost:
     def __add__(self, other: Cost) -> Cost:
         s = None if self.seconds is None or other.seconds is None else self.seconds + other.seconds
         return Cost(s, self.bytes + other.bytes)
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """seconds, expected;  low_s, high_s : nine in ten lie between"""
+
+    seconds: float
+    low_s: float
+    high_s: float
+
+    def to_json(self) -> dict[str, float]:
+        return {"s": self.seconds, "low_s": self.low_s, "high_s": self.high_s}
+
+    def times(self, factor: float) -> Prediction:
+        return Prediction(self.seconds * factor, self.low_s * factor, self.high_s * factor)
+
+
+def exactly(seconds: float) -> Prediction:
+    """What is known because it was measured."""
+    return Prediction(seconds, seconds, seconds)
+
+
+def with_spread(seconds: float, spread: float) -> Prediction:
+    return Prediction(seconds, seconds * math.exp(-_REACH * spread), seconds * math.exp(_REACH * spread))
+
+
+def together(parts: Iterable[Prediction]) -> Prediction:
+    """The sum of predictions whose errors have nothing to do with each other: their widths add in quadrature."""
+    every = list(parts)
+    total = sum(p.seconds for p in every)
+    below = math.sqrt(sum((p.seconds - p.low_s) ** 2 for p in every))
+    above = math.sqrt(sum((p.high_s - p.seconds) ** 2 for p in every))
+    return Prediction(total, max(total - below, 0.0), total + above)
+
+
+@dataclass(frozen=True)
+class Price:
+    """coefficients : seconds per unit of each term, >= 0;  spread : of log(measured / predicted);  runs : fitted to so many"""
+
+    coefficients: Mapping[str, float]
+    spread: float
+    runs: int = 0
+
+    def seconds(self, terms: Mapping[str, float]) -> float:
+        return float(sum(c * terms.get(t, 0.0) for t, c in self.coefficients.items()))
+
+    def to_json(self) -> dict[str, Any]:
+        return {"coefficients": dict(self.coefficients), "spread": self.spread, "runs": self.runs}
+
+
+@dataclass(frozen=True)
+class Prices:
+    """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
+
+    threads : how many worked at once when it was fitted;  source : where it comes from, in words
+    """
+
+    prices: Mapping[str, Price] = field(default_factory=dict)
+    threads: int = 1
+    source: str = "shipped defaults"
+    calibrated: bool = False
+
+    def predict(self, key: str, terms: Mapping[str, float]) -> Prediction | None:
+        """None = not known."""
+        price = self.prices.get(key)
+        if price is None:
+            return None
+        return with_spread(price.seconds(terms), price.spread if self.calibrated else max(price.spread, UNCALIBRATED))
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT, "threads": self.threads, "source": self.source,
+            "prices": {k: p.to_json() for k, p in sorted(self.prices.items())},
+        }  # fmt: skip
+
+    @staticmethod
+    def from_json(d: Mapping[str, Any], calibrated: bool) -> Prices:
+        """Raises ValueError, KeyError or TypeError for what is not a price list of this format."""
+        if d["format"] != FORMAT:
+            raise ValueError("price list of another format")
+        prices = {}
+        for key, p in d["prices"].items():
+            coefficients = {t: float(c) for t, c in p["coefficients"].items()}
+            if not all(t in TERMS and math.isfinite(c) and c >= 0 for t, c in coefficients.items()):
+                raise ValueError(f"price of {key}")
+            prices[key] = Price(coefficients, float(p["spread"]), int(p["runs"]))
+        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated)
+
+
+def prices_file() -> Path:
+    """Where this machine's price list lies: in the user's cache folder, under a name of processor and cores."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    name = "".join(c if c.isalnum() else "-" for c in f"{platform.machine()}-{_processor()}-{cores}")
+    return Path(base) / "arfx" / f"costs-{name}.json"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
+
+
+def load_prices(file: Path | None = None) -> Prices:
+    """This machine's price list where `arfx bench --calibrate` left one, else the shipped one."""
+    try:
+        return Prices.from_json(json.loads((file or prices_file()).read_text(encoding="utf-8")), calibrated=True)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
+        pass
+    shipped = Path(__file__).with_name("default_costs.json")
+    try:
+        return Prices.from_json(json.loads(shipped.read_text(encoding="utf-8")), calibrated=False)
+    except (OSError, ValueError, KeyError, TypeError):
+        return Prices()

@@ -9,7 +9,10 @@ from arfx.core.rect import Rect
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One stage run. out : pixels it must deliver; need : pixels it is given; seconds : predicted, None = unknown."""
+    """One stage run.
+
+    out : pixels it must deliver; need : pixels it is given; seconds : predicted, None = unknown; between : its interval
+    """
 
     stage: str
     level: str
@@ -17,16 +20,21 @@ class Step:
     need: Rect
     reason: str
     seconds: float | None
+    between: tuple[float, float] | None = None
 
     def to_json(self) -> dict:
         return {
             "stage": self.stage, "level": self.level, "out": self.out.to_json(), "need": self.need.to_json(),
-            "reason": self.reason, "seconds": self.seconds,
+            "reason": self.reason, "seconds": self.seconds, "between": self.between,
         }  # fmt: skip
 
     @staticmethod
     def from_json(d: dict) -> Step:
-        return Step(d["stage"], d["level"], Rect.from_json(d["out"]), Rect.from_json(d["need"]), d["reason"], d["seconds"])
+        between = d.get("between")
+        return Step(
+            d["stage"], d["level"], Rect.from_json(d["out"]), Rect.from_json(d["need"]), d["reason"], d["seconds"],
+            None if between is None else (between[0], between[1]),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from arfx.core.stage import Level, Stage, Window, level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.plan.planner import plan_frame
+from arfx.plan.work import terms_of
 from arfx.run.frame import Canvas, rng_for
 from arfx.stages import STAGES
 
@@ -33,13 +34,18 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass
 class Cell:
-    """One stage at one level on the standard scene. seconds : of each run;  yardstick_s : of the blurs beside them"""
+    """One stage at one level on the standard scene. seconds : of each run;  yardstick_s : of the blurs beside them
+
+    terms : of its price (plan/work.py);  prepare : what is made once per clip;  go : one run, of other facts where given
+    """
 
     stage: str
     level: str
     size: tuple[int, int]
     area_px: int
-    go: Callable[[], Any]
+    terms: Mapping[str, float]
+    prepare: Callable[[], Any]
+    go: Callable[..., Any]
     seconds: list[float] = field(default_factory=list)
     yardstick_s: list[float] = field(default_factory=list)
 
@@ -71,7 +77,7 @@ def bench(
     check(stages, stage, level, sizes)
     rows = []
     for size in sizes:
-        cells = _cells(size, stage, level, stages)
+        cells = make_cells(bench_scene(*size), stage, level, stages)
         _take_turns(cells, size, lambda done, total, size=size: progress(f"bench {size[0]}x{size[1]}", done, total))  # type: ignore[misc]
         rows += [c.to_json() for c in cells]
     return rows
@@ -89,11 +95,11 @@ def check(stages: Mapping[str, type], stage: str | None, level: str | None, size
         raise ConfigError(f"no such level {level!r}" + (f" of stage {stage!r}" if stage else ""), near(level, sorted(levels)))
 
 
-def _cells(size: tuple[int, int], stage: str | None, level: str | None, stages: Mapping[str, type]) -> list[Cell]:
+def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type]) -> list[Cell]:
     """What is to be timed; the layers that a stage reads are made once by the standard levels of those before it."""
+    size = (at.scene.camera.width, at.scene.camera.height)
     made: dict[str, Stage] = {name: cls() for name, cls in stages.items()}
     standard = {name: level_named(s.levels, "standard") for name, s in made.items()}
-    at = bench_scene(*size)
     plan = plan_frame(list(made.values()), standard, at.facts, at.scene, at.scene.camera.rect)
     steps = {s.stage: s for s in plan.steps}
     canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
@@ -118,14 +124,17 @@ def _cell(s: Stage, le: Level, step: Step, canvas: Canvas, at: BenchScene, size:
     frozen.stored = dict(canvas.stored)  # later steps must not change what this one reads
     prepared: list[Any] = []
 
-    def go() -> None:
+    def prepare() -> None:
         if not prepared:
             prepared.append(s.prepare(at.scene, le))
+
+    def go(facts: FrameFacts = at.facts) -> None:
+        prepare()
         if hasattr(prepared[0], "forget"):  # what is kept of the last run would make the next one cost nothing
             prepared[0].forget()
-        _run(s, le, here, frozen, at.facts, at.scene, prepared[0])
+        _run(s, le, here, frozen, facts, at.scene, prepared[0])
 
-    return Cell(s.name, le.name, size, step.out.area, go)
+    return Cell(s.name, le.name, size, step.out.area, terms_of(need, at.facts, at.scene), prepare, go)
 
 
 def _run(s: Stage, le: Level, step: Step, canvas: Canvas, facts: FrameFacts, scene: Scene, prepared: Any) -> Any:

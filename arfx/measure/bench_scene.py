@@ -52,12 +52,15 @@ class BenchScene:
     plate: np.ndarray
 
 
-def bench_scene(width: int, height: int) -> BenchScene:
-    """The ball on a marker, seen from 40 degrees off the vertical by an undistorted camera of the given picture size."""
+def bench_scene(width: int, height: int, covered: float = COVERED, model: Model | None = None) -> BenchScene:
+    """The ball on a marker, seen from 40 degrees off the vertical by an undistorted camera of the given picture size.
+
+    covered : share of the picture that it covers;  model : another ball than the standard one
+    """
     focal = 0.9 * max(width, height)
     camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))
-    model, marker = ball(), MarkerSpec("36h11", 0, 0.15)
-    radius_px = np.sqrt(COVERED * width * height / np.pi)
+    model, marker = model or ball(), MarkerSpec("36h11", 0, 0.15)
+    radius_px = np.sqrt(covered * width * height / np.pi)
     # a sphere's outline subtends asin(r / d): tan of it times the focal length is the radius in the picture
     distance = _DIAMETER_M / 2 / np.sin(np.arctan(radius_px / focal))
     rotation = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-_TILT_DEG, 0, 0)

@@ -40,10 +40,17 @@ def summarise(plans: Iterable[FramePlan], names: Sequence[str], frame_area: int)
                 "frames_skipped": len(skips[name]),
                 "area_fraction": sum(s.out.area for s in steps) / (frame_area * len(steps)) if steps else 0.0,
                 "predicted_s": None if any(s is None for s in seconds) else float(sum(seconds)),
+                "predicted_between_s": _between(steps),
                 "reasons": group_reasons(skips[name]),
             }
         )
     return rows
+
+
+def _between(steps: Sequence[Any]) -> list[float] | None:
+    """Where the stage's time lies nine times in ten: its steps are all wrong by the same factor."""
+    ends = [s.between for s in steps if s.between is not None]
+    return [float(sum(e[0] for e in ends)), float(sum(e[1] for e in ends))] if len(ends) == len(steps) else None
 
 
 def group_reasons(reasons: Iterable[str]) -> dict[str, int]:
@@ -74,6 +81,36 @@ def table(rows: Sequence[dict[str, Any]], frames: int) -> Any:
     out.add_column("left out, and why", overflow="fold")
     for row in rows:
         why = "\n".join(f"{n} × {text}" for text, n in row["reasons"].items())
+        between = row["predicted_between_s"]
         predicted = "unknown" if row["predicted_s"] is None else f"{row['predicted_s']:.2f} s"
+        if between is not None and row["frames_run"]:
+            predicted += f" ({between[0]:.2g}–{between[1]:.2g})"
         out.add_row(row["name"], str(row["frames_run"]), ", ".join(row["levels"]), f"{row['area_fraction']:.1%}", predicted, why)
     return out
+
+
+def level_lines(levels: dict[str, Any]) -> list[str]:
+    """How the levels were chosen, in words: one line for the wish, one for each shot."""
+    if levels["by"] == "quality":
+        return []
+    lines = [f"levels by {levels['by']}: {levels['why']}; errors {levels['errors_from']}"]
+    shots: dict[int, list[Any]] = defaultdict(list)
+    for row in levels["chosen"]:
+        shots[row["shot"]].append(row)
+    for rows in shots.values():
+        words = (f"{r['stage']} {r['level']}" + (f" ({r['error']:.2f} grey levels)" if r["error"] else "") for r in rows)
+        lines.append(f"from frame {rows[0]['first_frame']}: {', '.join(words)}")
+    return lines
+
+
+def total_line(predicted: dict[str, Any], frames: int) -> str:
+    """The whole job's time in words."""
+    wall, workers = predicted["wall"], predicted["workers"]
+    if wall is None:
+        missing = ", ".join(name for name, p in predicted["phases"].items() if p is None)
+        return f"time of the whole job: unknown ({missing} has no price)"
+    prices = predicted["prices"] if predicted["calibrated"] else f"{predicted['prices']}; `arfx bench --calibrate` narrows them"
+    return (
+        f"whole job: {wall['s']:.1f} s, {wall['low_s']:.1f} to {wall['high_s']:.1f} nine times in ten, "
+        f"{frames / max(wall['s'], 1e-9):.1f} frames/s with {workers} at once (prices: {prices})"
+    )

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from arfx.core.cost import Prices
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Skip, Step
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Stage
+from arfx.plan.work import predicted
 
 UNREAD = "nobody reads what it writes"
 FORCED = "forced (no skipping)"
+NOTHING_BEFORE = "nothing before it changes a pixel"
+NO_PRICES = Prices()
 
 
 def plan_frame(
@@ -27,11 +31,14 @@ def plan_frame(
     scene: Scene,
     frame: Rect,
     skip: bool = True,
+    prices: Prices = NO_PRICES,
+    new: frozenset[str] = frozenset(),
 ) -> FramePlan:
     """The plan of one frame.
 
     stages : in the order in which they run;  levels : by stage name;  frame : the whole picture
     skip : False forces every stage onto the whole frame wherever a pose is known
+    prices, new : what work costs here, and what of the frame's light was not met before (plan/work.py)
     """
     chosen: list[tuple[Stage, Demand]] = []
     skipped: list[Skip] = []
@@ -60,12 +67,13 @@ def plan_frame(
                     reachable = reachable.union(earlier.rect)
         out = want.clip(reachable)
         if out.empty:
-            skipped.append(Skip(stage.name, "nothing before it changes a pixel"))
+            skipped.append(Skip(stage.name, NOTHING_BEFORE))
             continue
         level = levels[stage.name]
         need = stage.needs(out, facts, scene, level).union(out).clip(frame)
-        cost = stage.cost(need, facts, scene, level)
-        steps.append(Step(stage.name, level.name, out, need, demand.reason, cost.seconds))
+        cost = predicted(prices, stage, level, need, facts, scene, new)
+        seconds, between = (None, None) if cost is None else (cost.seconds, (cost.low_s, cost.high_s))
+        steps.append(Step(stage.name, level.name, out, need, demand.reason, seconds, between))
         read = read.union(need)
         want = want.union(need)
         live |= stage.reads

@@ -1,6 +1,7 @@
 """The job folder: what is written where, atomically, and which key says that a piece is still good.
 
-job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · chunks/ · timings.jsonl · previews/ · report.json
+job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · plan_summary.json ·
+chunks/ · timings.jsonl · previews/ · report.json
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from arfx.errors import ConfigError, RenderError
 _MARK = "job.toml"
 _OURS = {
     _MARK, "inputs.json", "frames.json", "facts.jsonl", "plan.jsonl", "chunks", "timings.jsonl", "previews",
-    "report.json", "analysis.checkpoint.json",
+    "report.json", "plan_summary.json", "analysis.checkpoint.json",
 }  # fmt: skip
 
 
@@ -34,6 +35,7 @@ class JobFolder:
     frames = property(lambda self: self.path / "frames.json")
     facts = property(lambda self: self.path / "facts.jsonl")
     plan = property(lambda self: self.path / "plan.jsonl")
+    plan_summary = property(lambda self: self.path / "plan_summary.json")
     chunks = property(lambda self: self.path / "chunks")
     timings = property(lambda self: self.path / "timings.jsonl")
     previews = property(lambda self: self.path / "previews")

@@ -17,6 +17,7 @@ from arfx.analyse.files import read_facts, write_facts
 from arfx.analyse.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
+from arfx.core.cost import Prices, load_prices
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.marker import anchor_marker
@@ -24,19 +25,20 @@ from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
-from arfx.core.stage import level_named
 from arfx.errors import ConfigError, JobInterruptedError, RenderError
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, names_sequence
 from arfx.media.writer import chunk_suffix
-from arfx.plan.planner import plan_frame
+from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import Pass, analyse_clip
+from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
 from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, write_lines, write_text
+from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
+from arfx.run.predict import Terms
 from arfx.run.preview import pick
 from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
 from arfx.run.summary import build_report
@@ -85,6 +87,9 @@ class Planned:
     plan_s: float = 0.0
     stage_names: list[str] = field(default_factory=list)
     any_thread: bool = True  # no stage is bound to the thread that prepared it
+    prices: Prices = field(default_factory=Prices)
+    levels: dict[str, Any] = field(default_factory=dict)  # how they were chosen
+    predicted: dict[str, Any] = field(default_factory=dict)  # seconds of the whole job
 
 
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
@@ -187,7 +192,10 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
     job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps)
     stages = make_stages(config)
-    if not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists()):
+    wish = wish_of(config)
+    errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
+    fresh = not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists())
+    if fresh:
         folder.plan.unlink(missing_ok=True)  # until all of the analysis is written, nothing here counts as done
         _analyse(inputs, folder, analysis_key, job_key, options, log)
         write_text(folder.job, to_toml({**tree, "output": output}))
@@ -199,15 +207,32 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed, meta["static"],
         [RealPlane.from_json(p) for p in meta["real_planes"]],
     )  # fmt: skip
-    frame = inputs.camera.rect
     start = time.perf_counter()
-    levels = {name: level_named(s.levels, config.pipeline.quality) for name, s in stages.items()}
-    plans = [plan_frame(list(stages.values()), levels, f, scene, frame, config.pipeline.skip) for f in facts]
-    write_lines(folder.plan, (p.to_json() for p in plans))
     any_thread = not any(getattr(s, "one_thread", False) for s in stages.values())
-    return Planned(
-        inputs, folder, job_key, analysis_key, facts, plans, scene, meta, log, time.perf_counter() - start, list(stages),
-        any_thread,
+    planned = Planned(
+        inputs, folder, job_key, analysis_key, facts, [], scene, meta, log, 0.0, list(stages), any_thread, load_prices()
+    )
+    terms = _terms(planned, options)
+    if fresh:
+        choose(planned, stages, wish, errors, terms, options.notice)
+    document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
+    planned.levels, planned.predicted = document["levels"], document["predicted"]
+    planned.plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
+    planned.plan_s = time.perf_counter() - start
+    return planned
+
+
+def _terms(planned: Planned, options: Options) -> Terms:
+    inputs, frames = planned.inputs, len(planned.facts)
+    spent = planned.log.spent(planned.analysis_key, [])
+    workers, threads = options.workers, False
+    if workers is None:
+        workers, threads = default_workers(frames * inputs.camera.rect.area, planned.any_thread)
+    workers = max(min(workers, len(borders(frames))), 1)
+    decode_s = spent.seconds.get("decode", 0.0)
+    return Terms(
+        frames, inputs.camera.rect.area / 1e6, decode_s, spent.wall_s, inputs.output.codec, workers,
+        0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6,
     )  # fmt: skip
 
 

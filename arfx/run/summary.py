@@ -12,6 +12,7 @@ from arfx.analyse.visibility import corner_jitter_px
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
 from arfx.run.chunks import Chunk
+from arfx.run.health import health
 from arfx.run.times import Spent
 
 if TYPE_CHECKING:
@@ -46,8 +47,11 @@ def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> di
         "pose": _pose(planned),
         "light": _light(planned),
         "depth": meta.get("depth"),
+        "lens": meta["summary"].get("footage_lens"),
         "stages": rows,
-        "health": _health(planned),
+        "levels": planned.levels,
+        "predicted": planned.predicted,
+        "health": health(planned),
         "timing": _timing(spent, planned.plan_s, join_s, chunks),
         "notices": meta["notices"],
     }  # fmt: skip
@@ -104,67 +108,3 @@ def _light(planned: Planned) -> dict[str, Any]:
         "lights": light["lights"], "verdict": "refused",
         "reason": "no effect of the job asks for it: a plain default light is used",
     }  # fmt: skip
-
-
-def _check(check: str, value: Any, limit: Any, ok: bool, action: str) -> dict[str, Any]:
-    return {"check": check, "value": value, "limit": limit, "verdict": "ok" if ok else "warn", "action": "none" if ok else action}
-
-
-def _light_health(light: dict[str, Any] | None) -> list[dict[str, Any]]:
-    if light is None:
-        return []
-    photometry = light["photometry"]
-    condition = max((c for c in photometry["condition"] if c is not None), default=None)
-    ok = photometry["verdict"] == "measured"
-    rows = [_check("photometry condition number", condition, 1e6, ok, f"bias taken for 0: {photometry['reason']}")]
-    # what the markers' normals say of a direction beside ambient light; a given light does not need it
-    known = light["verdict"] != "refused"
-    rows.append(_check("light direction", light["verdict"], "measured or given", known, light["reason"]))
-    if light["normals_seen"]:
-        rows.append(_check("light fit condition number", light["condition"], 1e3, known, "no direction claimed"))
-    rows.append(
-        _check("clipped share of the markers", light["clipped_fraction"], 0.5, light["clipped_fraction"] <= 0.5,
-               "clipped samples left out: brightness rests on the others")
-    )  # fmt: skip
-    return rows
-
-
-def _depth_health(depth: dict[str, Any] | None) -> list[dict[str, Any]]:
-    if depth is None:
-        return []
-    told = "as stated" if depth["residual"] is None else depth["residual"]
-    rows = [_check("real depth: miss of the markers' planes", told if depth["known"] else depth["reason"], 0.1, depth["known"],
-                   "not used: the real scene is the markers' planes")]  # fmt: skip
-    if depth["known"]:
-        without = depth["frames_without"]
-        rows.append(_check("frames without real depth", without, 0, without == 0, "markers' planes there"))
-    return rows
-
-
-def _health(planned: Planned) -> list[dict[str, Any]]:
-    """Every estimate of the job with its limit and what was done about it."""
-    camera, summary, meta = planned.inputs.camera, planned.meta["summary"], planned.meta
-    known = "guessed" if camera.guessed else "given"
-    rows = [_check("camera calibration", known, "given", not camera.guessed, "field of view assumed")]
-    reprojection = summary["reprojection_px"]["smoothed"]["median"]
-    if reprojection is not None:
-        action = "check marker size, calibration and lens mode"
-        rows.append(_check("reprojection median (px)", reprojection, 1.0, reprojection <= 1.0, action))
-    ambiguous, sightings = summary["ambiguous_sightings"], sum(summary["markers_seen"].values())
-    action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
-    rows.append(_check("ambiguous sightings", ambiguous, sightings // 2, ambiguous <= sightings // 2, action))
-    condition = summary["pose_condition"]["median"]
-    if condition is not None:
-        rows.append(
-            _check("pose condition number", condition, 1e6, condition <= 1e6, "pose is weak: larger or more tilted marker")
-        )
-    if not summary["map"]["given"] and summary["map"].get("condition") is not None:
-        value = summary["map"]["condition"]
-        rows.append(_check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
-    rows += _light_health(summary.get("light"))
-    rows += _depth_health(meta.get("depth"))
-    absent = sum(f.status == ABSENT for f in planned.facts)
-    rows.append(_check("frames without a pose", absent, 0, absent == 0, "object left out there"))
-    whole = meta["truncated"] is None
-    rows.append(_check("source file", meta["truncated"] or "whole", "whole", whole, "processed to its last good frame"))
-    return rows

@@ -50,15 +50,18 @@ class Context:
     output: OutputPlan
     scene: Scene
     stages: dict[str, Stage]
-    levels: dict[str, Level]
     pts: list[int]
     previews: frozenset[int]
     depth: DepthMaps | None = None
-    prepared: dict[str, Any] = field(default_factory=dict)
+    prepared: dict[tuple[str, str], Any] = field(default_factory=dict)
 
-    def prepare(self, names: set[str]) -> None:
-        for name in sorted(names - self.prepared.keys()):
-            self.prepared[name] = self.stages[name].prepare(self.scene, self.levels[name])
+    def prepare(self, wanted: set[tuple[str, str]]) -> None:
+        """wanted : (stage, level)"""
+        for name, level in sorted(wanted - self.prepared.keys()):
+            self.prepared[name, level] = self.stages[name].prepare(self.scene, self.level(name, level))
+
+    def level(self, stage: str, name: str) -> Level:
+        return level_named(self.stages[stage].levels, name)
 
 
 @cache
@@ -97,11 +100,8 @@ def open_context(folder: str, job_key: str) -> Context:
         [RealPlane.from_json(p) for p in frames.get("real_planes", [])],
     )  # fmt: skip
     stages = make_stages(config)
-    levels = {name: level_named(stage.levels, config.pipeline.quality) for name, stage in stages.items()}
     output = OutputPlan.from_json(inputs["output"])
-    return Context(
-        config, info, output, scene, stages, levels, frames["pts"], frozenset(frames["previews"]), job_depth(config)
-    )  # fmt: skip
+    return Context(config, info, output, scene, stages, frames["pts"], frozenset(frames["previews"]), job_depth(config))
 
 
 def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, tick: Tick) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
     facts = {f.index: f for f in map(FrameFacts.from_json, read_lines(place.facts, begin + 1, last + 1))}  # line 0: header
     plans = {p.index: p for p in map(FramePlan.from_json, read_lines(place.plan, begin, last))}
     start = time.perf_counter()
-    needed = {s.stage for p in plans.values() for s in p.steps}
+    needed = {(s.stage, s.level) for p in plans.values() for s in p.steps}
     if needed - context.prepared.keys():  # a chunk without work need not wait for another's preparation
         with _OPENING:
             context.prepare(needed)
@@ -180,9 +180,10 @@ def _frame(
         start = time.perf_counter()
         depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
         seconds["decode"] += time.perf_counter() - start
+    levels = {s.stage: context.level(s.stage, s.level) for s in plan.steps}
+    prepared = {s.stage: context.prepared[s.stage, s.level] for s in plan.steps}
     result = run_frame(
-        plate, facts, plan, context.scene, context.stages, context.levels, context.prepared, context.scene.seed, tuple(past),
-        depth,
+        plate, facts, plan, context.scene, context.stages, levels, prepared, context.scene.seed, tuple(past), depth
     )  # fmt: skip
     past.append((result.canvas, facts))
     for name, s in result.seconds.items():

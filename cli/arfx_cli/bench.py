@@ -6,7 +6,7 @@ import re
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options
+from arfx_cli.console import Progress, detail, emit_json, message_options, say
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -25,8 +25,11 @@ def parse_size(text: str) -> tuple[int, int]:
 @click.option(
     "--size", "sizes", metavar="WxH", multiple=True, default=["1280x720"], show_default=True, help="Picture size, repeatable."
 )
+@click.option(
+    "--calibrate", is_flag=True, help="Measure this machine's price list, which `plan` and --budget use; under a minute."
+)
 @message_options
-def command(stage: str | None, level: str | None, sizes: tuple[str, ...], as_json: bool) -> None:
+def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibrate: bool, as_json: bool) -> None:
     """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a tenth of the picture.
 
     The ratio is to one Gaussian blur (float32, 3 channels, sigma 5) of a whole picture of that size, in turns in the
@@ -35,7 +38,11 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], as_jso
     \b
     Example:
       arfx bench --stage raster --size 1920x1080
+      arfx bench --calibrate
     """
+    if calibrate:
+        _calibrate(stage, level, as_json)
+        return
     from arfx.measure.bench import bench
 
     parsed = [parse_size(s) for s in sizes]
@@ -57,3 +64,32 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], as_jso
         numbers = (f"{r['ms']:.2f}", f"{r['yardstick_ms']:.2f}", f"{r['ratio']:.2f}", str(r["runs"]))
         table.add_row(r["stage"], r["level"], r["size"], *numbers)
     Console(highlight=False).print(table)
+
+
+def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
+    from arfx.errors import ConfigError
+    from arfx.measure.costs import as_table, calibrate, save_prices
+
+    if stage is not None or level is not None:
+        raise ConfigError("--calibrate measures every stage and level", "leave out --stage and --level")
+    with Progress("done") as progress:
+        prices = calibrate(progress)
+    path = save_prices(prices)
+    rows = as_table(prices)
+    if as_json:
+        emit_json({"file": str(path), "source": prices.source, "threads": prices.threads, "prices": rows})
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    from arfx.core.cost import TERMS
+
+    title = f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per unit"
+    table = Table(title=title, title_justify="left")
+    for name in ("entry", *TERMS, "± %", "runs"):
+        table.add_column(name, justify="left" if name == "entry" else "right")
+    for r in rows:
+        numbers = (f"{1e3 * r[t]:.3g}" if t in r else "" for t in TERMS)
+        table.add_row(r["entry"], *numbers, f"{100 * r['spread']:.0f}", str(r["runs"]))
+    Console(highlight=False).print(table)
+    say(f"kept in {path}")

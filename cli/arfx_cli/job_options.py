@@ -28,6 +28,10 @@ _OPTIONS = [
     click.option("--pipeline", metavar="A,B,C", help="Effects allowed, in order; default auto = all that exist."),
     click.option("--no-skip", is_flag=True, help="Force every stage on every frame that has a pose."),
     click.option("--quality", type=click.Choice(["draft", "standard", "high", "reference"]), help="Level of every effect."),
+    click.option("--budget", metavar="TIME", help="Levels: the best that keep the whole job within it: 90s, 1:30."),
+    click.option("--fps", type=click.FloatRange(min=0, min_open=True), help="The same as frames per second of work."),
+    click.option("--max-error", type=click.FloatRange(0), metavar="E", help="Levels: the cheapest within E mean grey levels."),
+    click.option("--tradeoff", type=FILE, metavar="FILE", help="Errors of this clip's levels: a tradeoff.json; default shipped."),
     click.option("--light", metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation; degrees."),
     click.option("--environment", type=FILE, help="A known light: HDR panorama, its top the marker's z, its middle x."),
     click.option("--formula", type=click.Choice(["paper", "corrected"]), help="As printed, or with its defects removed."),
@@ -92,12 +96,16 @@ def job_config(given: dict[str, Any], output: Path | None = None) -> Any:
 
 def _by_option(given: dict[str, Any], output: Path | None, formulas: Sequence[str]) -> Iterator[tuple[tuple[str, ...], Any, str]]:
     """(key in a job file, value, the words that gave it) of every ordinary option on the command line."""
-    files = {"clip": "input.clip", "camera": "input.camera", "marker_map": "input.marker_map", "model": "model.file",
-             "depth": "input.depth", "poses": "input.poses"}  # fmt: skip
+    files = {
+        "clip": "input.clip", "camera": "input.camera", "marker_map": "input.marker_map", "model": "model.file",
+        "depth": "input.depth", "poses": "input.poses", "tradeoff": "pipeline.tradeoff",
+    }  # fmt: skip
     plain = {
-        "start": "input.start", "end": "input.end", "scale": "model.scale", "fit": "model.fit",
-        "up": "model.up", "quality": "pipeline.quality", "codec": "output.codec", "crf": "output.crf",
-        "pixel_format": "output.pixel_format", "depth_scale": "input.depth_scale", "anchor": "model.anchor",
+        "start": "input.start", "end": "input.end", "depth_scale": "input.depth_scale", "anchor": "model.anchor",
+        "scale": "model.scale", "fit": "model.fit", "up": "model.up",
+        "quality": "pipeline.quality", "budget": "pipeline.budget", "fps": "pipeline.fps",
+        "max_error": "pipeline.max_error", "codec": "output.codec", "crf": "output.crf",
+        "pixel_format": "output.pixel_format",
     }  # fmt: skip
     for name, dotted in {**files, **plain}.items():
         value = given[name]

@@ -24,6 +24,7 @@ COMMANDS = {
     "demo": ("arfx_cli.demo", "Make a sample clip, process it, write out.mp4 and a report. No argument needed."),
     "process": ("arfx_cli.process", "Put a virtual model onto the marker of a clip: the main job."),
     "plan": ("arfx_cli.plan", "Explain what `process` would do and leave out, with predicted time; renders nothing."),
+    "tradeoff": ("arfx_cli.tradeoff", "What accuracy costs on a clip: error and time of every level of every effect."),
     "inspect": ("arfx_cli.inspect", "Stream properties, markers found, coverage, blur; suggests the `process` command."),
     "calibrate": ("arfx_cli.calibrate", "Camera intrinsics from pictures or video of a board, with a verdict."),
     "target": ("arfx_cli.target", "A printable marker, marker sheet or board, true to scale."),

@@ -29,7 +29,7 @@ def command(output: Path | None, as_json: bool, **given: Any) -> None:
     Example:
       arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm
     """
-    from arfx.plan.explain import summarise, table
+    from arfx.plan.explain import level_lines, summarise, table, total_line
     from arfx.run.folder import JobFolder
     from arfx.run.inputs import open_inputs
     from arfx.run.job import Options, plan_job
@@ -46,10 +46,11 @@ def command(output: Path | None, as_json: bool, **given: Any) -> None:
         with Progress() as progress:
             planned = plan_job(inputs, folder, Options(progress=progress, notice=note))
         rows = summarise(planned.plans, planned.stage_names, inputs.camera.rect.area)
-    predicted = [r["predicted_s"] for r in rows]
-    total = None if any(p is None for p in predicted) else sum(predicted)
+    stages = [r["predicted_s"] for r in rows]
+    total = None if any(p is None for p in stages) else sum(stages)
     if as_json:
         document: dict[str, Any] = {"frames": len(planned.plans), "stages": rows, "predicted_s": total}
+        document |= {"predicted": planned.predicted, "levels": planned.levels}
         if verbose():
             document["plans"] = [p.to_json() for p in planned.plans]
         emit_json(document)
@@ -59,8 +60,9 @@ def command(output: Path | None, as_json: bool, **given: Any) -> None:
     Console().print(table(rows, len(planned.plans)))
     for line in frame_by_frame(planned.plans):
         detail(line)
-    if total is not None:
-        say(f"stages alone, predicted on one core: {total:.1f} s (decoding, analysis and encoding not counted)")
+    for line in level_lines(planned.levels):
+        say(line)
+    say(total_line(planned.predicted, len(planned.plans)))
 
 
 def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:

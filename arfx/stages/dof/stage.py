@@ -52,6 +52,8 @@ class Dof:
 
     def __init__(self, params: DofParams | None = None) -> None:
         self.params = params or DofParams()
+        if self.params.lens == "footage":
+            self.needs_facts = frozenset({"pose", "lens"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:

@@ -1,0 +1,178 @@
+"""The price list of this machine: every stage and level timed on small standard scenes, fitted, kept in the cache folder.
+
+As in a job, as many threads as it would render with do the same work at once, so that what they take from each other is in
+the price. Coefficients by non-negative least squares on relative errors (scipy nnls): more work never costs less.
+Cost: `arfx bench --calibrate` takes under a minute on a quiet machine.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from arfx.core.cost import Price, Prices, prices_file
+from arfx.core.facts import FrameFacts
+from arfx.core.light import DirectionalLight, Light
+from arfx.measure.bench import Cell, make_cells
+from arfx.measure.bench_scene import BenchScene, ball, bench_scene
+from arfx.run.folder import write_text
+from arfx.run.job import MOST_THREADS, default_workers
+from arfx.stages import STAGES
+
+Progress = Callable[[str, int, int], None]
+# width, height, share of the picture under the ball, (longitudes, latitudes): 720 to 24,000 triangles
+SCENES = (
+    (640, 480, 0.08, (60, 51)), (320, 240, 0.3, (20, 19)), (1280, 720, 0.04, (60, 51)), (160, 120, 0.1, (60, 51)),
+    (480, 360, 0.15, (120, 101)), (960, 540, 0.25, (20, 19)),
+)  # fmt: skip
+SLOW_SCENES = ((64, 64, 0.08, (20, 19)), (96, 64, 0.1, (60, 51)))  # of levels `reference`
+LIMIT_S = 55.0
+LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
+TERMS_OF: Mapping[str, tuple[str, ...]] = {
+    "raster": ("frames", "mpx", "object_mpx", "mfaces"), "lightmap": ("frames", "mpx", "object_mpx", "new_directions"),
+    "gi": ("frames", "mpx", "object_mpx", "new_lights"),
+}  # fmt: skip
+USUAL_TERMS = ("frames", "mpx", "object_mpx")
+
+
+@dataclass
+class Runs:
+    """What was timed for one entry of the price list: terms and seconds, run by run."""
+
+    terms: list[Mapping[str, float]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def add(self, terms: Mapping[str, float], seconds: float) -> None:
+        self.terms.append(terms)
+        self.seconds.append(max(seconds, 1e-7))
+
+
+def fit(runs: Runs, terms: Iterable[str]) -> Price:
+    """Coefficients >= 0 of the terms that make the relative errors smallest.
+
+    The spread is that of log(measured / fitted), and at least LEAST_SPREAD; a fit to few runs gets more.
+    """
+    names = [t for t in terms if any(row.get(t, 0.0) > 0 for row in runs.terms)]
+    if not names:
+        raise ValueError("nothing to fit")
+    if len(runs.seconds) <= len(names) and "mpx" in names:  # too few to tell terms apart: by pixels, and what is made anew
+        names = ["mpx", *(t for t in names if t.startswith("new_"))]
+    rows = np.array([[row.get(t, 0.0) for t in names] for row in runs.terms], float)
+    measured = np.array(runs.seconds)
+    # two rounds: outliers of a busy machine, mostly upwards, get less weight in the second
+    weight = 1.0 / measured
+    found, _ = nnls(rows * weight[:, None], measured * weight)
+    off = np.abs(measured - rows @ found) / measured
+    weight = weight * np.minimum(1.0, np.maximum(np.median(off), 0.02) * 2 / np.maximum(off, 1e-9)) ** 0.5
+    found, _ = nnls(rows * weight[:, None], measured * weight)
+    fitted = np.maximum(rows @ found, 1e-9)
+    free = max(len(measured) - int((found > 0).sum()), 1)
+    deviation = float(np.sqrt((np.log(measured / fitted) ** 2).sum() / free))
+    spread = min(max(deviation, LEAST_SPREAD) * (1 + 1.0 / free), 1.0)
+    return Price({t: float(c) for t, c in zip(names, found, strict=True) if c > 0}, spread, len(measured))
+
+
+def calibrate(
+    progress: Progress = lambda *_: None, stages: Mapping[str, type] = STAGES, limit_s: float = LIMIT_S, jobs: bool = True
+) -> Prices:
+    """Time, fit, and return the price list; nothing is written.
+
+    limit_s : after this the scenes that are left are passed over (what has runs is fitted);  jobs : time whole small jobs too,
+    for what is not a stage's: editing planes, encoding, joining
+    """
+    workers, threads = default_workers(1, True)
+    crowd = min(workers, MOST_THREADS) if threads else 1
+    began = time.perf_counter()
+    timed: dict[str, Runs] = defaultdict(Runs)
+    if jobs:
+        from arfx.measure.costs_jobs import time_jobs
+
+        time_jobs(timed, lambda done, total: progress("calibrate jobs", done, total))
+    plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
+    with ThreadPoolExecutor(crowd) as pool:
+        for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
+            if time.perf_counter() - began > limit_s:
+                break
+            at = bench_scene(width, height, covered, ball(longitudes, latitudes))
+            _time_scene(at, slow, stages, timed, pool, crowd)
+            progress("calibrate scenes", k + 1, len(plan))
+    prices = {}
+    for key, runs in timed.items():
+        stage = key.removeprefix("prepare ").split("/")[0]
+        wanted = ("frames", "mfaces") if key.startswith("prepare ") else TERMS_OF.get(stage, USUAL_TERMS)
+        prices[key] = fit(runs, wanted)
+    return Prices(prices, crowd, f"measured on this machine in {time.perf_counter() - began:.0f} s", calibrated=True)
+
+
+def save_prices(prices: Prices, file: Path | None = None) -> Path:
+    """Keep a price list for the next jobs on this machine. Returns where. Raises RenderError where it cannot be written."""
+    path = file or prices_file()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, json.dumps(prices.to_json(), indent=1))
+    return path
+
+
+def _time_scene(
+    at: BenchScene, slow: bool, stages: Mapping[str, type], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int
+) -> None:
+    """slow : the levels `reference` alone, once;  otherwise all others, more than once, and under a light that changes"""
+    every = make_cells(at, None, None, stages)
+    best = {name: cls.levels[-1].name for name, cls in stages.items() if len(cls.levels) > 1}  # type: ignore[attr-defined]
+    for cell in (c for c in every if (best.get(c.stage) == c.level) == slow):
+        start = time.perf_counter()
+        stage = stages[cell.stage]()
+        level = next(le for le in stage.levels if le.name == cell.level)
+        cell.prepare()
+        made_s = time.perf_counter() - start
+        timed[f"prepare {cell.stage}/{cell.level}"].add({**cell.terms, "frames": 1.0}, made_s)
+        key = f"{cell.stage}/{level.name}"
+        if slow:  # seconds long: what loading it takes hardly shows
+            once: dict[str, float] = {t: 1.0 for t in ("new_directions", "new_lights") if t in TERMS_OF.get(cell.stage, ())}
+            for new in [once, {}] if once else [{}]:
+                start = time.perf_counter()
+                cell.go()
+                timed[key].add({**cell.terms, **new}, time.perf_counter() - start)
+            continue
+        cell.go()  # compiles, loads, makes what is kept for this light
+        for _ in range(2):
+            timed[key].add(cell.terms, _seconds(cell, pool, crowd))
+        for term in ("new_directions", "new_lights"):
+            if term in TERMS_OF.get(cell.stage, ()):
+                start = time.perf_counter()
+                cell.go(_under_another_light(at, timed[key]))
+                timed[key].add({**cell.terms, term: 1.0}, time.perf_counter() - start)
+
+
+def _under_another_light(at: BenchScene, runs: Runs) -> FrameFacts:
+    """The scene's facts under a light that was not met before: every call another."""
+    turn = 0.3 + 0.17 * len(runs.seconds)
+    lamp = DirectionalLight((float(np.cos(turn)), float(np.sin(turn)), 1.3), (0.6 + turn / 50, 0.6, 0.5), 4.0)
+    return replace(at.facts, light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)))
+
+
+def _seconds(cell: Cell, pool: ThreadPoolExecutor, crowd: int) -> float:
+    """Of one run, while the other threads do the same."""
+
+    def one(_: int) -> float:
+        start = time.perf_counter()
+        cell.go()
+        return time.perf_counter() - start
+
+    return float(np.mean(list(pool.map(one, range(crowd)))))
+
+
+def as_table(prices: Prices) -> list[dict[str, Any]]:
+    """Rows for people: entry, milliseconds a frame, per megapixel and so on, spread, runs."""
+    return [
+        {"entry": key, "runs": p.runs, "spread": p.spread, **{t: c for t, c in p.coefficients.items()}}
+        for key, p in sorted(prices.prices.items())
+    ]

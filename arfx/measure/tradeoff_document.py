@@ -1,0 +1,93 @@
+"""tradeoff.json, and the sentence that it comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from arfx.measure.tradeoff import QUALITIES, Found, Row, facts_of
+from arfx.run.job import Planned
+
+SEEN_MEAN, SEEN_P99 = 1.0, 12.0  # grey levels: more than either is taken for visible
+
+
+def document(found: Found, planned: Planned, seconds: float) -> dict[str, Any]:
+    """seconds : what the measuring took. `errors` is what `--tradeoff` reads (plan/errors.py)."""
+    stages: dict[str, dict[str, float]] = {}
+    own = {n: getattr(s, "formula", "") for n, s in planned.inputs.config.params.items()}
+    for r in found.effects:
+        if r.formula == own.get(r.name, ""):
+            stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
+    names = [r.name for r in found.effects]
+    return {
+        "clip": str(planned.inputs.info.path), "frames": facts_of(found.samples, planned.facts),
+        "windows": {str(i): w.to_json() for i, w in found.windows.items()},
+        "effects": [_row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))],
+        "pipelines": [_row(r, found) for r in found.pipelines],
+        "recommendation": recommendation(found), "seconds": seconds,
+        "seconds_spent": found.spent_s,
+        "source": f"measured on {len(found.samples)} frames of {planned.inputs.info.path.name}", "errors": stages,
+    }  # fmt: skip
+
+
+def _row(r: Row, found: Found) -> dict[str, Any]:
+    return {
+        "name": r.name, "level": r.level, "formula": r.formula, "levels": dict(r.levels) if r.name == "pipeline" else None,
+        "seconds_per_frame": r.seconds, "prepare_s": found.prepare_s.get((r.name, r.level)),
+        "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
+        "worst_frame": r.worst_frame(), "touched_px": sum(d.pixels for d in r.by_frame.values()),
+        "unrest": None if r.unrest is None else {"level": r.unrest[0], "reference": r.unrest[1]},
+        "by_frame": {str(i): {"mean": d.mean, "p99": d.p99, "flip": d.flip} for i, d in r.by_frame.items()},
+    }  # fmt: skip
+
+
+def front(rows: Sequence[Row]) -> list[Row]:
+    """Those that no other beats in both time and mean error, cheapest first."""
+    out: list[Row] = []
+    for r in sorted(rows, key=lambda r: (r.seconds, r.average("mean"))):
+        if not out or r.average("mean") < out[-1].average("mean") - 1e-9:
+            out.append(r)
+    return out
+
+
+def visible(r: Row) -> bool:
+    return r.worst("mean") > SEEN_MEAN or r.worst("p99") > SEEN_P99
+
+
+def recommendation(found: Found) -> str:
+    """One sentence: the cheapest quality whose difference from the reference does not show, and what would."""
+    by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES and not r.formula}
+    reference = by_quality.get("reference")
+    if reference is None:
+        return "every effect has one level only: there is nothing to choose"
+    others = sorted((r for q, r in by_quality.items() if q != "reference"), key=lambda r: r.seconds)
+    if not others:
+        return "the job has one quality only"
+    good = next((r for r in others if not visible(r)), None)
+    chosen = good or min(others, key=lambda r: r.average("mean"))
+    words = (
+        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference (99 % of the pixels within "
+        f"{chosen.worst('p99'):.0f}) at {_share(chosen.seconds, reference.seconds)} of its time"
+    )
+    if good is None:
+        words += f", and its difference would show in frame {chosen.worst_frame()}"
+    left = (r for r in found.effects if r.level not in ("reference", chosen.level) and not _is_other(r, found))
+    shows = [r for r in left if visible(r)]
+    if shows:
+        worst = max(shows, key=lambda r: r.worst("p99"))
+        place = found.places.get((worst.name, worst.level), "")
+        words += f"; {worst.name} {worst.level} would show {place}".rstrip() + f" (frame {worst.worst_frame()})"
+    return words
+
+
+def _is_other(r: Row, found: Found) -> bool:
+    """Is it the row of a formula that the job does not use?"""
+    first = next(x for x in found.effects if x.name == r.name)
+    return r.formula != first.formula
+
+
+def _share(seconds: float, whole: float) -> str:
+    if seconds <= 0 or whole <= 0:
+        return "a part"
+    ratio = whole / seconds
+    return f"1/{ratio:.0f}" if ratio >= 1.5 else f"{100 / ratio:.0f} %"

@@ -1,0 +1,118 @@
+"""tradeoff.html: one file without any outside link. Tables, plots, pictures side by side with their error maps times eight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from arfx.errors import RenderError
+from arfx.measure.report_html import _image, _section, _table, _uri, number
+from arfx.measure.report_page import PAGE
+from arfx.measure.tradeoff import Found, Row
+from arfx.measure.tradeoff_plots import effect_plot, pipeline_plot
+from arfx.run.folder import write_text
+
+TIMES = 8
+MOST_BYTES = 5_000_000
+_STYLE = """<style>.side { display: grid; grid-template-columns: repeat(auto-fill, minmax(220px, 1fr)); gap: 10px; }
+.side figure { cursor: default; } .side img { image-rendering: pixelated; } .say { font-size: 16px; }</style>"""
+
+
+def write_tradeoff(folder: Path, found: Found, document: Mapping[str, Any]) -> Path:
+    """Write tradeoff.html into `folder`; at most MOST_BYTES: pictures are coded coarser until it fits. Returns its path."""
+    for quality in (90, 75, 55, 30):
+        html = page(found, document, quality)
+        if len(html.encode()) <= MOST_BYTES:
+            break
+    else:
+        raise RenderError("tradeoff.html would be larger than 5 MB", "--frames 2 measures fewer")
+    write_text(folder / "tradeoff.html", html)
+    return folder / "tradeoff.html"
+
+
+def page(found: Found, document: Mapping[str, Any], quality: int = 90) -> str:
+    """quality : of the JPEG pictures, 0 to 100"""
+    clip = Path(str(document["clip"])).name
+    head = f'<header><h1>{escape(clip)}: what accuracy costs</h1><p class="say">{escape(document["recommendation"])}</p></header>'
+    names = list(dict.fromkeys(r.name for r in found.effects))
+    parts = [
+        _STYLE, head,
+        _section("Whole pipelines", _plot(pipeline_plot(found.pipelines), "Pareto front") + rows_table(document["pipelines"])),
+        _pictures("The pipelines' pictures", [r for r in found.pipelines if r.level != "mixed"], "reference", quality),
+    ]  # fmt: skip
+    for name in names:
+        rows = [r for r in found.effects if r.name == name]
+        table = rows_table([d for d in document["effects"] if d["name"] == name])
+        parts.append(_section(name, _plot(effect_plot(rows), f"{name}: error and time") + table))
+        parts.append(_pictures(f"{name}: pictures", rows, rows[-1].level if not rows[-1].formula else "reference", quality))
+    frames = [[escape(number(v)) for v in f.values()] for f in document["frames"]]
+    heads = [k.replace("_", " ") for k in document["frames"][0]]
+    parts.append(_section("Frames that stand for the clip", _table(heads, frames)))
+    parts.append(_section("How it was measured", f"<p>{escape(METHOD)}</p>"))
+    return PAGE.replace("@TITLE@", escape(f"{clip} – arfx tradeoff")).replace("@BODY@", "\n".join(parts))
+
+
+METHOD = (
+    "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP is the mean over the "
+    "same pixels. An effect is compared with its own reference while all others stay at the job's quality; a pipeline with all "
+    "at reference. References are rendered in a window around the object; their time is told for the whole frame, by pixels. "
+    "Unrest: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
+    "Times are of this machine while it was measured, without what is prepared once per clip."
+)
+
+
+def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    body = []
+    for r in rows:
+        calm = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
+        levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items())
+        body.append([
+            escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), number(1e3 * r["seconds_per_frame"]),
+            number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]), escape(calm),
+            escape(number(r["worst_frame"])), escape(levels),
+        ])  # fmt: skip
+    head = ("level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "unrest / reference's", "worst frame", "levels")
+    return _table(head, body, frozenset(range(1, 7)))
+
+
+def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8: grey is no difference, eight times the difference about it."""
+    apart = picture.astype(np.int16) - reference.astype(np.int16)
+    return np.asarray(np.clip(128 + TIMES * apart, 0, 255), np.uint8)
+
+
+def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
+    """Of the frame in which the levels differ most: every row's picture and its error map."""
+    reference = next((r for r in rows if r.level == best), None)
+    if reference is None or not reference.pictures:
+        return ""
+    frame = max(reference.pictures, key=lambda i: max((r.by_frame[i].p99 for r in rows if i in r.by_frame), default=0.0))
+    figures = []
+    for r in rows:
+        if frame not in r.pictures:
+            continue
+        d = r.by_frame[frame]
+        said = f"{r.level} {r.formula if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
+        figures.append(_figure(r.pictures[frame], said, quality))
+        if r is not reference:
+            figures.append(
+                _figure(error_map(reference.pictures[frame], r.pictures[frame]), f"{r.level}: error × {TIMES}", quality)
+            )
+    return _section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
+
+
+def _figure(rgb: np.ndarray, said: str, quality: int) -> str:
+    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not ok:
+        raise RenderError(f"a picture of shape {rgb.shape} cannot be encoded")
+    text = escape(said)
+    return f'<figure><img alt="{text}" src="{_uri(data.tobytes(), "image/jpeg")}"><figcaption>{text}</figcaption></figure>'
+
+
+def _plot(data: bytes, alt: str) -> str:
+    return str(_image(data, "image/png", alt))

@@ -1,0 +1,56 @@
+"""How far each level of each stage is from its reference, in grey levels: the shipped table, or what `arfx tradeoff`
+measured on a clip."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from arfx.errors import InputError
+
+UNKNOWN = 255.0  # grey levels: no two pictures differ by more
+
+
+@dataclass(frozen=True)
+class Errors:
+    """by_level : stage -> level -> mean grey levels over the pixels that the stage's levels differ in or change
+    source : where it was measured, in words
+    """
+
+    by_level: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    source: str = "not measured"
+
+    def of(self, stage: str, level: str, best: str) -> float:
+        """Grey levels, >= 0; 0 for the stage's best level, UNKNOWN where it was not measured."""
+        if level == best:
+            return 0.0
+        return float(self.by_level.get(stage, {}).get(level, UNKNOWN))
+
+
+def shipped_errors() -> Errors:
+    """The largest mean error found on the sample scenes."""
+    return _read(Path(__file__).with_name("default_errors.json"))
+
+
+def errors_of_clip(file: Path) -> Errors:
+    """From a tradeoff.json; what that did not measure, from the shipped table. Raises InputError."""
+    try:
+        own, shipped = _read(file), shipped_errors()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as e:
+        raise InputError(f"{file} is not a tradeoff.json: {e}", "make one: arfx tradeoff CLIP … --report DIR") from None
+    return Errors({**shipped.by_level, **own.by_level}, own.source)
+
+
+def _read(file: Path) -> Errors:
+    document = json.loads(file.read_text(encoding="utf-8"))
+    found: dict[str, dict[str, float]] = {}
+    for stage, levels in document["errors"].items():
+        for level, value in levels.items():
+            if value is not None:
+                if not (math.isfinite(value) and value >= 0):
+                    raise ValueError(f"error of {stage} {level} is {value}")
+                found.setdefault(stage, {})[level] = float(value)
+    return Errors(found, str(document["source"]))

@@ -1,0 +1,62 @@
+"""How much work a step is, in the terms of the price list (core/cost.py), and what it is predicted to cost."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+
+import numpy as np
+
+from arfx.core.cost import Prediction, Prices, with_spread
+from arfx.core.facts import FrameFacts
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Level, Stage
+
+_BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
+_COLOUR_STEP = 0.1
+
+
+def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()) -> dict[str, float]:
+    """new : those of "new_directions", "new_lights" that hold for the frame"""
+    return {
+        "frames": 1.0,
+        "mpx": need.area / 1e6,
+        "object_mpx": facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0,
+        "mfaces": scene.model.face_count / 1e6,
+        **{name: 1.0 for name in sorted(new)},
+    }
+
+
+def predicted(
+    prices: Prices, stage: Stage, level: Level, need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()
+) -> Prediction | None:
+    """Of one step, from the price list; where that does not hold the stage, from what the stage says of itself."""
+    found = prices.predict(f"{stage.name}/{level.name}", terms_of(need, facts, scene, new))
+    if found is not None:
+        return found
+    seconds = stage.cost(need, facts, scene, level).seconds
+    return None if seconds is None else with_spread(seconds, 1.0)
+
+
+def what_is_new(facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:
+    """Of each frame, in order: is its light one whose shadows, or whose whole field, have not been made yet?"""
+    met: Mapping[str, set[Hashable]] = {"new_directions": set(), "new_lights": set()}
+    for f in facts:
+        new = set()
+        if f.visible:
+            for name, key in _light_keys(f).items():
+                if key not in met[name]:
+                    met[name].add(key)
+                    new.add(name)
+        yield frozenset(new)
+
+
+def _light_keys(facts: FrameFacts) -> dict[str, Hashable]:
+    if facts.light is None:
+        return {"new_directions": None, "new_lights": None}
+    lights = [li for li in facts.light.lights if any(c > 0 for c in li.rgb)]
+    directions = tuple((*np.round(li.unit / _BEAM_STEP).astype(int).tolist(), round(li.angular_size_deg, 1)) for li in lights)
+    coarse = tuple(tuple(np.round(li.unit, 2).tolist()) for li in lights)
+    light = [v for li in lights for v in li.rgb] + list(facts.light.ambient_rgb)
+    steps = tuple(np.round(np.log(np.maximum(np.asarray(light, float), 1e-6)) / _COLOUR_STEP).astype(int).tolist())
+    return {"new_directions": directions, "new_lights": (coarse, steps)}

@@ -1,0 +1,65 @@
+"""Choose the levels of a job and freeze its plan: the analysis is done, nothing is rendered yet."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from arfx.config.sections import JobConfig
+from arfx.core.cost import Prediction
+from arfx.core.plan import FramePlan
+from arfx.core.stage import Stage
+from arfx.errors import ConfigError
+from arfx.plan.clip import Wish, plan_clip
+from arfx.plan.errors import Errors
+from arfx.run.folder import write_lines, write_text
+from arfx.run.predict import Terms, parts, stages_of, to_json, wall
+
+if TYPE_CHECKING:
+    from arfx.run.job import Planned
+
+
+def wish_of(config: JobConfig) -> Wish:
+    """How levels are to be chosen. Raises ConfigError where two ways are asked for."""
+    p = config.pipeline
+    asked = [f"--{name.replace('_', '-')}" for name in ("budget", "fps", "max_error") if getattr(p, name) is not None]
+    if len(asked) > 1:
+        raise ConfigError(f"{asked[0]} and {asked[1]} both choose levels", "give one of them")
+    return Wish(p.quality, p.budget, p.max_error)
+
+
+def choose(
+    planned: Planned, stages: Mapping[str, Stage], wish: Wish, errors: Errors, terms: Terms, notice: Callable[[str], None]
+) -> None:
+    """Choose levels, plan every frame and write both: from here on the plan stands, whatever the job measures."""
+    config, prices = planned.inputs.config, planned.prices
+    if config.pipeline.fps is not None:
+        wish = replace(wish, budget_s=len(planned.facts) / config.pipeline.fps)
+
+    def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
+        found = wall(parts(plans, work, terms, prices), terms)
+        if found is None:
+            raise ConfigError(
+                f"a budget needs the price of everything, and encoding {terms.codec} has none",
+                "--codec h264 or ffv1, or choose by --quality or --max-error",
+            )
+        return found.high_s
+
+    made = plan_clip(list(stages.values()), planned.facts, planned.scene, wish, errors, prices, upper_s, config.pipeline.skip)
+    if not made.chosen.met:
+        notice(made.chosen.why)
+    if wish.budget_s is not None and not prices.calibrated:
+        notice("the budget rests on shipped prices, wide intervals: `arfx bench --calibrate` measures this machine's")
+    document = {
+        "predicted": to_json(parts(made.plans, stages_of(made.plans), terms, prices), terms, prices),
+        "levels": {
+            "by": "budget" if wish.budget_s is not None else "error" if wish.max_error is not None else "quality",
+            "budget_s": wish.budget_s, "max_error": wish.max_error, "met": made.chosen.met, "why": made.chosen.why,
+            "error": made.chosen.error if wish.budget_s is not None or wish.max_error is not None else None,
+            "errors_from": errors.source, "chosen": made.explained(errors),
+        },
+    }  # fmt: skip
+    write_text(planned.folder.plan_summary, json.dumps(document, indent=1))
+    write_lines(planned.folder.plan, (p.to_json() for p in made.plans))

@@ -1,0 +1,88 @@
+"""`arfx tradeoff`: error and time of every level of every effect, on the user's own clip."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option, say
+from arfx_cli.job_options import job_config, job_options, run_options
+
+
+@click.command()
+@job_options
+@run_options
+@click.option("--frames", type=click.IntRange(1, 24), default=3, show_default=True, help="How many frames stand for the clip.")
+@overwrite_option
+@message_options
+def command(output: Path | None, report_dir: Path | None, frames: int, overwrite: bool, as_json: bool, **given: Any) -> None:
+    """Measure what accuracy costs on CLIP: every level of every effect against its reference, and whole pipelines.
+
+    The arguments are those of `arfx process`; nothing is encoded. --report DIR gets tradeoff.json, which `--tradeoff` of
+    `process` and `plan` reads for --max-error and --budget, and tradeoff.html with plots, pictures and error maps.
+
+    \b
+    Example:
+      arfx tradeoff clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm \\
+        --pipeline lightmap,dof --report costs
+    """
+    import json
+
+    from arfx.errors import ConfigError
+    from arfx.measure.report import finite
+    from arfx.measure.tradeoff import measure
+    from arfx.measure.tradeoff_document import document
+    from arfx.measure.tradeoff_html import write_tradeoff
+    from arfx.run.folder import JobFolder, write_text
+    from arfx.run.inputs import open_inputs
+    from arfx.run.job import Options, plan_job
+
+    if report_dir is not None and (report_dir / "tradeoff.json").exists() and not overwrite:
+        raise ConfigError(f"{report_dir / 'tradeoff.json'} exists", "--overwrite replaces it; or name another folder")
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="arfx-tradeoff-") as scratch, Progress() as progress:
+        config = job_config(given, output)
+        if config.output.path is None:
+            config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
+        inputs = open_inputs(config)
+        for notice in inputs.notices:
+            note(notice)
+        folder = JobFolder(Path(scratch) / "job")
+        folder.open(resume=False, overwrite=False)
+        planned = plan_job(inputs, folder, Options(progress=progress, notice=note))
+        found = measure(planned, frames, progress)
+    told = finite(document(found, planned, time.perf_counter() - began))
+    if report_dir is not None:
+        report_dir.mkdir(parents=True, exist_ok=True)
+        write_text(report_dir / "tradeoff.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
+        say(f"report: {write_tradeoff(report_dir, found, told)}")
+    if as_json:
+        emit_json(told)
+        return
+    _show(told)
+
+
+def _show(told: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"error against reference, grey levels; {len(told['frames'])} frames", title_justify="left")
+    for name in ("effect", "level", "ms a frame", "mean", "99 %", "FLIP", "unrest", "worst frame"):
+        table.add_column(name, justify="left" if name in ("effect", "level") else "right")
+    last = ""
+    for r in [*told["effects"], *told["pipelines"]]:
+        if last and r["name"] != last:
+            table.add_section()
+        level = r["level"] + (f" ({r['formula']})" if r["formula"] == "paper" else "")
+        if r["level"] == "mixed":
+            level = "mixed: " + ", ".join(f"{k} {v}" for k, v in r["levels"].items() if v != "standard")
+        calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.2f} / {r['unrest']['reference']:.2f}"
+        numbers = (f"{1e3 * r['seconds_per_frame']:.1f}", f"{r['mean']:.2f}", f"{r['p99']:.1f}", f"{r['flip']:.4f}")
+        table.add_row("" if r["name"] == last else r["name"], level, *numbers, calm, str(r["worst_frame"]))
+        last = r["name"]
+    Console(highlight=False).print(table)
+    click.echo(told["recommendation"])

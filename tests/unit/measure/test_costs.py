@@ -1,0 +1,52 @@
+"""The fit finds what made the numbers; calibration prices what it timed and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.core.cost import load_prices
+from arfx.measure.costs import Runs, calibrate, fit, save_prices
+
+
+def runs(noise: float, count: int = 12, outliers: int = 0) -> Runs:
+    r, out = np.random.default_rng(4), Runs()
+    for k in range(count):
+        terms = {"frames": 1.0, "mpx": float(r.uniform(0.02, 1)), "object_mpx": float(r.uniform(0, 0.2)), "mfaces": 0.006}
+        seconds = (0.003 + 0.04 * terms["mpx"] + 0.2 * terms["object_mpx"]) * float(np.exp(r.normal(0, noise)))
+        out.add(terms, seconds * (3 if k < outliers else 1))
+    return out
+
+
+def test_coefficients_come_back_and_none_is_negative() -> None:
+    exact = fit(runs(0.0), ("frames", "mpx", "object_mpx"))
+    assert exact.coefficients["mpx"] == pytest.approx(0.04) and exact.coefficients["object_mpx"] == pytest.approx(0.2)
+    noisy = fit(runs(0.3), ("frames", "mpx", "object_mpx", "mfaces"))
+    assert all(c >= 0 for c in noisy.coefficients.values()) and noisy.spread > exact.spread
+
+
+def test_a_run_that_was_disturbed_does_not_take_the_price_with_it() -> None:
+    found = fit(runs(0.05, 14, outliers=2), ("frames", "mpx", "object_mpx"))
+    assert found.seconds({"frames": 1, "mpx": 0.5, "object_mpx": 0.1}) == pytest.approx(0.043, rel=0.35)
+    assert found.spread > 0.2, "and the interval tells of it"
+
+
+def test_few_runs_are_priced_by_pixels_with_a_wide_interval() -> None:
+    few = Runs()
+    few.add({"frames": 1.0, "mpx": 0.01, "object_mpx": 0.002, "new_lights": 1.0}, 0.5)
+    few.add({"frames": 1.0, "mpx": 0.01, "object_mpx": 0.002}, 0.2)
+    price = fit(few, ("frames", "mpx", "object_mpx", "new_lights"))
+    assert price.seconds({"frames": 1, "mpx": 0.02}) == pytest.approx(0.4) and price.spread >= 0.2
+    with pytest.raises(ValueError, match="nothing"):
+        fit(few, ("mfaces",))
+
+
+def test_calibration_times_what_it_prices(tmp_path) -> None:
+    from tests.unit.measure.test_bench import STAGES
+
+    prices = calibrate(stages=STAGES, jobs=False, limit_s=2.0)
+    at = {k: prices.predict(f"sleeper/{k}", {"frames": 1.0, "mpx": 0.05, "object_mpx": 0.03}) for k in ("draft", "standard")}
+    assert at["draft"].seconds < at["standard"].seconds < 0.2
+    assert "encode h264" not in prices.prices
+    back = load_prices(save_prices(prices, tmp_path / "cache" / "costs.json"))
+    assert back.calibrated and set(back.prices) == set(prices.prices)

@@ -1,0 +1,70 @@
+"""The plan of a clip: levels per shot, nothing but levels changed by a wish, light that is new."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from arfx.core.cost import Price, Prices
+from arfx.core.light import DirectionalLight, Light
+from arfx.plan.clip import Wish, plan_clip
+from arfx.plan.errors import Errors
+from arfx.plan.work import what_is_new
+from arfx.stages import STAGES
+from tests.scenes import facts, look_at, scene
+
+SCENE = scene()
+NAMES = ("raster", "lightmap", "composite", "dof")
+LEVELS = ("draft", "standard", "high", "reference")
+PRICES = Prices(
+    {f"{n}/{le.name}": Price({"frames": 0.01 * 4**k, "object_mpx": 1.0}, 0.1, 5) for n in NAMES
+     for k, le in enumerate(STAGES[n].levels)}, 1, "a test", True,
+)  # fmt: skip
+ERRORS = Errors({n: {"draft": 2.0, "standard": 0.6, "high": 0.2} for n in NAMES}, "a test")
+
+
+def clip() -> list:
+    """Two shots: ten frames near, four far."""
+    near = [facts(SCENE, look_at(0.4), i) for i in range(10)]
+    return near + [replace(facts(SCENE, look_at(1.2), i), shot=1) for i in range(10, 14)]
+
+
+def planned(wish: Wish):
+    stages = [STAGES[n]() for n in NAMES]
+    return plan_clip(stages, clip(), SCENE, wish, ERRORS, PRICES, lambda plans, work: 1.0 + work.high_s)
+
+
+def test_levels_are_fixed_between_cuts_and_follow_the_budget() -> None:
+    seconds, errors = [], []
+    for budget in (1.2, 3, 6, 20, 200):
+        made = planned(Wish(budget_s=budget))
+        for shot in (0, 1):
+            used = {(s.stage, s.level) for p, f in zip(made.plans, clip(), strict=True) if f.shot == shot for s in p.steps}
+            assert len(used) == len({stage for stage, _ in used}), "one level of a stage in a shot: quality never pops"
+        assert {(s.stage, s.level) for p in made.plans for s in p.steps} == {(n, le) for (_, n), le in made.chosen.levels.items()}
+        seconds.append(sum(s.seconds for p in made.plans for s in p.steps))
+        errors.append(made.chosen.error)
+    assert seconds == sorted(seconds) and errors == sorted(errors, reverse=True) and len(set(errors)) >= 3
+    assert all(r["first_frame"] in (0, 10) for r in planned(Wish(budget_s=6)).explained(ERRORS))
+
+
+def test_an_error_limit_holds_for_the_sum_over_the_stages() -> None:
+    for limit in (0.0, 0.3, 1.0, 3.0, 9.0):
+        made = planned(Wish(max_error=limit))
+        for shot in (0, 1):
+            found = {n: le for (s, n), le in made.chosen.levels.items() if s == shot}
+            assert sum(ERRORS.of(n, le, STAGES[n].levels[-1].name) for n, le in found.items()) <= limit + 1e-9
+
+
+def test_a_named_quality_is_that_quality() -> None:
+    made = planned(Wish("high"))
+    assert {s.level for p in made.plans for s in p.steps if len(STAGES[s.stage].levels) > 1} == {"high"}
+
+
+def test_light_is_new_once() -> None:
+    lamp = DirectionalLight((0.3, 0.2, 0.9), (0.5, 0.5, 0.5), 4.0)
+    f = facts(SCENE)
+    lit = replace(f, light=Light(lights=(lamp,)))
+    dimmer = replace(f, light=Light(lights=(replace(lamp, rgb=(0.2, 0.2, 0.2)),)))
+    gone = replace(f, camera_from_world=None)
+    found = list(what_is_new([gone, lit, lit, dimmer, lit]))
+    assert found == [frozenset(), {"new_directions", "new_lights"}, frozenset(), {"new_lights"}, frozenset()]

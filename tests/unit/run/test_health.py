@@ -1,0 +1,58 @@
+"""Health of the estimates: seams and furnaces are told from sound ones, what is not finite is counted, files are read."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from arfx.core.cube import face_directions
+from arfx.run.furnace import LIMIT, furnace_mean
+from arfx.run.health import _pose_deviation, check, non_finite, seam_ratio, stated
+from tests.scenes import facts, scene
+
+
+def test_a_smooth_environment_has_no_seam_and_a_face_of_another_brightness_has() -> None:
+    d = face_directions(8)
+    smooth = 0.5 + 0.3 * d[..., :1] + 0.2 * d[..., 1:2] * np.ones(3)
+    assert seam_ratio(smooth) < 1.6
+    assert seam_ratio(np.full_like(smooth, 0.4)) == pytest.approx(1), "a constant map is seamless"
+    broken = smooth + np.array([0, 1, 0, 1, 0, 1])[:, None, None, None]
+    assert seam_ratio(broken) > 3
+
+
+def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    mean = furnace_mean(scene(), "draft")
+    assert mean == pytest.approx(1, abs=LIMIT)
+    from arfx.stages.gi.stage import Gi
+
+    run = Gi.run
+
+    def darker(self, window, *rest):  # type: ignore[no-untyped-def]
+        return {layer: 0.9 * a for layer, a in run(self, window, *rest).items()}
+
+    monkeypatch.setattr(Gi, "run", darker)
+    assert abs(furnace_mean(scene(), "draft") - 1) > LIMIT
+
+
+def test_numbers_that_are_not_finite_are_counted_but_for_those_that_mean_unknown() -> None:
+    assert non_finite([{"a": [1.0, math.nan], "b": {"c": math.inf}}, 3.0, None, "x"]) == 2
+    assert non_finite([{"confidence_deg": math.inf}]) == 0 and non_finite([{"confidence_deg": math.nan}]) == 1
+
+
+def test_pose_deviation_is_in_degrees_and_percent() -> None:
+    f = facts(scene())
+    c = np.diag([1e-4, 1e-4, 4e-4, 1e-6, 1e-6, 4e-6])
+    turn, share = _pose_deviation(f.with_(pose_covariance=c))
+    assert turn == pytest.approx(np.degrees(0.02)) and share == pytest.approx(100 * 0.002 / 0.5)
+    assert _pose_deviation(f) is None
+    assert _pose_deviation(f.with_(pose_covariance=c * np.nan)) == (math.inf, math.inf)
+
+
+def test_what_a_calibration_says_of_itself_is_read(tmp_path) -> None:
+    (tmp_path / "a.yaml").write_text("%YAML:1.0\nverdict: usable\ncondition: 3.5e+04\nimage_width: 640\n")
+    (tmp_path / "b.yaml").write_text("image_width: 640\n")
+    assert stated(tmp_path / "a.yaml") == {"verdict": "usable", "condition": 3.5e4}
+    assert stated(tmp_path / "b.yaml") == {} and stated(tmp_path / "none") == {}
+    assert check("a", 2, 1, False, "told")["action"] == "told" and check("a", 0, 1, True, "told")["action"] == "none"
