@@ -109,8 +109,8 @@ def chosen(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def spread(
-    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, size, points, light,
-    index,
+    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, size,
+    points, light, index,
 ):  # pragma: no cover - compiled  # fmt: skip
     """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), wanted (m,), pixels (m, 2)) of those that
     still have to be gathered. light (n, 6), index : of the blocks;  block 0 : there are none"""

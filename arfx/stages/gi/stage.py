@@ -174,8 +174,8 @@ class Gi:
             disc = disc_rect(scene, prepared.planes, radius, pose, frame)
             anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
             nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(np.float32)
-            target, delta = (virtual, whole.gain) if self._paper else (shadow, whole.delta)
-            weight = self.params.strength * (self.params.plane_albedo if self._paper else 1.0)
+            target, delta = (virtual, whole.printed) if self._paper else (shadow, whole.delta)
+            weight = self.params.strength * (-self.params.plane_albedo if self._paper else 1.0)
             changed = add_delta(
                 target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                 anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
