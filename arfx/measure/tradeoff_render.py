@@ -106,8 +106,8 @@ class FrameBench:
     def _do(self, canvas: Canvas, stage: Stage, level: Level, step: Step) -> None:
         began = time.perf_counter()
         prepared = self.shop.at(stage.name, level)
-        frame, need = self.shop.scene.camera.rect, step.need
-        window = Window((canvas.view(stage.reads, need),), (self.facts,))
+        need = step.need
+        window = Window((canvas.view(stage.reads, need),), (self.facts,), step.out)
         start = time.perf_counter()
         made = stage.run(window, self.shop.scene, prepared, level, rng_for(self.shop.scene.seed, self.facts.index, stage.name))
         spent = time.perf_counter() - start
@@ -120,8 +120,7 @@ class FrameBench:
         for layer, array in made.items():
             canvas.put(layer, step.out, array[step.out.slices_in(need)])
         whole = next(s for s in self.plan.steps if s.stage == stage.name)
-        all_of_it = stage.needs(whole.out, self.facts, self.shop.scene, level).union(whole.out).clip(frame)
-        self.seconds[stage.name, level.name] = spent * max(all_of_it.area / need.area, 1.0)
+        self.seconds[stage.name, level.name] = spent * max(whole.out.area / step.out.area, 1.0)
 
     def _step(self, chain: Chain, name: str, level: Level, narrow: bool) -> Step | None:
         """What the plan asks of the stage; with `narrow` only what the later stages need of it for the window."""

@@ -148,7 +148,7 @@ class Gi:
         if level.name == "reference":
             return trace_frame(
                 now, scene, facts, light, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples,
-                self.params.strength, rng,
+                self.params.strength, rng, window.out,
             )  # fmt: skip
         at = LEVELS[level.name]
         assert prepared.body is not None
