@@ -37,7 +37,8 @@ def test_the_file_holds_the_list_and_a_damaged_one_is_not_believed(tmp_path) -> 
     back = load_prices(file)
     assert back.calibrated and back.prices == PRICES.prices and back.threads == 2
     for text in ("", "{}", "[]", json.dumps({**PRICES.to_json(), "format": 99}),
-                 json.dumps(PRICES.to_json()).replace("0.03", "-0.03"), json.dumps(PRICES.to_json()).replace("0.03", "NaN")):  # fmt: skip
+                 json.dumps(PRICES.to_json()).replace("0.03", "-0.03"),
+                 json.dumps(PRICES.to_json()).replace("0.03", "NaN")):  # fmt: skip
         file.write_text(text)
         assert not load_prices(file).calibrated
     assert not load_prices(tmp_path / "absent.json").calibrated
