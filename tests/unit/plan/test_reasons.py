@@ -90,8 +90,10 @@ GIVEN = {
 
 def reason(name: str, s: Scene, f: FrameFacts, settings: dict) -> str | None:
     """Why the planner leaves the stage out in this frame, numbers as #."""
-    effects = {"lightmap": ("raster", "lightmap", "composite"), "gi": ("raster", "lightmap", "gi", "composite"),
-               "dof": ("raster", "lightmap", "composite", "dof")}.get(name, ("raster", "plain", "contact", "composite"))  # fmt: skip
+    lit = ("raster", "lightmap", "composite")
+    effects = {"lightmap": lit, "gi": (*lit[:2], "gi", "composite"), "dof": (*lit, "dof")}.get(
+        name, ("raster", "plain", "contact", "composite")
+    )
     stages = [STAGES[n](STAGES[n].Params(**settings.get(n, {}))) for n in effects]
     levels = {st.name: level_named(st.levels, "standard") for st in stages}
     plan = plan_frame(stages, levels, f, s, s.camera.rect)
