@@ -112,10 +112,9 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
             if stage in (None, name) and level in (None, le.name):
                 cells.append(_cell(s, le, step, canvas, at, size))
         if name != stage or len(steps) > 1:
-            for layer, array in _run(
-                s, standard[name], step, canvas, at.facts, at.scene, s.prepare(at.scene, standard[name])
-            ).items():
-                canvas.put(layer, step.out, array[step.out.slices_in(step.need)])
+            prepared = s.prepare(at.scene, standard[name])
+            for layer, array in _run(s, standard[name], step, canvas, at.facts, at.scene, prepared).items():
+                canvas.take(layer, array, step.need, step.out)
     return cells
 
 
