@@ -24,7 +24,7 @@ from arfx.analyse.light_fit import REFUSED
 from arfx.analyse.lighting_paper import KEY as MAP
 from arfx.analyse.lighting_paper import told
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.lighting_room import Readings, RoomLight
+from arfx.analyse.lighting_room import Readings, RoomLight, Told
 from arfx.analyse.meter import LightMeter
 from arfx.analyse.photometry import WHITE, stack
 from arfx.analyse.photometry_clip import comparable
@@ -66,7 +66,9 @@ def lighted(
         if report["verdict"] == LIT:
             known |= set(lights)
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
-    bias = photometry.bias if photometry.determined.all() else np.zeros(3)
+    # a bias that may be none is not added to what is drawn
+    certain = photometry.determined.all() and ((photometry.bias_95[:, 0] > 0) | (photometry.bias_95[:, 1] < 0))
+    bias = np.where(certain, photometry.bias, 0.0)
     turns = analysis.static == "camera"
     lit = tuple(
         f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
@@ -135,11 +137,12 @@ def _readings(
     else:
         photometry = solve(intensity, variance, WHITE, None, clipped, params.albedos, params.ink, params.paper)
     frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
-    y, own, fit = photometry.y, photometry.var_y_own, photometry.seen
+    used = photometry.seen
+    other = None
     if params.formula == "corrected":
         y, own, fit = comparable(photometry, intensity, variance, WHITE, clipped)
-    used = photometry.seen
-    return Readings(frames[used], normals[used], y[used], own[used], fit[used]), photometry
+        other = None if y is photometry.y and fit is photometry.seen else Told(y[used], own[used], fit[used])
+    return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used], other), photometry
 
 
 def _parts(facts: Sequence[FrameFacts], static: str) -> list[list[int]]:

@@ -40,16 +40,25 @@ Lights = dict[int, Light]
 
 
 @dataclass(frozen=True, eq=False)
+class Told:
+    """Another reading of the same light. y, variance : (k, 3);  fit : (k,) where it can be compared with the others"""
+
+    y: np.ndarray
+    variance: np.ndarray
+    fit: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Readings:
     """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, ROOM axes
     y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it
-    fit : (k,) False where it cannot be compared with the others to a per cent (photometry_clip)"""
+    alone : of one kind of cells alone (photometry_clip), where prints are overexposed"""
 
     frame: np.ndarray
     normal: np.ndarray
     y: np.ndarray
     variance: np.ndarray
-    fit: np.ndarray
+    alone: Told | None = None
 
 
 class RoomLight:
@@ -65,7 +74,8 @@ class RoomLight:
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
         mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
-        self.y, self.variance, self.fit = readings.y[mine], readings.variance[mine], readings.fit[mine]
+        self.y, self.variance, alone = readings.y[mine], readings.variance[mine], readings.alone
+        self.alone = None if alone is None else Told(alone.y[mine], alone.variance[mine], alone.fit[mine])
         lit, first, self.which = np.unique(self.numbers, return_index=True, return_inverse=True)  # which : reading's row of lit
         self.lit = lit.tolist()
         self.observations = [
@@ -85,11 +95,16 @@ class RoomLight:
             return self._as_printed(*paper_lights_of(self.observations, self.map_params, self.params))
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
-        on = self.fit if self.fit.any() else np.ones(len(times), bool)
-        account, spans = fit_over_time(
-            times[on], self.normals[on], self.y[on], self.variance[on], breaks, self.params.window_s,
+        account, spans, better = explained(
+            times, self.normals, Told(self.y, self.variance, np.ones(len(times), bool)), self.alone, breaks, self.params.window_s,
             FitParams(most_lights=self.params.most_lights, limit_deg=self.params.limit_deg),
         )  # fmt: skip
+        if better is not None:
+            self.y, self.variance = better.y, better.variance
+            self.observations = [
+                replace(o, irradiance=self.y[self.which == i], variance=self.variance[self.which == i])
+                for i, o in enumerate(self.observations)
+            ]  # fmt: skip
         told = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
         normals = self._normals(told.span_deg)
         known = [s for s in spans if s.fit.verdict == MEASURED]
@@ -195,6 +210,21 @@ class RoomLight:
             "normals_seen": len(set(cells.tolist())), "normal_span_deg": span_deg,
             "rank": int((size > 1e-2 * size[0]).sum()), "condition": condition if condition < 1e12 else None,
         }  # fmt: skip
+
+
+def explained(
+    times_s: np.ndarray, normals: np.ndarray, told: Told, alone: Told | None, breaks_s: Sequence[float], window_s: float = 2.0,
+    params: FitParams | None = None,
+) -> tuple[str, list[Span], Told | None]:  # fmt: skip
+    """(account, spans, the readings that tell it if not the first): `alone` where the light is refused by what all cells tell."""
+    account, spans = fit_over_time(times_s, normals, told.y, told.variance, breaks_s, window_s, params)
+    if alone is None or not alone.fit.any() or any(s.fit.verdict == MEASURED for s in spans):
+        return account, spans, None
+    on = alone.fit
+    again, other = fit_over_time(times_s[on], normals[on], alone.y[on], alone.variance[on], breaks_s, window_s, params)
+    if any(s.fit.verdict == MEASURED for s in other):
+        return again, other, alone
+    return account, spans, None
 
 
 def jumps(factors: np.ndarray) -> np.ndarray:

@@ -22,9 +22,26 @@ def robust(
     """Shared bias. grey, w0, rho : (t, p) values, inverse variances (0 = not usable), albedos;  dark : (t, p) bool, ink
 
     known : the variances are;  find_ink : nothing is known of the ink's albedo
-    ink_sigma : deviation of the ink's albedo from that in rho, 0 = exact. It is an unknown too, with this prior: light that
-        changes tells it beside the bias, and where the light rests the bias is as uncertain as the ink makes it
+    ink_sigma : deviation of the ink's albedo from that in rho, 0 = exact. The solution takes the stated ink; the interval
+        holds what an ink with this prior, solved for beside the bias, makes of the bias too. (Gloss and glare bend dark cells
+        as another ink would, so that one found is no better an answer than the stated one.)
     """
+    part = _solved(grey, w0, rho, dark, known, find_ink, 0.0)
+    if find_ink or ink_sigma == 0 or not part["determined"]:
+        return part
+    other = _solved(grey, w0, rho, dark, known, False, ink_sigma)
+    (low, high), bright = part["bias_95"], float(np.median(part["y"][part["seen"]]))
+    if other["determined"] and other["ink"] != part["ink"]:
+        low, high = min(low, other["bias_95"][0]), max(high, other["bias_95"][1])
+    else:
+        low, high = low - 1.96 * ink_sigma * bright, high + 1.96 * ink_sigma * bright
+    return part | {"bias_95": (low, high)}
+
+
+def _solved(
+    grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool, ink_sigma: float
+) -> dict:  # fmt: skip
+    """As `robust`. ink_sigma : above 0 the ink is an unknown with this prior"""
     seen = (w0 > 0).any(1)
     count = int((w0 > 0).sum())
     both = bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
@@ -84,8 +101,7 @@ def robust(
     top = np.where(w0 > 0, grey, -np.inf).max(1)
     level = float(np.median(top[seen]))
     bright = float(np.median(y[seen]))
-    rough_ink = 0.0 if joint is not None else ink_sigma * bright
-    half = quantile * float(np.sqrt(noise_b + rough_ink**2))
+    half = quantile * float(np.sqrt(noise_b))
     rank = unknowns if share >= LEAST_SHARE else unknowns - 1
     condition = float(np.sqrt((1 + np.sqrt(1 - min(share, 1.0))) / (1 - np.sqrt(1 - min(share, 1.0 - 1e-16)))))
     own = np.where(seen, scale**2 * inverse, 0)

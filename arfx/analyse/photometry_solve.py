@@ -73,7 +73,7 @@ def solve(
     albedos : "known" (ink, paper); "normalised" (light from each frame's own difference of paper and ink, so that its
         ratios are right whatever the ink and the bias are; noisier; the bias still takes the ink's albedo); "unknown" (the
         ink's albedo is solved per channel beside b, which takes light that changes)
-    ink_sigma : standard deviation of the ink's albedo, which is an unknown with this prior beside b; 0 with `albedo` given
+    ink_sigma : standard deviation of the ink's albedo, goes into bias_95; 0 with `albedo` given
     transfer : range by which the exponent of the camera's curve may be off, goes into bias_95
     steps : of 1/255 by which the coded values of all dark cells may be off together; goes there too
     Raises ValueError for wrong shapes.

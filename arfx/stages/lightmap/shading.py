@@ -66,7 +66,6 @@ def shade(
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
     zero, one, two = np.float32(0), np.float32(1), np.float32(2)
-    at = np.empty(columns, np.uintp)
     nx, ny, nz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     vx, vy, vz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     dr, dg, db = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
@@ -79,16 +78,22 @@ def shade(
     cosine = np.empty(columns, np.float32)
     cosine_bits, mantissa_bits, whole_bits = cosine.view(np.int32), mantissa.view(np.int32), whole.view(np.int32)
     for y in range(rows):
-        n = 0
-        for x in range(columns):
-            at[n] = x
-            n += coverage[y, x] > zero
-        if n == 0:
+        # from the first to the last covered pixel: what is bare between costs less than to leave it out
+        first, last = 0, columns - 1
+        while first < columns and not coverage[y, first] > zero:
+            first += 1
+        if first == columns:
             continue
+        while not coverage[y, last] > zero:
+            last -= 1
+        n = last + 1 - first
+        normals, places, colours = normal[y, first : last + 1], position[y, first : last + 1], albedo[y, first : last + 1]
+        kinds, glow, cover = material[y, first : last + 1], emissive[y, first : last + 1], coverage[y, first : last + 1]
+        line = out[y, first : last + 1]
         for i in range(n):
-            x = at[i]
-            nx[i], ny[i], nz[i] = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
-            vx[i], vy[i], vz[i] = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1], eye[2] - position[y, x, 2]
+            nx[i], ny[i], nz[i] = normals[i, 0], normals[i, 1], normals[i, 2]
+        for i in range(n):
+            vx[i], vy[i], vz[i] = eye[0] - places[i, 0], eye[1] - places[i, 1], eye[2] - places[i, 2]
         for i in range(n):
             length = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i] + vz[i] * vz[i])
             scale = one / max(length, np.float32(1e-12))
@@ -96,15 +101,14 @@ def shade(
             vy[i] *= scale
             vz[i] *= scale
         for i in range(n):
-            x = at[i]
-            metal = material[y, x, 0]
-            base = np.float32(0.08) * material[y, x, 2] * (one - metal)
+            metal = kinds[i, 0]
+            base = np.float32(0.08) * kinds[i, 2] * (one - metal)
             matt = one - metal if paper else (one - metal) * (one - base)
-            dr[i], dg[i], db[i] = albedo[y, x, 0] * matt, albedo[y, x, 1] * matt, albedo[y, x, 2] * matt
-            fr[i], fg[i], fb[i] = base + albedo[y, x, 0] * metal, base + albedo[y, x, 1] * metal, base + albedo[y, x, 2] * metal
+            dr[i], dg[i], db[i] = colours[i, 0] * matt, colours[i, 1] * matt, colours[i, 2] * matt
+            fr[i], fg[i], fb[i] = base + colours[i, 0] * metal, base + colours[i, 1] * metal, base + colours[i, 2] * metal
             # at grazing angles all is mirrored, unless the material is told not to be glossy at all (F0 under 4 %)
-            edge[i] = metal + (one - metal) * min(two * material[y, x, 2], one)
-            rough = max(material[y, x, 1], np.float32(0.05))
+            edge[i] = metal + (one - metal) * min(two * kinds[i, 2], one)
+            rough = max(kinds[i, 1], np.float32(0.05))
             width4[i] = rough * rough * rough * rough
         gloss = zero if paper else one
         if cube.shape[1] > 0:
@@ -178,8 +182,9 @@ def shade(
             else:
                 for i in range(n):
                     lobe[i] *= whole[i] * (shine[i] + np.float32(8)) * np.float32(0.125) * lit[i]
+            open_share = left[k, y, first : last + 1]
             for i in range(n):
-                open_ = left[k, y, at[i]]
+                open_ = open_share[i]
                 lit[i] *= open_
                 lobe[i] *= open_
             for i in range(n):
@@ -192,11 +197,10 @@ def shade(
             for i in range(n):
                 r[i], g[i], b[i] = max(r[i], zero), max(g[i], zero), max(b[i], zero)
         for i in range(n):
-            x = at[i]
-            c = coverage[y, x]
-            out[y, x, 0] = c * (r[i] + emissive[y, x, 0] + bias[0])
-            out[y, x, 1] = c * (g[i] + emissive[y, x, 1] + bias[1])
-            out[y, x, 2] = c * (b[i] + emissive[y, x, 2] + bias[2])
+            c = cover[i]
+            line[i, 0] = c * (r[i] + glow[i, 0] + bias[0])
+            line[i, 1] = c * (g[i] + glow[i, 1] + bias[1])
+            line[i, 2] = c * (b[i] + glow[i, 2] + bias[2])
     return out
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light_fit import MEASURED, LightFit
-from arfx.analyse.light_time import fit_over_time
+from arfx.analyse.lighting_room import Told, explained
 from arfx.analyse.photometry import WHITE, cut_off
 from arfx.analyse.photometry_clip import comparable
 from arfx.analyse.photometry_paper import solve_paper
@@ -184,7 +184,10 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
         p = solve(mean, variance, WHITE, None, clipped)
         assert np.isfinite(p.y).all() and np.isfinite(p.bias).all()
         y, own, on = comparable(p, mean, variance, WHITE, clipped)
-        _, spans = fit_over_time(times[on], normals[on], y[on], own[on], breaks)
+        seen = p.seen
+        alone = None if y is p.y and on is p.seen else Told(y[seen], own[seen], on[seen])
+        every = Told(p.y[seen], p.var_y_own[seen], on[seen])
+        _, spans, _ = explained(times[seen], normals[seen], every, alone, breaks)
         out.scenes += 1
         low, high = p.bias_95.T
         out.bias_held.append(float(np.mean((low <= bias) & (bias <= high))))

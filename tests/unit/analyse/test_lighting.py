@@ -81,7 +81,7 @@ UP = np.array([0.0, 0, 1])
 
 
 def test_a_marker_turned_by_hand_tells_the_direction_in_every_frame() -> None:
-    clip = Clip()
+    clip = Clip(bias=0.03)
     done = run(clip)
     report = done.summary["light"]
     assert report["verdict"] == "measured" and report["frame"] == "camera" and report["rank"] == 4
@@ -93,6 +93,12 @@ def test_a_marker_turned_by_hand_tells_the_direction_in_every_frame() -> None:
         assert np.abs(np.array(f.bias_rgb) - clip.bias).max() < 5e-4
     assert np.degrees(angle_between(np.array(report["lights"][0]["direction"]), LAMP)) < 1.5
     json.dumps(report, allow_nan=False)
+
+
+def test_a_bias_that_may_be_none_is_not_added_to_what_is_drawn() -> None:
+    done = run(Clip(frames=20, bias=0.001))
+    low, high = np.array(done.summary["light"]["bias_ci95"]).T
+    assert (low < 0).all() and (high > 0.001).all() and all(f.bias_rgb == (0, 0, 0) for f in done.facts)
 
 
 def test_a_marker_at_rest_tells_no_direction_but_brightness_and_colour() -> None:
