@@ -49,14 +49,15 @@ def main() -> None:
         for case, (goal, settings) in CASES.items():
             more = [part for s in settings for part in ("--set", s)]
             made = [
-                run([*bench_job.arfx_command(c, model, lens, folder / "out.mp4", None), "--pipeline", "dof", *more]) for c in clips
+                run([*bench_job.arfx_command(c, model, lens, folder / "out.mp4", None), "--pipeline", "dof", *more])
+                for c in clips
             ]
             wall, cpu = (made[1][k] - made[0][k] for k in (1, 2))
             area = next(s["area_fraction"] for s in made[1][0]["stages"] if s["name"] == "dof")
             seconds = {s["name"]: round(1e3 * s["measured_s"] / 2 / given.frames, 1) for s in made[1][0]["stages"]}
             print(
                 f"{case}: {given.frames / wall:.1f} frames/s wall, {1e3 * cpu / given.frames:.1f} ms of processor a frame = "
-                f"{2 * given.frames / cpu:.1f} frames/s on two free cores (goal {goal:g}); dof on {area:.0%}; stages, ms {seconds}",
+                f"{2 * given.frames / cpu:.1f} frames/s on two free cores (goal {goal:g}); dof on {area:.0%}; ms {seconds}",
                 flush=True,
             )
 
