@@ -3,8 +3,8 @@
 What is known at a hole's rim spreads into it through what looks alike: the smoothed product of the rim's values and its mask,
 over the smoothed mask, both by the weighted least squares that follow the picture's edges (fast global smoother). Measured
 pixels keep their value. A short reach keeps a surface's slope: 20 px holes put into real maps are filled to .1 to .9 %
-(median), as nearest values would, but the picture's edges are followed. In dioptres, so that a far wall weighs no more than a near
-table.
+(median), as nearest values would, but the picture's edges are followed. In dioptres, so that a far wall weighs no more than a
+near table.
 Source: Min et al. 2014 (the smoother); the quotient as in normalised convolution (Knutsson and Westin 1993).
 """
 
