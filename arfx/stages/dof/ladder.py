@@ -61,6 +61,6 @@ def _ladder(*fade: tuple[float, float]) -> Ladder:
 
 LADDERS = {
     "draft": _ladder((1.6, 2.2), (6.0, 8.0), (18.0, 24.0), (48.0, 64.0)),
-    "standard": _ladder((2.0, 2.8), (7.0, 9.0), (20.0, 26.0)),
+    "standard": _ladder((2.0, 2.8), (8.5, 11.0), (26.0, 34.0)),
     "high": _ladder((14.0, 18.0), (40.0, 52.0), (80.0, 104.0)),
 }
