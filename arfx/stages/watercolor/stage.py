@@ -255,18 +255,13 @@ class Watercolor:
         key = ("object", tuple(pose.to_json()), box, digest(inside.view(np.uint8)))
         own = prepared.cells.get(key, make)
         # neighbours within the object only: paint does not run over its outline
-        wide = max(cells.near.shape[1], own.near.shape[1])
-        near = np.concatenate([_widened(cells.near, wide), _widened(np.where(own.near < 0, -1, own.near + cells.labels.count), wide)])
-        share = np.concatenate([_widened(cells.share, wide), _widened(own.share, wide)])
+        if own.near.shape[1] and cells.near.shape[1]:
+            near = np.concatenate([cells.near, own.near + np.int32(cells.labels.count)])
+            share = np.concatenate([cells.share, own.share])
+        else:
+            near, share = (np.zeros((cells.labels.count + own.labels.count, 0), t) for t in (np.int32, np.float32))
         cover = Cover(cells.labels, own.labels, inside, *offset(box, rect))
         return cover, Cells(cells.labels, np.concatenate([cells.flow, own.flow]), near, share)
-
-
-def _widened(a: np.ndarray, wide: int) -> np.ndarray:
-    """Neighbours of a set that has none: none."""
-    return a.astype(a.dtype if a.dtype == np.float32 else np.int32) if a.shape[1] == wide else np.full(
-        (len(a), wide), -1, np.int32 if a.dtype != np.float32 else np.float32
-    )  # fmt: skip
 
 
 def _size_at(where: Field, sites: Sites) -> np.ndarray:
