@@ -76,9 +76,7 @@ def with_anchors(
     documents = [
         {"share": round(o.share, 4), "forward": _nodes(*o.forward), "backward": _nodes(*o.backward)} for o in other
     ]  # fmt: skip
-    return tuple(
-        f.with_(extra={**f.extra, FACT: {**f.extra[FACT], **documents[k]}}) for f, k in zip(out, of_frame, strict=True)
-    )
+    return tuple(f.with_(extra={**f.extra, FACT: {**f.extra[FACT], **documents[k]}}) for f, k in zip(out, of_frame, strict=True))
 
 
 def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:

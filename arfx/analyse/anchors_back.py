@@ -40,7 +40,9 @@ class BothWays:
     share: float
 
 
-def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable) -> list[BothWays]:
+def both_ways(
+    sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable
+) -> list[BothWays]:
     """Of every set. straightened : (u, v) -> (u, v) without folds"""
     out: list[BothWays] = []
     ends = _ends(sets)

@@ -173,7 +173,9 @@ def washed(
     seen = (area / (area + 0.25 * max(float(np.median(area)), 1.0))).astype(np.float32)
     for _ in range(rounds):
         out = np.empty_like(root)
-        by_bands(lambda a, b, r=root, o=out: _pull(r, near, share, seen, np.float32(1 / max(contrast, 1e-3) ** 2), a, b, o), len(root))  # type: ignore[misc]
+        by_bands(
+            lambda a, b, r=root, o=out: _pull(r, near, share, seen, np.float32(1 / max(contrast, 1e-3) ** 2), a, b, o), len(root)
+        )  # type: ignore[misc]
         root = out
     return root
 

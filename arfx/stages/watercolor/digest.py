@@ -19,7 +19,9 @@ def digest(array: np.ndarray) -> int:
     words = flat.view(np.uint32)
     whole = words[: words.size // LANES * LANES].reshape(-1, LANES)
     small = whole.shape[0] < _SMALL
-    parts = [int(_digest(whole, 0, whole.shape[0]))] if small else by_bands(lambda a, b: int(_digest(whole, a, b)), whole.shape[0])
+    parts = (
+        [int(_digest(whole, 0, whole.shape[0]))] if small else by_bands(lambda a, b: int(_digest(whole, a, b)), whole.shape[0])
+    )
     return hash((tuple(parts), words[whole.size :].tobytes(), array.shape))
 
 

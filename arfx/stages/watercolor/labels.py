@@ -16,8 +16,28 @@ import numpy as np
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.bands import by_bands
 from arfx.stages.watercolor.label_kernels import (
-    BLOCK, FAR, MIDDLE, PACKED, PACKED_LIMIT, PIXELS, SOLID, STEP, TILE, any_of, bound, by_number, collected, filled_up,
-    inside_of, kept, named, nearest_any, nearest_one, nearest_two, packed, within,
+    BLOCK,
+    FAR,
+    MIDDLE,
+    PACKED,
+    PACKED_LIMIT,
+    PIXELS,
+    SOLID,
+    STEP,
+    TILE,
+    any_of,
+    bound,
+    by_number,
+    collected,
+    filled_up,
+    inside_of,
+    kept,
+    named,
+    nearest_any,
+    nearest_one,
+    nearest_two,
+    packed,
+    within,
 )  # fmt: skip
 from arfx.stages.watercolor.sites import STEPS, Sites
 
@@ -116,7 +136,7 @@ def label(
     start, order = bucketed(sites.x, sites.y, rect.x0 + x0, rect.y0 + y0, side, gh, gw)
     ordered = bool((order[1:] > order[:-1]).all())
     place = np.zeros((3, n + STEP), np.int32)
-    place[0, :n], place[1, :n], place[2, :n] = sites.x[order], sites.y[order], np.maximum(sites.weight[order], -float(FAR) ** 2)
+    place[0, :n], place[1, :n], place[2, :n] = sites.x[order], sites.y[order], np.maximum(sites.weight[order], -(float(FAR) ** 2))
     place[:2, :n] -= np.array([[STEPS * rect.x0], [STEPS * rect.y0]], np.int32)
     mask = np.zeros((0, 0), bool) if mask is None else mask
     row, column = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
@@ -213,7 +233,9 @@ def _label(
                     root = np.sqrt(np.float64(bound(lx, ly, lw, full, cx, cy, hx, hy))) + 2 * blend
                     n = within(lx, ly, lw, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
                     if n <= PACKED:
-                        fits = packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ca, cb, cc, near) < PACKED_LIMIT
+                        fits = (
+                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ca, cb, cc, near) < PACKED_LIMIT
+                        )
                 if fits:
                     if borders:
                         nearest_two(ca, cb, cc, n, p, k1, k2)

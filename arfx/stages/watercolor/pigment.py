@@ -10,8 +10,6 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.watercolor.bands import by_bands
-from arfx.stages.watercolor.labels import SOLID, Labels
 from arfx.stages.watercolor.sites import STEPS
 
 PAPER_PX = 512  # side of the paper's texture, repeated

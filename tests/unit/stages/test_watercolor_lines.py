@@ -12,8 +12,8 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.stages.watercolor import edges
 from arfx.stages.watercolor.cells import means_and_half
 from arfx.stages.watercolor.edges import printed_edges, virtual_edges, yuv_matrix
-from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
 from arfx.stages.watercolor.labels import unlabelled
+from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
 from arfx.stages.watercolor.rows import Cover, Picture
 from arfx.stages.watercolor.toon import toon, toon_light
 
