@@ -2,7 +2,8 @@
 
 field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
 motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
-that nothing of the old pattern is seen again. `high` paints two patterns (anchors_back). Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
+that nothing of the old pattern is seen again. `high` paints two patterns (anchors_back).
+Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
 Source: SYSTEMS.md S3 ("sites fixed on the screen"). Cost: O(nodes) per set.
 """
 

@@ -7,6 +7,8 @@ the picture changes. Cost: O(pixels) once for the means, O(cells) after. Source:
 
 from __future__ import annotations
 
+from functools import partial
+
 import numba
 import numpy as np
 
@@ -32,15 +34,15 @@ def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
 
 
 def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """(means (count, 4): as above, and the number of pixels; (3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded values) of the means of
-    2 x 2 pixels, empty where `half` is false): one pass over the picture."""
+    """(means (count, 4): as above, and the number of pixels; (3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded
+    values) of the means of 2 x 2 pixels, empty where `half` is false): one pass over the picture."""
     h, w = picture.image.shape[:2]
     small = np.empty((3, (h + 1) // 2, (w + 1) // 2) if half else (3, 0, 0), np.float32)
     count = cover.count
 
     def one(y0: int, y1: int) -> np.ndarray:
         total = np.zeros((count, 4))
-        _sum(*picture.parts, *cover.parts, y0, y1, total, small)
+        _sum(*picture.parts, *cover.parts, y0, y1, total, small)  # type: ignore[call-arg]
         return total
 
     parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, ROWS)
@@ -69,7 +71,7 @@ def _sum(
 ):  # pragma: no cover
     """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1; ROWS rows in turns, so that the sums of
     one cell are not always waited for."""
-    h, w = first.shape
+    w = first.shape[1]
     r, g, b = np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32)
     pixel, a = np.empty((ROWS, w, 4)), np.empty((ROWS, w), np.int32)
     sums, one, two, three = total.reshape(-1), np.uint64(1), np.uint64(2), np.uint64(3)
@@ -171,17 +173,16 @@ def washed(
     if not rounds or not near.shape[1]:
         return root
     seen = (area / (area + 0.25 * max(float(np.median(area)), 1.0))).astype(np.float32)
+    sharp = np.float32(1 / max(contrast, 1e-3) ** 2)
     for _ in range(rounds):
         out = np.empty_like(root)
-        by_bands(
-            lambda a, b, r=root, o=out: _pull(r, near, share, seen, np.float32(1 / max(contrast, 1e-3) ** 2), a, b, o), len(root)
-        )  # type: ignore[misc]
+        by_bands(partial(_pull_into, root, near, share, seen, sharp, out), len(root))
         root = out
     return root
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _pull(root, near, share, seen, sharp, a, b, out):  # pragma: no cover - compiled
+def _pull_into(root, near, share, seen, sharp, out, a, b):  # pragma: no cover - compiled
     one = np.float32(1)
     for k in range(a, b):
         r, g, b_ = root[k, 0], root[k, 1], root[k, 2]

@@ -131,7 +131,8 @@ class Watercolor:
             return {Layer.IMAGE: make()}
         key = (
             tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, _content(now, box), box, facts.opacity,
-            repr(facts.light or scene.light), tuple(None if pose is None else tuple(pose.to_json()) for (_, pose, _), _ in fields),
+            repr(facts.light or scene.light),
+            tuple(None if pose is None else tuple(pose.to_json()) for (_, pose, _), _ in fields),
         )  # fmt: skip
         return {Layer.IMAGE: prepared.pictures.get(key, make)}
 
@@ -209,7 +210,6 @@ class Watercolor:
         return out
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
-        p = self.params
         cell, area = self._cell_px(level), scene.camera.rect.area
         most = int(min(2 * area + 4096, 8 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
