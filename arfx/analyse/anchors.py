@@ -2,7 +2,8 @@
 
 field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
 motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
-that nothing of the old pattern is seen again. `high` paints two patterns (anchors_back). Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
+that nothing of the old pattern is seen again. `high` paints two patterns (anchors_back).
+Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
 Source: SYSTEMS.md S3 ("sites fixed on the screen"). Cost: O(nodes) per set.
 """
 
@@ -76,9 +77,7 @@ def with_anchors(
     documents = [
         {"share": round(o.share, 4), "forward": _nodes(*o.forward), "backward": _nodes(*o.backward)} for o in other
     ]  # fmt: skip
-    return tuple(
-        f.with_(extra={**f.extra, FACT: {**f.extra[FACT], **documents[k]}}) for f, k in zip(out, of_frame, strict=True)
-    )
+    return tuple(f.with_(extra={**f.extra, FACT: {**f.extra[FACT], **documents[k]}}) for f, k in zip(out, of_frame, strict=True))
 
 
 def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,12 +41,14 @@ class BothWays:
     share: float
 
 
-def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable) -> list[BothWays]:
+def both_ways(
+    sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable
+) -> list[BothWays]:
     """Of every set. straightened : (u, v) -> (u, v) without folds"""
     out: list[BothWays] = []
     ends = _ends(sets)
     number = -1
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in pairwise(ends):
         number += 2 if sets[a].begins else 1  # nothing of the old pattern is seen in a new shot
         # the next stretch of a shot goes on from this one's end: they share that set, and its pattern
         last = b if b < len(sets) and not sets[b].begins else b - 1
@@ -84,7 +87,8 @@ def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray, sampled: 
 
 
 def _carried(
-    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable
+    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled,
+    straightened: Callable,
 ) -> list[Field]:  # fmt: skip
     """Of the sets a ... b, unbent at a."""
     out = [pattern]
@@ -96,7 +100,8 @@ def _carried(
 
 
 def _carried_back(
-    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable
+    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled,
+    straightened: Callable,
 ) -> list[Field]:  # fmt: skip
     """Of the sets a ... b, unbent at b."""
     out = [pattern]

@@ -7,16 +7,19 @@ the picture changes. Cost: O(pixels) once for the means, O(cells) after. Source:
 
 from __future__ import annotations
 
+from functools import partial
+
 import numba
 import numpy as np
 
 from arfx.stages.watercolor.bands import BANDS, by_bands
-from arfx.stages.watercolor.labels import Labels
+from arfx.stages.watercolor.labels import Labels, bucketed
 from arfx.stages.watercolor.rows import Cover, Picture, labels_of, row_of
+from arfx.stages.watercolor.sites import STEPS
 
 ROWS = 4  # at a time in `means`
-NEIGHBOURS = 10  # of a cell that are kept; a Voronoi cell has 6 on average
-REACH = 1.7  # sizes of a cell: sites that far apart have nothing to do with each other
+NEIGHBOURS = 8  # of a cell that are kept; a Voronoi cell has 6 on average
+REACH = 1.5  # sizes of a cell: sites that far apart have nothing to do with each other
 _MANY = 8  # below this many pixels per cell, sums over bands would cost more than they save
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -31,15 +34,15 @@ def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
 
 
 def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """(means (count, 4): as above, and the number of pixels; (3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded values) of the means of
-    2 x 2 pixels, empty where `half` is false): one pass over the picture."""
+    """(means (count, 4): as above, and the number of pixels; (3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded
+    values) of the means of 2 x 2 pixels, empty where `half` is false): one pass over the picture."""
     h, w = picture.image.shape[:2]
     small = np.empty((3, (h + 1) // 2, (w + 1) // 2) if half else (3, 0, 0), np.float32)
     count = cover.count
 
     def one(y0: int, y1: int) -> np.ndarray:
         total = np.zeros((count, 4))
-        _sum(*picture.parts, *cover.parts, y0, y1, total, small)
+        _sum(*picture.parts, *cover.parts, y0, y1, total, small)  # type: ignore[call-arg]
         return total
 
     parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, ROWS)
@@ -68,7 +71,7 @@ def _sum(
 ):  # pragma: no cover
     """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1; ROWS rows in turns, so that the sums of
     one cell are not always waited for."""
-    h, w = first.shape
+    w = first.shape[1]
     r, g, b = np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32)
     pixel, a = np.empty((ROWS, w, 4)), np.empty((ROWS, w), np.int32)
     sums, one, two, three = total.reshape(-1), np.uint64(1), np.uint64(2), np.uint64(3)
@@ -112,32 +115,32 @@ def _halve(top, bottom, out):  # pragma: no cover - compiled
 
 
 def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(near (n, NEIGHBOURS) int32 sites around each, the nearest, -1 behind the last; share (n, NEIGHBOURS) float32 0..1).
+    """(near (n, NEIGHBOURS) int32 sites around each, the nearest, itself behind the last; share (n, NEIGHBOURS) float32
+    0..1).
 
-    x, y, size (n,) float32 : sites and the sizes of cells there, one unit. What counts is how far apart sites are, never the
+    x, y, size (n,) float32 : sites and the sizes of cells there, 1/STEPS px. What counts is how far apart sites are, never the
     pixels that their cells share: a border of a pixel or two comes and goes as the picture moves, and washes would with it.
     """
     n = len(x)
-    near, share = np.full((n, NEIGHBOURS), -1, np.int32), np.zeros((n, NEIGHBOURS), np.float32)
+    near, share = np.zeros((n, NEIGHBOURS), np.int32), np.zeros((n, NEIGHBOURS), np.float32)
     if n < 2:
         return near, share
-    side = float(max(size.max() * REACH, np.sqrt(np.ptp(x) * np.ptp(y) / n), 1e-3))
-    low = float(x.min()), float(y.min())
-    gw, gh = int((x.max() - low[0]) // side) + 1, int((y.max() - low[1]) // side) + 1
-    bucket = ((y - low[1]) // side).astype(np.int32) * gw + ((x - low[0]) // side).astype(np.int32)
-    order = np.argsort(bucket, kind="stable").astype(np.int32)
-    start = np.searchsorted(bucket[order], np.arange(gh * gw + 1)).astype(np.int32)
-    by_bands(lambda a, b: _near(x, y, size, bucket, order, start, gh, gw, a, b, near, share), n)
+    left, right, top, bottom = float(x.min()), float(x.max()), float(y.min()), float(y.max())
+    side = max(float(size.max()) * REACH, np.sqrt((right - left) * (bottom - top) / n), STEPS)
+    gw, gh = int((right - left) // side) + 1, int((bottom - top) // side) + 1
+    start, order = bucketed(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
+    by_bands(lambda a, b: _near(x, y, size, left, top, side, order, start, gh, gw, a, b, near, share), n)
     return near, share
 
 
 @numba.njit(cache=True, nogil=True)
-def _near(x, y, size, bucket, order, start, gh, gw, a, b, near, share):  # pragma: no cover - compiled
+def _near(x, y, size, left, top, side, order, start, gh, gw, a, b, near, share):  # pragma: no cover - compiled
     """Of the sites a ... b - 1."""
     one, reach = np.float32(1), np.float32(REACH)
     for k in range(a, b):
-        gy, gx = bucket[k] // gw, bucket[k] % gw
-        n, least = 0, np.float32(0)
+        near[k] = k
+        gy, gx = min(np.int64((y[k] - top) / side), gh - 1), min(np.int64((x[k] - left) / side), gw - 1)
+        n, last, least = 0, 0, np.float32(0)
         for i in range(max(gy - 1, 0), min(gy + 1, gh - 1) + 1):
             for m in range(start[i * gw + max(gx - 1, 0)], start[i * gw + min(gx + 1, gw - 1) + 1]):
                 j = order[m]
@@ -150,10 +153,12 @@ def _near(x, y, size, bucket, order, start, gh, gw, a, b, near, share):  # pragm
                     near[k, n], share[k, n] = j, s
                     n += 1
                 elif s > least:  # in place of the farthest
-                    at = np.argmin(share[k])
-                    near[k, at], share[k, at] = j, s
+                    near[k, last], share[k, last] = j, s
                 if n == NEIGHBOURS:
-                    least = share[k].min()
+                    last = 0
+                    for q in range(1, NEIGHBOURS):
+                        last = q if share[k, q] < share[k, last] else last
+                    least = share[k, last]
 
 
 def washed(
@@ -168,27 +173,25 @@ def washed(
     if not rounds or not near.shape[1]:
         return root
     seen = (area / (area + 0.25 * max(float(np.median(area)), 1.0))).astype(np.float32)
-    share = share * seen[near]
+    sharp = np.float32(1 / max(contrast, 1e-3) ** 2)
     for _ in range(rounds):
         out = np.empty_like(root)
-        by_bands(lambda a, b, r=root, o=out: _pull(r, near, share, np.float32(1 / max(contrast, 1e-3) ** 2), a, b, o), len(root))  # type: ignore[misc]
+        by_bands(partial(_pull_into, root, near, share, seen, sharp, out), len(root))
         root = out
     return root
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _pull(root, near, share, sharp, a, b, out):  # pragma: no cover - compiled
+def _pull_into(root, near, share, seen, sharp, out, a, b):  # pragma: no cover - compiled
     one = np.float32(1)
     for k in range(a, b):
         r, g, b_ = root[k, 0], root[k, 1], root[k, 2]
         sr, sg, sb, total = r, g, b_, one
         for m in range(NEIGHBOURS):
-            j = near[k, m]
-            if j < 0:
-                break
+            j = np.uint64(near[k, m])
             dr, dg, db = root[j, 0] - r, root[j, 1] - g, root[j, 2] - b_
             w = one / (one + (dr * dr + dg * dg + db * db) * sharp)
-            w *= w * share[k, m]
+            w *= w * share[k, m] * seen[j]
             sr += w * root[j, 0]
             sg += w * root[j, 1]
             sb += w * root[j, 2]

@@ -113,7 +113,7 @@ def in_order(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
     if not len(sites) or rect.empty:
         return sites
     x, y, side, gh, gw = _grid(len(sites), rect, wobble)
-    _, order = _bucketed(sites.x, sites.y, rect.x0 + x, rect.y0 + y, side, gh, gw)
+    _, order = bucketed(sites.x, sites.y, rect.x0 + x, rect.y0 + y, side, gh, gw)
     return Sites(*(a[order] for a in (sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v)))
 
 
@@ -133,7 +133,7 @@ def label(
     second = np.empty((h, w) if borders else (0, 0), np.int32)
     inside = np.empty((h, w) if borders else (0, 0), np.uint8)
     x0, y0, side, gh, gw = _grid(n, rect, wobble)
-    start, order = _bucketed(sites.x, sites.y, rect.x0 + x0, rect.y0 + y0, side, gh, gw)
+    start, order = bucketed(sites.x, sites.y, rect.x0 + x0, rect.y0 + y0, side, gh, gw)
     ordered = bool((order[1:] > order[:-1]).all())
     place = np.zeros((3, n + STEP), np.int32)
     place[0, :n], place[1, :n], place[2, :n] = sites.x[order], sites.y[order], np.maximum(sites.weight[order], -(float(FAR) ** 2))
@@ -152,7 +152,7 @@ def label(
 
 
 @numba.njit(cache=True, nogil=True)
-def _bucketed(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
+def bucketed(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
     """(start (gh gw + 1), order (n,)) : sites by bucket, in each by number. Sites outside count to the nearest bucket."""
     n = sx.shape[0]
     start, at = np.zeros(gh * gw + 1, np.int32), np.empty(n, np.int32)

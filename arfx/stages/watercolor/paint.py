@@ -39,7 +39,7 @@ def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: fl
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, ink, ya, yb, out):  # pragma: no cover
-    h, w = first.shape
+    w = first.shape[1]
     lh, lw = line.shape
     a, lines, row = np.empty(w, np.int32), np.zeros(w + 1, np.float32), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
@@ -72,10 +72,11 @@ def paint(
     out = np.empty((h, w, 3), np.float32)
     known, tinted = _table(mean, flow), _table(root, flow)
 
+    ink = ink_rgb.astype(np.float32)
+    parts = (*picture.parts, *cover.parts)
+
     def one(ya: int, yb: int) -> None:
-        _paint(
-            *picture.parts, *cover.parts, known, tinted, grain, line, strengths, ink_rgb.astype(np.float32), x0, y0, ya, yb, out
-        )
+        _paint(*parts, known, tinted, grain, line, strengths, ink, x0, y0, ya, yb, out)  # type: ignore[call-arg]
 
     by_bands(one, h)
     return out
@@ -187,9 +188,9 @@ def line_row(line, y, row, lines):  # pragma: no cover - compiled
         row[x] = close * line[j, x] + far * line[k, x]
     one, two = _U(1), _U(2)
     for x in range(lw - 2):
-        i = _U(x) + one
-        lines[two * i] = close * row[i] + far * row[i - one]
-        lines[two * i + one] = close * row[i] + far * row[i + one]
+        at = _U(x) + one
+        lines[two * at] = close * row[at] + far * row[at - one]
+        lines[two * at + one] = close * row[at] + far * row[at + one]
     for i in (0, lw - 1):
         lines[2 * i] = close * row[i] + far * row[max(i - 1, 0)]
         if 2 * i + 1 <= w:

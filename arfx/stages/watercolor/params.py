@@ -54,7 +54,7 @@ class WatercolorParams:
     lines: float = 0.6
     ink_rgb: tuple[float, float, float] = (0.03, 0.025, 0.035)
     line_width_px: float = 2.0
-    line_smooth_px: float = 2.0
+    line_smooth_px: float = 3.0
     line_low: float = 0.02
     line_high: float = 0.06
     line_threshold: float = 0.12

@@ -6,6 +6,7 @@ no pass needs a copy of the picture. Kernels only.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numba
 import numpy as np
@@ -28,7 +29,7 @@ class Picture:
     x: int = 0
 
     @property
-    def parts(self) -> tuple[np.ndarray, np.ndarray, int, int]:
+    def parts(self) -> tuple[Any, ...]:
         return self.image, self.patch, self.y, self.x
 
     def whole(self) -> np.ndarray:
@@ -55,7 +56,7 @@ class Cover:
         return self.back.count + (self.own.count if self.own is not None else 0)
 
     @property
-    def parts(self) -> tuple[np.ndarray, ...]:
+    def parts(self) -> tuple[Any, ...]:
         """As the kernels take them."""
         own = self.back if self.own is None else self.own
         return (

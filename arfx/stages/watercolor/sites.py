@@ -10,6 +10,7 @@ Source: jittered sampling, SYSTEMS.md S3 (1); nesting and fading replace its fix
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numba
 import numpy as np
@@ -75,7 +76,8 @@ def sites_of(field: Field, seed: int, limit: int, unit_px: float = 8.0) -> Sites
     size = np.clip(field.size, 0.25, None)
     for _ in range(_HIGHEST):
         args = field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, unit_px
-        parts = by_bands(lambda a, b, args=args: _enumerate(field.x0, field.y0, *args, a, b), field.u.shape[0] - 1, least=8)  # type: ignore[misc]
+        make = partial(_enumerate, field.x0, field.y0, *args)
+        parts = by_bands(make, field.u.shape[0] - 1, least=8)
         made = parts[0] if len(parts) == 1 else tuple(np.concatenate(column) for column in zip(*parts, strict=True))
         if made[0].shape[0] < limit:
             break

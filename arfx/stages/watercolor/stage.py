@@ -131,7 +131,8 @@ class Watercolor:
             return {Layer.IMAGE: make()}
         key = (
             tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, _content(now, box), box, facts.opacity,
-            repr(facts.light or scene.light), tuple(None if pose is None else tuple(pose.to_json()) for (_, pose, _), _ in fields),
+            repr(facts.light or scene.light),
+            tuple(None if pose is None else tuple(pose.to_json()) for (_, pose, _), _ in fields),
         )  # fmt: skip
         return {Layer.IMAGE: prepared.pictures.get(key, make)}
 
@@ -209,7 +210,6 @@ class Watercolor:
         return out
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
-        p = self.params
         cell, area = self._cell_px(level), scene.camera.rect.area
         most = int(min(2 * area + 4096, 8 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
@@ -255,18 +255,13 @@ class Watercolor:
         key = ("object", tuple(pose.to_json()), box, digest(inside.view(np.uint8)))
         own = prepared.cells.get(key, make)
         # neighbours within the object only: paint does not run over its outline
-        wide = max(cells.near.shape[1], own.near.shape[1])
-        near = np.concatenate([_widened(cells.near, wide), _widened(np.where(own.near < 0, -1, own.near + cells.labels.count), wide)])
-        share = np.concatenate([_widened(cells.share, wide), _widened(own.share, wide)])
+        if own.near.shape[1] and cells.near.shape[1]:
+            near = np.concatenate([cells.near, own.near + np.int32(cells.labels.count)])
+            share = np.concatenate([cells.share, own.share])
+        else:
+            near, share = (np.zeros((cells.labels.count + own.labels.count, 0), t) for t in (np.int32, np.float32))
         cover = Cover(cells.labels, own.labels, inside, *offset(box, rect))
         return cover, Cells(cells.labels, np.concatenate([cells.flow, own.flow]), near, share)
-
-
-def _widened(a: np.ndarray, wide: int) -> np.ndarray:
-    """Neighbours of a set that has none: none."""
-    return a.astype(a.dtype if a.dtype == np.float32 else np.int32) if a.shape[1] == wide else np.full(
-        (len(a), wide), -1, np.int32 if a.dtype != np.float32 else np.float32
-    )  # fmt: skip
 
 
 def _size_at(where: Field, sites: Sites) -> np.ndarray:
