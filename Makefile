@@ -1,4 +1,4 @@
-# make demo | test | check | bench | golden | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
+# make demo | test | check | bench | hard | golden | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
 PYTHON ?= python3
 BIN := .venv/bin
 # Test processes: the suite is bound by compute, and more would fight over two cores.
@@ -7,13 +7,14 @@ TESTS ?= tests
 # -v undoes the -q of pyproject.toml, so that the closing line is pytest's full one; -rs gives the reason of every skip.
 PYTEST = $(BIN)/python -m pytest -v -rs -n $(JOBS) --dist worksteal --durations 10
 
-.PHONY: help demo test check lint bench golden clean distclean venv
+.PHONY: help demo test check lint bench hard golden clean distclean venv
 
 help:
 	@echo "make demo    makes a sample clip, puts a model on its marker, writes demo/"
 	@echo "make test    all tests (TESTS=tests/unit for some)"
 	@echo "make check   formatting, lint, types, then all tests: what CI runs"
 	@echo "make bench   cost of whole jobs against a plain decode and encode, in one run"
+	@echo "make hard    every hard scene, stated hard case and sweep towards a singularity: one table, hard/table.md"
 	@echo "make golden  renders the expected pictures of sample_scenes/ anew; look at them before committing"
 	@echo "make clean   removes what was built or made; make distclean also .venv"
 
@@ -39,11 +40,14 @@ bench: venv
 	$(BIN)/arfx bench
 	$(BIN)/python tools/bench_job.py
 
+hard: venv
+	$(BIN)/python -m tests.hard
+
 golden: venv
 	$(BIN)/python -m tests.golden.regenerate
 
 clean:
-	rm -rf build dist out demo .pytest_cache .mypy_cache .ruff_cache .hypothesis tests/golden/failed
+	rm -rf build dist out demo hard .pytest_cache .mypy_cache .ruff_cache .hypothesis tests/golden/failed
 	find arfx cli tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean

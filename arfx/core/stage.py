@@ -42,10 +42,14 @@ class Demand:
 
 @dataclass(frozen=True)
 class Window:
-    """What `run` sees: its layers, the facts of the same frames, oldest first; the last is the frame itself."""
+    """What `run` sees: its layers, the facts of the same frames, oldest first; the last is the frame itself.
+
+    out : the pixels that are kept of what it makes, None = all: a slow stage may leave the others as they are
+    """
 
     layers: tuple[Layers, ...]
     facts: tuple[FrameFacts, ...]
+    out: Rect | None = None
 
     @property
     def now(self) -> Layers:

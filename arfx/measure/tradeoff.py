@@ -26,7 +26,7 @@ from arfx.run.job import Planned
 from arfx.run.parameters import make_stages
 
 QUALITIES = ("draft", "standard", "high", "reference")
-REFERENCE_S = 70.0
+REFERENCE_S = 40.0
 Progress = Callable[[str, int, int | None], None]
 
 

@@ -81,4 +81,4 @@ def _finish(axis: Any, title: str) -> None:
     axis.set_ylabel("grey levels", fontsize=8)
     axis.set_title(title, fontsize=9, loc="left", color=INK)
     axis.margins(0.12)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=7)
+    axis.legend(frameon=False, labelcolor=INK, fontsize=7, loc="upper right")

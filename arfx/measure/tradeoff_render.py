@@ -24,6 +24,7 @@ from arfx.run.frame import Canvas, rng_for
 
 NEAR_PX = 16
 AGAIN_S = 1.0
+KEPT = 5
 SRGB = Transfer("srgb")
 Chain = tuple[tuple[str, str], ...]  # (stage, level) in running order; a stage left out is absent
 
@@ -63,15 +64,18 @@ class FrameBench:
     shop: Shop
     slow: frozenset[tuple[str, str]]
     made: dict[tuple[Chain, bool], Canvas] = field(default_factory=dict)
+    shown: dict[Chain, np.ndarray] = field(default_factory=dict)
     seconds: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def image(self, chain: Chain) -> np.ndarray:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
-        canvas = self._run(chain, any(step in self.slow for step in chain))
-        if Layer.IMAGE not in canvas.stored:
-            return self.original()
-        shown = canvas.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE]
-        return _srgb8(shown)
+        if chain not in self.shown:
+            canvas = self._run(chain, any(step in self.slow for step in chain))
+            if Layer.IMAGE in canvas.stored:
+                self.shown[chain] = _srgb8(canvas.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE])
+            else:
+                self.shown[chain] = self.original()
+        return self.shown[chain]
 
     def original(self) -> np.ndarray:
         """The same of the frame as it was."""
@@ -86,6 +90,7 @@ class FrameBench:
         """narrow : only what the window needs. The steps before the last are looked up, or made and kept."""
         key = (chain, narrow)
         if key in self.made:
+            self.made[key] = self.made.pop(key)  # used last
             return self.made[key]
         if not chain:
             frame = self.shop.scene.camera.rect
@@ -101,13 +106,16 @@ class FrameBench:
             if step is not None:
                 self._do(canvas, stage, level, step)
         self.made[key] = canvas
+        whole = [k for k in self.made if k[0] and not k[1]]
+        if len(whole) > KEPT:  # a whole picture's layers are some 100 MB
+            del self.made[whole[0]]
         return canvas
 
     def _do(self, canvas: Canvas, stage: Stage, level: Level, step: Step) -> None:
         began = time.perf_counter()
         prepared = self.shop.at(stage.name, level)
-        frame, need = self.shop.scene.camera.rect, step.need
-        window = Window((canvas.view(stage.reads, need),), (self.facts,))
+        need = step.need
+        window = Window((canvas.view(stage.reads, need),), (self.facts,), step.out)
         start = time.perf_counter()
         made = stage.run(window, self.shop.scene, prepared, level, rng_for(self.shop.scene.seed, self.facts.index, stage.name))
         spent = time.perf_counter() - start
@@ -120,8 +128,7 @@ class FrameBench:
         for layer, array in made.items():
             canvas.take(layer, array, need, step.out)
         whole = next(s for s in self.plan.steps if s.stage == stage.name)
-        all_of_it = stage.needs(whole.out, self.facts, self.shop.scene, level).union(whole.out).clip(frame)
-        self.seconds[stage.name, level.name] = spent * max(all_of_it.area / need.area, 1.0)
+        self.seconds[stage.name, level.name] = spent * max(whole.out.area / step.out.area, 1.0)
 
     def _step(self, chain: Chain, name: str, level: Level, narrow: bool) -> Step | None:
         """What the plan asks of the stage; with `narrow` only what the later stages need of it for the window."""

@@ -109,6 +109,7 @@ def run_frame(
         window = Window(
             (*(c.view(stage.reads, step.need) for c, _ in earlier), canvas.view(stage.reads, step.need)),
             (*(f for _, f in earlier), facts),
+            step.out,
         )
         rng = rng_for(seed, facts.index, stage.name)
         made = stage.run(window, scene, prepared[stage.name], levels[stage.name], rng)

@@ -177,9 +177,11 @@ class Tracer:
 def trace_frame(
     now: Layers, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, seen: Rect, disc: Rect, samples: int,
     strength: float, rng: np.random.Generator, gloss: tuple[float, float] = (0.0, 0.0), mirror: Rect = EMPTY,
+    out: Rect | None = None,
 ) -> Mapping[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL and SHADOW with indirect light. seen : pixels of the picture that are looked at;  disc : planes' pixels
     gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object
+    out : the pixels that are wanted, None = all
     """
     pose = facts.camera_from_world
     assert pose is not None
@@ -195,7 +197,9 @@ def trace_frame(
     key = (y.astype(np.uint32) * np.uint32(65521) + x.astype(np.uint32)) * np.uint32(2654435761)
     virtual, shadow = now[Layer.VIRTUAL].copy(), now[Layer.SHADOW].copy()
     lengths = np.linalg.norm(now[Layer.NORMAL], axis=-1)
-    for rows in _batches(np.argwhere((now[Layer.COVERAGE] > 0) & (lengths > 1e-3))):
+    kept = np.zeros((rect.height, rect.width), bool)
+    kept[(rect if out is None else out.clip(rect)).slices_in(rect)] = True
+    for rows in _batches(np.argwhere((now[Layer.COVERAGE] > 0) & (lengths > 1e-3) & kept)):
         at = rows[:, 0], rows[:, 1]
         normals = normalise(now[Layer.NORMAL][at].astype(float)) @ anchor.rotation.T
         places = anchor.apply(now[Layer.POSITION][at].astype(float))
@@ -211,7 +215,7 @@ def trace_frame(
             if not inside.empty:
                 mask[inside.slices_in(rect)] = True
         directions = scene.camera.directions(np.stack([x, y], -1).astype(float)) @ (anchor.rotation @ pose.rotation.T).T
-        for rows in _batches(np.argwhere((wanted | glossy) & np.isfinite(directions).all(-1))):
+        for rows in _batches(np.argwhere((wanted | glossy) & kept & np.isfinite(directions).all(-1))):
             at = rows[:, 0], rows[:, 1]
             d = normalise(directions[at])
             plane, distance = around.first_plane(np.broadcast_to(eye, d.shape), d)

@@ -161,7 +161,7 @@ class Gi:
             return trace_frame(
                 now, scene, facts, light, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples,
                 self.params.strength, rng, (self.params.plane_gloss, self.params.plane_roughness),
-                self._mirror_rect(facts, scene, frame),
+                self._mirror_rect(facts, scene, frame), window.out,
             )  # fmt: skip
         at = LEVELS[level.name]
         assert prepared.body is not None

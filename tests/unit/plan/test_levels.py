@@ -32,7 +32,7 @@ def upper(work: Prediction) -> float:
 
 def test_levels_that_cost_more_and_err_more_are_not_worth_taking() -> None:
     worth = ladder([option("draft", 3, 2), option("standard", 2, 1), option("high", 2.5, 0.9), option("reference", 50, 0)])
-    assert [o.level for o in worth][0] == "reference" and "draft" not in [o.level for o in worth]
+    assert worth[0].level == "reference" and "draft" not in [o.level for o in worth]
     seconds = [o.cost.seconds for o in worth]
     assert seconds == sorted(seconds, reverse=True)
 

@@ -1,0 +1,120 @@
+"""`make hard`: every hard scene, every stated hard case, every sweep towards a singularity; one table, one plot.
+
+Writes hard/table.md and hard/sweeps.png. Exit code 1 where something does not hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arfx.measure.sweeps import SWEEPS, Result, plot, run
+from arfx.measure.verification import read_tolerance, verify
+from arfx.run.health import non_finite
+from tests.hard.cases import CASES
+
+ROOT = Path(__file__).parents[2]
+Row = tuple[str, str, str, str, float]  # case, what was asked, verdict, largest deviation from truth or bound, seconds
+
+
+def scene_row(scene: Path) -> Row:
+    asked = tomllib.loads((scene / "scene.toml").read_text(encoding="utf-8"))["description"].removeprefix("Hard: ")
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as work:
+        done = verify(scene, Path(work), lambda *_: None, lambda _: None)
+    limits = read_tolerance(scene)["truth"].get("max", {})
+    used = [(_figure(done.figures, key) / limit, key) for key, limit in limits.items() if limit > 0]
+    share, key = max(((s, k) for s, k in used if np.isfinite(s)), default=(0.0, ""))
+    bad = non_finite([done.report])
+    verdict = "holds" if not done.broken and not bad else "; ".join([*done.broken, *([f"{bad} not finite"] if bad else [])])
+    return scene.name, asked, verdict, f"{share:.0%} of the bound ({key})", time.perf_counter() - start
+
+
+def _figure(figures: dict[str, Any], dotted: str) -> float:
+    value: Any = figures
+    for part in dotted.split("."):
+        value = value.get(part) if isinstance(value, dict) else None
+    return float(value) if isinstance(value, (int, float)) else float("nan")
+
+
+def case_rows() -> list[Row]:
+    """All stated cases in one run of pytest."""
+    nodes = [node for case in CASES for node in case.tests]
+    with tempfile.TemporaryDirectory() as folder:
+        told = Path(folder) / "junit.xml"
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={told}", *nodes]
+        subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.DEVNULL)
+        cases = list(ElementTree.parse(told).iter("testcase"))
+    rows = []
+    for case in CASES:
+        names = {node.split("::")[1] for node in case.tests}
+        mine = [c for c in cases if c.attrib["name"].split("[")[0] in names]
+        failed = [c for c in mine if c.find("failure") is not None or c.find("error") is not None]
+        skipped = [c for c in mine if c.find("skipped") is not None]
+        verdict = "holds" if mine and not failed else f"{len(failed)} of {len(mine)} fail" if mine else "no test ran"
+        if skipped:
+            verdict += f", {len(skipped)} skipped"
+        seconds = sum(float(c.attrib["time"]) for c in mine)
+        rows.append((case.name, case.asked, verdict, f"{len(mine)} checks", seconds))
+    return rows
+
+
+def sweep_rows(results: list[Result], seconds: float) -> list[Row]:
+    rows = []
+    for r in results:
+        refused = sum(e is None for e in r.errors)
+        worst = "always refused" if r.worst is None else f"{r.worst:.1e} {r.sweep.unit}"
+        limited = r.formula not in r.sweep.unbounded
+        verdict = "holds" if r.sound else "DOES NOT HOLD"
+        verdict += "" if limited else ", as printed: told, not limited"
+        name = f"{r.sweep.name}, {r.formula}, {r.kind}"
+        asked = (
+            f"towards {r.sweep.towards}: at most {r.sweep.bound[r.kind]:.0e} or refused"
+            if limited
+            else f"towards {r.sweep.towards}"
+        )
+        rows.append((name, asked, verdict, f"{worst}; {refused} of {len(r.errors)} refused", seconds / len(results)))
+    return rows
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "hard", help="folder for table.md and sweeps.png")
+    parser.add_argument("--only", choices=("scenes", "cases", "sweeps"), help="one part of it")
+    given = parser.parse_args()
+    given.output.mkdir(parents=True, exist_ok=True)
+    rows: list[Row] = []
+    if given.only in (None, "scenes"):
+        rows += [_said(scene_row(s)) for s in sorted((ROOT / "sample_scenes").glob("09*"))]
+    if given.only in (None, "cases"):
+        rows += [_said(r) for r in case_rows()]
+    if given.only in (None, "sweeps"):
+        start = time.perf_counter()
+        results = [r for sweep in SWEEPS for r in run(sweep)]
+        rows += [_said(r) for r in sweep_rows(results, time.perf_counter() - start)]
+        (given.output / "sweeps.png").write_bytes(plot(results))
+    head = ("case", "asked", "verdict", "largest deviation", "seconds")
+    lines = [f"| {' | '.join(head)} |", "|---|---|---|---|---|"]
+    lines += [f"| {r[0]} | {r[1]} | {r[2]} | {r[3]} | {r[4]:.1f} |" for r in rows]
+    (given.output / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    bad = [r for r in rows if not r[2].startswith("holds")]
+    print(f"{len(rows) - len(bad)} of {len(rows)} hold; {given.output / 'table.md'}")
+    return 1 if bad else 0
+
+
+def _said(row: Row) -> Row:
+    print(f"{row[0]}: {row[2]}; {row[3]}; {row[4]:.1f} s", flush=True)
+    return row
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+"""What stands for a clip, how far pictures are apart, what is rendered in a window, and the sentence that comes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from arfx.core.rect import Rect
+from arfx.core.stage import level_named
+from arfx.measure.difference import Difference, difference, touched, unrest
+from arfx.measure.tradeoff import Found, Row
+from arfx.measure.tradeoff_document import front, recommendation
+from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
+from arfx.measure.tradeoff_html import MOST_BYTES, error_map, page
+from arfx.measure.tradeoff_render import FrameBench, Shop, chain_of, window_of
+from arfx.plan.planner import plan_frame
+from arfx.stages import STAGES
+from tests.scenes import camera, facts, look_at, scene
+
+NOISE = np.random.default_rng(0)
+
+
+def row(name: str, level: str, seconds: float, mean: float, p99: float, formula: str = "", frame: int = 3) -> Row:
+    r = Row(name, level, formula, seconds, levels={"dof": level})
+    r.by_frame[frame] = Difference(mean, p99, mean / 100, (4, 5), 900)
+    r.pictures[frame] = NOISE.integers(0, 255, (40, 50, 3)).astype(np.uint8)
+    return r
+
+
+def found() -> Found:
+    effects = [row("dof", "draft", 0.01, 2.0, 30), row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
+               row("dof", "standard", 0.03, 4.0, 40, "paper")]  # fmt: skip
+    whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
+             row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
+             row("pipeline", "usual", 0.05, 5.0, 50, "paper")]  # fmt: skip
+    samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
+    return Found(samples, effects, whole, {3: Rect(0, 0, 50, 40)}, {("dof", "draft"): "at the silhouette"})
+
+
+def told(f: Found) -> dict[str, Any]:
+    def line(r: Row) -> dict[str, Any]:
+        return {"name": r.name, "level": r.level, "formula": r.formula, "levels": None, "seconds_per_frame": r.seconds,
+                "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
+                "worst_frame": 3, "unrest": {"level": 1.0, "reference": 0.9}}  # fmt: skip
+
+    return {"clip": "a<b>.mp4", "recommendation": recommendation(f), "effects": [line(r) for r in f.effects],
+            "pipelines": [line(r) for r in f.pipelines],
+            "frames": [{"frame": 3, "time_s": 0.1, "stands_for": "typical"}]}  # fmt: skip
+
+
+def test_frames_are_unlike_each_other_and_say_what_they_stand_for() -> None:
+    s = scene(camera(320, 240))
+    clip = [facts(s, look_at(0.5 + 0.002 * i), i) for i in range(20)] + [facts(s, look_at(1.6), 20), facts(s, look_at(0.35), 21)]
+    clip += [facts(s, look_at(), 22).with_(camera_from_world=None, opacity=0.0)]
+    picked = pick_frames(clip, s.camera.rect, 3)
+    assert [p.index for p in picked if p.words != "typical"] == [20, 21] and len(picked) == 3
+    assert "far" in next(p.words for p in picked if p.index == 20)
+    assert pick_frames(clip[-1:], s.camera.rect, 3) == []
+    assert len(pick_frames(clip[:1] * 5, s.camera.rect, 4)) == 1, "equal frames are one"
+
+
+def test_errors_are_of_the_touched_pixels_alone() -> None:
+    a = NOISE.integers(60, 200, (60, 80, 3)).astype(np.uint8)
+    b = a.copy()
+    b[20:30, 30:50] += 6
+    where = touched((a, b))
+    d = difference(a, b, where)
+    assert where.sum() == 200 and d.mean == 6 and d.p99 == 6 and d.flip > 0 and d.pixels == 200
+    assert 20 <= d.worst_px[1] < 30 and 30 <= d.worst_px[0] < 50
+    assert difference(a, a, np.zeros_like(where)) == Difference(0.0, 0.0, 0.0, (0, 0), 0)
+
+
+def test_a_picture_that_moves_with_its_footage_is_at_rest_and_one_that_flickers_is_not() -> None:
+    import cv2
+
+    plate = cv2.GaussianBlur(NOISE.integers(0, 255, (80, 100, 3)).astype(np.uint8), (0, 0), 3)
+    moved = np.roll(plate, 2, axis=1)
+    where = np.zeros((80, 100), bool)
+    where[20:60, 20:80] = True
+    steady = unrest(plate, moved, plate, moved, where)
+    flicker = unrest(plate, np.clip(moved.astype(int) + 12, 0, 255).astype(np.uint8), plate, moved, where)
+    assert steady < 2.5 and flicker > steady + 8
+
+
+def test_a_window_shows_what_the_whole_picture_shows() -> None:
+    s = scene(camera(160, 120))
+    f = facts(s)
+    stages = {n: STAGES[n]() for n in ("raster", "plain", "contact", "composite")}
+    levels = {n: level_named(st.levels, "standard") for n, st in stages.items()}
+    plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect)
+    plate = NOISE.uniform(0.1, 0.6, (120, 160, 3)).astype(np.float32)
+    window = window_of(plan, f, s.camera.rect, 900)
+    assert window.area <= 1000 and plan.changed.contains(window)
+    chain = chain_of(plan, {n: le.name for n, le in levels.items()})
+    pictures = []
+    for slow in (frozenset(), frozenset(chain)):
+        bench = FrameBench(f, plate, plan, window, Shop(s, stages), slow)
+        pictures.append(bench.image(chain))
+        assert set(bench.seconds) == set(chain) and all(v > 0 for v in bench.seconds.values())
+        assert np.array_equal(bench.image(()), bench.original())
+    assert np.array_equal(*pictures) and (pictures[0] != bench.original()).any()
+
+
+def test_the_sentence_names_the_cheapest_that_does_not_show_and_what_would() -> None:
+    text = recommendation(found())
+    assert text.startswith("standard is within 0.8 grey levels of reference")
+    assert "1/40 of its time" in text and "dof draft would show at the silhouette (frame 3)" in text
+    bad = found()
+    bad.pipelines = [row("pipeline", "draft", 0.1, 5, 60), row("pipeline", "reference", 1, 0, 0)]
+    assert "would show in frame 3" in recommendation(bad)
+
+
+def test_the_front_holds_only_what_nothing_beats() -> None:
+    rows = [r for r in found().pipelines if not r.formula]
+    assert [r.level for r in front(rows)] == ["draft", "standard", "reference"]
+
+
+def test_the_page_holds_everything_and_little_enough() -> None:
+    f = found()
+    html = page(f, told(f))
+    assert "a&lt;b&gt;.mp4" in html and "error × 8" in html and "paper" in html and len(html) < MOST_BYTES
+    assert "http://" not in html.replace("http://www.w3.org", "")
+    reference = np.full((4, 5, 3), 100, np.uint8)
+    assert (error_map(reference, reference + 3) == 152).all() and (error_map(reference, reference) == 128).all()
