@@ -154,7 +154,7 @@ def analyse_plane(
                 continue
             quad = camera.project(pose.apply(square.corners_m))
             if np.isfinite(quad).all():
-                meter.looks.append(look(k, small, (quad + 0.5) * (small.shape[1] / camera.width) - 0.5))
+                meter.looks.append(look(k, small, (quad + 0.5) * (small.shape[1] / camera.width) - 0.5, light.formula))
         analysis = lighted(analysis, meter, (square,), light, inputs.panorama, "environment" in folds)
     analyse_s += time.perf_counter() - start
     progress("analyse", len(pts), len(pts))

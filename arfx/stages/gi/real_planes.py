@@ -20,7 +20,8 @@ from arfx.stages.gi.surroundings import Planes, unwarped
 
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
-_SAME_PLANE_M, _SAME_COSINE = 0.01, 0.995
+# of markers, whose poses are that uncertain: an edge between two halves of one wall would be seen
+_SAME_PLANE_M, _SAME_COSINE = 0.02, 0.99
 _SAME_MEASURED_M, _SAME_MEASURED_COSINE = 0.03, 0.985  # of planes that are measured as depth
 _SAME_DEPTH = 0.03  # of the distance
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
