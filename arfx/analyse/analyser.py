@@ -15,8 +15,10 @@ import numpy as np
 from arfx.analyse.anchors import with_anchors
 from arfx.analyse.background import BackgroundFlow
 from arfx.analyse.detect import Candidate
+from arfx.analyse.edge_blur import EdgeBlur
 from arfx.analyse.edge_domain import EdgeRefiner
 from arfx.analyse.flow import BackgroundMotion
+from arfx.analyse.footage_lens import footage_lens, to_json, with_lens
 from arfx.analyse.lighting import lighted
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.meter import LightMeter, Picture
@@ -44,7 +46,8 @@ class Analyser:
     markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
     marker_map : world_from_marker of a known layout; None = mapped from the clip
     folds : what else is wanted: "flow" follows the background, for what is anchored to it (FrameFacts.extra["watercolor"]),
-        "environment" keeps the surroundings' picture, with the light (extra["environment"])
+        "environment" keeps the surroundings' picture, with the light (extra["environment"]), "lens" measures the footage's
+        blur and the lens behind it (extra["footage_lens"])
     light : read the light too, from the pictures that `step` then needs;  panorama : of LightParams.environment
     Raises ConfigError for no marker, the same one twice, or a map that lacks one.
     """
@@ -74,6 +77,7 @@ class Analyser:
         self._cut, self._flow, self._survey = CutSignal(), BackgroundFlow(), Survey()
         self.light, self.panorama, self._meter = light, panorama, LightMeter()
         self._motion = BackgroundMotion() if "flow" in folds else None
+        self._edges = EdgeBlur() if "lens" in folds else None
         self._folds = folds
         self._records: list[Record] = []
         self._others: Counter[str] = Counter()
@@ -107,6 +111,8 @@ class Analyser:
             self._motion.step(index, time_s, luma)
         if self.light is not None and picture is not None:
             self._meter.step(len(self._records), time_s, seen, picture)
+        if self._edges is not None:
+            self._edges.step(len(self._records), luma, seen, self._refiner.table)
         self._records.append(Record(index, time_s, seen, rivals, found.whole, self._cut.step(luma)))
         for k, replaced in self._refiner.corrections():
             r = self._records[k]
@@ -129,6 +135,7 @@ class Analyser:
             "flow": self._flow.state(), "survey": self._survey.state(), "others": dict(self._others),
             "refiner": self._refiner.state(), "meter": self._meter.state(), "ever_seen": self._ever_seen,
             "camera": self.camera.to_json(), "motion": None if self._motion is None else self._motion.state(),
+            "edges": None if self._edges is None else self._edges.state(),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -142,6 +149,8 @@ class Analyser:
         self._meter.restore(state["meter"])
         if self._motion is not None:
             self._motion.restore(state["motion"])
+        if self._edges is not None:
+            self._edges.restore(state["edges"])
         self._others = Counter(state["others"])
         self._ever_seen = state["ever_seen"]
         self.camera = Camera.from_json(state["camera"])
@@ -157,7 +166,15 @@ class Analyser:
             analysis = lighted(analysis, self._meter, self.markers, self.light, self.panorama, "environment" in self._folds)
         if self._motion is not None:
             analysis = replace(analysis, facts=self._anchored(analysis, self._motion))
+        if self._edges is not None:
+            analysis = self._with_lens(analysis, self._edges)
         return replace(analysis, summary={**analysis.summary, "edge_transfer": self._refiner.transfer})
+
+    def _with_lens(self, analysis: Analysis, edges: EdgeBlur) -> Analysis:
+        fit = footage_lens(analysis.facts, edges, self.markers, analysis.world_from_marker)
+        notices = analysis.notices if fit.known else (*analysis.notices, f"the footage does not tell its lens: {fit.reason}")
+        summary = {**analysis.summary, "footage_lens": to_json(fit)}
+        return replace(analysis, facts=with_lens(analysis.facts, fit), summary=summary, notices=notices)
 
     def _anchored(self, analysis: Analysis, motion: BackgroundMotion) -> tuple[FrameFacts, ...]:
         anchor = anchor_marker(self.markers, analysis.world_from_marker)

@@ -8,17 +8,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.analyse.photometry import PATCHES, Patches
+from arfx.analyse.photometry import PATCHES
 from arfx.core.numerics import divide
 
 LEAST_LEFT = 0.7  # of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the reason
 
 
-def quarters(patches: Patches, bias: np.ndarray) -> np.ndarray:
-    """(4,) light of the paper in the print's quarters (top left, top right, bottom left, bottom right), NaN = not seen."""
+def quarters(mean: np.ndarray, count: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """(..., 4) light of the paper in the print's quarters (top left, top right, bottom left, bottom right), NaN = not seen.
+
+    mean (..., 8, 3), count (..., 8) : of Patches
+    """
     white = slice(PATCHES // 2, PATCHES)
-    light = (patches.mean[white] - bias).mean(-1)
-    return np.where(patches.count[white] > 0, light, np.nan)
+    light = (mean[..., white, :] - bias).mean(-1)
+    return np.where(count[..., white] > 0, light, np.nan)
+
+
+def clearly_blocked(light: np.ndarray) -> np.ndarray:
+    """(...) whether a quarter is clearly darker than the brightest one. light : (..., 4) of `quarters`"""
+    known = np.where(np.isfinite(light), light, np.inf)
+    low, high = known.min(-1), np.where(np.isfinite(light), light, -np.inf).max(-1)
+    return np.isfinite(light).all(-1) & (high > 0) & (low <= LEAST_LEFT * high)
 
 
 def already_blocked(light: np.ndarray, size_m: float) -> dict | None:
@@ -26,11 +36,9 @@ def already_blocked(light: np.ndarray, size_m: float) -> dict | None:
 
     light : (4,) of `quarters`;  size_m : side of the print. Anchor axes: x right, y up.
     """
-    if not np.isfinite(light).all() or not (light > 0).any():
+    if not clearly_blocked(light):
         return None
     ratio = divide(light, light.max())
-    if ratio.min() > LEAST_LEFT:
-        return None
     top_left, top_right, bottom_left, bottom_right = (float(r) for r in np.clip(ratio, 0, 1))
     half = size_m / 2
     return {"box_m": [-half, -half, half, half], "ratio": [[bottom_left, bottom_right], [top_left, top_right]]}

@@ -34,6 +34,11 @@ class EdgeRefiner:
         self._other: list[tuple[int, tuple[Seen, ...]]] = []  # what frames would be in code
         self._ready = False
 
+    @property
+    def table(self) -> np.ndarray:
+        """(256,) coded luma to linear light, as decided so far."""
+        return self._table
+
     def refine(self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera) -> tuple[Seen, ...]:
         """frame : number of the record, for `corrections`."""
         if not found:

@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from arfx.analyse.light_samples import Samples
 from arfx.analyse.light_search import (
+    FOLLOWED_GAIN,
     NO_CONE_DEG,
     SKY,
     SOFT_DEG,
@@ -28,6 +29,7 @@ from arfx.analyse.light_search import (
 from arfx.core.numerics import angle_between
 
 LEAST_CONE_DEG = 0.5
+_WORSE, _WORSE_BY, _MOST_MODELS = 3.0, 50.0, 5  # other minima that are kept: chi squared, times the best's and more; number
 _GAMMA_STEPS = (0.0, -0.08, 0.08, -0.16, 0.16)  # of ln gamma
 
 
@@ -93,7 +95,7 @@ class Explanations:
         bic = [c / wide + self._parameters(k) * np.log(max(self.effective, 2.0)) for k, c in enumerate(self.best_cost)]
         self.count = 0
         for k in range(1, most + 1):
-            sound = (self.best[k].shares() >= params.least_light).all()
+            sound = (self.best[k].shares >= params.least_light).all()
             if sound and bic[k] < bic[self.count] - params.least_evidence:
                 self.count = k
         self.bic = tuple(float(b) for b in bic)
@@ -109,12 +111,14 @@ class Explanations:
         return found
 
     def _ranked(self, models: list[Model]) -> list[Model]:
-        """Best first; last those with a light that hardly any normal sees, which explains noise and no more."""
-        return sorted(models, key=lambda m: (bool((m.shares() < self.params.least_light).any()), m.chi2))
+        """Best first; last those with a light that hardly any normal sees, which explains noise and no more. None far worse."""
+        ranked = sorted(models, key=lambda m: (bool((m.shares < self.params.least_light).any()), m.chi2))
+        limit = _WORSE * ranked[0].chi2 + _WORSE_BY
+        return [m for i, m in enumerate(ranked[:_MOST_MODELS]) if i == 0 or m.chi2 <= limit]
 
     def _follow(self, s: Samples, found: list[list[Model]], step: float) -> list[list[Model]]:
         t = s.without_gamma(float(np.exp(step)))
-        return [self._ranked([refine(t, m.dirs, m.soft) for m in models]) for models in found]
+        return [self._ranked([refine(t, m.dirs, m.soft, None, 15, FOLLOWED_GAIN) for m in models]) for models in found]
 
     def _prior(self, step: float) -> float:
         return (step / self.params.gamma_sigma) ** 2 if step else 0.0
@@ -132,7 +136,7 @@ class Explanations:
         """Cost up to which another explanation is no worse, at 95 % for two parameters."""
         dof = max(self.effective - self._parameters(self.count), 1.0)
         wider = max(1.0, self.misfit(self.count))
-        return float(self.best_cost[self.count] + 2 * fisher.ppf(0.95, 2, dof) * wider)
+        return float(self.best_cost[self.count] + 2 * fdtri(2, dof, 0.95) * wider)
 
     def cone(self, light: int) -> float:
         """Of one light of the chosen model, degrees, over all exponents that are within the bound."""

@@ -118,12 +118,13 @@ class LightFit:
 
 def fit(
     normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None = None, group: np.ndarray | None = None,
-    params: Params = Params(),  # noqa: B008 - frozen
+    params: Params = Params(), lit: np.ndarray | None = None,  # noqa: B008 - frozen
 ) -> LightFit:  # fmt: skip
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);  variance : (k, 3), of noise alone
     (an error that all share, as the bias has, is ambient light here);  group : (k,) int: directions are shared by all
-    groups, amplitudes are each group's own. What is not finite is left out and counted. Nothing non-finite leaves."""
-    s = gather(normals, irradiance, variance, group, params.model_error)
+    groups, amplitudes are each group's own. What is not finite is left out and counted. Nothing non-finite leaves.
+    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes are shared by all groups too"""
+    s = gather(normals, irradiance, variance, group, params.model_error, lit)
     if s is None:
         count = int(np.size(normals) // 3)
         return LightFit(REFUSED, "no usable observation", np.zeros((1, 3)), np.zeros((1, 3)), ignored=count)
@@ -146,7 +147,7 @@ def fit(
         error = max(error, 1e-4) * float(np.sqrt(misfit))
         if error > params.most_error:
             break
-        s = gather(normals, irradiance, variance, group, error) or s
+        s = gather(normals, irradiance, variance, group, error, lit) or s
         found = Explanations(s, params, found)
     about["model_error"] = error
     if error > params.most_error:
@@ -161,7 +162,7 @@ def fit(
     # directions are the exponent's, amplitudes those of the values as they came: what is shown beside them has to match
     amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
     sky = model.soft >= SKY
-    order = np.lexsort([-model.shares(), sky])
+    order = np.lexsort([-model.shares, sky])
     guess = tuple(
         FittedLight(model.dirs[i], amp[:, :, 1 + i], NO_CONE_DEG, *((180.0, True) if sky[i] else (DEFAULT_SIZE_DEG, False)))
         for i in order

@@ -5,7 +5,7 @@ Gaussian exp(-theta^2 / 2 s^2) where n.n' > 0 and updates by precision: a vertex
 may change, and never falls below what an observation of another normal can tell (x sin theta / sqrt 3).
 Where the clip is known, `smooth` joins a forward and a backward fold. A step of the light (`changes`) cuts both, so that
 it is neither foreseen nor smeared; a single frame that disagrees with those before and after is left out.
-Source: Tan, Chen, Sun 2010, eq. (7), (8); SYSTEMS.md S1. Cost: about .1 ms per observation at level 3.
+Source: Tan, Chen, Sun 2010, eq. (7), (8); SYSTEMS.md S1. Cost: some 5 us per observation at level 3.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arfx.analyse import light_map_kernels as kernels
 from arfx.analyse.icosphere import icosphere
+from arfx.analyse.light_map_kernels import NEVER_S, STEADY, STEP, STRAY, UNKNOWN
 from arfx.core.numerics import arccos, divide
 
-UNKNOWN = 1e12  # variance of a vertex that no observation has reached
-NEVER_S = 1e9  # its age
-_REACH = 1e-6  # weight below which an observation does not count
-_SEEN = 0.5  # weight from which a vertex counts as seen, for its age
+__all__ = ["NEVER_S", "STEADY", "STEP", "STRAY", "UNKNOWN", "LightMap", "Observation", "Params", "changes", "smooth", "weight"]
 _FORMULAS = ("corrected", "paper")
 
 
@@ -75,38 +74,20 @@ class LightMap:
 
     def wait(self, seconds: float, step: bool = False) -> None:
         """Time passes, either way. step : the light has changed at once, and nothing older binds."""
-        known = self.variance < UNKNOWN
-        if self.params.formula == "corrected" and known.any():
-            level = np.where(known, np.abs(self.value), 0).max(0)
-            grown = self.variance + (self.params.drift_per_s**2 * abs(seconds) + (1.0 if step else 0.0)) * level**2
-            self.variance = np.where(known, np.minimum(grown, UNKNOWN / 2), UNKNOWN)
-        self.age_s = np.minimum(self.age_s + abs(seconds), NEVER_S)
+        kernels.wait(self.value, self.variance, self.age_s, float(seconds), self._drift, step)
 
     def add(self, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray) -> None:
         """normals, irradiance, variance : (k, 3). One after the other, in their order."""
-        rows = (np.asarray(a, float).reshape(-1, 3) for a in (normals, irradiance, variance))
-        for n, x, v in zip(*rows, strict=True):
-            length = float(np.linalg.norm(n))
-            fine = np.isfinite(n).all() and np.isfinite(x).all() and np.isfinite(v).all()
-            if not (fine and length > 0 and (v >= 0).all() and (v < UNKNOWN).all()):
-                self.ignored += 1
-                continue
-            c = np.clip(self.sphere.vertices @ (n / length), -1, 1)
-            f = weight(c, self.params.blur_rad, self.params.formula)
-            self.age_s[f > _SEEN] = 0.0
-            if self.params.formula == "paper":
-                self.value += f[:, None] * (x - self.value)
-                self.variance = np.minimum(self.variance, divide(v, f[:, None] ** 2, where_zero=UNKNOWN))
-                continue
-            near = f > _REACH
-            blind = (1 - c[near, None] ** 2) * x**2 / 3  # what another normal may receive beside x
-            noise = v / f[near, None] + blind
-            old = self.variance[near]
-            first = old >= UNKNOWN
-            gain = np.where(first, 1.0, divide(old, old + noise))
-            self.value[near] += gain * (x - self.value[near])
-            new = np.maximum((1 - gain) * old, np.minimum(old, blind))
-            self.variance[near] = np.where(first, noise, new)
+        n, x, v = (np.ascontiguousarray(a, float).reshape(-1, 3) for a in (normals, irradiance, variance))
+        p = self.params
+        self.ignored += kernels.add(
+            self.sphere.vertices, self.value, self.variance, self.age_s, n, x, v, 0, len(n), p.blur_rad, p.formula == "paper"
+        )
+
+    @property
+    def _drift(self) -> float:
+        """What makes older values less certain; the paper knows nothing of the kind."""
+        return self.params.drift_per_s if self.params.formula == "corrected" else -1.0
 
     def at(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(value (..., 3), variance (..., 3)) at unit normals (..., 3), between the vertices."""
@@ -123,46 +104,28 @@ class LightMap:
         self.ignored = state["ignored"]
 
 
-STEADY, STEP, STRAY = 0, 1, 2
-
-
 def changes(seen: Sequence[Observation], params: Params = Params()) -> np.ndarray:
     """(t,) per frame STEADY, STEP (the light changed just before it) or STRAY (it disagrees alone, and is to be left out).
 
     A frame that contradicts the map of those before it begins a step if the next one with observations contradicts that
     map too, to the same side; the last frame is believed.
     """
-    light, kinds, last = LightMap(params), np.zeros(len(seen), int), 0.0
-    for i, o in enumerate(seen):
-        light.wait(o.time_s - last if i else 0.0)
-        last = o.time_s
-        side = _contradiction(light, o, params)
-        if side:
-            later = next((_contradiction(light, p, params) for p in seen[i + 1 : i + 3] if len(p.normals)), side)
-            kinds[i] = STEP if later == side else STRAY
-            if kinds[i] == STRAY:
-                continue
-            light.wait(0.0, step=True)
-        light.add(o.normals, o.irradiance, o.variance)
-    return kinds
-
-
-def _contradiction(light: LightMap, o: Observation, params: Params) -> int:
-    """-1 or 1: darker or brighter than the map beyond its and the observation's uncertainty; 0: neither, or nothing known."""
-    n, x, v = (np.asarray(a, float).reshape(-1, 3) for a in (o.normals, o.irradiance, o.variance))
-    fine = np.isfinite(n).all(1) & np.isfinite(x).all(1) & np.isfinite(v).all(1)
-    if not fine.any():
-        return 0
-    expected, variance = light.at(n[fine])
-    sure = (variance < UNKNOWN / 1e3).all(1)
-    if not sure.any():
-        return 0
-    off, size = x[fine][sure] - expected[sure], np.maximum(np.abs(expected[sure]), np.abs(x[fine][sure]))
-    z = divide(off, np.sqrt(variance[sure] + np.maximum(v[fine][sure], 0) + 1e-24))
-    z = np.where(np.abs(off) > params.step_least * size, z, 0)
-    most = z[np.arange(len(z)), np.abs(z).argmax(1)]  # of the channels
-    middle = float(np.median(most))
-    return int(np.sign(middle)) if abs(middle) > params.step_sigma else 0
+    if not len(seen):
+        return np.zeros(0, int)
+    sphere = icosphere(params.level)
+    n, x, v = (
+        np.concatenate([np.asarray(a, float).reshape(-1, 3) for a in column])
+        for column in zip(*((o.normals, o.irradiance, o.variance) for o in seen), strict=True)
+    )
+    starts = np.cumsum([0, *(np.size(o.normals) // 3 for o in seen)])
+    face, weights = sphere.locate(np.where(np.isfinite(n), n, 0))
+    corners = sphere.faces[np.maximum(face, 0)]
+    return np.asarray(
+        kernels.changes(
+            sphere.vertices, corners, weights, np.array([o.time_s for o in seen], float), starts, n, x, v, params.blur_rad,
+            params.formula == "paper", params.drift_per_s, params.step_sigma, params.step_least,
+        )
+    )  # fmt: skip
 
 
 def smooth(

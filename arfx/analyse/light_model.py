@@ -5,9 +5,10 @@ projection): a small non-negative least squares per group of observations and ch
 have amplitudes of their own. Several directions may form one light (`column`) with fixed relative `strength`, and turn
 together as one `body`: so a light is replaced by a rigid pair, to see whether the data would have noticed.
 
-Arrays: normals (k, 3), mean of unit vectors; value (k, 3); weight (k,); starts (g + 1,) of the groups; dirs (q, 3) unit;
-column (q,) int 0..m-1; strength (q,);
-soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,) int, -1 = held; amp (g, 3, m + 1), ambient first.
+Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of
+unit vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on;
+dirs (q, 3) unit; column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,)
+int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(weight).
 """
 
 from __future__ import annotations
@@ -15,18 +16,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+_FAST = {"reassoc", "contract", "nsz", "arcp"}
 _SINGULAR = 1e-10  # of a column's own square: what is left of it beside the others
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def shade(c, soft):  # pragma: no cover - compiled
-    """max(c, 0) for a light whose disc has half-angle asin(soft): rises smoothly over |c| < soft (half a disc's worth of
-    light at the horizon: (c + s)^2 / 4 s, exact at both ends and in slope)."""
-    if c >= soft:
-        return c
-    if c <= -soft:
-        return 0.0
-    return (c + soft) ** 2 / (4 * soft)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -86,53 +77,108 @@ def _non_negative(G, h, best):  # pragma: no cover - compiled
                 return
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(normals, value, weight, starts, dirs, column, strength, soft, m, amp, residual):  # pragma: no cover - compiled
-    """Chi squared of one set of directions with the best amplitudes; amp and residual (k, 3, times sqrt weight) are filled."""
-    k = len(normals)
-    A = np.empty((k, m + 1))
-    for i in range(k):
-        A[i, 0] = 1.0
-        for j in range(m):
-            A[i, j + 1] = 0.0
-        for q in range(len(dirs)):
-            c = normals[i, 0] * dirs[q, 0] + normals[i, 1] * dirs[q, 1] + normals[i, 2] * dirs[q, 2]
-            A[i, column[q] + 1] += strength[q] * shade(c, soft[q])
-    G = np.empty((m + 1, m + 1))
-    h = np.empty(m + 1)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _fill(normals, lit, dirs, column, strength, soft, A):  # pragma: no cover - compiled
+    """A (m + 1, k) : what each column's lights give each normal, of strength 1; the first is ambient light."""
+    k = normals.shape[1]
+    A[0] = 1.0
+    A[1:] = 0.0
+    for q in range(len(dirs)):
+        x, y, z, size, s = dirs[q, 0], dirs[q, 1], dirs[q, 2], strength[q], soft[q]
+        row = A[column[q] + 1]
+        if s >= 1:  # a sky: not switched with the lamps
+            for i in range(k):
+                low = max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z + 1, 0.0)
+                row[i] += size * low * low / 4
+        elif s > 0:
+            scale = 1 / (4 * s)
+            for i in range(k):
+                c = normals[0, i] * x + normals[1, i] * y + normals[2, i] * z
+                low = max(c + s, 0.0)
+                row[i] += size * lit[i] * (c if c >= s else low * low * scale)
+        else:
+            for i in range(k):
+                row[i] += size * lit[i] * max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z, 0.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _dot(a, b):  # pragma: no cover - compiled
+    s = 0.0
+    for i in range(len(a)):
+        s += a[i] * b[i]
+    return s
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _explain(value, weight, starts, A, B, amp, residual):  # pragma: no cover - compiled
+    """Chi squared of the columns A with the best amplitudes; B (m + 1, k) is scratch, amp and residual are filled."""
+    m, k = A.shape
+    G, h = np.empty((m, m)), np.empty(m)
+    for p in range(m):
+        for i in range(k):
+            B[p, i] = weight[i] * A[p, i]
     total = 0.0
     for g in range(len(starts) - 1):
-        G[:] = 0.0
-        for i in range(starts[g], starts[g + 1]):
-            for p in range(m + 1):
-                for q in range(p + 1):
-                    G[p, q] += weight[i] * A[i, p] * A[i, q]
-        for p in range(m + 1):
-            for q in range(p):
+        a, b = starts[g], starts[g + 1]
+        for p in range(m):
+            for q in range(p + 1):
+                G[p, q] = _dot(B[p, a:b], A[q, a:b])
                 G[q, p] = G[p, q]
         for c in range(3):
-            h[:] = 0.0
-            for i in range(starts[g], starts[g + 1]):
-                for p in range(m + 1):
-                    h[p] += weight[i] * A[i, p] * value[i, c]
+            for p in range(m):
+                h[p] = _dot(B[p, a:b], value[c, a:b])
             _non_negative(G, h, amp[g, c])
-            for i in range(starts[g], starts[g + 1]):
-                r = value[i, c]
-                for p in range(m + 1):
-                    r -= A[i, p] * amp[g, c, p]
-                r *= np.sqrt(weight[i])
-                residual[i, c] = r
-                total += r * r
+            r = residual[c, a:b]
+            r[:] = value[c, a:b]
+            for p in range(m):
+                size = amp[g, c, p]
+                if size != 0:
+                    row = A[p, a:b]
+                    for i in range(b - a):
+                        r[i] -= size * row[i]
+            w = weight[a:b]
+            for i in range(b - a):
+                r[i] *= np.sqrt(w[i])
+            total += _dot(r, r)
     return total
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def scan(normals, value, weight, starts, many, column, strength, soft, m, out):  # pragma: no cover - compiled
+def evaluate(normals, value, weight, starts, lit, dirs, column, strength, soft, m, amp, residual):  # pragma: no cover - compiled
+    """Chi squared of one set of directions with the best amplitudes; amp and residual are filled."""
+    A = np.empty((m + 1, normals.shape[1]))
+    _fill(normals, lit, dirs, column, strength, soft, A)
+    return _explain(value, weight, starts, A, np.empty_like(A), amp, residual)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def shares(normals, value, weight, starts, lit, dirs, column, strength, soft, m, out):  # pragma: no cover - compiled
+    """out (m,) = share of each column's lights in all the light that was seen."""
+    k = normals.shape[1]
+    amp, residual = np.empty((len(starts) - 1, 3, m + 1)), np.empty((3, k))
+    A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
+    _fill(normals, lit, dirs, column, strength, soft, A)
+    _explain(value, weight, starts, A, B, amp, residual)
+    total = 0.0
+    out[:] = 0.0
+    for g in range(len(starts) - 1):
+        for p in range(m + 1):
+            part = amp[g, :, p].sum() * B[p, starts[g] : starts[g + 1]].sum()
+            total += part
+            if p > 0:
+                out[p - 1] += part
+    out /= max(total, 1e-300)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def scan(normals, value, weight, starts, lit, many, column, strength, soft, m, out):  # pragma: no cover - compiled
     """out (n,) = chi squared of each of `many` (n, q, 3) sets of directions."""
-    amp = np.empty((len(starts) - 1, 3, m + 1))
-    residual = np.empty((len(normals), 3))
+    k = normals.shape[1]
+    amp, residual = np.empty((len(starts) - 1, 3, m + 1)), np.empty((3, k))
+    A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
     for n in range(len(many)):
-        out[n] = evaluate(normals, value, weight, starts, many[n], column, strength, soft, m, amp, residual)
+        _fill(normals, lit, many[n], column, strength, soft, A)
+        out[n] = _explain(value, weight, starts, A, B, amp, residual)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -152,27 +198,33 @@ def _turn(v, w, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m, passes):  # pragma: no cover - compiled
+def refine(
+    normals, value, weight, starts, lit, dirs, column, strength, body, soft, m, passes, gain
+):  # pragma: no cover - compiled
     """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns chi squared.
 
-    The Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless.
+    Ends after `passes`, or where one gains less than the share `gain`. The
+    Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless.
     """
-    k, q = len(normals), len(dirs)
+    k, q = normals.shape[1], len(dirs)
     bodies = 0
     for i in range(q):
         bodies = max(bodies, body[i] + 1)
     n = 3 * bodies
     amp = np.empty((len(starts) - 1, 3, m + 1))
-    r0, r1 = np.empty((k, 3)), np.empty((k, 3))
-    best = evaluate(normals, value, weight, starts, dirs, column, strength, soft, m, amp, r0)
+    r0, r1 = np.empty((3, k)), np.empty((3, k))
+    A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
+    _fill(normals, lit, dirs, column, strength, soft, A)
+    best = _explain(value, weight, starts, A, B, amp, r0)
     if n == 0:
         return best
-    J = np.empty((n, k, 3))
+    J = np.empty((n, 3 * k))
     H, g = np.empty((n, n)), np.empty(n)
     trial = np.empty((q, 3))
     w = np.empty(3)
     damping, h = 1e-3, 5e-4
     for _ in range(passes):
+        before = r0.reshape(-1)
         for p in range(n):
             w[:] = 0.0
             w[p % 3] = h
@@ -181,15 +233,17 @@ def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m
                     _turn(dirs[i], w, trial[i])
                 else:
                     trial[i] = dirs[i]
-            evaluate(normals, value, weight, starts, trial, column, strength, soft, m, amp, r1)
-            for i in range(k):
-                for c in range(3):
-                    J[p, i, c] = (r1[i, c] - r0[i, c]) / h
+            _fill(normals, lit, trial, column, strength, soft, A)
+            _explain(value, weight, starts, A, B, amp, r1)
+            after = r1.reshape(-1)
+            row = J[p]
+            for i in range(3 * k):
+                row[i] = (after[i] - before[i]) / h
         size = 0.0
         for p in range(n):
-            g[p] = (J[p] * r0).sum()
+            g[p] = _dot(J[p], before)
             for s in range(p + 1):
-                H[p, s] = (J[p] * J[s]).sum()
+                H[p, s] = _dot(J[p], J[s])
                 H[s, p] = H[p, s]
             size = max(size, H[p, p])
         if not size > 0:
@@ -208,9 +262,10 @@ def refine(normals, value, weight, starts, dirs, column, strength, body, soft, m
                     _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3], trial[i])
                 else:
                     trial[i] = dirs[i]
-            chi = evaluate(normals, value, weight, starts, trial, column, strength, soft, m, amp, r1)
+            _fill(normals, lit, trial, column, strength, soft, A)
+            chi = _explain(value, weight, starts, A, B, amp, r1)
             if chi < best:
-                moved = best - chi > 1e-6 * best + 1e-9
+                moved = best - chi > gain * best + 1e-9
                 best = chi
                 dirs[:] = trial
                 r0[:] = r1

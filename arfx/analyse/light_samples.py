@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,7 @@ class Samples:
     normals : (k, 3) mean of unit vectors;  value : (k, 3) irradiance over `scale` (3,), the channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective : number of independent values
     used, ignored : observations;  gamma : exponent that has been taken out of the values
+    lit : (k,) share of the lamps that is on, 0..1; empty = 1
     """
 
     normals: np.ndarray
@@ -33,10 +35,13 @@ class Samples:
     used: int
     ignored: int
     gamma: float = 1.0
+    lit: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-    @property
-    def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        return self.normals, self.value, self.weight, self.starts
+    @cached_property
+    def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """normals, value, weight, starts and lit as light_model takes them."""
+        normals, value = (np.ascontiguousarray(a.T) for a in (self.normals, self.value))
+        return normals, value, self.weight, self.starts, self.lit if len(self.lit) else np.ones(len(self.weight))
 
     @property
     def groups(self) -> int:
@@ -69,12 +74,14 @@ class Samples:
 
 
 def gather(
-    normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None, group: np.ndarray | None, model_error: float
+    normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None, group: np.ndarray | None, model_error: float,
+    lit: np.ndarray | None = None,
 ) -> Samples | None:  # fmt: skip
     """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3) or what broadcasts, group (k,) int.
 
     model_error : systematic error of the irradiance relative to its bright level. It is one and the same within a coarse
     cell of normals, so that more observations there add nothing beyond it.
+    lit : (g,) share of the lamps that is on in each group; then all groups are one, with the same light
     """
     n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
     v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
@@ -99,8 +106,10 @@ def gather(
     many, floor = np.bincount(coarse)[coarse], model_error**2
     variance_of_mean = V + many * floor + _LEAST**2
     effective = 3 * float(((V + floor) / (V + many * floor + 1e-300)).sum()) if model_error > 0 else 3.0 * len(N)
-    starts = np.searchsorted(groups, np.arange(groups.max() + 2))
-    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, int(fine.sum()), int((~fine).sum()))
+    starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
+    if lit is not None:
+        starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, int(fine.sum()), int((~fine).sum()), 1.0, on)
 
 
 def _mean(n: np.ndarray, E: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 
 from arfx.analyse import light_model
 from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_samples import Samples
-from arfx.core.numerics import angle_between, normalise
+from arfx.core.numerics import angle_between
 
 AZIMUTHS = np.arange(12) * np.pi / 6
 RINGS_DEG = np.array([0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 45])
@@ -18,6 +19,8 @@ SOFT_DEG = (10.0, 20.0, 35.0)  # half-angles of a large light, tried beside a po
 SKY = 1.0
 RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
 RADII = np.array([1, 1.5, 2.2, 3.3, 4.5])  # of the stronger from the light that they replace, over the least
+FINE_GAIN, FOLLOWED_GAIN, ROUGH_GAIN = 1e-6, 1e-4, 1e-3  # of chi squared: a pass that gains less is the last
+_SAME_DEG = 1.0  # minima nearer to each other than that are one
 _APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
 
 
@@ -38,29 +41,37 @@ class Model:
     def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
         """(ambient and lights (g, 3, q + 1) in units of the samples' scale, residuals (k, 3) in deviations)"""
         q, s = self.count, self.at
-        amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((len(s.normals), 3))
-        light_model.evaluate(*s.data, self.dirs, np.arange(q), np.ones(q), self.soft, q, amp, residual)
-        return amp, residual
+        amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals)))
+        light_model.evaluate(*s.data, self.dirs, *_each(q), self.soft, q, amp, residual)
+        return amp, residual.T
 
+    @cached_property
     def shares(self) -> np.ndarray:
         """(q,) of each light in all the light that was seen."""
-        s = self.at
-        amp = np.repeat(self.amplitudes()[0], np.diff(s.starts), 0).sum(1)  # (k, q + 1)
-        c, h = s.normals @ self.dirs.T, np.maximum(self.soft, 1e-9)
-        seen = np.where(c < h, np.clip(c + h, 0, None) ** 2 / (4 * h), c) * amp[:, 1:]
-        return (s.weight @ seen) / max(float(s.weight @ (seen.sum(1) + amp[:, 0])), 1e-300)
+        out = np.empty(self.count)
+        light_model.shares(*self.at.data, self.dirs, *_each(self.count), self.soft, self.count, out)
+        return out
 
 
-def refine(s: Samples, dirs: np.ndarray, soft: np.ndarray | float = 0.0, held: int | None = None, passes: int = 25) -> Model:
-    """Nearest minimum over all directions, the one with number `held` kept."""
+@cache
+def _each(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """column and strength of lights that are each their own."""
+    return np.arange(count), np.ones(count)
+
+
+def refine(
+    s: Samples, dirs: np.ndarray, soft: np.ndarray | float = 0.0, held: int | None = None, passes: int = 25,
+    gain: float = FINE_GAIN,
+) -> Model:  # fmt: skip
+    """Nearest minimum over all directions, the one with number `held` kept. passes, gain : see light_model.refine"""
     d = np.array(dirs, float).reshape(-1, 3)
     q = len(d)
-    soft = np.array(np.broadcast_to(soft, q), float)
+    soft = np.full(q, soft, float) if np.ndim(soft) == 0 else np.array(soft, float)
     body = np.arange(q)
     if held is not None:
         body[held + 1 :] -= 1
         body[held] = -1
-    chi = light_model.refine(*s.data, d, np.arange(q), np.ones(q), body, soft, q, passes)
+    chi = light_model.refine(*s.data, d, *_each(q), body, soft, q, passes, gain)
     return Model(d, float(chi), s, soft)
 
 
@@ -91,8 +102,8 @@ def search_sky(s: Samples, first: list[Model]) -> list[Model]:
 
 def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[Model]:
     count = len(soft)
-    chi = _scan(s, many, np.arange(count), np.ones(count), soft, count)
-    found: list[Model] = []
+    chi = _scan(s, many, *_each(count), soft, count)
+    rough: list[Model] = []
     free, near = np.ones(len(many), bool), np.cos(np.radians(_APART_DEG))
     for i in np.argsort(chi, kind="stable"):
         if not free[i]:
@@ -100,10 +111,21 @@ def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[M
         for order in ([0], [0, 1], [1, 0]):
             if len(order) == count:
                 free &= (many * many[i][order]).sum(-1).min(-1) <= near
-        found.append(refine(s, many[i], soft))
-        if len(found) == most:
+        rough.append(refine(s, many[i], soft, None, 12, ROUGH_GAIN))
+        if len(rough) == most:
             break
-    return sorted(found, key=lambda m: m.chi2)
+    return _different([refine(s, m.dirs, m.soft) for m in _different(rough)])
+
+
+def _different(models: list[Model]) -> list[Model]:
+    """Best first, each minimum once."""
+    found: list[Model] = []
+    for m in sorted(models, key=lambda m: m.chi2):
+        orders = ([0, 1], [1, 0]) if m.count == 2 and m.soft[0] == m.soft[1] else (list(range(m.count)),)
+        near = np.cos(np.radians(_SAME_DEG))
+        if not any(((m.dirs[order] * f.dirs).sum(1) > near).all() for f in found for order in orders if len(order) == f.count):
+            found.append(m)
+    return found
 
 
 def cone_deg(model: Model, light: int, bound: float) -> float:
@@ -154,7 +176,7 @@ def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound:
             many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
             for i in np.argsort(_scan(s, many, column, strength, soft, q), kind="stable")[:2]:
                 d = np.array(many[i])
-                chi = float(light_model.refine(*s.data, d, column, strength, body, soft, q, 12))
+                chi = float(light_model.refine(*s.data, d, column, strength, body, soft, q, 12, FINE_GAIN))
                 # one that has moved to where the light was leaves it in its place, beside one that no normal sees
                 if chi < best and np.degrees(angle_between(d[1], place)) > 0.9 * least_deg:
                     best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
@@ -165,9 +187,13 @@ def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound:
 
 def around(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
     """(12, 3) directions at `radius_deg` from the unit vector d, at AZIMUTHS + turn."""
-    u = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
-    a, azimuth = np.radians(radius_deg), (AZIMUTHS + turn)[:, None]
-    return np.cos(a) * d + np.sin(a) * (np.cos(azimuth) * u + np.sin(azimuth) * np.cross(d, u))
+    x, y, z = d.tolist()
+    across = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))[int(np.abs(d).argmin())]  # d x the axis farthest from it
+    length = np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
+    p, q, r = (c / length for c in across)
+    basis = np.array([[p, q, r], [y * r - z * q, z * p - x * r, x * q - y * p]])
+    a, azimuth = np.radians(radius_deg), AZIMUTHS + turn
+    return np.cos(a) * d + np.sin(a) * (np.stack([np.cos(azimuth), np.sin(azimuth)], -1) @ basis)
 
 
 def _scan(s: Samples, many: np.ndarray, column: np.ndarray, strength: np.ndarray, soft: np.ndarray, lights: int) -> np.ndarray:

@@ -1,11 +1,12 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. segments: the directions of the clip, and colours and brightness of their own between one step of the light and the next
-   (lamps that are switched);
-3. shared: the same, with a factor for every frame where frames show several normals (exposure that pumps), else in windows
+2. switched: the lamps are all on or all off between one step of the light and the next; without them the ambient light is
+   seen alone, which tells more than the light with them;
+3. segments: the directions of the clip, and colours and brightness of their own between one step of the light and the next;
+4. shared: the same, with a factor for every frame where frames show several normals (exposure that pumps), else in windows
    of a few seconds (lamps that fade, exposure that drifts);
-4. windows: a fit for each window alone (a light that swings).
+5. windows: a fit for each window alone (a light that swings).
 The next one is tried where the one before does not explain the observations: its model error is large (light_fit.Params).
 A light that is refused for another reason stays refused: cut into pieces, its evidence only gets less.
 
@@ -30,7 +31,7 @@ from arfx.core.numerics import angle_between
 
 _APART_DEG = 10.0
 _AGREE_DEG = 3.0  # between the halves of a clip whose brightness wanders while one normal is seen at a time
-CONSTANT, SEGMENTS, SHARED, WINDOWS = "constant", "segments", "shared", "windows"
+CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = "constant", "switched", "segments", "shared", "windows"
 _MOST_DRIFT = 0.02  # of the level, light_gain.drift: an account under which normals change more does not hold
 
 
@@ -48,7 +49,7 @@ def fit_over_time(
     times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None = None,
     breaks_s: Sequence[float] = (), window_s: float = 2.0, params: Params | None = None, good_error: float = 0.006,
 ) -> tuple[str, list[Span]]:  # fmt: skip
-    """(CONSTANT, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to the last observation).
+    """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to the last observation).
 
     times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in light_fit.fit
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
@@ -65,8 +66,8 @@ def fit_over_time(
         return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, p), ignored=len(fine)), 0)]
     times = times[fine]
 
-    def run(rows: np.ndarray, group: np.ndarray | None) -> LightFit:
-        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p)
+    def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None) -> LightFit:
+        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit)
 
     agree_deg = p.limit_deg if _several(times, n) else min(p.limit_deg, _AGREE_DEG)
 
@@ -80,6 +81,16 @@ def fit_over_time(
     if constant.model_error <= good_error and drift(times, n, E) <= _MOST_DRIFT:
         return CONSTANT, [Span(start, stop, constant, 0)]
     segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
+    held = constant  # the account whose refusal says most: the first that explains what was seen
+    if (lit := switches(times, E, segments)) is not None:
+        group = _group(times, segments)
+        found = run(every, group, lit)
+        alike = drift(times, n, E, lit[group].astype(int)) <= _MOST_DRIFT
+        if found.verdict == MEASURED and found.model_error <= good_error and alike:
+            dark = replace(found, lights=tuple(li for li in found.lights if li.sky))
+            return SWITCHED, [
+                Span(a, b, found if on else dark, 0) for on, (a, b) in zip(lit, pairwise(segments), strict=True)
+            ]  # fmt: skip
     for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
         group = _group(times, edges)
         if name == SEGMENTS and len(edges) < 3:
@@ -89,6 +100,7 @@ def fit_over_time(
             if pumped is not None and pumped.model_error <= good_error:
                 return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
+        held = shared if shared.model_error <= good_error < held.model_error else held
         if shared.verdict == MEASURED and shared.model_error <= good_error and drift(times, n, E, group) <= _MOST_DRIFT:
             if name == SHARED:
                 shared = confirmed(shared, [~late, late], group)
@@ -102,7 +114,28 @@ def fit_over_time(
         spans.append(Span(a, b, confirmed(alone, [(group == g) & ~second, (group == g) & second], None), 0))
     if any(s.fit.verdict == MEASURED for s in spans):
         return WINDOWS, spans
-    return CONSTANT, [Span(start, stop, confirmed(constant, [~late, late], None), 0)]
+    last = confirmed(constant, [~late, late], None)
+    if last.verdict == REFUSED and held.verdict == REFUSED:
+        last = replace(last, reason=held.reason)
+    return CONSTANT, [Span(start, stop, last, 0)]
+
+
+def switches(times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]) -> np.ndarray | None:
+    """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where steps do not go down and up in turn.
+
+    What a step does is seen from the observations right before and after it.
+    """
+    light, order = np.asarray(irradiance, float).mean(1), np.argsort(times_s, kind="stable")
+    t, light = times_s[order], light[order]
+    signs = []
+    for edge in edges[1:-1]:
+        at = int(np.searchsorted(t, edge))
+        if not 0 < at < len(t):
+            return None
+        signs.append(np.sign(light[at:][t[at:] == t[at]].mean() - light[:at][t[:at] == t[at - 1]].mean()))
+    if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
+        return None
+    return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
 def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float) -> list[float]:

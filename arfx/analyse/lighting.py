@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse import given_light
-from arfx.analyse.blocked_light import already_blocked, quarters
+from arfx.analyse.blocked_light import already_blocked, clearly_blocked, quarters
 from arfx.analyse.environment_time import with_environment
 from arfx.analyse.light_fit import MEASURED as LIT
 from arfx.analyse.light_fit import REFUSED
@@ -25,6 +25,7 @@ from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.lighting_room import Readings, RoomLight
 from arfx.analyse.meter import LightMeter
 from arfx.analyse.photometry import WHITE, stack
+from arfx.analyse.photometry_clip import comparable
 from arfx.analyse.photometry_paper import solve_paper
 from arfx.analyse.photometry_solve import Photometry, solve
 from arfx.analyse.records import Analysis
@@ -70,7 +71,9 @@ def lighted(
     shaded = {
         frame: found
         for frame, key, patches in meter.readings
-        if frame in known and key == anchor and (found := already_blocked(quarters(patches, bias), stands_on.size_m))
+        if frame in known
+        and key == anchor
+        and (found := already_blocked(quarters(patches.mean, patches.count, bias), stands_on.size_m))
     }
     lit = tuple(f.with_(extra={**f.extra, "already_blocked": shaded[k]}) if k in shaded else f for k, f in enumerate(lit))
     marker = analysis.world_from_marker.get(anchor)
@@ -118,16 +121,20 @@ def _readings(
         if facing >= LEAST_FACING:
             rows.append((frame, room[frame] @ marker.rotation[:, 2], patches))
     # a print that lies partly in a real shadow tells the lamps' light of no frame; where most do, they are all there is
-    whole = [r for r in rows if already_blocked(quarters(r[2], np.zeros(3)), 1.0) is None]
-    rows = whole if 2 * len(whole) > len(rows) else rows
     intensity, variance, clipped = stack([p for _, _, p in rows])
+    lit = np.flatnonzero(~clearly_blocked(quarters(intensity, np.isfinite(intensity[..., 0]), np.zeros(3))))
+    if 2 * len(lit) > len(rows):
+        rows, intensity, variance, clipped = [rows[k] for k in lit], intensity[lit], variance[lit], clipped[lit]
     if params.formula == "paper":
         photometry = solve_paper(intensity, WHITE, clipped=clipped, ink=params.ink, paper=params.paper)
     else:
         photometry = solve(intensity, variance, WHITE, None, clipped, params.albedos, params.ink, params.paper)
     frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
+    y, own, fit = photometry.y, photometry.var_y_own, photometry.seen
+    if params.formula == "corrected":
+        y, own, fit = comparable(photometry, intensity, variance, WHITE, clipped)
     used = photometry.seen
-    return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used]), photometry
+    return Readings(frames[used], normals[used], y[used], own[used], fit[used]), photometry
 
 
 def _parts(facts: Sequence[FrameFacts], static: str) -> list[list[int]]:

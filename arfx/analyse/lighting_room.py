@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from arfx.analyse.given_light import fitted_to
 from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_explain import Params as FitParams
 from arfx.analyse.light_fit import MEASURED, REFUSED
-from arfx.analyse.light_time import CONSTANT, SEGMENTS, SHARED, WINDOWS, Span, fit_over_time
+from arfx.analyse.light_map_kernels import walked
+from arfx.analyse.light_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
 from arfx.analyse.lighting_paper import paper_lights_of
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.surroundings import Look, matched, soft_light
@@ -29,6 +31,7 @@ MODEL_ERROR = 0.003  # of a model's irradiance, relative: a reading of one norma
 LEAST_SEEN = 0.02  # of the brightest irradiance seen: darker normals say nothing about a frame's brightness
 _ACCOUNTS = {
     CONSTANT: "constant over the clip",
+    SWITCHED: "its lamps are switched",
     SEGMENTS: "constant between its steps",
     SHARED: "its direction rests, its brightness or the exposure changes",
     WINDOWS: "its direction changes",
@@ -39,12 +42,14 @@ Lights = dict[int, Light]
 @dataclass(frozen=True, eq=False)
 class Readings:
     """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, ROOM axes
-    y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it"""
+    y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it
+    fit : (k,) False where it cannot be compared with the others to a per cent (photometry_clip)"""
 
     frame: np.ndarray
     normal: np.ndarray
     y: np.ndarray
     variance: np.ndarray
+    fit: np.ndarray
 
 
 class RoomLight:
@@ -56,14 +61,16 @@ class RoomLight:
     ) -> None:  # fmt: skip
         """frames : numbers of those that share the room;  room : by number, (3, 3) to ROOM axes from the world's"""
         self.frames, self.facts, self.room, self.params = list(frames), facts, room, params
-        mine = np.isin(readings.frame, self.frames)
+        mine = np.flatnonzero(np.isin(readings.frame, self.frames))
+        mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
-        self.y, self.variance = readings.y[mine], readings.variance[mine]
-        self.lit = sorted(set(self.numbers.tolist()))
-        self.observations = []
-        for k in self.lit:
-            on = self.numbers == k
-            self.observations.append(light_map.Observation(facts[k].time_s, self.normals[on], self.y[on], self.variance[on]))
+        self.y, self.variance, self.fit = readings.y[mine], readings.variance[mine], readings.fit[mine]
+        lit, first, self.which = np.unique(self.numbers, return_index=True, return_inverse=True)  # which : reading's row of lit
+        self.lit = lit.tolist()
+        self.observations = [
+            light_map.Observation(facts[k].time_s, self.normals[a:b], self.y[a:b], self.variance[a:b])
+            for k, (a, b) in zip(self.lit, pairwise([*first.tolist(), len(mine)]), strict=True)
+        ]
         self.map_params = light_map.Params(params.formula, params.map_level, params.map_blur_rad, drift_per_s=params.drift_per_s)
         self.kinds = light_map.changes(self.observations, self.map_params) if self.lit else np.zeros(0, int)
 
@@ -77,15 +84,17 @@ class RoomLight:
             return self._as_printed(paper_lights_of(self.observations, self.map_params, self.params))
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
+        on = self.fit if self.fit.any() else np.ones(len(times), bool)
         account, spans = fit_over_time(
-            times, self.normals, self.y, self.variance, breaks, self.params.window_s,
+            times[on], self.normals[on], self.y[on], self.variance[on], breaks, self.params.window_s,
             FitParams(most_lights=self.params.most_lights, limit_deg=self.params.limit_deg),
         )  # fmt: skip
         told = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
         normals = self._normals(told.span_deg)
         known = [s for s in spans if s.fit.verdict == MEASURED]
         if known and rests:
-            lights = self._follow(lambda k: _span_at(known, self.facts[k].time_s))
+            at = np.array([self.facts[k].time_s for k in self.frames])
+            lights = self._follow([s.fit.light(s.group) for s in known], _span_at(known, at))
             best = max(known, key=lambda s: s.stop_s - s.start_s)
             why = f"{best.fit.reason}; {_ACCOUNTS[account]}"
             report = _report(MEASURED, "marker", why, best.fit.light(best.group), **normals)
@@ -94,7 +103,7 @@ class RoomLight:
         if not rests:
             why = "camera and marker both move: no frame is known in which a light rests"
         soft, source = self._surroundings(looks)
-        lights = self._follow(lambda _: soft)
+        lights = self._follow([soft])
         used = "soft light from the picture's surroundings" if source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
         return lights, _report(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
@@ -116,7 +125,7 @@ class RoomLight:
         if not self.lit:
             return dict.fromkeys(self.frames, light), _report(ASSUMED, light.source, why, light)
         typical = fitted_to(light, self.normals, self.y, stated)
-        lights = self._follow(lambda _: typical)
+        lights = self._follow([typical])
         return lights, _report(ASSUMED, light.source, why, typical, **self._normals(None))
 
     def _surroundings(self, looks: Sequence[Look]) -> tuple[Light, str]:
@@ -138,39 +147,40 @@ class RoomLight:
         light = soft_light(looks, turns, up, np.median(measured, 0) if len(measured) else None)
         return (matched(light, n, measured) if len(n) else light), "environment"
 
-    def _follow(self, model: Callable[[int], Light]) -> Lights:
-        """`model` of each frame, times a factor per channel so that the markers look as they were measured.
+    def _follow(self, models: Sequence[Light], of_frame: np.ndarray | None = None) -> Lights:
+        """Each frame's model, times a factor per channel so that the markers look as they were measured.
 
-        model(frame number). Factors are smoothed over both past and future, but never over a step of the light; frames
-        without a reading take that between those before and after, up to a step.
+        of_frame : (frames,) number of each frame's model, None = all have the first. Factors are smoothed over both past and
+        future, but never over a step of the light; frames without a reading take that between those before and after, up
+        to a step.
         """
         count = len(self.lit)
-        factors, variance = np.ones((count, 3)), np.full((count, 3), UNKNOWN)
+        of_frame = np.zeros(len(self.frames), int) if of_frame is None else of_frame
+        of_reading = of_frame[np.searchsorted(self.frames, self.numbers)]
         bright = float(np.percentile(self.y.max(1), 90)) if len(self.y) else 0.0
-        for i, (k, o) in enumerate(zip(self.lit, self.observations, strict=True)):
-            made = model(k).radiance(o.normals)
-            weight = np.where(made > LEAST_SEEN * bright, divide(made, o.variance + (MODEL_ERROR * made) ** 2), 0)
-            share = (weight * made).sum(0)
-            factors[i] = divide((weight * o.irradiance).sum(0), share, where_zero=1.0)
-            variance[i] = divide(1.0, share, where_zero=UNKNOWN)
+        made = np.zeros(self.y.shape)
+        for i, model in enumerate(models):
+            made[of_reading == i] = model.radiance(self.normals[of_reading == i])
+        weight = np.where(made > LEAST_SEEN * bright, divide(made, self.variance + (MODEL_ERROR * made) ** 2), 0)
+        share, shown = (
+            np.stack([np.bincount(self.which, (weight * a)[:, c], count) for c in range(3)], -1) for a in (made, self.y)
+        )
+        factors, variance = divide(shown, share, where_zero=1.0), divide(1.0, share, where_zero=UNKNOWN)
         at = np.array([self.facts[k].time_s for k in self.lit])
         stepped = (self.kinds == light_map.STEP) | jumps(factors)
         variance[(self.kinds == light_map.STRAY) & ~stepped] = UNKNOWN
         factors = smoothed(at, factors, variance, stepped, self.params.drift_per_s)
         factors = np.clip(factors, LEAST_FACTOR, MOST_FACTOR)
-        out = {}
-        before = np.searchsorted(self.lit, self.frames)
-        for k, i in zip(self.frames, before, strict=True):
-            if i < len(self.lit) and self.lit[i] == k:
-                factor = factors[i]
-            elif i == 0 or i == len(self.lit):
-                factor = factors[min(i, len(self.lit) - 1)]
-            elif stepped[i]:
-                factor = factors[i - 1]
-            else:
-                share = (self.facts[k].time_s - at[i - 1]) / (at[i] - at[i - 1])
-                factor = factors[i - 1] + share * (factors[i] - factors[i - 1])
-            out[k] = model(k).scaled(factor)
+        after = np.searchsorted(self.lit, self.frames)
+        last, first = np.minimum(after, count - 1), np.clip(after - 1, 0, count - 1)
+        now = np.array([self.facts[k].time_s for k in self.frames])
+        share = np.clip(divide(now - at[first], at[last] - at[first], where_zero=1.0), 0, 1)
+        share[(at[last] > now) & stepped[last]] = 0.0
+        every = factors[first] + share[:, None] * (factors[last] - factors[first])
+        out: Lights = {}
+        for i, model in enumerate(models):
+            rows = np.flatnonzero(of_frame == i)
+            out |= zip((self.frames[r] for r in rows), _scaled(model, every[rows]), strict=True)
         return out
 
     def _normals(self, span_deg: float | None) -> dict[str, Any]:
@@ -191,11 +201,10 @@ class RoomLight:
 def jumps(factors: np.ndarray) -> np.ndarray:
     """(n,) True where factors (n, 3) change by more than JUMP from one to the next, in all channels, and stay so."""
     out = np.zeros(len(factors), bool)
-    low = np.maximum(np.abs(factors), 1e-6)
-    for i in range(1, len(factors)):
-        before, here, after = low[i - 1], low[i], low[min(i + 1, len(low) - 1)]
-        stays = (np.abs(np.log(after / here)) < np.abs(np.log(after / before))).all()
-        out[i] = stays and (np.abs(np.log(here / before)) > JUMP).all()
+    size = np.log(np.maximum(np.abs(factors), 1e-6))
+    before, here, after = size[:-1], size[1:], np.concatenate([size[2:], size[-1:]])
+    stays = (np.abs(after - here) < np.abs(after - before)).all(1)
+    out[1:] = stays & (np.abs(here - before) > JUMP).all(1)
     return out
 
 
@@ -208,35 +217,30 @@ def smoothed(
     drift_per_s : its relative standard deviation over one second
     """
 
-    def filtered(order: np.ndarray, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Means and variances before each value is taken in."""
-        mean, spread = np.zeros(value.shape), np.full(value.shape, UNKNOWN)
-        m, v = np.zeros(3), np.full(3, UNKNOWN)
-        for i, k in enumerate(order):
-            if begins[k]:
-                v = np.full(3, UNKNOWN)
-            elif i:
-                v = np.minimum(v + drift_per_s**2 * abs(time_s[k] - time_s[order[i - 1]]) * m * m, UNKNOWN)
-            mean[k], spread[k] = m, v
-            gain = divide(v, v + variance[k])
-            known = variance[k] < UNKNOWN
-            m = np.where(known, m + gain * (value[k] - m), m)
-            v = np.where(known, divide(v * variance[k], v + variance[k]), v)
-        return mean, spread
-
     order = np.arange(len(value))
-    m0, v0 = filtered(order, step)
-    m1, v1 = filtered(order[::-1], np.append(step[1:], False))
+    m0, v0, m1, v1 = (np.zeros(value.shape) for _ in range(4))
+    walked(time_s, value, variance, step, order, drift_per_s, m0, v0)
+    walked(time_s, value, variance, np.append(step[1:], False), order[::-1].copy(), drift_per_s, m1, v1)
     weights = np.stack([divide(1.0, v) * (v < UNKNOWN) for v in (v0, v1, variance)])
     total = weights.sum(0)
     return np.where(total > 0, divide((weights * np.stack([m0, m1, value])).sum(0), total), value)
 
 
-def _span_at(spans: Sequence[Span], time_s: float) -> Light:
-    """The light of the span that holds a time, or is nearest to it."""
-    away = [max(s.start_s - time_s, time_s - s.stop_s, 0.0) for s in spans]
-    span = spans[int(np.argmin(away))]
-    return span.fit.light(span.group)
+def _span_at(spans: Sequence[Span], times_s: np.ndarray) -> np.ndarray:
+    """(n,) number of the span that holds each time, or is nearest to it."""
+    start, stop = np.array([s.start_s for s in spans]), np.array([s.stop_s for s in spans])
+    away = np.maximum(np.maximum(start - times_s[:, None], times_s[:, None] - stop), 0)
+    return np.asarray(away.argmin(1))
+
+
+def _scaled(light: Light, factors: np.ndarray) -> Iterator[Light]:
+    """The light times each of factors (n, 3), one per channel."""
+    ambient = (factors * np.array(light.ambient_rgb)).tolist()
+    rows = (factors[:, None] * np.array([*light.soft, *(li.rgb for li in light.lights)]).reshape(1, -1, 3)).tolist()
+    parts = len(light.soft)
+    for rgb, row in zip(ambient, rows, strict=True):
+        lamps = tuple(replace(li, rgb=tuple(c)) for li, c in zip(light.lights, row[parts:], strict=True))
+        yield Light(tuple(rgb), lamps, light.source, tuple(map(tuple, row[:parts])))
 
 
 def _report(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from arfx.analyse.photometry import Patches, cells, measure
+from arfx.analyse.photometry import Patches, cells, place, reduced
 from arfx.analyse.records import Seen
 from arfx.analyse.surroundings import Look, look
 from arfx.core.rect import Rect
@@ -28,7 +28,7 @@ class Picture(Protocol):
     @property
     def rect(self) -> Rect: ...
 
-    def linear(self, rect: Rect) -> np.ndarray: ...
+    def linear_at(self, pixels: np.ndarray) -> np.ndarray: ...
 
     def reduced(self, width: int) -> np.ndarray: ...
 
@@ -44,15 +44,13 @@ class LightMeter:
     def step(self, frame: int, time_s: float, seen: Sequence[Seen], picture: Picture) -> None:
         """frame : its number;  seen : configured markers in it;  picture : its pixels"""
         for s in seen:
-            rect = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
-            if rect.empty:
+            if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
                 continue
             family, _, number = s.key.rpartition(":")
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
-            patches = measure(
-                picture.linear(rect), (rect.x0, rect.y0), s.corners_px, cells(family, int(number)), s.inverted, blur_px=blur
-            )
-            self.readings.append((frame, s.key, patches))
+            shape = (picture.rect.height, picture.rect.width)
+            spots = place(s.corners_px, cells(family, int(number)), s.inverted, blur, shape)
+            self.readings.append((frame, s.key, reduced(picture.linear_at(spots.pixels()), spots)))
         if seen and time_s >= self._next_s:
             self._next_s = time_s + self._interval_s
             small = picture.reduced(SURROUNDINGS_PX)

@@ -16,23 +16,17 @@ from dataclasses import dataclass
 from functools import cache
 
 import cv2
-import numba
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
+from arfx.analyse import photometry_kernels as kernels
 from arfx.analyse.detect import cells_per_side, dictionary
 from arfx.core.numerics import HALF_GREY
 
-PATCHES = 8  # black top left, top right, bottom left, bottom right, then white in the same order
-MARGIN = 0.2  # of a cell that is left out at each side: the inner 60 % remain
-MOST_MARGIN = 0.45
-# A bilinear sample has 4/9 of a pixel's noise variance, on average; samples nearer than 1.5 px have that noise in common.
-SHARED_PX2 = 9 / 4
-FEWEST = 4  # samples that make a patch
-BLURS = 2.5  # margin in standard deviations of the blur
-MOST_SAMPLES = 5  # per cell and axis
-OUT = 3.5  # robust standard deviations beyond which a sample is no part of its patch
+# black top left, top right, bottom left, bottom right, then white in the same order
+PATCHES = kernels.PATCHES
 CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
+_SHARES = np.linspace(0, 1, 257)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,28 +88,69 @@ def measure(
     blur_px : standard deviation of the edges' blur
     """
     image = np.ascontiguousarray(linear, np.float32)
-    quad = np.asarray(corners_px, float) - np.asarray(origin, float)
-    n = len(cells)
-    raw = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 5))
-    mean, spread, tally = raw
-    leak, shared = 0.0, 1.0
-    if image.size and np.isfinite(quad).all() and cv2.isContourConvex(quad.astype(np.float32)):
-        h = _homography(quad, n)
-        middle = h @ [n / 2, n / 2, 1]
-        jacobian = (h[:2, :2] - np.outer(middle[:2] / middle[2], h[2, :2])) / middle[2]
-        wide_px, cell_px = (float(x) for x in np.linalg.svd(jacobian, compute_uv=False))
-        margin = float(np.clip(BLURS * blur_px / max(cell_px, 1e-6), MARGIN, MOST_MARGIN))
-        k = int(np.clip(round((1 - 2 * margin) * cell_px), 1, MOST_SAMPLES))
-        offsets = margin + (1 - 2 * margin) * (np.arange(k) + 0.5) / k
-        area = (1 - 2 * margin) ** 2 * wide_px * cell_px / k**2  # px^2 per sample
-        shared = max(1.0, SHARED_PX2 / max(area, 1e-6))
-        nearest = float(min(offsets[0], 1 - offsets[-1])) * cell_px
-        leak = 2 * float(ndtr(-nearest / blur_px)) if blur_px > 0 else 0.0
-        _kernel(image, h, np.asarray(cells, bool) ^ inverted, offsets, clip_low, clip_high, HALF_GREY, *raw)
+    spots = place(np.asarray(corners_px, float) - np.asarray(origin, float), cells, inverted, blur_px, image.shape[:2])
+    pixels = np.empty((4 * len(spots.group), 3), np.float32)
+    kernels.gathered(image, spots.corner, pixels)
+    return reduced(pixels, spots, clip_low, clip_high)
+
+
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """Where the samples of one print lie. corner : (k, 2) int32, upper left of the four pixels around each (x, y)
+    part : (k, 2) from there to the next ones, 0..1;  group : (k,) int32 patch;  last : (x, y) of the picture's last pixel
+    shared : samples that have their noise in common;  leak : share of the contrast that blur brings in from other cells"""
+
+    corner: np.ndarray
+    part: np.ndarray
+    group: np.ndarray
+    last: tuple[int, int]
+    shared: float
+    leak: float
+
+    def pixels(self) -> np.ndarray:
+        """(4 k, 2) int32: x, y of every pixel that is read."""
+        out = np.empty((4 * len(self.group), 2), np.int32)
+        kernels.around(self.corner, *self.last, out)
+        return out
+
+
+def place(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, ...]) -> Spots:
+    """Samples of a marker in a picture of shape (rows, columns); arguments as for `measure`. None for a quad that is bent."""
+    rows, columns = shape[:2]
+    most = len(cells) ** 2 * kernels.MOST_SAMPLES**2
+    corner, part, group = np.empty((most, 2), np.int32), np.empty((most, 2)), np.empty(most, np.int32)
+    about = np.array([1.0, 0.0])
+    quad = np.ascontiguousarray(quad_px, float)
+    count = kernels.place(quad, np.asarray(cells, bool) ^ inverted, blur_px, columns, rows, corner, part, group, about)
+    last = (max(columns - 1, 0), max(rows - 1, 0))
+    return Spots(corner[:count], part[:count], group[:count], last, float(about[0]), float(about[1]))
+
+
+def reduced(pixels: np.ndarray, spots: Spots, clip_low: float = CLIP_LOW, clip_high: float = CLIP_HIGH) -> Patches:
+    """Patches of the samples. pixels : (4 k, 3) float32 linear RGB at `spots.pixels()`"""
+    mean, spread, variance, tally = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 5))
+    kernels.reduce(pixels, spots.part, spots.group, clip_low, clip_high, HALF_GREY, mean, spread, tally)
+    kernels.uncertainty(mean, spread, tally, spots.shared, spots.leak, HALF_GREY, _cut(), variance)
     used, clipped, bright, bad, every = tally.T
     share = np.maximum(every, 1)
-    variance = _variance(mean, spread, used / shared, clipped / share, leak)
     return Patches(mean, variance, WHITE.copy(), used.astype(int), clipped / share, bright / share, int(bad.sum()))
+
+
+@cache
+def _cut() -> np.ndarray:
+    """(257,) `cut_off` of _SHARES."""
+    return cut_off(_SHARES)
+
+
+def cut_off(share: np.ndarray) -> np.ndarray:
+    """Deviation, over that of one sample, that a mean gets where a share of its samples was clipped and dropped.
+
+    For a normal distribution that is cut off at one end its mean is off by a third of this; but samples are not spread
+    normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped.
+    """
+    p = np.clip(share, 0, 0.99)
+    lost = np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
+    return np.where(p > 0, 3 * lost, 0.0)
 
 
 def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -127,107 +162,3 @@ def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np
             seen = p.count > 0
             intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
     return intensity, variance, clipped
-
-
-def _homography(quad: np.ndarray, n: int) -> np.ndarray:
-    """(3, 3) float64, pixel from cell units (0..n); quad : (4, 2) top left, top right, bottom right, bottom left."""
-    u, v = np.array([0.0, n, n, 0]), np.array([0.0, 0, n, n])
-    one, nil, (x, y) = np.ones(4), np.zeros(4), quad.T
-    rows = np.concatenate(
-        [np.stack([u, v, one, nil, nil, nil, -x * u, -x * v], 1), np.stack([nil, nil, nil, u, v, one, -y * u, -y * v], 1)]
-    )
-    return np.append(np.linalg.solve(rows, np.concatenate([x, y])), 1.0).reshape(3, 3)
-
-
-def _variance(mean: np.ndarray, spread: np.ndarray, used: np.ndarray, clipped: np.ndarray, leak: float) -> np.ndarray:
-    """(8, 3) of the means. spread : (8, 3) standard deviation of a sample;  clipped : (8,) share;  leak : of the contrast."""
-    step = 2 * HALF_GREY * np.maximum(1 / 12.92, 2.2 * np.clip(mean, 0, None) ** (1 - 1 / 2.2))  # slope of sRGB
-    # rounding's error is spread over its step, and is dithered away as the noise's characteristic function says
-    rounding = step**2 / 12 * np.exp(-4 * np.pi**2 * np.minimum((spread / step) ** 2, 2))
-    # mean of a normal distribution whose share `clipped` is cut off at one end
-    p = np.clip(clipped, 0, 0.99)
-    cut = np.where(p > 0, np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p), 0)[:, None] * spread
-    bright, dark = (mean[w & (used > 0)] for w in (WHITE, ~WHITE))
-    contrast = bright.mean(0) - dark.mean(0) if len(bright) and len(dark) else np.abs(mean).max(0)
-    out = spread**2 / np.maximum(used, 1e-9)[:, None] + rounding + cut**2 + (leak * contrast) ** 2
-    return np.where(used[:, None] > 0, out, 0)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _kernel(image, h, white, offsets, low, high, half_grey, mean, spread, tally):  # pragma: no cover - compiled
-    """Samples every cell; mean, spread (8, 3) and tally (8, 5: used, clipped, bright, not finite, all) are filled in.
-
-    image : (rows, cols, 3);  h : (3, 3) pixel from cell units;  white : (n, n) as seen;  offsets : (k,) inside a cell
-    """
-    n, k = len(white), len(offsets)
-    rows, cols = image.shape[:2]
-    values = np.empty((8, n * n * k * k, 4))
-    size = np.zeros(8, np.int64)
-    for r in range(n):
-        for c in range(n):
-            colour = 4 if white[r, c] else 0
-            for i in range(k):
-                v = r + offsets[i]
-                for j in range(k):
-                    u = c + offsets[j]
-                    d = h[2, 0] * u + h[2, 1] * v + h[2, 2]
-                    x = (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / d
-                    y = (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / d
-                    if not (d > 0 and x >= 0 and y >= 0 and x <= cols - 1 and y <= rows - 1):
-                        continue
-                    g = colour + (2 if 2 * v >= n else 0) + (1 if 2 * u >= n else 0)
-                    x0, y0 = min(int(x), max(cols - 2, 0)), min(int(y), max(rows - 2, 0))
-                    x1, y1 = min(x0 + 1, cols - 1), min(y0 + 1, rows - 1)
-                    fx, fy = x - x0, y - y0
-                    finite, clip = True, False
-                    total = 0.0
-                    for ch in range(3):
-                        a, b = image[y0, x0, ch], image[y0, x1, ch]
-                        e, f = image[y1, x0, ch], image[y1, x1, ch]
-                        finite = finite and np.isfinite(a) and np.isfinite(b) and np.isfinite(e) and np.isfinite(f)
-                        clip = clip or min(min(a, b), min(e, f)) <= low or max(max(a, b), max(e, f)) >= high
-                        value = (a * (1 - fx) + b * fx) * (1 - fy) + (e * (1 - fx) + f * fx) * fy
-                        values[g, size[g], ch] = value
-                        total += value
-                    tally[g, 4] += 1
-                    if not finite:
-                        tally[g, 3] += 1
-                    elif clip:
-                        tally[g, 1] += 1
-                    else:
-                        values[g, size[g], 3] = total / 3
-                        size[g] += 1
-    for g in range(8):
-        if size[g] == 0:
-            continue
-        x = values[g, : size[g], 3]
-        centre, width = 0.0, np.inf
-        keep = x
-        for _ in range(4):
-            centre = np.median(keep)
-            step = half_grey * max(1 / 12.92, 2.2 * max(centre, 0.0) ** (1 - 1 / 2.2))
-            width = OUT * max(1.4826 * np.median(np.abs(keep - centre)), step)
-            inside = np.abs(x - centre) <= width
-            if inside.sum() == len(keep) and len(keep) < len(x):
-                break
-            keep = x[inside]
-        used = 0
-        for i in range(size[g]):
-            if abs(x[i] - centre) <= width:
-                used += 1
-                for ch in range(3):
-                    mean[g, ch] += values[g, i, ch]
-            elif x[i] > centre:
-                tally[g, 2] += 1
-        if used < FEWEST:
-            mean[g] = 0.0
-            continue
-        tally[g, 0] = used
-        for ch in range(3):
-            mean[g, ch] /= used
-        for i in range(size[g]):
-            if abs(x[i] - centre) <= width:
-                for ch in range(3):
-                    spread[g, ch] += (values[g, i, ch] - mean[g, ch]) ** 2
-        for ch in range(3):
-            spread[g, ch] = np.sqrt(spread[g, ch] / max(used - 1, 1))

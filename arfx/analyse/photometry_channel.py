@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from arfx.core.numerics import divide
 
@@ -21,19 +21,24 @@ def robust(
 ) -> dict:  # fmt: skip
     """Shared bias. grey, w0, rho : (t, p) values, inverse variances (0 = not usable), albedos;  dark : (t, p) bool, ink
 
-    known : the variances are;  find_ink : the ink's albedo is an unknown;  ink_sigma : its deviation where it is not
+    known : the variances are;  find_ink : nothing is known of the ink's albedo
+    ink_sigma : deviation of the ink's albedo from that in rho, 0 = exact. It is an unknown too, with this prior: light that
+        changes tells it beside the bias, and where the light rests the bias is as uncertain as the ink makes it
     """
     seen = (w0 > 0).any(1)
     count = int((w0 > 0).sum())
-    free_ink = find_ink and bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
+    both = bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
+    free_ink, known_ink = find_ink and both, not find_ink and both and ink_sigma > 0
     unknowns = int(seen.sum()) + 1 + free_ink
     spare = count - unknowns
     if not count:
         return fallback(grey, w0, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12)
     w, scale = w0.copy(), 1.0
-    k = float(rho[dark].mean()) if free_ink else 0.0
-    for _ in range(_PASSES):
-        r = np.where(dark, k, rho) if free_ink else rho
+    one_ink = free_ink or known_ink
+    k = stated = float(rho[dark].mean()) if both else 0.0
+    b, joint = 0.0, None
+    for i in range(_PASSES):
+        r = np.where(dark, k, rho) if one_ink else rho
         A, B, C = (w * r * r).sum(1), (w * r).sum(1), w.sum(1)
         inverse = divide(1.0, A)
         y0, lean = (w * r * grey).sum(1) * inverse, B * inverse  # y = y0 - lean * b
@@ -41,36 +46,46 @@ def robust(
         share = left / max(float(C.sum()), 1e-300)
         if share < LEAST_SHARE:
             return fallback(grey, w0, rho, "all usable patches have one albedo", unknowns - 1 - free_ink, 1e12)
+        before = b
         b = float((w * (grey - r * y0[:, None])).sum()) / left
         y = y0 - lean * b
-        spread_b = 1 / left
-        if free_ink:
-            joint = _ink_step(grey, w, r, dark, inverse, b, y)
-            if joint is None:
+        # for an ink that is known about, its first pass is one without it: the noise's scale makes the prior's weight
+        if free_ink or (known_ink and i):
+            prior = (scale / ink_sigma) ** 2 if known_ink else 0.0
+            joint = _ink_step(grey, w, r, dark, inverse, b, y, prior, stated - k)
+            if joint is None and free_ink:
                 why = "albedos unknown and the light constant: bias and ink cannot be told apart"
                 return fallback(grey, w0, rho, why, unknowns - 1, 1e12)
-            db, dk, spread_b = joint
-            b, k = b + db, k + dk
-            r = np.where(dark, k, rho)
-            y = divide((w * r * (grey - b)).sum(1), (w * r * r).sum(1))
+            if joint is not None:
+                b, k = b + joint[0], k + joint[1]
+                r = np.where(dark, k, rho)
+                y = divide((w * r * (grey - b)).sum(1), (w * r * r).sum(1))
         z = (grey - r * y[:, None] - b) * np.sqrt(w0)
         size = float(np.median(np.abs(z[w0 > 0]))) / 0.6745 * np.sqrt(count / spare) if spare > 0 else 0.0
         scale = max(1.0, size) if known else size
         last, w = w, w0 * np.minimum(1.0, divide(_HUBER * scale, np.abs(z), where_zero=1.0))
-        if np.abs(w - last).max() <= 1e-6 * w0.max() and not free_ink:
+        settled = abs(b - before) <= 1e-6 * max(abs(b), 1e-3 * float(np.abs(grey).max())) if one_ink else True
+        if np.abs(w - last).max() <= 1e-6 * w0.max() and settled and i:
             break
-    r = np.where(dark, k, rho) if free_ink else rho
-    score = w * (grey - r * y[:, None] - b) * np.where(w > 0, 1 - r * lean[:, None], 0)  # of b, y_t eliminated
+    r = np.where(dark, k, rho) if one_ink else rho
+    residual = grey - r * y[:, None] - b
+    if joint is None:
+        influence = w * residual * np.where(w > 0, 1 - r * lean[:, None], 0) / left  # on b, y_t eliminated
+        noise_b = scale**2 / left  # if all residuals are independent; or by patch, or by frame
+    else:
+        slope = np.where(dark, y[:, None], 0.0) - r * ((w * r * np.where(dark, y[:, None], 0.0)).sum(1) * inverse)[:, None]
+        inverse_S = joint[2]
+        influence = w * residual * (inverse_S[0, 0] * (1 - r * lean[:, None]) + inverse_S[0, 1] * slope)
+        noise_b = scale**2 * float(inverse_S[0, 0])
     groups = np.count_nonzero((w > 0).any(0))
-    noise_b = scale**2 * spread_b  # if all residuals are independent; or by patch, or by frame
     if spare > 0:
-        noise_b = max(noise_b, ((score.sum(0) * spread_b) ** 2).sum() * groups / max(groups - 1, 1))
-        noise_b = max(noise_b, ((score.sum(1) * spread_b) ** 2).sum())
-    quantile = float(student.ppf(0.975, spare)) if spare > 0 else 1.96
+        noise_b = max(noise_b, (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1), (influence.sum(1) ** 2).sum())
+    quantile = float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
     top = np.where(w0 > 0, grey, -np.inf).max(1)
     level = float(np.median(top[seen]))
     bright = float(np.median(y[seen]))
-    half = quantile * float(np.sqrt(noise_b + (0 if free_ink else ink_sigma * bright) ** 2))
+    rough_ink = 0.0 if joint is not None else ink_sigma * bright
+    half = quantile * float(np.sqrt(noise_b + rough_ink**2))
     rank = unknowns if share >= LEAST_SHARE else unknowns - 1
     condition = float(np.sqrt((1 + np.sqrt(1 - min(share, 1.0))) / (1 - np.sqrt(1 - min(share, 1.0 - 1e-16)))))
     own = np.where(seen, scale**2 * inverse, 0)
@@ -87,7 +102,7 @@ def robust(
     return {
         "y": np.where(seen, y, 0.0), "var_y_own": np.where(seen, own, UNKNOWN_VARIANCE), "seen": seen, "bias": b,
         "var_y": np.where(seen, own + lean**2 * noise_b, UNKNOWN_VARIANCE), "bias_95": (b - half, b + half),
-        "ink": k if free_ink else float(rho[dark].mean()) if dark.any() else float(rho.min()), "determined": True, "rank": rank,
+        "ink": k if one_ink else float(rho[dark].mean()) if dark.any() else float(rho.min()), "determined": True, "rank": rank,
         "unknowns": unknowns, "condition": min(condition, 1e12), "misfit": scale, "reason": "",
     }  # fmt: skip
 
@@ -122,14 +137,20 @@ def normalised(
 
 
 def _ink_step(
-    grey: np.ndarray, w: np.ndarray, r: np.ndarray, dark: np.ndarray, inverse: np.ndarray, b: float, y: np.ndarray
-) -> tuple[float, float, float] | None:
-    """Gauss-Newton step of (b, ink) with every y_t eliminated, and the variance of b; None where singular."""
+    grey: np.ndarray, w: np.ndarray, r: np.ndarray, dark: np.ndarray, inverse: np.ndarray, b: float, y: np.ndarray,
+    prior: float, off: float,
+) -> tuple[float, float, np.ndarray] | None:  # fmt: skip
+    """Gauss-Newton step of (b, ink) with every y_t eliminated, and the inverse of their normal matrix; None where singular.
+
+    prior : weight of the ink's stated albedo;  off : how far that is from the present one
+    """
     jac = np.stack([np.ones_like(r), np.where(dark, y[:, None], 0.0)], -1)  # of the model, by b and ink
     cross = np.einsum("tp,tpi->ti", w * r, jac)
     S = np.einsum("tp,tpi,tpj->ij", w, jac, jac) - np.einsum("t,ti,tj->ij", inverse, cross, cross)
     residual = grey - r * y[:, None] - b
     g = np.einsum("tp,tpi->i", w * residual, jac) - cross.T @ ((w * r * residual).sum(1) * inverse)
+    S[1, 1] += prior
+    g[1] += prior * off
     scale = np.sqrt(np.maximum(np.diag(S), 0))
     if not scale.all() or not np.isfinite(S).all():
         return None
@@ -137,7 +158,7 @@ def _ink_step(
     if np.linalg.eigvalsh(unit)[0] < 1e-10:
         return None
     step = np.linalg.solve(unit, g / scale) / scale
-    return float(step[0]), float(np.clip(step[1], -0.05, 0.05)), float(np.linalg.inv(unit)[0, 0] / scale[0] ** 2)
+    return float(step[0]), float(np.clip(step[1], -0.05, 0.05)), np.linalg.inv(unit) / np.outer(scale, scale)
 
 
 def fallback(grey: np.ndarray, w: np.ndarray, rho: np.ndarray, why: str, rank: int, condition: float) -> dict:

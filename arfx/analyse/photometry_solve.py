@@ -18,7 +18,13 @@ import numpy as np
 from arfx.analyse.photometry_channel import normalised, robust
 
 MEASURED, DEGENERATE = "measured", "degenerate"
-INK, PAPER, INK_SIGMA = 0.05, 0.88, 0.006  # albedos of print: ink .04 to .06 (its uniform deviation), paper .85 to .9
+INK, PAPER = 0.05, 0.88  # albedos of print
+INK_SIGMA = 0.01  # of the ink's, beside a paper of .88: .03 to .07
+TRANSFER = 0.08  # by so much the exponent of the camera's curve may be another than stated
+# Coded steps of 1/255 by which all dark cells of a clip may be off together: half a step of chroma is 1 of blue, and a codec
+# leaves smooth chroma where its rounding put it.
+STEPS = 1.5
+_ENOUGH = 100  # frames that tell how much the bias depends on the curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +63,8 @@ class Photometry:
 def solve(
     intensity: np.ndarray, variance: np.ndarray | None = None, white: np.ndarray | None = None,
     albedo: np.ndarray | None = None, clipped: np.ndarray | None = None, albedos: str = "known",
-    ink: float = INK, paper: float = PAPER, ink_sigma: float = INK_SIGMA,
+    ink: float = INK, paper: float = PAPER, ink_sigma: float = INK_SIGMA, transfer: float = TRANSFER,
+    steps: float = STEPS,
 ) -> Photometry:  # fmt: skip
     """The `corrected` formula.
 
@@ -66,7 +73,9 @@ def solve(
     albedos : "known" (ink, paper); "normalised" (light from each frame's own difference of paper and ink, so that its
         ratios are right whatever the ink and the bias are; noisier; the bias still takes the ink's albedo); "unknown" (the
         ink's albedo is solved per channel beside b, which takes light that changes)
-    ink_sigma : standard deviation of the ink's albedo, goes into bias_95
+    ink_sigma : standard deviation of the ink's albedo, which is an unknown with this prior beside b; 0 with `albedo` given
+    transfer : range by which the exponent of the camera's curve may be off, goes into bias_95
+    steps : of 1/255 by which the coded values of all dark cells may be off together; goes there too
     Raises ValueError for wrong shapes.
     """
     value = np.asarray(intensity, float)
@@ -77,6 +86,8 @@ def solve(
         if white is None or np.shape(white) != (patches,):
             raise ValueError("white (p,) or albedo is needed")
         albedo = np.where(white, paper, ink)
+    else:
+        ink_sigma = transfer = steps = 0.0
     rho = np.broadcast_to(np.asarray(albedo, float), (frames, patches))
     weight, known_noise, ignored = weights(value, variance, rho)
     share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
@@ -85,10 +96,44 @@ def solve(
     for c in range(3):
         grey, w = np.where(weight[..., c] > 0, value[..., c], 0.0), weight[..., c]
         if albedos == "normalised":
-            parts.append(normalised(grey, w, rho, dark, known_noise, ink_sigma))
+            part = normalised(grey, w, rho, dark, known_noise, ink_sigma)
         else:
-            parts.append(robust(grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma))
+            part = robust(grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma)
+        if part["determined"] and transfer > 0:
+            part["bias_95"] = _with_other_curves(part, grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma, transfer)
+        if part["determined"] and steps > 0:
+            level = float(np.median(grey[dark & (w > 0)]))
+            part["bias_95"] = _widened(part["bias_95"], part["bias"], steps / 255 * slope_of_code(level))
+        parts.append(part)
     return assemble("corrected", parts, share, ignored)
+
+
+def _with_other_curves(
+    part: dict, grey: np.ndarray, w: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool,
+    ink_sigma: float, transfer: float,
+) -> tuple[float, float]:  # fmt: skip
+    """The bias's interval, moved to what the bias is under other exponents of the camera's curve. Arguments as for `robust`."""
+    low, high = part["bias_95"]
+    some = slice(None, None, max(1, len(grey) // _ENOUGH))
+    grey, w, rho, dark = grey[some], w[some], rho[some], dark[some]
+    size = np.maximum(np.abs(grey), 1e-4)
+    found = []
+    for exponent in (1.0, 1 / (1 - transfer), 1 / (1 + transfer)):
+        slope = exponent * size ** (exponent - 1)
+        value = np.sign(grey) * np.abs(grey) ** exponent
+        found.append(robust(value, w / slope**2, rho, dark, known, find_ink, ink_sigma))
+    off = [f["bias"] - found[0]["bias"] for f in found if f["determined"] and found[0]["determined"]] or [0.0]
+    return low + min(off), high + max(off)
+
+
+def _widened(interval: tuple[float, float], middle: float, by: float) -> tuple[float, float]:
+    low, high = middle - interval[0], interval[1] - middle
+    return middle - float(np.hypot(low, by)), middle + float(np.hypot(high, by))
+
+
+def slope_of_code(level: float) -> float:
+    """Linear light per coded value at a linear level: sRGB's, of which all curves are near enough."""
+    return float(2.4 / 1.055 * max(level, 0.0) ** (1 - 1 / 2.4)) if level > 0.0031 else 1 / 12.92
 
 
 def weights(value: np.ndarray, variance: np.ndarray | None, rho: np.ndarray) -> tuple[np.ndarray, bool, int]:

@@ -35,8 +35,8 @@ def frozen(config: JobConfig) -> dict[str, Any]:
         tree["model"]["fit"] = f"{float(tree['model']['fit'])!r}m"
     tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]
     for section, key in (
-        ("input", "clip"), ("input", "camera"), ("input", "marker_map"), ("model", "file"), ("output", "path"),
-        ("pipeline", "tradeoff"),
+        ("input", "clip"), ("input", "camera"), ("input", "marker_map"), ("input", "depth"), ("model", "file"),
+        ("output", "path"), ("pipeline", "tradeoff"),
     ):  # fmt: skip
         path = tree[section][key]
         if path is not None:

@@ -22,6 +22,8 @@ _PATHS: tuple[KeyPath, ...] = (
     ("input", "clip"),
     ("input", "camera"),
     ("input", "marker_map"),
+    ("input", "depth"),
+    ("input", "poses"),
     ("model", "file"),
     ("light", "environment"),
     ("output", "path"),

@@ -60,6 +60,15 @@ class InputSection(Section):
     clip: Path | None = Field(default=None, description="the video to process")
     camera: Path | None = Field(default=None, description="calibration file; missing: a stated guess, with a warning")
     marker_map: Path | None = Field(default=None, description="known layout of several markers (TOML, or WPILib field JSON)")
+    poses: Path | None = Field(
+        default=None, description="camera poses, a line tx ty tz qx qy qz qw for each frame, or with times"
+    )
+    depth: Path | None = Field(default=None, description="real depth: a folder of maps (16-bit PNG or PGM, EXR), or one map")
+    depth_scale: float | None = Field(default=None, gt=0, description="stored values to a metre; default 1000, of EXR 1")
+    depth_start: Time | None = Field(default=None, description="when the first map was taken, from the clip's first frame")
+    depth_align: Literal["marker", "none"] = Field(
+        default="marker", description="marker: the maps' scale is what makes the markers' planes true; none: as stated"
+    )
     start: Time | None = Field(default=None, description="first moment to process, from the clip's first frame")
     end: Time | None = Field(default=None, description="last moment to process, from the clip's first frame")
     transfer: Annotated[str, BeforeValidator(lambda v: Transfer(str(v)).name)] = Field(
@@ -73,6 +82,9 @@ class MarkerSection(Section):
 
 class ModelSection(Section):
     file: Path | None = Field(default=None, description="glTF/GLB, OBJ, PLY, STL or another format that trimesh reads")
+    anchor: Literal["marker", "plane"] = Field(
+        default="marker", description="what the model stands on: a marker, or the dominant level plane of the depth input"
+    )
     scale: float = Field(default=1.0, gt=0, description="metres per file unit")
     fit: Length | None = Field(default=None, description="largest extent after scaling; overrides scale")
     rotate: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="degrees about marker x, y, z, in this order")

@@ -41,31 +41,28 @@ class Transfer:
         raise ConfigError(f"unknown transfer {self.name!r}", "one of srgb, bt709, bt1886, gamma:2.2")
 
     @property
-    def gamma(self) -> float:
-        return 2.4 if self.name == "bt1886" else float(self.name.partition(":")[2])
+    def curve(self) -> tuple[float, float, float, float]:
+        """(toe, slope, alpha, power): a line v / slope up to the coded value `toe`, ((v + alpha - 1) / alpha)^power above."""
+        if self.name == "srgb":
+            return 0.04045, 12.92, 1.055, 2.4
+        if self.name == "bt709":
+            return 4.5 * _BETA, 4.5, _ALPHA, 1 / 0.45
+        return 0.0, 1.0, 1.0, 2.4 if self.name == "bt1886" else float(self.name.partition(":")[2])
 
     def decode(self, v: np.ndarray) -> np.ndarray:
         """Coded value (0..1; outside is mirrored through zero) to linear light, same shape and float type."""
         v = np.asarray(v)
         a = np.abs(v)
-        if self.name == "srgb":
-            lin = np.where(a <= 0.04045, a / 12.92, ((a + 0.055) / 1.055) ** 2.4)
-        elif self.name == "bt709":
-            lin = np.where(a < 4.5 * _BETA, a / 4.5, ((a + _ALPHA - 1) / _ALPHA) ** (1 / 0.45))
-        else:
-            lin = a**self.gamma
+        toe, slope, alpha, power = self.curve
+        lin = np.where(a <= toe, a / slope, ((a + (alpha - 1)) / alpha) ** power)
         return np.copysign(lin, v).astype(v.dtype if v.dtype.kind == "f" else float)
 
     def encode(self, lin: np.ndarray) -> np.ndarray:
         """Linear light to coded value; the inverse of decode."""
         lin = np.asarray(lin)
         a = np.abs(lin)
-        if self.name == "srgb":
-            v = np.where(a <= 0.0031308, a * 12.92, 1.055 * a ** (1 / 2.4) - 0.055)
-        elif self.name == "bt709":
-            v = np.where(a < _BETA, a * 4.5, _ALPHA * a**0.45 - (_ALPHA - 1))
-        else:
-            v = a ** (1 / self.gamma)
+        toe, slope, alpha, power = self.curve
+        v = np.where(a <= toe / slope, a * slope, alpha * a ** (1 / power) - (alpha - 1))
         return np.copysign(v, lin).astype(lin.dtype if lin.dtype.kind == "f" else float)
 
 

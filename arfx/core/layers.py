@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from types import MappingProxyType
 
 import numpy as np
 
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 
 
 class Layer(StrEnum):
@@ -29,6 +28,7 @@ class Layer(StrEnum):
     MOTION = "motion"  # (h, w, 2) px, from the previous frame
     SHADOW = "shadow"  # (h, w, 3) ratio of light left on the real surface, 1 = none taken
     IRRADIANCE = "irradiance"  # (h, w, 3) on the virtual surface
+    REAL_DEPTH = "real_depth"  # (h, w) metres along the axis of the real surface, measured; inf = the job has no depth
 
 
 # (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing virtual, no shadow.
@@ -45,6 +45,7 @@ _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
     Layer.MOTION: (2, np.float32, 0.0),
     Layer.SHADOW: (3, np.float32, 1.0),
     Layer.IRRADIANCE: (3, np.float32, 0.0),
+    Layer.REAL_DEPTH: (0, np.float32, np.inf),
 }
 
 
@@ -64,18 +65,49 @@ def unset(name: Layer, rect: Rect) -> np.ndarray:
     return np.empty((rect.height, rect.width, channels) if channels else (rect.height, rect.width), dtype)
 
 
+UNWRITTEN = (EMPTY, np.empty(0))
+
+
 @dataclass(frozen=True)
-class Layers:
-    """Arrays over one rectangle, read-only. `adding` and `crop` return new mappings that share memory."""
+class Patch:
+    """What a stage writes of a layer that stays neutral in the rest of the stage's rectangle."""
 
     rect: Rect
-    arrays: Mapping[Layer, np.ndarray] = field(default_factory=dict)
+    array: np.ndarray
+
+    def over(self, name: Layer, rect: Rect) -> np.ndarray:
+        """The layer over `rect`, neutral outside the part."""
+        return Layers(rect, {name: (self.rect, self.array)})[name]
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Layers seen over one rectangle, read-only: each as it was written, neutral where nothing has written it.
+
+    written : every name that may be read -> the rectangle that its array covers (EMPTY: none), and the array
+    A layer's neutral pixels are made when it is asked for, so cropping first costs nothing for what is cut off.
+    """
+
+    rect: Rect
+    written: Mapping[Layer, tuple[Rect, np.ndarray]] = field(default_factory=dict)
 
     def __getitem__(self, name: Layer) -> np.ndarray:
-        return self.arrays[name]
+        """(h, w, ...) over `rect`. Raises KeyError for a layer that is not among `written`, and for PLATE and IMAGE where
+        they do not cover `rect`, as they have no neutral value."""
+        where, array = self.written[name]
+        if where.contains(self.rect) and not where.empty:
+            seen = array[self.rect.slices_in(where)].view()
+        else:
+            seen = neutral(name, self.rect)
+            both = where.clip(self.rect)
+            if not both.empty:
+                seen[both.slices_in(self.rect)] = array[both.slices_in(where)]
+        seen.setflags(write=False)
+        return seen
 
-    def __contains__(self, name: object) -> bool:
-        return name in self.arrays
+    def extent(self, name: Layer) -> Rect:
+        """Pixels of `rect` outside which the layer is neutral."""
+        return self.written[name][0].clip(self.rect)
 
     def adding(self, new: Mapping[Layer, np.ndarray]) -> Layers:
         """These layers plus `new` (which replaces same-named ones).
@@ -83,20 +115,13 @@ class Layers:
         Raises ValueError where an array does not cover the rectangle.
         """
         shape = (self.rect.height, self.rect.width)
-        frozen = {}
         for name, array in new.items():
             if array.shape[:2] != shape:
                 raise ValueError(f"layer {name}: shape {array.shape[:2]}, expected {shape}")
-            view = array.view()
-            view.setflags(write=False)
-            frozen[name] = view
-        return Layers(self.rect, MappingProxyType({**self.arrays, **frozen}))
+        return Layers(self.rect, {**self.written, **{name: (self.rect, array) for name, array in new.items()}})
 
     def crop(self, rect: Rect) -> Layers:
         """The part inside `rect`, which must lie in this rectangle."""
-        if rect == self.rect:
-            return self
         if not self.rect.contains(rect):
             raise ValueError(f"crop {rect} is not inside {self.rect}")
-        part = rect.slices_in(self.rect)
-        return Layers(rect, MappingProxyType({k: a[part] for k, a in self.arrays.items()}))
+        return Layers(rect, self.written)

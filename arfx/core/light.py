@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -123,17 +124,19 @@ def harmonics(n: np.ndarray) -> np.ndarray:
 
 def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree. rotation : as in Light.turned"""
-    at = _evenly()
-    out: np.ndarray = np.linalg.pinv(harmonics(at)) @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
+    at, inverse = _evenly()
+    out: np.ndarray = inverse @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
     return out
 
 
-def _evenly() -> np.ndarray:
-    """(24, 3) unit directions that tell all nine harmonics apart (a spiral of even height)."""
+@lru_cache(maxsize=1)
+def _evenly() -> tuple[np.ndarray, np.ndarray]:
+    """(24, 3) unit directions that tell all nine harmonics apart (a spiral of even height), and (9, 24) what does so."""
     k = np.arange(24) + 0.5
     z, phi = 1 - 2 * k / 24, k * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
+    at = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
+    return at, np.linalg.pinv(harmonics(at))
 
 
 def triple(v: np.ndarray) -> tuple[float, float, float]:

@@ -13,6 +13,7 @@ from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.real_plane import RealPlane
 from arfx.errors import ConfigError, InputError
 
 # Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up file's y goes out of the print.
@@ -62,6 +63,7 @@ class Scene:
     world_from_marker : pose of each marker by key
     world_from_anchor : the marker that the model stands on; its plane z = 0 is the real surface below it
     surface_m : extent (x0, y0, x1, y1) of that surface, anchor axes; None = unknown, taken for unlimited
+    real_planes : of the real scene, measured; those seen most first
     """
 
     camera: Camera
@@ -73,6 +75,7 @@ class Scene:
     light: Light = field(default_factory=Light)
     seed: int = 0
     surface_m: tuple[float, float, float, float] | None = None
+    real_planes: tuple[RealPlane, ...] = ()
 
     @cached_property
     def model_points_m(self) -> np.ndarray:

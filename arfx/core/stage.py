@@ -14,7 +14,7 @@ import numpy as np
 
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, Patch
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 
@@ -76,7 +76,7 @@ class Stage(Protocol):
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]: ...
+    ) -> Mapping[Layer, np.ndarray | Patch]: ...
 
 
 def level_named(levels: Sequence[Level], name: str) -> Level:

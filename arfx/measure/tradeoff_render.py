@@ -126,7 +126,7 @@ class FrameBench:
         told = f"{stage.name}/{level.name}"
         self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.perf_counter() - began
         for layer, array in made.items():
-            canvas.put(layer, step.out, array[step.out.slices_in(need)])
+            canvas.take(layer, array, need, step.out)
         whole = next(s for s in self.plan.steps if s.stage == stage.name)
         self.seconds[stage.name, level.name] = spent * max(whole.out.area / step.out.area, 1.0)
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
+from typing import Any
 
 import av
 import numpy as np
@@ -18,6 +20,7 @@ from arfx.errors import RenderError
 from arfx.media.orient import Orientation
 from arfx.media.planes import PixelLayout, chroma_size, copy_picture, planes_of
 
+LEAST_SPARSE = 3  # pixels of a rectangle for each that is wanted, from which these alone are converted
 SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
 
 
@@ -133,15 +136,44 @@ class Frame:
         from arfx.media import kernels
 
         coded = np.empty((r.height, r.width, 3), np.float32)
-        to_rgb = np.linalg.inv(yuv_from_rgb(f.matrix))
-        (yo, yn), (co, cn) = f.luma_steps, f.chroma_steps
         kernels.linear_from_yuv(
             planes[0], planes[1], planes[2], (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited,
-            chroma_size(f.layout, f.width, f.height), tuple(np.float32(v) for v in (yo, 1 / yn, co, 1 / cn)),
-            tuple(np.float32(v) for v in (to_rgb[0, 2], -to_rgb[1, 1], -to_rgb[1, 2], to_rgb[2, 1])),
-            kernels.decode_table(f.transfer), coded,
+            *self._yuv_factors(), coded,
         )  # fmt: skip
         return np.ascontiguousarray(f.orientation.upright(coded))
+
+    def linear_at(self, pixels: np.ndarray) -> np.ndarray:
+        """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y. Raises RenderError if one leaves the picture."""
+        if not len(pixels):
+            return np.zeros((0, 3), np.float32)
+        x, y = pixels[:, 0], pixels[:, 1]
+        rect = Rect(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
+        f, coded = self.format, self._coded(rect)
+        plain = f.layout.kind == "yuv" and f.orientation == Orientation()
+        if not plain or coded.area < LEAST_SPARSE * len(pixels):
+            return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
+        from arfx.media import kernels
+
+        planes = planes_of(self.picture, f.layout)
+        out = np.empty((len(pixels), 3), np.float32)
+        kernels.linear_at_yuv(
+            planes[0], planes[1], planes[2], np.ascontiguousarray(pixels, np.int32), (f.layout.sub_x, f.layout.sub_y), f.cosited,
+            *self._yuv_factors(), out,
+        )  # fmt: skip
+        return out
+
+    def _yuv_factors(self) -> tuple[Any, Any, Any, Any]:
+        """What the kernels take after a picture's planes and layout: chroma's size, scale, matrix, and the decoding curve."""
+        from arfx.media.curves import decode_curve
+
+        f = self.format
+        to_rgb = _rgb_from_yuv(f.matrix)
+        (yo, yn), (co, cn) = f.luma_steps, f.chroma_steps
+        return (
+            chroma_size(f.layout, f.width, f.height), tuple(np.float32(v) for v in (yo, 1 / yn, co, 1 / cn)),
+            tuple(np.float32(v) for v in (to_rgb[0, 2], -to_rgb[1, 1], -to_rgb[1, 2], to_rgb[2, 1])),
+            decode_curve(f.transfer),
+        )  # fmt: skip
 
     def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before) inside `rect`.
@@ -164,22 +196,26 @@ class Frame:
         return Frame(picture, f, self.index, self.pts, self.key)
 
 
+@lru_cache(maxsize=8)
+def _rgb_from_yuv(matrix: str) -> np.ndarray:
+    return np.linalg.inv(yuv_from_rgb(matrix))
+
+
 def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:
     from arfx.media import kernels
+    from arfx.media.curves import encode_curve
 
     (_, yn), (_, cn) = f.luma_steps, f.chroma_steps
     y_low, y_high, c_low, c_high = f.legal
-    d_cb, d_cr = np.empty((2, r.height, r.width), np.float32)
-    spans = np.empty((r.height, 2), np.int32)
+    rect, (sub_x, sub_y), (left, top) = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited
+    chroma = np.empty((2, r.height, -(-r.x1 >> sub_x) - (r.x0 >> sub_x)), np.float32)
+    reach = np.empty((r.height, 2), np.int32)
     bad = kernels.edit_luma(
-        planes[0], r.x0, r.y0, before.view(np.int32), after.view(np.int32), kernels.encode_table(f.transfer),
-        yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, d_cb, d_cr, spans,
+        planes[0], rect, before.view(np.int32), after.view(np.int32), encode_curve(f.transfer),
+        yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, f.width, sub_x, left, chroma, reach,
     )  # fmt: skip
-    for plane, diff in ((planes[1], d_cb), (planes[2], d_cr)):
-        kernels.edit_chroma(
-            plane, diff, spans, (r.x0, r.y0, r.x1, r.y1), (f.width, f.height), (f.layout.sub_x, f.layout.sub_y), f.cosited,
-            np.float32(cn), c_low, c_high,
-        )  # fmt: skip
+    for plane, lines in zip(planes[1:3], chroma, strict=True):
+        kernels.edit_chroma(plane, lines, reach, rect, f.height, (sub_x, sub_y), top, np.float32(cn), c_low, c_high)
     return int(bad)
 
 

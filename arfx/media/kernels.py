@@ -1,42 +1,20 @@
 """Compiled loops between stored planes and linear light, over a rectangle only.
 
-Cost on one core: see docs; about one table lookup per sample. Left out: nothing is clipped when reading, so values
+Left out: nothing is clipped when reading, so values
 beyond black and white (limited range, out-of-gamut chroma) come out below 0 and above 1.
 """
 
 # mypy: no-check-untyped-defs
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numba
 import numpy as np
 
-from arfx.core.colour import Transfer
-
-# Decoding: coded values of every legal Y'CbCr triple lie in this interval (limited range: -1.12 .. 2.16).
-DECODE_LOW, DECODE_HIGH, DECODE_STEPS = -1.25, 2.25, 14336
-# Encoding: 128 nodes in each octave from 2^-30 to 2^6; interpolation error of x^(1/2.4) is below 2e-6 of the value.
-_LOW_EXPONENT, _HIGH_EXPONENT, _NODE_BITS = -30, 6, 7
-_FIRST = (127 + _LOW_EXPONENT) << _NODE_BITS
-_LAST = ((127 + _HIGH_EXPONENT) << _NODE_BITS) - 1
+from arfx.media.curves import FAST, apply_curve
 
 
-@lru_cache(maxsize=8)
-def decode_table(transfer: Transfer) -> np.ndarray:
-    """(DECODE_STEPS + 1,) float32; linear interpolation errs by less than 3e-8 for sRGB."""
-    return transfer.decode(np.linspace(DECODE_LOW, DECODE_HIGH, DECODE_STEPS + 1)).astype(np.float32)
-
-
-@lru_cache(maxsize=8)
-def encode_table(transfer: Transfer) -> np.ndarray:
-    """float32 values of `transfer.encode` at the nodes; node i is the float32 with bits (i + first) << 16."""
-    bits = np.arange(_FIRST, _LAST + 2, dtype=np.int32) << (23 - _NODE_BITS)
-    return transfer.encode(bits.view(np.float32).astype(float)).astype(np.float32)
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, table, out):
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out):
     """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1).
 
     y, u, v : whole-line planes;  steps : log2 of the chroma step (x, y);  cosited : chroma on the left/top luma sample
@@ -49,70 +27,110 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, t
     yo, yf, co, cf = scale
     rv, gu, gv, bu = matrix
     w = x1 - x0
-    first = np.empty(w, np.int32)
-    second = np.empty(w, np.int32)
-    part = np.empty(w, np.float32)
-    for k in range(w):
-        c = np.float32((x0 + k) / (1 << sx)) if cosited[0] else np.float32((x0 + k + 0.5) / (1 << sx) - 0.5)
-        c = min(max(c, np.float32(0)), np.float32(cw - 1))
-        first[k] = np.int32(c)
-        second[k] = min(np.int32(c) + 1, cw - 1)
-        part[k] = c - np.float32(first[k])
-    c0 = first[0]
-    n = second[w - 1] - c0 + 1
-    # a line at a time in steps without branches: the compiler makes vector code of all but the lookup
-    coded = np.empty((3, w), np.float32)
-    at, between = np.empty((3, w), np.int32), np.empty((3, w), np.float32)
-    row_u = np.empty(n, np.float32)
-    row_v = np.empty(n, np.float32)
+    c0, c1 = max((x0 >> sx) - 1, 0), min(((x1 - 1) >> sx) + 2, cw)  # chroma columns that the rectangle may ask for
+    # a line at a time in steps without branches, of which the compiler makes vector code
+    coded, light = np.empty((3, w), np.float32), np.empty((3, w), np.float32)
+    base, mantissa = np.empty(w, np.float32), np.empty(w, np.float32)
+    few, cb, cr = np.empty(c1 - c0, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
     for j in range(y1 - y0):
         yy = y0 + j
         c = np.float32(yy / (1 << sy)) if cosited[1] else np.float32((yy + 0.5) / (1 << sy) - 0.5)
         c = min(max(c, np.float32(0)), np.float32(ch - 1))
         r0 = np.int32(c)
         r1 = min(r0 + 1, ch - 1)
-        f = c - np.float32(r0)
-        for i in range(n):
-            a, b = np.float32(u[r0, c0 + i]), np.float32(u[r1, c0 + i])
-            row_u[i] = (a + f * (b - a) - co) * cf
-            a, b = np.float32(v[r0, c0 + i]), np.float32(v[r1, c0 + i])
-            row_v[i] = (a + f * (b - a) - co) * cf
+        _between(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, few)
+        _widen(few, c0, cw, sx, cosited[0], x0, cb)
+        _between(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, few)
+        _widen(few, c0, cw, sx, cosited[0], x0, cr)
+        line = y[yy, x0:x1]
         for k in range(w):
-            i, m, t = np.uintp(first[k] - c0), np.uintp(second[k] - c0), part[k]
-            cb = row_u[i] + t * (row_u[m] - row_u[i])
-            cr = row_v[i] + t * (row_v[m] - row_v[i])
-            luma = (np.float32(y[yy, x0 + k]) - yo) * yf
-            coded[0, k] = luma + rv * cr
-            coded[1, k] = luma - gu * cb - gv * cr
-            coded[2, k] = luma + bu * cb
+            luma = (np.float32(line[k]) - yo) * yf
+            coded[0, k] = luma + rv * cr[k]
+            coded[1, k] = luma - gu * cb[k] - gv * cr[k]
+            coded[2, k] = luma + bu * cb[k]
         for c in range(3):
-            for k in range(w):
-                t = (coded[c, k] - np.float32(-1.25)) * np.float32(4096.0)
-                t = min(max(t, np.float32(0.0)), np.float32(14335.999))
-                at[c, k] = np.int32(t)
-                between[c, k] = t - np.float32(at[c, k])
+            apply_curve(coded[c], curve, base, mantissa, light[c])
         for k in range(w):
-            for c in range(3):
-                i = np.uintp(at[c, k])
-                out[j, k, c] = table[i] + between[c, k] * (table[i + np.uintp(1)] - table[i])
+            out[j, k, 0], out[j, k, 1], out[j, k, 2] = light[0, k], light[1, k], light[2, k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def encode_bits(bits, table, out):
-    """out[k] = the transfer function of the float32 with bits[k] (n,) int32, by linear interpolation; odd in the value."""
-    zero, last = np.int32(0), np.int32(4607)
-    for k in range(bits.shape[0]):
-        b = bits[k] & np.int32(0x7FFFFFFF)
-        node = (b >> np.int32(16)) - np.int32(12416)
-        t = np.float32(b & np.int32(0xFFFF)) * np.float32(1 / 65536) if node <= last else np.float32(1)
-        i = np.uintp(min(max(node, zero), last))
-        v = table[i] + t * (table[i + np.uintp(1)] - table[i])
-        if node < zero:  # below 2^-30: straight to zero in the bits
-            v = table[0] * (np.float32(b) * np.float32(1 / (12416 << 16)))
-        out[k] = -v if bits[k] < zero else v
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def _between(above, below, part, offset, factor, out):
+    """Chroma between two lines of samples, -0.5..0.5."""
+    for i in range(out.shape[0]):
+        a, b = np.float32(above[i]), np.float32(below[i])
+        out[i] = (a + part * (b - a) - offset) * factor
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def _widen(few, c0, columns, step, cosited, x0, out):
+    """Chroma at the luma columns x0 ... of one line, linear between samples. few : those of the chroma columns from c0 on"""
+    n = out.shape[0]
+    if step == 0:
+        for k in range(n):
+            out[k] = few[np.uintp(x0 - c0 + k)]
+        return
+    last = columns - 1
+    if step == 1:
+        before = np.float32(0) if cosited else np.float32(0.25)
+        after = np.float32(0.5) if cosited else np.float32(0.25)
+        inner, stop = max(x0 + x0 % 2, 2), min(x0 + n, 2 * last)
+        stop = inner + max(stop - inner, 0) // 2 * 2  # in pairs where both neighbours exist
+        if stop > inner:
+            own, earlier, pairs = few[inner // 2 - c0 :], few[inner // 2 - c0 - 1 :], out[inner - x0 : stop - x0]
+            for i in range((stop - inner) // 2):
+                a, b, c = earlier[i], own[i], own[i + 1]
+                pairs[2 * i] = b + before * (a - b)
+                pairs[2 * i + 1] = b + after * (c - b)
+        for q in range(n - (stop - inner)):
+            k = q if stop == inner or x0 + q < inner else q + stop - inner
+            i = (x0 + k) >> 1
+            m, part = (min(i + 1, last), after) if (x0 + k) & 1 else (max(i - 1, 0), before)
+            out[k] = few[i - c0] + part * (few[m - c0] - few[i - c0])
+        return
+    scale = np.float32(1.0 / (1 << step))
+    shift = np.float32(0) if cosited else np.float32(0.5) * scale - np.float32(0.5)
+    for k in range(n):
+        c = min(max(np.float32(x0 + k) * scale + shift, np.float32(0)), np.float32(last))
+        i = np.int32(c)
+        m = min(i + 1, last)
+        out[k] = few[i - c0] + (c - np.float32(i)) * (few[m - c0] - few[i - c0])
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def linear_at_yuv(y, u, v, pixels, steps, cosited, chroma_size, scale, matrix, curve, out):
+    """out (n, 3) = linear_from_yuv of single pixels (n, 2), x and y, coded; other arguments as there."""
+    sx, sy = steps
+    cw, ch = chroma_size
+    yo, yf, co, cf = scale
+    rv, gu, gv, bu = matrix
+    zero = np.float32(0)
+    coded = np.empty((3, len(pixels)), np.float32)
+    for k in range(len(pixels)):
+        x, row = pixels[k, 0], pixels[k, 1]
+        p = np.float32(x / (1 << sx)) if cosited[0] else np.float32((x + 0.5) / (1 << sx) - 0.5)
+        q = np.float32(row / (1 << sy)) if cosited[1] else np.float32((row + 0.5) / (1 << sy) - 0.5)
+        p, q = min(max(p, zero), np.float32(cw - 1)), min(max(q, zero), np.float32(ch - 1))
+        i0, r0 = np.int32(p), np.int32(q)
+        i1, r1 = min(i0 + 1, cw - 1), min(r0 + 1, ch - 1)
+        t, f = p - np.float32(i0), q - np.float32(r0)
+        a, b = np.float32(u[r0, i0]), np.float32(u[r1, i0])
+        c, d = np.float32(u[r0, i1]), np.float32(u[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cb = left + t * (right - left)
+        a, b = np.float32(v[r0, i0]), np.float32(v[r1, i0])
+        c, d = np.float32(v[r0, i1]), np.float32(v[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cr = left + t * (right - left)
+        luma = (np.float32(y[row, x]) - yo) * yf
+        coded[0, k], coded[1, k], coded[2, k] = luma + rv * cr, luma - gu * cb - gv * cr, luma + bu * cb
+    light, base, mantissa = np.empty_like(coded[0]), np.empty_like(coded[0]), np.empty_like(coded[0])
+    for c in range(3):
+        apply_curve(coded[c], curve, base, mantissa, light)
+        out[:, c] = light
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _all_finite(before, after):
     """Whether all float32 with these bits are finite: none has all bits of its exponent set."""
     infinite, highest = np.int32(0x7F800000), np.int32(0)
@@ -137,7 +155,7 @@ def _blank_odd(before, after):
     return bad
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _clipped_differences(before, after):
     """after = after - before (n,), coded, with `after` kept between black and white or where `before` already lay beyond."""
     zero, one = np.float32(0), np.float32(1)
@@ -146,7 +164,7 @@ def _clipped_differences(before, after):
         after[k] = min(max(after[k], min(b, zero)), max(b, one)) - b
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _to_yuv(diff, to_yuv, dy, d_cb, d_cr):
     """R'G'B' differences (3 n,) to luma and chroma (n,)."""
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
@@ -158,7 +176,7 @@ def _to_yuv(diff, to_yuv, dy, d_cb, d_cr):
         d_cr[k] = to_yuv[2, 0] * r + to_yuv[2, 1] * g + to_yuv[2, 2] * b
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _add_steps(line, diff, factor, low, high):
     """Adds diff (n,) x factor, rounded, to stored samples; legal ones stay legal, others go no further out."""
     for k in range(diff.shape[0]):
@@ -166,19 +184,27 @@ def _add_steps(line, diff, factor, low, high):
         line[k] = min(max(old + np.int32(np.rint(diff[k] * factor)), min(old, low)), max(old, high))
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def edit_luma(y, x0, y0, before_bits, after_bits, table, to_yuv, factor, low, high, d_cb, d_cr, spans):
-    """Adds the luma difference to plane y in place and leaves the chroma differences (per pixel, -0.5..0.5) in d_cb, d_cr.
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach):
+    """Adds the luma difference to plane y in place; leaves the chroma differences of each line, reduced to chroma columns.
 
-    *_bits : (h, w, 3) float32 linear light as int32;  to_yuv : (3, 3) from R'G'B'
-    factor : stored steps per unit of luma;  low, high : legal stored values
-    spans : (h, 2) int32, set to the first column that changes and the one behind the last; d_cb, d_cr hold values there
-    Returns how many pixels of `after` or `before` are not finite; those are left alone.
+    rect : x0, y0, x1, y1;  *_bits : (h, w, 3) float32 linear light as int32;  to_yuv : (3, 3) from R'G'B'
+    factor : stored steps per unit of luma;  low, high : legal stored values;  step : log2 of the chroma step across
+    cosited : a chroma sample lies on the left luma sample and takes a tent of differences, else a box
+    chroma : (2, h, n) float32, set to Cb and Cr differences, -0.5..0.5, of the columns from x0 >> step on
+    reach : (h, 2), set to the first of those columns that changes and the one behind the last
+    Beyond the rectangle the difference is zero, beyond the picture its edge goes on. Returns how many pixels of `after` or
+    `before` are not finite; those are left alone.
     """
-    h, w = d_cb.shape
+    x0, y0, x1, y1 = rect
+    h, w, n = y1 - y0, x1 - x0, chroma.shape[2]
     bad = 0
     before, after = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
+    base, mantissa = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
     dy = np.empty(w, np.float32)
+    low_tap, high_tap, weights = _taps(step, cosited and step > 0)
+    start = ((x0 >> step) << step) + low_tap  # luma column of the first tap
+    wide = np.empty((2, (n << step) + high_tap - low_tap), np.float32)
     # a line at a time from the first pixel that changes to the last, in steps of which the compiler makes vector code
     # (it does not where they stand together in one function); a pixel between them that does not change has difference 0
     for j in range(h):
@@ -192,15 +218,40 @@ def edit_luma(y, x0, y0, before_bits, after_bits, table, to_yuv, factor, low, hi
         while last > first and b[last - 1] == a[last - 1]:
             last -= 1
         first, last = first // 3, (last + 2) // 3
-        n = max(last - first, 0)
-        spans[j, 0], spans[j, 1] = (first, last) if n else (0, 0)
-        if n:
-            encode_bits(b[3 * first : 3 * last], table, before)
-            encode_bits(a[3 * first : 3 * last], table, after)
-            _clipped_differences(before[: 3 * n], after)
-            _to_yuv(after, to_yuv, dy[:n], d_cb[j, first:last], d_cr[j, first:last])
-            _add_steps(y[y0 + j, x0 + first : x0 + last], dy[:n], factor, low, high)
+        reach[j, 0], reach[j, 1] = 0, 0
+        m = last - first
+        if m <= 0:
+            continue
+        apply_curve(b[3 * first : 3 * last].view(np.float32), curve, base, mantissa, before)
+        apply_curve(a[3 * first : 3 * last].view(np.float32), curve, base, mantissa, after)
+        _clipped_differences(before[: 3 * m], after)
+        wide[:] = 0
+        at = x0 + first - start
+        _to_yuv(after, to_yuv, dy[:m], wide[0, at : at + m], wide[1, at : at + m])
+        _add_steps(y[y0 + j, x0 + first : x0 + last], dy[:m], factor, low, high)
+        c0 = max(((x0 + first - high_tap + 1) >> step) - (x0 >> step), 0)
+        c1 = min(((x0 + last - 1 - low_tap) >> step) + 1 - (x0 >> step), n)
+        reach[j, 0], reach[j, 1] = c0, c1
+        for c in range(2):
+            if x0 + first == 0:
+                wide[c, :at] = wide[c, at]
+            if x0 + last == picture_width:
+                wide[c, at + m :] = wide[c, at + m - 1]
+            _reduce(wide[c, c0 << step :], step, weights, chroma[c, j, c0:c1])
     return bad
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def _reduce(line, step, weights, out):
+    """out[i] = weighted sum of the samples of `line` from i << step on."""
+    if step == 1 and weights.shape[0] == 3:
+        for i in range(out.shape[0]):
+            out[i] = weights[0] * line[2 * i] + weights[1] * line[2 * i + 1] + weights[2] * line[2 * i + 2]
+        return
+    out[:] = 0
+    for k in range(weights.shape[0]):
+        for i in range(out.shape[0]):
+            out[i] += weights[k] * line[np.uintp((i << step) + k)]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -214,59 +265,32 @@ def _taps(step, tent):
     return low, n, weights
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def edit_chroma(plane, diff, spans, rect, picture, steps, cosited, factor, low, high):
-    """Adds per-pixel chroma differences (of coded `rect`, zero outside `spans`) to one chroma plane in place.
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, low, high):
+    """Adds the chroma differences that `edit_luma` left, (h, n) with their reach, to one chroma plane in place.
 
-    A sample on the left/top luma sample takes a tent of the differences, one in the middle a box; beyond the rectangle
-    the difference is zero, beyond the picture its edge goes on. Only samples on the grid inside the rectangle,
-    grown to that grid, can change.
+    height : of the picture;  cosited : a sample lies on the top luma sample of its group, else in the middle
+    Only samples on the grid inside the rectangle, grown to that grid, can change.
     """
-    x0, y0, x1, y1 = rect
-    width, height = picture
+    x0, y0, _, y1 = rect
     sx, sy = steps
-    ca, cb = x0 >> sx, -(-x1 >> sx)
-    ra, rb = y0 >> sy, -(-y1 >> sy)
-    n = cb - ca
-    from_x, to_x, weights_x = _taps(sx, cosited[0] and sx > 0)
-    from_y, to_y, weights_y = _taps(sy, cosited[1] and sy > 0)
-    rows = np.zeros((y1 - y0, n), np.float32)
-    start = (ca << sx) + from_x  # luma column of the first tap
-    line = np.empty((n << sx) + to_x - from_x, np.float32)
+    ca, n = x0 >> sx, lines.shape[1]
+    low_tap, high_tap, weights = _taps(sy, cosited and sy > 0)
     total = np.empty(n, np.float32)
-    reach = np.zeros((y1 - y0, 2), np.int64)  # of each row, the chroma columns that its differences reach
-    for j in range(y1 - y0):
-        if spans[j, 1] <= spans[j, 0]:
-            continue
-        first, last = x0 + spans[j, 0], x0 + spans[j, 1]  # luma columns with a difference
-        a = max(((first - to_x + 1) >> sx) - ca, 0)
-        b = min(((last - from_x) >> sx) + 1 - ca, n)
-        reach[j, 0], reach[j, 1] = a, b
-        # the line with zeros around it, and the picture's edge going on, so that the sum needs no test
-        line[:] = 0
-        line[first - start : last - start] = diff[j, spans[j, 0] : spans[j, 1]]
-        if first == 0:
-            line[:-start] = line[-start]
-        if last == width:
-            line[last - start :] = line[last - start - 1]
-        for k in range(from_x, to_x):
-            weight, at = weights_x[k - from_x], k - from_x
-            for i in range(a, b):
-                rows[j, i] += line[np.uintp((i << sx) + at)] * weight
-    for r in range(ra, rb):
+    for r in range(y0 >> sy, -(-y1 >> sy)):
         a, b = n, 0
-        for k in range(from_y, to_y):
+        for k in range(low_tap, high_tap):
             yy = min(max((r << sy) + k, 0), height - 1)
             if y0 <= yy < y1 and reach[yy - y0, 1] > reach[yy - y0, 0]:
                 a, b = min(a, reach[yy - y0, 0]), max(b, reach[yy - y0, 1])
-        total[:] = 0
-        for k in range(from_y, to_y):
+        if b <= a:
+            continue
+        total[a:b] = 0
+        for k in range(low_tap, high_tap):
             yy = min(max((r << sy) + k, 0), height - 1)
             if y0 <= yy < y1:
-                for i in range(a, b):
-                    total[i] += rows[yy - y0, i] * weights_y[k - from_y]
-        for i in range(a, b):
-            step = np.int32(np.rint(total[i] * factor))
-            if step != 0:
-                old = np.int32(plane[r, ca + i])
-                plane[r, ca + i] = min(max(old + step, min(old, low)), max(old, high))
+                from_, to = reach[yy - y0, 0], reach[yy - y0, 1]
+                weight, line = weights[k - low_tap], lines[yy - y0]
+                for i in range(from_, to):
+                    total[i] += line[i] * weight
+        _add_steps(plane[r, ca + a : ca + b], total[a:b], factor, low, high)

@@ -25,13 +25,20 @@ Progress = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True)
 class Pass:
-    """What the pass leaves behind. pts : presentation times of the frames to render, in the clip's time base"""
+    """What the pass leaves behind.
+
+    pts : presentation times of the frames to render, in the clip's time base;  origin : of the clip's first frame
+    before : frames of the clip before them;  whole : they reach to its end
+    """
 
     analysis: Analysis
     pts: list[int]
     truncated: str | None
     decode_s: float
     analyse_s: float
+    origin: int = 0
+    before: int = 0
+    whole: bool = True
 
 
 def analyse_clip(
@@ -57,9 +64,10 @@ def analyse_clip(
     analyser = Analyser(markers, camera, params, marker_map, light, panorama, folds)
     pts: list[int] = []
     origin: int | None = None
+    before, whole = 0, True
     if folder is not None and (saved := _saved(folder, key)):
         analyser.restore(saved["state"])
-        pts, origin = saved["pts"], saved["origin"]
+        pts, origin, before = saved["pts"], saved["origin"], saved["before"]
     analyse_s = 0.0
     last_save = time.monotonic()
     expected = info.frame_count_stated if span_s == (None, None) else None
@@ -71,8 +79,10 @@ def analyse_clip(
                 continue
             since_s = float((frame.pts - origin) * info.time_base)
             if span_s[0] is not None and since_s < span_s[0] - 1e-9:
+                before += 1
                 continue
             if span_s[1] is not None and since_s > span_s[1] + 1e-9:
+                whole = False
                 break
             start = time.perf_counter()
             analyser.step(len(pts), frame.time_s, frame.luma(), frame)
@@ -80,7 +90,8 @@ def analyse_clip(
             pts.append(frame.pts)
             progress("analyse", len(pts), expected)
             if folder is not None and time.monotonic() - last_save > CHECKPOINT_S:
-                write_text(folder.checkpoint, json.dumps({"key": key, "pts": pts, "origin": origin, "state": analyser.state()}))
+                saved = {"key": key, "pts": pts, "origin": origin, "before": before, "state": analyser.state()}
+                write_text(folder.checkpoint, json.dumps(saved))
                 last_save = time.monotonic()
         truncated, decode_s = reader.truncated, frames.seconds
     if not pts:
@@ -92,7 +103,9 @@ def analyse_clip(
     analysis = analyser.finish()
     analyse_s += time.perf_counter() - start
     progress("analyse", len(pts), len(pts))
-    return Pass(analysis, pts, truncated, decode_s, analyse_s)
+    return Pass(
+        analysis, pts, truncated, decode_s, analyse_s, pts[0] if origin is None else origin, before, whole and not truncated
+    )
 
 
 def _saved(folder: JobFolder, key: str) -> dict[str, Any] | None:

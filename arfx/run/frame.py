@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import UNWRITTEN, Layer, Layers, Patch
 from arfx.core.numerics import count_non_finite
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
@@ -38,29 +38,29 @@ class Canvas:
 
     def view(self, names: frozenset[Layer], rect: Rect) -> Layers:
         """Read-only layers over `rect`."""
-        arrays = {}
-        for name in names:
-            where, array = self.stored.get(name, (Rect(0, 0, 0, 0), np.empty(0)))
-            if where.contains(rect) and not where.empty:
-                arrays[name] = array[rect.slices_in(where)]
-                continue
-            full = neutral(name, rect)
-            both = where.clip(rect)
-            if not both.empty:
-                full[both.slices_in(rect)] = array[both.slices_in(where)]
-            arrays[name] = full
-        return Layers(rect).adding(arrays)
+        return Layers(rect, {name: self.stored.get(name, UNWRITTEN) for name in names})
 
     def put(self, name: Layer, rect: Rect, array: np.ndarray) -> None:
         """Write `array` over `rect`; what was there before stays outside it."""
-        where, before = self.stored.get(name, (rect, array))
+        where, _ = self.stored.get(name, (rect, array))
         if where != rect and not rect.contains(where):
             whole = where.union(rect)
-            merged = before.copy() if whole == where else self.view(frozenset({name}), whole)[name].copy()
+            merged = self.view(frozenset({name}), whole)[name].copy()
             merged[rect.slices_in(whole)] = array
             self.stored[name] = (whole, merged)
         else:
             self.stored[name] = (rect, array)
+
+    def take(self, name: Layer, made: np.ndarray | Patch, need: Rect, out: Rect) -> tuple[Rect, np.ndarray]:
+        """Write what a stage that saw `need` made, over `out`. Returns the pixels of it that are not neutral by definition."""
+        patch = made if isinstance(made, Patch) else Patch(need, made)
+        where = patch.rect.clip(out)
+        pixels = patch.array[where.slices_in(patch.rect)]
+        if where == out or name not in self.stored:
+            self.put(name, where, pixels)
+        else:  # neutral there now, whatever it was before
+            self.put(name, out, Patch(where, pixels).over(name, out))
+        return where, pixels
 
 
 @dataclass(frozen=True)
@@ -88,15 +88,19 @@ def run_frame(
     prepared: Mapping[str, Any],
     seed: int = 0,
     past: Sequence[tuple[Canvas, FrameFacts]] = (),
+    real_depth_m: np.ndarray | None = None,
 ) -> FrameResult:
     """Run a plan that has steps.
 
     plate : (h, w, 3) float32 linear light over plan.rect
     past : canvases of the frames before, oldest first, as many as the largest reach asks for
+    real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite.
     """
     canvas = Canvas(plate, plan.rect)
+    if real_depth_m is not None:
+        canvas.put(Layer.REAL_DEPTH, plan.rect, real_depth_m)
     seconds: dict[str, float] = {}
     for step in plan.steps:
         stage = stages[step.stage]
@@ -109,12 +113,10 @@ def run_frame(
         )
         rng = rng_for(seed, facts.index, stage.name)
         made = stage.run(window, scene, prepared[stage.name], levels[stage.name], rng)
-        inside = step.out.slices_in(step.need)
         for name, array in made.items():
-            part = array[inside]
+            where, pixels = canvas.take(name, array, step.need, step.out)
             if name is not Layer.DEPTH:  # infinite where nothing is
-                _require_finite(part, name, stage.name, facts.index, step.out)
-            canvas.put(name, step.out, part)
+                _require_finite(pixels, name, stage.name, facts.index, where)
         seconds[stage.name] = seconds.get(stage.name, 0.0) + time.perf_counter() - start
     where, image = canvas.stored[Layer.IMAGE]
     return FrameResult(image[plan.changed.slices_in(where)], plate[plan.changed.slices_in(plan.rect)], seconds, canvas)

@@ -25,7 +25,7 @@ def health(planned: Planned) -> Rows:
     one that does stops with an error that names stage, frame and pixel."""
     facts, summary, meta = planned.facts, planned.meta["summary"], planned.meta
     rows = [*_calibration(planned), *_pose(facts, summary), *_light(summary.get("light"))]
-    rows += _lens(planned) + _environment(facts) + _furnace(planned)
+    rows += _lens(planned) + _depth(meta.get("depth")) + _environment(facts) + _furnace(planned)
     absent = sum(f.status == ABSENT for f in facts)
     rows.append(check("frames without a pose", absent, 0, absent == 0, "object left out there"))
     whole = meta["truncated"] is None
@@ -141,6 +141,19 @@ def _lens(planned: Planned) -> Rows:
     if known:
         share = max(float(divide(f["px_per_dioptre_ci95"], f["px_per_dioptre"])) for f in known)
         rows.append(check("lens of the blur, half width of its interval", share, 0.5, share <= 0.5, "blur is a rough guess"))
+    return rows
+
+
+def _depth(depth: dict[str, Any] | None) -> Rows:
+    """Of the depth input: how well its scale fits the markers' planes."""
+    if depth is None:
+        return []
+    told = "as stated" if depth["residual"] is None else depth["residual"]
+    rows = [check("real depth: miss of the markers' planes", told if depth["known"] else depth["reason"], 0.1, depth["known"],
+                  "not used: the real scene is the markers' planes")]  # fmt: skip
+    if depth["known"]:
+        without = depth["frames_without"]
+        rows.append(check("frames without real depth", without, 0, without == 0, "markers' planes there"))
     return rows
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -18,14 +18,18 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Placement, Scene
 from arfx.core.units import length_m
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import load_camera
 from arfx.media.clip import ClipInfo, probe
+from arfx.media.depth_maps import DepthMaps
 from arfx.media.images import load_image
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
+from arfx.media.pose_files import CameraPath, load_poses
+from arfx.run.depth import job_depth
 from arfx.stages.raster.mesh import check_extent
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
@@ -41,6 +45,8 @@ class Inputs:
     output: OutputPlan
     notices: tuple[str, ...]
     panorama: np.ndarray | None = None
+    depth: DepthMaps | None = None
+    poses: CameraPath | None = None
 
 
 def open_inputs(config: JobConfig) -> Inputs:
@@ -64,8 +70,17 @@ def open_inputs(config: JobConfig) -> Inputs:
     model = job_model(config)
     check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
     return Inputs(
-        config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices), panorama(config)
-    )
+        config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices), panorama(config),
+        open_maps(config, clip), None if config.input.poses is None else load_poses(config.input.poses),
+    )  # fmt: skip
+
+
+def open_maps(config: JobConfig, clip: ClipInfo) -> DepthMaps | None:
+    """The job's depth, its first map read, so that what is wrong with all of them is said before the clip is analysed."""
+    maps = job_depth(config)
+    if maps is not None:
+        maps.load(0, clip.width, clip.height)
+    return maps
 
 
 def panorama(config: JobConfig) -> np.ndarray | None:
@@ -100,7 +115,10 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
     """Clip and camera at the clip's size, with notices."""
     if config.input.clip is None:
         raise ConfigError("no clip is named", "arfx process CLIP …")
-    if not config.markers:
+    if config.model.anchor == "plane":
+        if config.input.depth is None:
+            raise ConfigError("--anchor plane needs the depth that shows the plane", "--depth DIR|FILE")
+    elif not config.markers:
         raise ConfigError("no marker is named", "--marker FAMILY:ID:SIZE; `arfx inspect CLIP` finds out which is there")
     keys = [m.key for m in config.markers]
     if len(set(keys)) < len(keys):
@@ -131,10 +149,11 @@ def placement(config: JobConfig) -> Placement:
 
 def make_scene(
     config: JobConfig, camera: Camera, model: Model, world_from_marker: Mapping[str, Pose], anchor: str, seed: int,
-    static: str = "marker",
+    static: str = "marker", real_planes: Sequence[RealPlane] = (),
 ) -> Scene:  # fmt: skip
     """The scene of a job. anchor : key of the marker that the model stands on. The default light hangs above it.
 
+    real_planes : of the real scene, measured
     static : what stands still (Analysis.static). A marker that is moved before a camera at rest is a sheet or a card: its
     surface ends a little beyond the print.
     """
@@ -147,6 +166,7 @@ def make_scene(
     return Scene(
         camera, model, world_from_model, config.markers, dict(world_from_marker), stand,
         Light(light.ambient_rgb, lights, light.source), seed, _card_m(config, anchor) if static == "camera" else None,
+        tuple(real_planes),
     )  # fmt: skip
 
 

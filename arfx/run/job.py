@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,28 +19,33 @@ from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
 from arfx.core.cost import Prices, load_prices
 from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
 from arfx.core.marker import anchor_marker
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
 from arfx.errors import ConfigError, JobInterruptedError, RenderError
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, names_sequence
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
-from arfx.run.analysis import analyse_clip
+from arfx.run.analysis import Pass, analyse_clip
 from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
+from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.parameters import folds_wanted, light_wanted, make_stages
+from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
 from arfx.run.predict import Terms
 from arfx.run.preview import pick
+from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
 from arfx.run.warm import warming
 from arfx.run.worker import keep_memory
+from arfx.stages import STAGES
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
@@ -179,10 +184,13 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     ]
     if config.input.marker_map:
         base.append(file_digest(config.input.marker_map))
+    if config.input.poses:
+        base.append(file_digest(config.input.poses))
     if config.params["light"].environment:
         base.append(file_digest(config.params["light"].environment))
     analysis_key = digest(*base)
-    job_key = digest(*base, tree, model_key, inputs.output.to_json())
+    maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
+    job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps)
     stages = make_stages(config)
     wish = wish_of(config)
     errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
@@ -195,7 +203,10 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     meta = json.loads(folder.frames.read_text(encoding="utf-8"))
     facts = list(read_facts(folder.facts))
     world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
-    scene = make_scene(config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed, meta["static"])
+    scene = make_scene(
+        config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed, meta["static"],
+        [RealPlane.from_json(p) for p in meta["real_planes"]],
+    )  # fmt: skip
     start = time.perf_counter()
     any_thread = not any(getattr(s, "one_thread", False) for s in stages.values())
     planned = Planned(
@@ -236,17 +247,28 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     config = inputs.config
     span = (config.input.start, config.input.end)
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
-    done = analyse_clip(
-        inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
-        clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
-    )  # fmt: skip
+    if config.model.anchor == "plane":
+        done = analyse_plane(inputs, span, clock, light_wanted(config), folds_wanted(config))
+    else:
+        done = analyse_clip(
+            inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
+            clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
+        )  # fmt: skip
     world = done.analysis.world_from_marker
-    anchor = anchor_marker(config.markers, world).key
+    anchor = ANCHOR if config.model.anchor == "plane" else anchor_marker(config.markers, world).key
     scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed, done.analysis.static)
     facts = with_model(done.analysis.facts, scene)
-    notices = list(done.analysis.notices)
+    notices, depth = list(done.analysis.notices), None
+    planes: list[RealPlane] = []
+    if inputs.depth is not None:
+        facts, depth = _depth(inputs, done, facts, options)
+        if not depth["known"]:
+            notices.append(f"the real depth is not used: {depth['reason']}")
+        elif any(Layer.REAL_DEPTH in STAGES[name].reads for name in pipeline(config)):
+            planes = measured_planes(inputs.depth, facts, inputs.camera)
     seen = done.analysis.summary["markers_seen"]
-    notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
+    if config.model.anchor == "marker":
+        notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
     if done.truncated:
         notices.append(done.truncated)
     for notice in notices:
@@ -255,13 +277,27 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     document = {
         "job_key": job_key, "pts": done.pts, "anchor": anchor, "world_from_marker": {k: p.to_json() for k, p in world.items()},
         "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
-        "previews": pick(facts), "notices": [*inputs.notices, *notices],
+        "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,
+        "real_planes": [p.to_json() for p in planes],
     }  # fmt: skip
     write_text(folder.frames, json.dumps(document, default=float))
     # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
     part = clock.before_s / max(done.decode_s + done.analyse_s, 1e-9)
     seconds = {"decode": done.decode_s * (1 + part), "analyse": done.analyse_s * (1 + part)}
     log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.pts))
+
+
+def _depth(
+    inputs: Inputs, done: Pass, facts: Sequence[FrameFacts], options: Options
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
+    """The facts with each frame's real depth, and a summary."""
+    assert inputs.depth is not None
+    times_s = [float((t - done.origin) * inputs.info.time_base) for t in done.pts]
+    of_frames = inputs.depth.of_frames(times_s, done.before, done.whole)
+    align = inputs.config.input.depth_align == "marker" and inputs.config.model.anchor == "marker"
+    return with_depth(
+        facts, inputs.depth, of_frames, done.analysis.world_from_marker, inputs.camera, align, options.progress
+    )  # fmt: skip
 
 
 def _chunks(planned: Planned) -> list[Chunk]:

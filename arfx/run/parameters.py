@@ -61,4 +61,4 @@ def light_wanted(config: JobConfig) -> LightParams | None:
 
 def folds_wanted(config: JobConfig) -> frozenset[str]:
     """What the stages of the job need of the analysis, by name."""
-    return frozenset().union(*(STAGES[name].needs_facts for name in pipeline(config)))
+    return frozenset().union(*(stage.needs_facts for stage in make_stages(config).values()))

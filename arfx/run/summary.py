@@ -46,6 +46,8 @@ def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> di
         },
         "pose": _pose(planned),
         "light": _light(planned),
+        "depth": meta.get("depth"),
+        "lens": meta["summary"].get("footage_lens"),
         "stages": rows,
         "levels": planned.levels,
         "predicted": planned.predicted,

@@ -45,7 +45,7 @@ def _quietly(config: JobConfig, inputs: Inputs) -> None:
 def warm_up(config: JobConfig, inputs: Inputs) -> None:
     """Run the clip's first frame with the model before the camera through every stage of the job."""
     stages = make_stages(config)
-    key = config.markers[0].key
+    key = config.markers[0].key if config.markers else config.model.anchor
     scene = make_scene(config, inputs.camera, inputs.model, {key: Pose.identity()}, key, config.pipeline.seed)
     corners = scene.model_corners_m
     away_m = 4 * float(np.ptp(corners, axis=0).max())

@@ -17,15 +17,19 @@ from arfx.config.load import load
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, level_named
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
+from arfx.media.depth_maps import DepthMaps
 from arfx.media.frames import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter
+from arfx.run.depth import job_depth, real_depth_layer
 from arfx.run.folder import JobFolder, disk_error, read_lines
 from arfx.run.frame import Canvas, run_frame
 from arfx.run.inputs import job_model, make_scene
@@ -48,6 +52,7 @@ class Context:
     stages: dict[str, Stage]
     pts: list[int]
     previews: frozenset[int]
+    depth: DepthMaps | None = None
     prepared: dict[tuple[str, str], Any] = field(default_factory=dict)
 
     def prepare(self, wanted: set[tuple[str, str]]) -> None:
@@ -92,10 +97,11 @@ def open_context(folder: str, job_key: str) -> Context:
     scene = make_scene(
         config, Camera.from_json(inputs["camera"]), job_model(config), world,
         frames["anchor"], config.pipeline.seed, frames["static"],
+        [RealPlane.from_json(p) for p in frames.get("real_planes", [])],
     )  # fmt: skip
     stages = make_stages(config)
     output = OutputPlan.from_json(inputs["output"])
-    return Context(config, info, output, scene, stages, frames["pts"], frozenset(frames["previews"]))
+    return Context(config, info, output, scene, stages, frames["pts"], frozenset(frames["previews"]), job_depth(config))
 
 
 def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, tick: Tick) -> dict[str, Any]:
@@ -169,9 +175,16 @@ def _frame(
     start = time.perf_counter()
     plate = frame.linear(plan.rect)
     seconds["edit"] += time.perf_counter() - start
+    depth = None
+    if context.depth is not None and any(Layer.REAL_DEPTH in context.stages[s.stage].reads for s in plan.steps):
+        start = time.perf_counter()
+        depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
+        seconds["decode"] += time.perf_counter() - start
     levels = {s.stage: context.level(s.stage, s.level) for s in plan.steps}
     prepared = {s.stage: context.prepared[s.stage, s.level] for s in plan.steps}
-    result = run_frame(plate, facts, plan, context.scene, context.stages, levels, prepared, context.scene.seed, tuple(past))
+    result = run_frame(
+        plate, facts, plan, context.scene, context.stages, levels, prepared, context.scene.seed, tuple(past), depth
+    )  # fmt: skip
     past.append((result.canvas, facts))
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s

@@ -5,6 +5,7 @@ Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, SYSTEMS
 Leaves out: depth order against real objects (no depth of the real scene here).
 """
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -58,24 +59,39 @@ class Composite:
     ) -> Mapping[Layer, np.ndarray]:
         now: Layers = window.now
         facts = window.facts[-1]
-        out = _over(
-            now[Layer.PLATE], now[Layer.VIRTUAL], now[Layer.COVERAGE], now[Layer.SHADOW], np.float32(facts.opacity),
-            np.array(facts.bias_rgb, np.float32),
-        )  # fmt: skip
+        virtual = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)))
+        opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
+        plate, shadow = now[Layer.PLATE], now[Layer.SHADOW]
+        out = np.empty_like(plate)
+        _shade(plate.reshape(len(plate), -1), shadow.reshape(len(plate), -1), opacity, bias, out.reshape(len(plate), -1))
+        if not virtual.rect.empty:
+            inside = virtual.rect.slices_in(now.rect)
+            _over(plate[inside], virtual[Layer.VIRTUAL], virtual[Layer.COVERAGE], shadow[inside], opacity, bias, out[inside])
         return {Layer.IMAGE: out}
 
 
-@numba.njit(cache=True, fastmath=False, nogil=True)
-def _over(
-    plate: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, shadow: np.ndarray, opacity: np.float32, bias: np.ndarray
-) -> np.ndarray:  # pragma: no cover - compiled
-    out = np.empty_like(plate)
+# Both take differences, so that a pixel with nothing virtual keeps its exact value.
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
+    """The plane's pixels without an object before it: the same as `_over` with coverage 0. Lines of 3 x width values."""
+    below = np.empty(plate.shape[1], np.float32)
+    for k in range(plate.shape[1]):
+        below[k] = bias[k % 3]
+    one = np.float32(1)
+    for y in range(plate.shape[0]):
+        for k in range(plate.shape[1]):
+            p, left = plate[y, k], shadow[y, k]
+            out[y, k] = p + opacity * (p * (left - one) + below[k] * (one - left))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _over(plate, virtual, coverage, shadow, opacity, bias, out):  # pragma: no cover - compiled
     for y in range(plate.shape[0]):
         for x in range(plate.shape[1]):
             left = np.float32(1) - coverage[y, x]
             for c in range(3):
                 p = plate[y, x, c]
-                # as a difference, so that a pixel with nothing virtual keeps its exact value
                 kept = bias[c] * (left - shadow[y, x, c] * left)
                 out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (shadow[y, x, c] * left - np.float32(1)) + kept)
-    return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.rect import Rect
 
 GRID_PX = 8  # pitch of the table: error below 1e-3 px for usual lenses
 
@@ -14,3 +15,16 @@ def direction_grid(camera: Camera) -> np.ndarray:
     x = np.arange(0, camera.width + GRID_PX, GRID_PX)
     y = np.arange(0, camera.height + GRID_PX, GRID_PX)
     return camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
+
+
+def viewing(grid: np.ndarray, rect: Rect) -> np.ndarray:
+    """(h, w, 3) float32 of the pixels of `rect`, linear between the entries of a table (gh, gw, 3) as `direction_grid` makes it.
+
+    The same for a pixel whatever the rectangle.
+    """
+    x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)
+    i, j = x // GRID_PX, y // GRID_PX
+    fx, fy = (x % GRID_PX / GRID_PX)[None, :, None], (y % GRID_PX / GRID_PX)[:, None, None]
+    top = grid[j[:, None], i] * (1 - fx) + grid[j[:, None], i + 1] * fx
+    bottom = grid[j[:, None] + 1, i] * (1 - fx) + grid[j[:, None] + 1, i + 1] * fx
+    return np.ascontiguousarray(top * (1 - fy) + bottom * fy, np.float32)

@@ -35,6 +35,10 @@ _OPTIONS = [
     click.option("--light", metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation; degrees."),
     click.option("--environment", type=FILE, help="A known light: HDR panorama, its top the marker's z, its middle x."),
     click.option("--formula", type=click.Choice(["paper", "corrected"]), help="As printed, or with its defects removed."),
+    click.option("--depth", type=click.Path(path_type=Path), help="Real depth: folder of maps (16-bit PNG, PGM, EXR) or one."),
+    click.option("--depth-scale", type=float, metavar="N", help="Stored depth values to a metre; default 1000 (mm), EXR 1."),
+    click.option("--anchor", type=click.Choice(["marker", "plane"]), help="Stand on the marker, or on the depth's main plane."),
+    click.option("--poses", type=FILE, help="Camera poses for --anchor plane: tx ty tz qx qy qz qw a frame."),
     click.option("--set", "settings", multiple=True, metavar="STAGE.KEY=VALUE", help="Any setting, repeatable."),
     click.option("--start", metavar="T", help="First moment to process, from the clip's first frame: 1.5s, 0:10."),
     click.option("--end", metavar="T", help="Last moment to process."),
@@ -94,10 +98,11 @@ def _by_option(given: dict[str, Any], output: Path | None, formulas: Sequence[st
     """(key in a job file, value, the words that gave it) of every ordinary option on the command line."""
     files = {
         "clip": "input.clip", "camera": "input.camera", "marker_map": "input.marker_map", "model": "model.file",
-        "tradeoff": "pipeline.tradeoff",
+        "depth": "input.depth", "poses": "input.poses", "tradeoff": "pipeline.tradeoff",
     }  # fmt: skip
     plain = {
-        "start": "input.start", "end": "input.end", "scale": "model.scale", "fit": "model.fit", "up": "model.up",
+        "start": "input.start", "end": "input.end", "depth_scale": "input.depth_scale", "anchor": "model.anchor",
+        "scale": "model.scale", "fit": "model.fit", "up": "model.up",
         "quality": "pipeline.quality", "budget": "pipeline.budget", "fps": "pipeline.fps",
         "max_error": "pipeline.max_error", "codec": "output.codec", "crf": "output.crf",
         "pixel_format": "output.pixel_format",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, Window
@@ -39,8 +39,9 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
     """Legal but nasty: black, very bright, zero normals, infinite and tiny depth, zero positions."""
     g = np.random.default_rng(0)
     out = {}
-    for name, a in random_layers(rect, 1, names).arrays.items():
-        b = a.copy()
+    random = random_layers(rect, 1, names)
+    for name in names:
+        b = random[name].copy()
         values = {Layer.DEPTH: [np.inf, 1e-4, 1e6], Layer.OBJECT_ID: [0]}.get(name, [0.0, 1.0])
         if name in (Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.EMISSIVE):
             values = [0.0, 1e4]
@@ -53,7 +54,8 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
 
 def run(stage: Stage, layers: Layers, f: FrameFacts, scene: Scene, prepared: Any, level: Level) -> Mapping[Layer, np.ndarray]:
     window = Window(tuple([layers] * (stage.reach + 1)), tuple([f] * (stage.reach + 1)))
-    return stage.run(window, scene, prepared, level, rng_for(0, f.index, stage.name))
+    made = stage.run(window, scene, prepared, level, rng_for(0, f.index, stage.name))
+    return {name: a.over(name, layers.rect) if isinstance(a, Patch) else a for name, a in made.items()}
 
 
 def check_roi_law(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared: Any, seed: int, atol: float = 1e-6) -> None:
@@ -74,12 +76,12 @@ def check_pure(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared
     """Inputs stay unchanged, only declared layers are read and written, the same seed gives the same bits."""
     rect = Rect(20, 15, 95, 80)
     layers = random_layers(rect, 5, stage.reads)
-    before = {k: v.copy() for k, v in layers.arrays.items()}
+    before = {k: layers[k].copy() for k in stage.reads}
     first = run(stage, layers, f, scene, prepared, level)
     second = run(stage, layers, f, scene, prepared, level)
     assert set(first) <= stage.writes, f"{stage.name} writes {set(first) - stage.writes} without saying so"
-    for name, array in layers.arrays.items():
-        assert np.array_equal(array, before[name]), f"{stage.name} changed its input {name}"
+    for name in stage.reads:
+        assert np.array_equal(layers[name], before[name]), f"{stage.name} changed its input {name}"
     for name, array in first.items():
         assert array.shape[:2] == (rect.height, rect.width)
         assert np.array_equal(array, second[name], equal_nan=True), f"{stage.name} gives other bits for the same seed: {name}"

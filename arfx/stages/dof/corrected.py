@@ -12,6 +12,7 @@ from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import light
 from arfx.stages.dof.cutout import continue_outside, object_radius
+from arfx.stages.dof.depth_layers import DepthLayers, depth_layers, dioptre_of
 from arfx.stages.dof.ladder import SHARP_PX, Ladder
 from arfx.stages.dof.layer import DARK, Spread, strips
 from arfx.stages.dof.optics import Circles
@@ -80,8 +81,14 @@ def render(
     flat = [np.ascontiguousarray(a).reshape(rect.height, -1) for a in (plate, shadow)]
     real_blurs = params.scope == "all"
     largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if real_blurs else 0.0
+    measured = _measured(now, facts, real, at) if real_blurs else None
+    if measured is not None:
+        plate, shadow = measured.base, np.ones_like(shadow)
+        flat = [np.ascontiguousarray(a).reshape(rect.height, -1) for a in (plate, shadow)]
     base = Spread(rect, ladder, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
     cuts, kept = _real_cut_outs(now, facts, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
+    if measured is not None:
+        cuts = _fronts(measured, rect, at, ladder, params)
     boxed = _object(now, facts, frame, optics, ladder, params)
     cuts += [boxed] if boxed else []
     nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
@@ -92,7 +99,10 @@ def render(
         if largest <= SHARP_PX:
             base.radius[slice(*strip)] = 0
             return
-        plane_radius(base.radius, *strip, rect.x0, rect.y0, nodes, background, *optics)
+        if measured is not None:
+            base.radius[slice(*strip)] = measured.radius[slice(*strip)]
+        else:
+            plane_radius(base.radius, *strip, rect.x0, rect.y0, nodes, background, *optics)
         light.deposit_real(
             *strip, base.radius, flat[0], flat[1], opacity, bias, kept, np.float32(params.highlight_boost), *base.sink
         )
@@ -120,6 +130,26 @@ def render(
 
     on_all_cores(finish, rows)
     return result
+
+
+def _measured(now: Layers, facts: FrameFacts, real: Real, at: Circles) -> DepthLayers | None:
+    """The real scene by its measured depth; None where it has none."""
+    if real.tiles is None:
+        return None
+    bias, whole = np.array(facts.bias_rgb, np.float32), np.ones((now.rect.height, now.rect.width), np.float32)
+    colour = light.cut_from_real(now[Layer.PLATE], now[Layer.SHADOW], np.float32(facts.opacity), bias, whole)
+    return depth_layers(colour, dioptre_of(now[Layer.REAL_DEPTH]), at)
+
+
+def _fronts(measured: DepthLayers, rect: Rect, at: Circles, ladder: Ladder, params: DofParams) -> list[CutOut]:
+    cuts = []
+    for front in measured.fronts:
+        largest = max(float(front.radius.max()), SHARP_PX)
+        box = _box(front.coverage, rect).pad(int(np.ceil(2 * largest)) + 1).clip(rect)
+        part = box.slices_in(rect)
+        radius, colour, coverage = (np.ascontiguousarray(a[part]) for a in (front.radius, front.colour, front.coverage))
+        cuts.append(_cut_out(box, radius, colour, coverage, np.float32(1), ladder, largest, params))
+    return cuts
 
 
 def _cut_out(

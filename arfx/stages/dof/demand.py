@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arfx.core.facts import FrameFacts
+from arfx.core.real_depth import TILE_PX
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Demand
 from arfx.stages.dof.corrected import depth_range, object_box
@@ -45,6 +46,8 @@ def demand(facts: FrameFacts, frame: Rect, at: Circles, real: Real | None, grid:
 
 def blurred_rect(real: Real, grid: np.ndarray, at: Circles) -> Rect:
     """Rectangle of the grid's tiles with a blur circle of 1 px or more, and what their discs reach."""
+    if real.tiles is not None:
+        return _blurred_tiles(real.tiles, at)
     dioptre = np.full(grid.shape[:2], real.background)
     if real.base is not None:
         dioptre = np.maximum(real.base.dioptres(grid), real.background)
@@ -61,6 +64,15 @@ def blurred_rect(real: Real, grid: np.ndarray, at: Circles) -> Rect:
     return Rect(int(xs[0]) * GRID_PX, int(ys[0]) * GRID_PX, int(xs[-1]) * GRID_PX + 1, int(ys[-1]) * GRID_PX + 1).pad(pad)
 
 
+def _blurred_tiles(tiles: np.ndarray, at: Circles) -> Rect:
+    most = at.radius_px(tiles).max(0)  # the circle grows from the focus to both sides: its largest is at an end of the range
+    ys, xs = np.flatnonzero((most > SHARP_PX).any(1)), np.flatnonzero((most > SHARP_PX).any(0))
+    if not len(ys):
+        return EMPTY
+    tiled = Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1)
+    return Rect(*(TILE_PX * v for v in (tiled.x0, tiled.y0, tiled.x1, tiled.y1))).pad(int(np.ceil(float(most.max()))) + 1)
+
+
 def paper_demand(facts: FrameFacts, frame: Rect, at: Circles, real: Real | None, grid: np.ndarray) -> Demand:
     """As `demand`; where the formula `paper` blurs at all, it touches every pixel that is not exactly in the focus."""
     asked = demand(facts, frame, at, real, grid)
@@ -71,6 +83,8 @@ def paper_demand(facts: FrameFacts, frame: Rect, at: Circles, real: Real | None,
 
 def needs(out: Rect, facts: FrameFacts, at: Circles, real: Real | None, grid: np.ndarray, frame: Rect) -> Rect:
     """Pixels whose light can reach `out`, and those that decide how far it is spread."""
+    if real is not None and real.tiles is not None:
+        return frame  # what is hidden is filled in from wherever something is known
     on_object = object_radius_px(facts, at)
     on_real = 0.0 if real is None else real_radius_px(real, grid, at)
     # cells of the ladder and interpolation between them reach a little beyond the disc

@@ -18,6 +18,27 @@ def _vector(builder, scalars):
 
 
 @intrinsic
+def add_between(typingctx, out, at, line, p, q, t):
+    """out[at] += line[p] + (line[q] - line[p]) t, in cells of four floats. out, line : flat float32, contiguous"""
+    signature = types.void(out, types.intp, line, types.intp, types.intp, types.float32)
+
+    def codegen(context, builder, signature, args):
+        def place(k, cell):
+            data = context.make_array(signature.args[k])(context, builder, args[k]).data
+            where = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
+            return builder.bitcast(where, _VECTOR.as_pointer())
+
+        low, high = (builder.load(place(2, args[k]), align=4) for k in (3, 4))
+        t = _vector(builder, 4 * [args[5]])
+        value = builder.fadd(low, builder.fmul(builder.fsub(high, low), t))
+        to = place(0, args[1])
+        builder.store(builder.fadd(builder.load(to, align=4), value), to, align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
 def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, first, last):
     """Ends of one row of a disc, in cells of four floats: with v = (red, green, blue, weight) x share,
     marks[a] += v first, marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last.

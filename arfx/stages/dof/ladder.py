@@ -2,7 +2,8 @@
 
 Rung k works on cells of 2^k x 2^k px: a large disc costs there what a small one costs at full resolution. Between two
 rungs a pixel's light is shared, so that nothing pops when its radius changes. Averaging over a cell and interpolating back
-blur too; the disc of a rung is made smaller by just that variance.
+blur too; the disc of a rung is made smaller by just that variance. A highlight far above white shows the disc itself: it
+is spread one rung finer.
 """
 
 from __future__ import annotations
@@ -29,10 +30,15 @@ class Ladder:
         """How many rungs discs up to this radius use, >= 1."""
         return 1 + int((self.fade[:, 0] < largest_px).sum())
 
+    def most_px(self, rung: int, largest_px: float) -> float:
+        """Largest radius, px, that a rung spreads: highlights stay one rung below the others, but for rung 0."""
+        last = self.rungs(largest_px) - 1
+        up_to = rung + 1 if rung > 0 else rung
+        return largest_px if up_to >= last else min(largest_px, float(self.fade[up_to, 1]))
+
     def table_px(self, largest_px: float) -> int:
         """Largest radius in cells of any used rung, rounded up to a power of two: the size of the shape table."""
-        n = self.rungs(largest_px)
-        of = [min(largest_px, float(self.fade[k, 1]) if k < n - 1 else largest_px) / 2**k for k in range(n)]
+        of = [self.most_px(k, largest_px) / 2**k for k in range(self.rungs(largest_px))]
         return 1 << max(int(np.ceil(np.log2(max(*of, 1.0) + 1.0))), 2)
 
 
@@ -55,6 +61,6 @@ def _ladder(*fade: tuple[float, float]) -> Ladder:
 
 LADDERS = {
     "draft": _ladder((1.6, 2.2), (6.0, 8.0), (18.0, 24.0), (48.0, 64.0)),
-    "standard": _ladder((2.0, 2.8), (12.0, 16.0), (40.0, 56.0)),
+    "standard": _ladder((2.0, 2.8), (7.0, 9.0), (20.0, 26.0)),
     "high": _ladder((14.0, 18.0), (40.0, 52.0), (80.0, 104.0)),
 }

@@ -87,6 +87,5 @@ class Spread:
 
     def _far(self, rung: int) -> int:
         """Rows that a disc of this rung reaches at most, in its cells."""
-        largest = self.largest_px if rung == self.rungs - 1 else min(self.largest_px, float(self.ladder.fade[rung, 1]))
-        q = min(int(largest / 2**rung * STEPS + 0.5), len(self.shape.reach) - 1)
+        q = min(int(self.ladder.most_px(rung, self.largest_px) / 2**rung * STEPS + 0.5), len(self.shape.reach) - 1)
         return int(self.shape.reach[q])

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.ladder import SHARP_PX
-from arfx.stages.dof.spread import TILE_PX, deposit_tile
+from arfx.stages.dof.spread import TILE_PX, deposit_tile, extremes, highlight, only_rung, to_cell
 
 _FLAGS = {"contract", "nsz", "arcp"}
 CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
@@ -52,17 +52,34 @@ def deposit_real(
     plain = whole and boost <= 0
     width = radius.shape[1]
     source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
-    line, biases = np.empty(3 * TILE_PX, np.float32), np.empty(3 * TILE_PX, np.float32)
-    for n in range(3 * TILE_PX):
+    line, biases, sums = np.empty(3 * width, np.float32), np.empty(3 * width, np.float32), np.empty(width, np.float32)
+    for n in range(3 * width):
         biases[n] = bias[n % 3]
+    gone = np.empty(width, np.float32)
+    left = -(lead_x & (TILE_PX - 1))
+    rungs = np.empty((width - left + TILE_PX - 1) // TILE_PX, np.int64)  # of each tile; -1 = several, -2 = none
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
-        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
-            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
-            first, most = 3 * xa, np.float32(0)
-            for y in range(ya, yb):
-                for x in range(xa, xb):
-                    most = max(most, radius[np.uintp(y), np.uintp(x)])
-            if most <= SHARP_PX:
+        ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
+        for i in range(len(rungs)):
+            x0 = left + i * TILE_PX
+            least, most = extremes(radius, ya, max(x0, 0), yb, min(x0 + TILE_PX, width))
+            rungs[i] = only_rung(least, most, fade, meta.shape[0]) if most > SHARP_PX else -2
+        after = 0
+        for tile in range(len(rungs)):
+            if tile < after or rungs[tile] == -2:
+                continue
+            x0 = left + tile * TILE_PX
+            xa, xb = max(x0, 0), min(x0 + TILE_PX, width)
+            first = 3 * xa
+            if plain and rungs[tile] > 0:  # as many tiles as there are alike: memory is read along the rows
+                after = tile + 1
+                while after < len(rungs) and rungs[after] == rungs[tile]:
+                    after += 1
+                xb = min(left + after * TILE_PX, width)
+                _sum_cells(
+                    rungs[tile], ya, yb, xa, xb, radius, flat_plate, flat_shadow, opacity, biases, line, sums, gone, cells, meta,
+                    lead_y, lead_x,
+                )  # fmt: skip
                 continue
             for y in range(ya, yb):
                 p, s = flat_plate[y, first : first + 3 * (xb - xa)], flat_shadow[y, first : first + 3 * (xb - xa)]
@@ -79,6 +96,70 @@ def deposit_real(
                     j = y - ya
                     source[j, i, 0], source[j, i, 1], source[j, i, 2], source[j, i, 3] = red * k, green * k, blue * k, weight
             deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _pixel(flat_plate, flat_shadow, y, x, opacity, biases):  # pragma: no cover - compiled
+    """Colour of the real scene in one pixel."""
+    p, s = flat_plate[y, 3 * x : 3 * x + 3], flat_shadow[y, 3 * x : 3 * x + 3]
+    return (
+        _behind(p[0], s[0], opacity, biases[0]),
+        _behind(p[1], s[1], opacity, biases[1]),
+        _behind(p[2], s[2], opacity, biases[2]),
+    )
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _sum_cells(
+    k, ya, yb, xa, xb, radius, flat_plate, flat_shadow, opacity, biases, line, sums, gone, cells, meta, lead_y, lead_x
+):  # fmt: skip  # pragma: no cover - compiled
+    """Tiles of the real scene that all go to rung k: summed by columns first, which the compiler makes vectors of."""
+    side, count = 1 << k, xb - xa
+    bright = highlight(k) if k > 1 else np.float32(np.inf)
+    for cy in range((ya + lead_y) >> k, ((yb - 1 + lead_y) >> k) + 1):
+        top, bottom = max(cy * side - lead_y, ya), min((cy + 1) * side - lead_y, yb)
+        for n in range(3 * count):
+            line[n] = 0
+        for n in range(count):
+            sums[n], gone[n] = 0, 0
+        for y in range(top, bottom):
+            p, s = flat_plate[y, 3 * xa : 3 * xb], flat_shadow[y, 3 * xa : 3 * xb]
+            for n in range(3 * count):
+                line[n] += _behind(p[n], s[n], opacity, biases[n])
+            r = radius[y, xa:xb]
+            for n in range(count):
+                sums[n] += r[n]
+        most = np.float32(0)
+        for n in range(3 * count):
+            most = max(most, line[n])
+        if most > bright:  # take the highlights out again, and to the rung below
+            for y in range(top, bottom):
+                for n in range(count):
+                    red, green, blue = _pixel(flat_plate, flat_shadow, y, xa + n, opacity, biases)
+                    if max(red, max(green, blue)) > bright:
+                        r = radius[y, xa + n]
+                        to_cell(cells, meta, k - 1, y, xa + n, lead_y, lead_x, red, green, blue, np.float32(1), r)
+                        line[3 * n] -= red
+                        line[3 * n + 1] -= green
+                        line[3 * n + 2] -= blue
+                        sums[n] -= r
+                        gone[n] += np.float32(1)
+        for cx in range((xa + lead_x) >> k, ((xb - 1 + lead_x) >> k) + 1):
+            a, b, c, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+            d = np.float32(0)
+            left, right = max(cx * side - lead_x, xa) - xa, min((cx + 1) * side - lead_x, xb) - xa
+            for n in range(left, right):
+                a += line[3 * n]
+                b += line[3 * n + 1]
+                c += line[3 * n + 2]
+                d += np.float32(bottom - top) - gone[n]
+                e += sums[n]
+            at = np.uintp(meta[k, 0] + cy * meta[k, 1] + cx)
+            cells[at, 0] += a
+            cells[at, 1] += b
+            cells[at, 2] += c
+            cells[at, 3] += d
+            cells[at, 4] += e
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)

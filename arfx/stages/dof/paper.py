@@ -17,6 +17,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
 from arfx.stages.dof.corrected import depth_range
+from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Real, plane_radius
@@ -47,6 +48,8 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
     """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the real scene's."""
     rect = now.rect
     out = np.full((rect.height, rect.width), real.background, np.float32)
+    if real.tiles is not None:
+        out = dioptre_of(now[Layer.REAL_DEPTH])
     if real.base is not None:  # a radius of 1 px a dioptre from a focus at infinity is the dioptre itself
         one, zero, most = np.float32(1), np.float32(0), np.float32(np.inf)
         plane_radius(

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -22,6 +23,7 @@ from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.dof.corrected import OBJECT_PAD_PX, depth_range
+from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Plane, Real
@@ -60,7 +62,8 @@ def render(
     directions = np.concatenate([np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1)
     out = behind
     if params.scope == "all":
-        out = _real(behind, directions, real, at, params, scene.camera)
+        depth = now[Layer.REAL_DEPTH] if real.tiles is not None else None
+        out = _real(behind, directions, real, at, params, scene.camera, depth)
     share, colour = _object(now, facts, scene, at, params, made)
     return (out * (1 - opacity * share[..., None]) + opacity * colour).astype(np.float32)
 
@@ -91,8 +94,13 @@ def _even_angle(angle: np.ndarray, blades: int) -> np.ndarray:
     return number * wedge + wedge / 2 + np.arctan((2 * part / wedge - 1) * slope)
 
 
-def _real(behind: np.ndarray, directions: np.ndarray, real: Real, at: Circles, params: DofParams, camera: Camera) -> np.ndarray:
+def _real(
+    behind: np.ndarray, directions: np.ndarray, real: Real, at: Circles, params: DofParams, camera: Camera,
+    depth_m: np.ndarray | None,
+) -> np.ndarray:  # fmt: skip
     """The real scene through the lens, (h, w, 3)."""
+    if depth_m is not None:
+        return _measured(behind, depth_m, at, params)
     dioptre = np.full(behind.shape[:2], real.background)
     if real.base is not None:
         dioptre = np.maximum(directions @ real.base.forms[2], dioptre)
@@ -111,6 +119,27 @@ def _real(behind: np.ndarray, directions: np.ndarray, real: Real, at: Circles, p
             share += _shown(plane, directions, point * at.px_per_dioptre / camera.fx, at.focus)
         out = out + (front - out) * (share / SAMPLES)[..., None]
     return out
+
+
+def _measured(behind: np.ndarray, depth_m: np.ndarray, at: Circles, params: DofParams) -> np.ndarray:
+    """By measured depth: layers as in `depth_layers`, each spread by exact discs."""
+    made = depth_layers(behind.astype(np.float32), dioptre_of(depth_m), at)
+    whole = np.ones(behind.shape[:2])
+    out = _normal(_scattered(made.base.astype(float), whole, made.radius.astype(float), params), behind)
+    for front in made.fronts:
+        radius = _continued(front.radius).astype(float)
+        coverage = front.coverage.astype(float)
+        light = _scattered(divide(front.colour, coverage[..., None]), coverage, radius, params)
+        through = _scattered(np.zeros_like(behind), 1 - coverage, radius, params)[..., 3]
+        share = divide(light[..., 3], light[..., 3] + through)[..., None]
+        out = out + (_normal(light, out) - out) * share
+    return out
+
+
+def _continued(radius: np.ndarray) -> np.ndarray:
+    """Radius of the nearest pixel that has one, everywhere."""
+    _, nearest = distance_transform_edt(radius < 0, return_indices=True)
+    return np.asarray(radius[tuple(nearest)])
 
 
 def _shown(plane: Plane, directions: np.ndarray, lens_m: np.ndarray | None = None, focus: float = 0.0) -> np.ndarray:

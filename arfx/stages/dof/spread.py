@@ -11,12 +11,49 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.aperture import STEPS
-from arfx.stages.dof.four import mark_ends
+from arfx.stages.dof.four import add_between, mark_ends
 from arfx.stages.dof.ladder import SHARP_PX
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
 _SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
 TILE_PX = 16  # deposited at once; a power of two
+
+
+@numba.njit(cache=True, nogil=True)
+def extremes(radius, y0, x0, y1, x1):  # pragma: no cover - compiled
+    """Least and largest radius of a tile."""
+    least, most = radius[y0, x0], radius[y0, x0]
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            r = radius[np.uintp(y), np.uintp(x)]
+            least, most = min(least, r), max(most, r)
+    return least, most
+
+
+@numba.njit(cache=True, nogil=True)
+def only_rung(least, most, fade, rungs):  # pragma: no cover - compiled
+    """The rung that takes all of the light of radii least..most; -1 where two share it."""
+    k = 0
+    while k < rungs - 1 and least >= fade[k, 1]:
+        k += 1
+    return k if k == rungs - 1 or most <= fade[k, 0] else -1
+
+
+@numba.njit(cache=True, nogil=True)
+def highlight(rung):  # pragma: no cover - compiled
+    """Light above which a pixel goes one rung lower; so that the sum of a cell's column tells whether there is any."""
+    return max(np.float32(4), np.float32(1.001) * np.float32(1 << rung))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def to_cell(cells, meta, rung, y, x, lead_y, lead_x, a, b, c, d, r):  # pragma: no cover - compiled
+    """Light a, b, c, d (weight) of one pixel with radius r to the rung's cell that holds it."""
+    at = np.uintp(meta[rung, 0] + ((y + lead_y) >> rung) * meta[rung, 1] + ((x + lead_x) >> rung))
+    cells[at, 0] += a
+    cells[at, 1] += b
+    cells[at, 2] += c
+    cells[at, 3] += d
+    cells[at, 4] += d * r
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -31,24 +68,22 @@ def deposit_tile(
     height;  lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
     rungs = meta.shape[0]
-    least, most = radius[y0, x0], radius[y0, x0]
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            r = radius[np.uintp(y), np.uintp(x)]
-            least, most = min(least, r), max(most, r)
+    least, most = extremes(radius, y0, x0, y1, x1)
     if most <= SHARP_PX:
         return
-    k = 0
-    while k < rungs - 1 and least >= fade[k, 1]:
-        k += 1
-    if k > 0 and (k == rungs - 1 or most <= fade[k, 0]):
-        side = 1 << k
+    k = only_rung(least, most, fade, rungs)
+    if k > 0:
+        side, bright = 1 << k, highlight(k) if k > 1 else np.float32(np.inf)
         for top in range(y0 - ((y0 + lead_y) & (side - 1)), y1, side):
             for left in range(x0 - ((x0 + lead_x) & (side - 1)), x1, side):
                 a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
                 for y in range(max(top, y0), min(top + side, y1)):
                     for x in range(max(left, x0), min(left + side, x1)):
                         j, i = np.uintp(y - y0), np.uintp(x - x0)
+                        if max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > bright:
+                            r, s = radius[np.uintp(y), np.uintp(x)], source[j, i]
+                            to_cell(cells, meta, k - 1, y, x, lead_y, lead_x, s[0], s[1], s[2], s[3], r)
+                            continue
                         a += source[j, i, 0]
                         b += source[j, i, 1]
                         c += source[j, i, 2]
@@ -61,7 +96,7 @@ def deposit_tile(
                 cells[at, 3] += d
                 cells[at, 4] += e
         return
-    if rungs == 1 or most <= fade[0, 0]:
+    if k == 0:
         for y in range(y0, y1):
             for x in range(x0, x1):
                 j, i = np.uintp(y - y0), np.uintp(x - x0)
@@ -80,6 +115,8 @@ def deposit_tile(
             if k < rungs - 1 and r > fade[k, 0]:
                 onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
             j, i = np.uintp(y - y0), np.uintp(x - x0)
+            if k > 0 and max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > highlight(k + 1):
+                k, onward = max(k - 1, 1), onward if k > 1 else np.float32(0)
             for step in range(2):
                 share = np.float32(1) - onward if step == 0 else onward
                 rung = k + step
@@ -89,10 +126,8 @@ def deposit_tile(
                     for c in range(4):
                         near[np.uintp(y), np.uintp(x), c] = source[j, i, c] * share
                 else:
-                    at = np.uintp(meta[rung, 0] + ((y + lead_y) >> rung) * meta[rung, 1] + ((x + lead_x) >> rung))
-                    for c in range(4):
-                        cells[at, c] += source[j, i, c] * share
-                    cells[at, 4] += source[j, i, 3] * share * r
+                    s = source[j, i]
+                    to_cell(cells, meta, rung, y, x, lead_y, lead_x, s[0] * share, s[1] * share, s[2] * share, s[3] * share, r)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -141,7 +176,7 @@ def spread_pixels(near, radius, until, low, high, far, marks, ends, shares, unit
             n = reach[q]
             if y + n < low or y - n >= high:
                 continue
-            lo, hi = min(lo, x - n), max(hi, x + n + 1)
+            lo, hi = min(lo, x - n), max(hi, x + n + 2)  # the last mark of a row lies one beyond it
             u = unit[q]
             a, b, c, d = near[y, x, 0] * u, near[y, x, 1] * u, near[y, x, 2] * u, near[y, x, 3] * u
             _mark(flat, q, y, x, low, high, w, a, b, c, d, ends, shares, n)
@@ -169,7 +204,7 @@ def spread_cells(
             n = reach[q]
             if y + n < low or y - n >= high:
                 continue
-            lo, hi = min(lo, x - n), max(hi, x + n + 1)
+            lo, hi = min(lo, x - n), max(hi, x + n + 2)  # the last mark of a row lies one beyond it
             u = area * unit[q]
             a, b, c, d = cells[k, 0] * u, cells[k, 1] * u, cells[k, 2] * u, cells[k, 3] * u
             _mark(flat, q, y, x, low, high, width, a, b, c, d, ends, shares, n)
@@ -213,7 +248,11 @@ def add_rung(
     """
     step = np.float32(1) / np.float32(1 << rung)
     half = np.float32(0.5)
-    line = np.empty((width, 4), np.float32)
+    line = np.empty(4 * width, np.float32)
+    stride = out.shape[1]
+    flat_out = out.reshape(-1)
+    flat = coarse.reshape(-1)
+    row = coarse.shape[1] * 4
     for y in range(out.shape[0]):
         v = (np.float32(top + y + lead_y) + half) * step - half
         i = int(np.floor(v))
@@ -221,13 +260,10 @@ def add_rung(
         a, b = min(max(i, 0), height - 1) - first_row, min(max(i + 1, 0), height - 1) - first_row
         c0 = max(((lo + lead_x) >> rung) - 1, 0)
         c1 = min(((hi + lead_x) >> rung) + 2, width)
-        for x in range(c0, c1):
-            for c in range(4):
-                line[x, c] = coarse[a, x, c] + (coarse[b, x, c] - coarse[a, x, c]) * t
+        upper, lower = flat[a * row : (a + 1) * row], flat[b * row : (b + 1) * row]
+        for n in range(4 * c0, 4 * c1):
+            line[n] = upper[n] + (lower[n] - upper[n]) * t
         for x in range(lo, hi):
             u = (np.float32(x + lead_x) + half) * step - half
             i = int(np.floor(u))
-            t = u - np.float32(i)
-            p, q = max(i, 0), min(i + 1, width - 1)
-            for c in range(4):
-                out[y, x, c] += line[p, c] + (line[q, c] - line[p, c]) * t
+            add_between(flat_out, y * stride + x, line, max(i, 0), min(i + 1, width - 1), u - np.float32(i))

@@ -19,6 +19,7 @@ from arfx.core.camera import Camera
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
@@ -42,7 +43,7 @@ def grid_of(camera: Camera) -> np.ndarray:
 
 class Dof:
     name = "dof"
-    reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.SHADOW})
+    reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.SHADOW, Layer.REAL_DEPTH})
     writes = frozenset({Layer.IMAGE})
     levels = (Level("draft", 0.02), Level("standard", 0.03), Level("high", 0.1), Level("reference", 60.0))
     needs_facts = frozenset({"pose"})
@@ -51,6 +52,8 @@ class Dof:
 
     def __init__(self, params: DofParams | None = None) -> None:
         self.params = params or DofParams()
+        if self.params.lens == "footage":
+            self.needs_facts = frozenset({"pose", "lens"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:
@@ -105,4 +108,7 @@ class Dof:
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
         pose, p = facts.camera_from_world, self.params
         assert pose is not None
+        measured = real_depth_of(facts)
+        if measured is not None:
+            return circles(p, facts, scene), Real(None, (), 0.0, measured.tiles)
         return circles(p, facts, scene), real_scene(scene, pose, p.plane_extent_m, p.background_m)

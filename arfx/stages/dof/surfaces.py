@@ -1,7 +1,8 @@
 """Where the real scene stands: the plane of the marker that the object is on, other markers' prints, and a background.
 
 Distances are kept as dioptres (1/m): of a plane they are affine in the viewing direction, so a grid of every GRID_PX-th
-pixel follows the lens, linear between. Leaves out: real things that stand on the plane.
+pixel follows the lens, linear between. Leaves out: real things that stand on the plane. Where the frame has measured depth
+that stands in place of all planes.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -64,14 +65,17 @@ def plane_of(camera_from_plane: Pose, half_m: float) -> Plane:
 @dataclass(frozen=True, eq=False)
 class Real:
     """base : the endless plane or None;  cut_outs : planes of limited size before it, farthest first
-    background : dioptre of what is behind, 1/m"""
+    background : dioptre of what is behind, 1/m;  tiles : of `RealDepth`, where depth was measured; else None"""
 
     base: Plane | None
     cut_outs: tuple[Plane, ...]
     background: float
+    tiles: np.ndarray | None = None
 
     def dioptre_range(self, grid: np.ndarray) -> tuple[float, float]:
         """Least and greatest dioptre in the picture."""
+        if self.tiles is not None:
+            return float(self.tiles[0].min()), float(self.tiles[1].max())
         low = high = self.background
         if self.base is not None:
             d = np.maximum(self.base.dioptres(grid), self.background)

@@ -23,6 +23,7 @@ from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
 
 _LEAST_LIGHT_DEG = 6.0  # full angle: a cone much narrower than a voxel would meet all or nothing
 ROUNDS = 2  # of light from the plane to the object and back
+_HIDDEN = 0.1  # of the hemisphere: what sees less of it lies under the object
 _MOST_CLOSED = 0.95  # of the light between surfaces that is given back: a closed white cavity would never end
 
 
@@ -41,7 +42,8 @@ class Cones:
 @dataclass(frozen=True, eq=False)
 class Body:
     """What does not change with the light. directions (v, 6, 3), left (v, 6) : of each voxel's cones
-    places : of the planes' texels;  cones : by plane;  tan_half, steps : of those"""
+    places : of the planes' texels;  cones : by plane;  tan_half, steps : of those
+    open (p, side, side) float32 : 0 where a texel lies under the object and nothing sees it, else 1"""
 
     voxels: Voxels
     structure: Structure
@@ -52,6 +54,7 @@ class Body:
     cones: tuple[Cones, ...]
     tan_half: float
     steps: np.ndarray
+    open: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +82,13 @@ class Behind:
 class Field:
     """atlas : radiance;  delta (p, side, side, 3) : indirect light that the object adds to the planes, as a share of all
     their light;  gain : the same as radiance of a white plane;  direct (p, side, side, 3) : share of all their light that it
-    leaves, direct light counted too"""
+    leaves, direct light counted too;  open : of the body"""
 
     atlas: Atlas
     delta: np.ndarray
     gain: np.ndarray
     direct: np.ndarray
+    open: np.ndarray
 
 
 def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool) -> Body:
@@ -100,14 +104,15 @@ def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper
     places = texture_places(planes, side)
     set_, weights, tan_half = six_cones() if cones == 6 else even_cones(cones)
     steps = steps_of(tan_half, n, start=0.0)
-    found = []
+    found, open_ = [], []
     for k, axes in enumerate(planes.axes):
         points = places[k].reshape(-1, 3).astype(np.float32)
         around = turned(axes[3][None], set_)[0]
         seen = _traced(opaque, steps, in_voxels(points, voxels.volume), np.tile(around, (len(points), 1, 1)), None, 0.0)[..., 3]
         texel, cone = np.nonzero(seen < 1)
         found.append(Cones(texel, points[texel], around[cone], weights[cone], seen[texel, cone]))
-    return Body(voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps)
+        open_.append(np.clip(seen @ weights / _HIDDEN, 0, 1).reshape(side, side))
+    return Body(voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps, np.array(open_, np.float32))
 
 
 def in_voxels(points_m: np.ndarray, volume: Volume) -> np.ndarray:
@@ -151,7 +156,7 @@ def make_field(
     occluded = np.stack(lost)
     for _ in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
-        dark = back.with_textures((darkened * mean).astype(np.float32), np.ones(darkened.shape[:3], np.float32), mean)
+        dark = back.with_textures((darkened * body.open[..., None] * mean).astype(np.float32), body.open, mean)
         values[:, :3] = _voxel_radiance(body, lights, dark) * body.voxels.opacity[:, None]
         atlas = atlas_of(body.structure, values, paper)
         for k, cones in enumerate(body.cones):
@@ -161,7 +166,7 @@ def make_field(
             gain[k] = _summed(cones, got, side) + (0.0 if paper else occluded[k])
             shaded[k] = without[k] + divide(_summed(cones, got, side), whole[k])
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
-    return Field(atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32))
+    return Field(atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), body.open)
 
 
 def _behind(points: np.ndarray, directions: np.ndarray, skip: int, tan_half: float, back: Behind) -> np.ndarray:

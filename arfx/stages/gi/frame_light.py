@@ -16,6 +16,7 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.errors import RenderError
 from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
+from arfx.stages.gi.plane_pixels import measured
 from arfx.stages.gi.pyramid import Atlas
 from arfx.stages.gi.real_planes import ball_of, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
@@ -60,8 +61,9 @@ class Around:
     def lit(self, field: Field) -> Around:
         """With the voxels' light, and the picture darkened and lit by the object."""
         side = self.picture.shape[1]
-        picture = self.picture * enlarged(field.direct, side)
-        return replace(self, atlas=field.atlas, back=self.back.with_textures(picture, self.known, self.mean))
+        open_ = enlarged(field.open, side)
+        picture = self.picture * enlarged(field.direct, side) * open_[..., None]
+        return replace(self, atlas=field.atlas, back=self.back.with_textures(picture, self.known * open_, self.mean))
 
     @property
     def arguments(self) -> tuple:
@@ -133,7 +135,7 @@ def around(
     cube, factor = environment_cube(facts, scene, light)
     picture, known = picture_on_planes(
         now[Layer.PLATE], now.rect, seen, scene.camera, pose @ scene.world_from_anchor,
-        places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32),
+        places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(now[Layer.REAL_DEPTH]),
     )  # fmt: skip
     up = scene.world_from_anchor.rotation[:, 2]
     mean = plane_mean(picture, known, places, planes, scene, 0.4 * light.radiance(up))

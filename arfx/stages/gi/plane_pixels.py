@@ -10,15 +10,35 @@ from arfx.stages.gi.surroundings import WARP, first_plane
 from arfx.stages.viewing import GRID_PX
 
 _FAST = {"contract", "nsz", "arcp"}
+DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
+_SAME = np.float32(0.02)  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
 _RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, weight):  # pragma: no cover - compiled
+def agrees(real, row, column, depth):  # pragma: no cover - compiled
+    """0..1 : is the real surface in this pixel the plane at `depth`? real (h, w) metres, inf = not measured; or (0, 0)"""
+    if real.shape[0] == 0:
+        return np.float32(1)
+    r = real[row, column]
+    if not r < np.float32(1e20):
+        return np.float32(1)
+    return min(max(np.float32(2) - abs(r - depth) / (_SAME * depth), np.float32(0)), np.float32(1))
+
+
+def measured(real: np.ndarray) -> np.ndarray:
+    """The layer REAL_DEPTH as the kernels take it: empty where the job has none."""
+    if real.strides == (0, 0) or not np.isfinite(real).any():
+        return np.zeros((0, 0), np.float32)
+    return np.ascontiguousarray(real, np.float32)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, weight, real):  # pragma: no cover - compiled
     """(h, w, 3) float32 shadow + weight x delta, never below 0.
 
     within (4,) : x0, y0, x1, y1 of the pixels to change;  nodes (gh, gw, 3) : viewing directions every GRID_PX pixels and
-    origin (3,) : the camera, both anchor axes;  delta (p, side, side, 3)
+    origin (3,) : the camera, both anchor axes;  delta (p, side, side, 3);  real : as `agrees`; what is not on a plane stays
     """
     out = shadow.copy()
     one, half = np.float32(1), np.float32(0.5)
@@ -71,6 +91,7 @@ def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, del
             fade = weight
             if away > _RIM * _RIM:
                 fade = (one - np.sqrt(away)) * rim * weight
+            fade *= agrees(real, y - y0, x - x0, t)
             a, b = a * scale, b * scale
             u, v = WARP * a / (one + (WARP - one) * abs(a)), WARP * b / (one + (WARP - one) * abs(b))
             s = min(max((u + one) * half * side - half, np.float32(0)), side - np.float32(1.001))

@@ -21,6 +21,8 @@ from arfx.stages.gi.surroundings import Planes, unwarped
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
 _SAME_PLANE_M, _SAME_COSINE = 0.01, 0.995
+_SAME_MEASURED_M, _SAME_MEASURED_COSINE = 0.03, 0.985  # of planes that are measured as depth
+_SAME_DEPTH = 0.03  # of the distance
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
 
 
@@ -40,7 +42,7 @@ def ball_of(scene: Scene) -> tuple[np.ndarray, float]:
 
 
 def planes_of(scene: Scene) -> Planes:
-    """The anchor's plane first; others only where the object stands before them. Made once per scene."""
+    """The anchor's plane first; other markers' and measured ones only where the object stands before them. Once per scene."""
     found = _PLANES.get(scene)
     if found is None:
         found = _PLANES[scene] = _planes(scene)
@@ -51,10 +53,12 @@ def _planes(scene: Scene) -> Planes:
     anchor_from_world = scene.world_from_anchor.inverse()
     centre, radius = ball_of(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
-    for pose in scene.world_from_marker.values():
+    told = [(pose, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
+    told += [(p.world_from_plane, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
+    for pose, cosine, apart_m in told:
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
-        known = any(n @ a[3] > _SAME_COSINE and abs((o - a[0]) @ a[3]) < _SAME_PLANE_M for a in axes)
+        known = any(n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m for a in axes)
         distance = float((centre - o) @ n)
         if not known and -0.5 * radius < distance < FARTHEST * radius:
             axes.append(np.stack([centre - distance * n, m.rotation[:, 0], m.rotation[:, 1], n]))
@@ -100,19 +104,26 @@ def texture_places(planes: Planes, side: int) -> np.ndarray:
 
 def picture_on_planes(
     plate: np.ndarray, rect: Rect, allowed: Rect, camera: Camera, camera_from_anchor: Pose, places: np.ndarray,
-    axes: np.ndarray, bias: np.ndarray,
+    axes: np.ndarray, bias: np.ndarray, real: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """The picture's radiance on the planes (p, side, side, 3) float32 and whether it is known there (p, side, side).
 
     plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  places : of `texture_places`
+    real : (h, w) measured depth; a pixel that shows something before a plane does not show the plane
     """
     allowed = allowed.clip(rect)
     eye = camera_from_anchor.inverse().translation_m
-    seen = camera.project(camera_from_anchor.apply(places))
+    placed = camera_from_anchor.apply(places)
+    seen = camera.project(placed)
     fronts = ((eye - axes[:, 0]) * axes[:, 3]).sum(-1) > 0
     inside = np.isfinite(seen).all(-1) & fronts[:, None, None]
     x, y = np.where(inside, seen[..., 0], -1e6), np.where(inside, seen[..., 1], -1e6)
     inside &= (x >= allowed.x0) & (x <= allowed.x1 - 1) & (y >= allowed.y0) & (y <= allowed.y1 - 1)
+    if real is not None and real.size and inside.any():
+        column, row = (np.rint(v[inside] - o).astype(int) for v, o in ((x, rect.x0), (y, rect.y0)))
+        depth = real[np.clip(row, 0, rect.height - 1), np.clip(column, 0, rect.width - 1)]
+        with np.errstate(invalid="ignore"):
+            inside[inside] = ~(np.abs(depth - placed[inside][:, 2]) > _SAME_DEPTH * placed[inside][:, 2]) | ~np.isfinite(depth)
     out = np.zeros((*seen.shape[:3], 3), np.float32)
     for k in range(len(places)):
         if inside[k].any():

@@ -16,9 +16,10 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.frame_light import environment_cube
+from arfx.stages.gi.plane_pixels import DARKEST, agrees, measured
 from arfx.stages.gi.real_planes import ball_of
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
 from arfx.stages.gi.surroundings import Planes
@@ -152,7 +153,10 @@ class Tracer:
 
     def change(self, start: np.ndarray, normals: np.ndarray, draw: Draw, bounces: int) -> np.ndarray:
         """(n, 3) indirect light of a white plane with the object less without it, by one ray."""
-        d = cosine_directions(normals, draw)
+        return self.change_along(start, cosine_directions(normals, draw), draw, bounces)
+
+    def change_along(self, start: np.ndarray, d: np.ndarray, draw: Draw, bounces: int) -> np.ndarray:
+        """(n, 3) radiance from directions d with the object less without it."""
         hit = self.rays.first(start, d)
         out = np.zeros((len(start), 3))
         rows = np.flatnonzero(hit.met)
@@ -172,10 +176,13 @@ class Tracer:
 
 def trace_frame(
     now: Layers, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, seen: Rect, disc: Rect, samples: int,
-    strength: float, rng: np.random.Generator, out: Rect | None = None,
+    strength: float, rng: np.random.Generator, gloss: tuple[float, float] = (0.0, 0.0), mirror: Rect = EMPTY,
+    out: Rect | None = None,
 ) -> Mapping[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL and SHADOW with indirect light. seen : pixels of the picture that are looked at;  disc : planes' pixels
-    out : the pixels that are wanted, None = all"""
+    gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object
+    out : the pixels that are wanted, None = all
+    """
     pose = facts.camera_from_world
     assert pose is not None
     seed = int(rng.integers(1 << 31))
@@ -201,12 +208,14 @@ def trace_frame(
             now[Layer.MATERIAL][at].astype(float), key[at], samples, seed,
         )  # fmt: skip
         virtual[at] += (light_ * now[Layer.COVERAGE][at][:, None]).astype(np.float32)
-    inside = disc.clip(rect)
-    if not inside.empty and strength > 0:
-        wanted = np.zeros(shadow.shape[:2], bool)
-        wanted[inside.slices_in(rect)] = True
+    real = measured(now[Layer.REAL_DEPTH])
+    if not disc.union(mirror).clip(rect).empty and strength > 0:
+        wanted, glossy = np.zeros(shadow.shape[:2], bool), np.zeros(shadow.shape[:2], bool)
+        for inside, mask in ((disc.clip(rect), wanted), (mirror.clip(rect), glossy)):
+            if not inside.empty:
+                mask[inside.slices_in(rect)] = True
         directions = scene.camera.directions(np.stack([x, y], -1).astype(float)) @ (anchor.rotation @ pose.rotation.T).T
-        for rows in _batches(np.argwhere(wanted & kept & np.isfinite(directions).all(-1))):
+        for rows in _batches(np.argwhere((wanted | glossy) & kept & np.isfinite(directions).all(-1))):
             at = rows[:, 0], rows[:, 1]
             d = normalise(directions[at])
             plane, distance = around.first_plane(np.broadcast_to(eye, d.shape), d)
@@ -214,11 +223,48 @@ def trace_frame(
             at = at[0][keep], at[1][keep]
             n = around.axes[plane[keep], 3]
             start = eye + distance[keep, None] * d[keep] + rays.lift * n
-            total = np.zeros((len(keep), 3))
+            matt, shiny = np.flatnonzero(wanted[at]), np.flatnonzero(glossy[at])
+            total, mirrored = np.zeros((len(keep), 3)), np.zeros((len(keep), 3))
             for s in range(samples):
-                total += tracer.change(start, n, Draw(key[at], s, samples, seed), BOUNCES)
-            shadow[at] += (strength * divide(total / samples, np.array(tracer.whole)[plane[keep]])).astype(np.float32)
+                total[matt] += tracer.change(start[matt], n[matt], Draw(key[at][matt], s, samples, seed), BOUNCES)
+                if len(shiny):
+                    draw = Draw(key[at][shiny], s, samples, seed ^ 0x27D4EB2F)
+                    towards = -d[keep][shiny]
+                    rows, lobe, weight = gloss_directions(n[shiny], towards, np.full((len(shiny), 3), gloss[0]), gloss[1], draw)
+                    some = shiny[rows]
+                    mirrored[some] += weight * tracer.change_along(start[some], lobe, draw.of(rows), BOUNCES)
+            change = divide(total / samples, np.array(tracer.whole)[plane[keep]])
+            base = np.maximum(now[Layer.PLATE][at] - np.array(facts.bias_rgb), DARKEST)
+            change += np.maximum(mirrored / samples, -base) / base
+            if real.size:
+                depth = distance[keep] * (d[keep] @ (anchor.rotation @ pose.rotation.T)[:, 2])
+                change *= np.array([agrees(real, j, i, z) for j, i, z in zip(*at, depth, strict=True)]).reshape(-1, 1)
+            shadow[at] += (strength * change).astype(np.float32)
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.clip(shadow, 0, None)}
+
+
+def gloss_directions(
+    n: np.ndarray, v: np.ndarray, f0: np.ndarray, roughness: np.ndarray | float, draw: Draw
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(rows (m,), unit directions (m, 3), weights (m, 3)) of GGX microfacets about normals n, seen along v: rows (k, 3).
+
+    Smith's height-correlated masking over that of the density n.h D / (4 v.h).
+    """
+    alpha = np.broadcast_to(np.clip(roughness, 0.02, 1) ** 2, len(n))
+    u, w = draw.pair()
+    tangent2 = alpha**2 * u / np.maximum(1 - u, 1e-9)
+    cosine = 1 / np.sqrt(1 + tangent2)
+    sine = np.sqrt(np.clip(1 - cosine**2, 0, None))
+    half = about(n, sine * np.cos(2 * np.pi * w), sine * np.sin(2 * np.pi * w), cosine)
+    vh = (v * half).sum(1)
+    d = 2 * vh[:, None] * half - v
+    nl, nv = (n * d).sum(1), np.clip((n * v).sum(1), 1e-4, None)
+    rows = np.flatnonzero((nl > 1e-5) & (vh > 1e-5))
+    a2, l_, e = alpha[rows] ** 2, nl[rows], nv[rows]
+    root = l_ * np.sqrt(a2 + (1 - a2) * e**2) + e * np.sqrt(a2 + (1 - a2) * l_**2)
+    weight = divide(2 * l_ * vh[rows], root * cosine[rows])
+    f = f0[rows] + (1 - f0[rows]) * ((1 - np.clip(vh[rows], 0, 1)) ** 5)[:, None]
+    return rows, d[rows], f * weight[:, None]
 
 
 def _object_light(
@@ -231,8 +277,6 @@ def _object_light(
     f0 = 0.08 * material[:, 2:3] * (1 - metal) + albedo * metal
     shiny = f0.max(1) > 0
     total = np.zeros_like(places)
-    alpha = rough**2
-    nv = np.clip((n * v).sum(1), 1e-4, None)
     for s in range(samples):
         draw = Draw(key, s, samples, seed)
         d = cosine_directions(n, draw)
@@ -242,22 +286,12 @@ def _object_light(
         if len(matt):
             got = tracer.along(start[matt], d[matt], draw.of(matt), BOUNCES)
             total[matt] += (albedo * (1 - metal) * (1 - fresnel))[matt] * got
-        u, w = Draw(key, s, samples, seed ^ 0x5BD1E995).pair()
-        tangent2 = alpha**2 * u / np.maximum(1 - u, 1e-9)
-        cosine = 1 / np.sqrt(1 + tangent2)
-        sine = np.sqrt(np.clip(1 - cosine**2, 0, None))
-        half = about(n, sine * np.cos(2 * np.pi * w), sine * np.sin(2 * np.pi * w), cosine)
-        vh = (v * half).sum(1)
-        d = 2 * vh[:, None] * half - v
-        nl = (n * d).sum(1)
-        rows = np.flatnonzero(shiny & (nl > 1e-5) & (vh > 1e-5))
+        lobes = np.flatnonzero(shiny)
+        draw = Draw(key[lobes], s, samples, seed ^ 0x5BD1E995)
+        some, d, weight = gloss_directions(n[lobes], v[lobes], f0[lobes], rough[lobes], draw)
+        rows = lobes[some]
         if len(rows):
-            # Smith's height-correlated masking over that of the density n.h D / (4 v.h)
-            a2, l_, e = alpha[rows] ** 2, nl[rows], nv[rows]
-            root = l_ * np.sqrt(a2 + (1 - a2) * e**2) + e * np.sqrt(a2 + (1 - a2) * l_**2)
-            weight = divide(2 * l_ * vh[rows], root * cosine[rows])
-            f = f0[rows] + (1 - f0[rows]) * ((1 - np.clip(vh[rows], 0, 1)) ** 5)[:, None]
-            total[rows] += f * weight[:, None] * tracer.along(start[rows], d[rows], draw.of(rows), BOUNCES)
+            total[rows] += weight * tracer.along(start[rows], d, draw.of(some), BOUNCES)
     return total / samples
 
 

@@ -118,12 +118,13 @@ class Surroundings:
         self._plate = np.clip(plate[inside.slices_in(now.rect)] - np.array(facts.bias_rgb, np.float32), 0, None)
         grid = np.linspace(-3, 3, 25) * radius_m
         u, v = (a.ravel()[:, None] for a in np.meshgrid(grid, grid))
-        places = self.axes[0, 0] + u * self.axes[0, 1] + v * self.axes[0, 2]
-        sampled, known = self._look(places, np.zeros(len(places), int))
-        self._mean = sampled[known].mean(0) if known.any() else 0.4 * irradiance(cube, self._turn[:, 2])
+        self._means = np.tile(0.4 * irradiance(cube, self._turn[:, 2]), (len(self.axes), 1))
+        for k, axes in enumerate(self.axes):
+            sampled, known = self._look(axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k))
+            self._means[k] = sampled[known].mean(0) if known.any() else self._means[0]
         d, solid = face_directions(cube.shape[1]).reshape(-1, 3), np.tile(solid_angles(cube.shape[1]).ravel(), 6)
         below = (d @ self._turn[:, 2] < 0)[:, None]
-        flat = np.where(below, self._mean, cube.reshape(-1, 3))
+        flat = np.where(below, self._means[0], cube.reshape(-1, 3))
         self._flat = flat * solid[:, None], d @ self._turn, solid
 
     def first_plane(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,9 +139,9 @@ class Surroundings:
         return plane, distance
 
     def picture(self, places: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the planes as the picture shows them; their mean where it does not."""
+        """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does not."""
         seen, known = self._look(places, plane)
-        return np.where(known[:, None], seen, self._mean)
+        return np.where(known[:, None], seen, self._means[plane])
 
     def _look(self, places: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         at = self._camera.project(self._pose.apply(places))

@@ -23,16 +23,17 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
-from arfx.stages.gi.cones import six_cones, steps_of
+from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, make_body
 from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field
 from arfx.stages.gi.pixels import LOBES, chosen, light_points, reflected, spread
-from arfx.stages.gi.plane_pixels import add_delta, shown_radius_m
+from arfx.stages.gi.plane_gloss import SHARPEST, mirror_in_planes, mirror_rect
+from arfx.stages.gi.plane_pixels import DARKEST, add_delta, measured, shown_radius_m
 from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.surroundings import Planes
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.viewing import direction_grid
+from arfx.stages.viewing import direction_grid, viewing
 
 PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {
@@ -47,18 +48,22 @@ class GiParams:
     """formula : corrected, or paper: voxels' mean of their children, the object's light added to the picture as a difference
     strength : share of the computed change of the real planes that is shown, 0..1
     plane_albedo : of the real plane, 0..1, used by formula paper alone; the corrected ratio does not need it
+    plane_gloss : of the real plane, share of light that it mirrors seen from above: 0 = matt, varnish and glass .04, 0..1
+    plane_roughness : of its gloss, 0 (a mirror) to 1
     samples : rays per pixel of level reference
     """
 
     formula: str = "corrected"
     strength: float = 1.0
     plane_albedo: float = 0.5
+    plane_gloss: float = 0.0
+    plane_roughness: float = 0.1
     samples: int = 64
 
     def __post_init__(self) -> None:
         if self.formula not in ("corrected", "paper"):
             raise ConfigError(f"gi.formula {self.formula!r} is unknown", "one of corrected, paper")
-        for name in ("strength", "plane_albedo"):
+        for name in ("strength", "plane_albedo", "plane_gloss", "plane_roughness"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"gi.{name} must be between 0 and 1, is {getattr(self, name):g}")
         if not 1 <= self.samples <= 65536:
@@ -85,7 +90,7 @@ class Gi:
     reads = frozenset(
         {
             Layer.PLATE, Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE,
-            Layer.VIRTUAL, Layer.SHADOW,
+            Layer.VIRTUAL, Layer.SHADOW, Layer.REAL_DEPTH,
         }
     )  # fmt: skip
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
@@ -102,9 +107,12 @@ class Gi:
             return Demand(EMPTY, "marker not visible")
         model = facts.model_box.pad(PAD_PX).clip(frame)
         disc, why = self._disc(facts, scene, frame)
-        if model.empty and disc.empty:
+        mirror = self._mirror_rect(facts, scene, frame)
+        if model.empty and disc.empty and mirror.empty:
             return Demand(EMPTY, f"model out of view; {why}")
-        return Demand(model.union(disc), f"{'model' if not model.empty else 'no model'} in view; {why}")
+        if not mirror.empty:
+            why += f", and mirrors {self.params.plane_gloss:g} of the light"
+        return Demand(model.union(disc).union(mirror), f"{'model' if not model.empty else 'no model'} in view; {why}")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
         """The picture that the object reflects lies on the planes around it; blocks of pixels are whole."""
@@ -124,8 +132,6 @@ class Gi:
             return Prepared(planes, grid, None, empty, empty, empty, empty, empty)
         at = LEVELS[level.name]
         body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, self._paper)
-        from arfx.stages.gi.cones import mirror_tangent
-
         tangents = mirror_tangent(np.linspace(0, 1, LOBES))
         rows = [steps_of(float(t), at.voxels) for t in tangents]
         lobes = np.zeros((LOBES, max(len(r) for r in rows), 3), np.float32)
@@ -148,14 +154,15 @@ class Gi:
         if level.name == "reference":
             return trace_frame(
                 now, scene, facts, light, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples,
-                self.params.strength, rng, window.out,
+                self.params.strength, rng, (self.params.plane_gloss, self.params.plane_roughness),
+                self._mirror_rect(facts, scene, frame), window.out,
             )  # fmt: skip
         at = LEVELS[level.name]
         assert prepared.body is not None
         made = around(now, self._seen(facts, scene, frame), scene, facts, light, prepared.planes, prepared.places, prepared.kept)
         whole = frame_field(prepared.body, scene, facts, light, prepared.planes, made, at, self._paper, prepared.kept)
         virtual = self._virtual(now, facts, scene, prepared, at, made.lit(whole))
-        shadow = now[Layer.SHADOW]
+        shadow, real = now[Layer.SHADOW], measured(now[Layer.REAL_DEPTH])
         radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(light, scene))
         if not disc.empty and radius > 0:
             disc = disc_rect(scene, prepared.planes, radius, pose, frame)
@@ -166,13 +173,15 @@ class Gi:
             changed = add_delta(
                 target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                 anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
-                np.float32(prepared.planes.half_m), np.float32(radius), delta, np.float32(weight),
+                np.float32(prepared.planes.half_m), np.float32(radius), delta, np.float32(weight), real,
             )  # fmt: skip
             if self._paper:
                 left = 1 - now[Layer.COVERAGE][..., None]
                 virtual = virtual + left * (changed - virtual)
             else:
                 shadow = changed
+        if self.params.plane_gloss > 0 and self.params.strength > 0:
+            virtual, shadow = self._mirrored(now, facts, scene, prepared, made.lit(whole), virtual, shadow, real)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
 
     def _virtual(
@@ -211,6 +220,46 @@ class Gi:
         last: Any = (*surface, *axes, eye, limits[1], spread_light, fresh, wanted, pixels)
         out[box.slices_in(now.rect)] += reflected(*last)
         return out
+
+    def _mirrored(
+        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, back: Around, virtual: np.ndarray,
+        shadow: np.ndarray, real: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """VIRTUAL and SHADOW with the object's mirror image in the planes: a share of the pixel, or added (paper)."""
+        pose, rect = facts.camera_from_world, now.rect
+        assert pose is not None and prepared.body is not None and back.atlas is not None
+        within = self._mirror_rect(facts, scene, scene.camera.rect).clip(rect)
+        if within.empty:
+            return virtual, shadow
+        f32, volume, structure = np.float32, prepared.body.voxels.volume, prepared.body.structure
+        lobe = round(max(self.params.plane_roughness, SHARPEST) * (LOBES - 1))
+        anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
+        rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, within)
+        bias = np.array(facts.bias_rgb, f32)
+        plate = np.ascontiguousarray(now.crop(within)[Layer.PLATE])
+        arguments: Any = (
+            plate, within.x0, within.y0, np.array(within.to_json()), rays, anchor_from_camera.translation_m.astype(f32), bias,
+            f32(self.params.plane_gloss), f32(self.params.plane_roughness), prepared.lobes[lobe, : prepared.counts[lobe]],
+            prepared.tangents[lobe], f32(SHOWS), back.atlas.values, structure.brick_of, structure.meta,
+            np.array(volume.low_m, f32), f32(volume.voxel_m), *back.arguments,
+            real if not real.size else np.ascontiguousarray(real[within.slices_in(rect)]),
+        )  # fmt: skip
+        change = self.params.strength * mirror_in_planes(*arguments)
+        at = within.slices_in(rect)
+        if self._paper:
+            out = virtual.copy()
+            out[at] += (1 - now[Layer.COVERAGE][at][..., None]) * change
+            return out, shadow
+        out = shadow.copy()
+        out[at] = np.clip(out[at] + change / np.maximum(plate - bias, DARKEST), 0, None)
+        return virtual, out
+
+    def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
+        """Pixels in which glossy planes can mirror the object."""
+        pose = facts.camera_from_world
+        if pose is None or self.params.plane_gloss <= 0 or self.params.strength <= 0:
+            return EMPTY
+        return mirror_rect(scene, planes_of(scene), float(mirror_tangent(self.params.plane_roughness)), pose, frame)
 
     def _disc(self, facts: FrameFacts, scene: Scene, frame: Rect) -> tuple[Rect, str]:
         """Pixels of the real planes that may change, and why those or none."""

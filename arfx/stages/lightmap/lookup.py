@@ -40,7 +40,7 @@ def light_left(
     )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up(
     x0, y0, width, height, nodes, origin, texels, meta, affine, shares, blocked, faint, rise, strength
 ):  # pragma: no cover - compiled
@@ -136,7 +136,7 @@ def _look_up(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _add(out, dark, share):  # pragma: no cover - compiled
     for i in range(out.shape[0]):
         out[i] += share * dark[i]

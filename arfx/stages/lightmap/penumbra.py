@@ -54,7 +54,7 @@ def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, sha
     return cv2.resize(grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _boxes(share, height, across, down):  # pragma: no cover - compiled
     """A box of half-width across x height along the rows, then down x height along the columns, exact for parts of texels."""
     rows, columns = share.shape

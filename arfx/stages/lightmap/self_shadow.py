@@ -118,7 +118,7 @@ def by_rays(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _ask(coverage, normal, position, depth, matrix, unit, search, taps, spread, lift, lean, top):  # pragma: no cover - compiled
     rows, columns = coverage.shape
     out = np.ones((rows, columns), np.float32)

@@ -35,7 +35,7 @@ def highlight_width(size_deg: np.ndarray) -> np.ndarray:
     return out.astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def shade(
     coverage, normal, position, albedo, material, emissive, left, eye, towards, rgb, widths, soft, constant, bias, paper
 ):  # pragma: no cover - compiled
@@ -136,8 +136,8 @@ def shade(
                     + q * (np.float32(0.96179669) + q * (np.float32(0.57707802) + q * np.float32(0.41219858)))
                 )
                 exponent = max(shine[i] * (power + series), np.float32(-126))
-                nearest = np.floor(exponent + np.float32(0.5))
-                f = exponent - nearest
+                nearest = np.int32(exponent + np.float32(128.5)) - np.int32(128)
+                f = exponent - np.float32(nearest)
                 lobe[i] = one + f * (
                     np.float32(0.69314718)
                     + f
@@ -150,7 +150,7 @@ def shade(
                         )
                     )
                 )
-                whole_bits[i] = (np.int32(nearest) + np.int32(127)) << np.int32(23)
+                whole_bits[i] = (nearest + np.int32(127)) << np.int32(23)
             if paper:
                 for i in range(n):
                     lobe[i] = lobe[i] * whole[i] if lit[i] > zero else zero
@@ -176,7 +176,7 @@ def shade(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _soft_channel(out, diffuse, mirror, gloss, nx, ny, nz, s, n):  # pragma: no cover - compiled
     """One line of one colour: (diffuse + gloss x mirror) x the soft light of the normals, which is never below 0."""
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]

@@ -20,7 +20,7 @@ import numpy as np
 
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.light import Light
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -144,26 +144,26 @@ class Lightmap:
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]:
+    ) -> Mapping[Layer, np.ndarray | Patch]:
         facts, now = window.facts[-1], window.now
         light = self._light(facts, scene)
+        lit = now.crop(facts.model_box.pad(PAD_PX).clip(now.rect))
         return {
-            Layer.VIRTUAL: self._virtual(now, facts, scene, prepared, level, light),
+            Layer.VIRTUAL: Patch(lit.rect, self._virtual(lit, facts, scene, prepared, level, light)),
             Layer.SHADOW: self._shadow(now.rect, facts, scene, prepared, level, light),
         }
 
     def _virtual(
         self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, light: FrameLight
     ) -> np.ndarray:
-        box = facts.model_box.pad(PAD_PX).clip(now.rect)
-        if box.empty:
+        if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
-        part, pose = now.crop(box), facts.camera_from_world
+        pose = facts.camera_from_world
         assert pose is not None
-        coverage, normal, position = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.POSITION]
+        coverage, normal, position = now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION]
         eye = pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
-        left = np.ones((len(reaching), box.height, box.width), np.float32)
+        left = np.ones((len(reaching), now.rect.height, now.rect.width), np.float32)
         anchor_from_world = scene.world_from_anchor.inverse()
         if self.params.self_shadow > 0:
             at = SELF_LEVELS[level.name]
@@ -180,17 +180,13 @@ class Lightmap:
                 left = 1 + np.float32(self.params.self_shadow) * (left - 1)
         f32 = np.float32
         virtual: np.ndarray = shade(
-            coverage, normal, position, part[Layer.ALBEDO], part[Layer.MATERIAL], part[Layer.EMISSIVE], left,
+            coverage, normal, position, now[Layer.ALBEDO], now[Layer.MATERIAL], now[Layer.EMISSIVE], left,
             eye.astype(f32), light.towards[reaching].astype(f32),
             (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
             self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32),
             self._paper,
         )  # fmt: skip
-        if box == now.rect:
-            return virtual
-        out = neutral(Layer.VIRTUAL, now.rect)
-        out[box.slices_in(now.rect)] = virtual
-        return out
+        return virtual
 
     def _shadow(
         self, rect: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, light: FrameLight

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from arfx.core.rect import Rect
-from arfx.stages.watercolor.labels import SOLID, Labels
+from arfx.stages.watercolor.labels import SOLID, Labels, unlabelled
 from arfx.stages.watercolor.reference import nearest_labels
 from arfx.stages.watercolor.sites import STEPS, Sites
 
@@ -15,15 +15,13 @@ _BRUTE = 1 << 28  # sites x pixels up to which every pair is looked at
 _TIES = 8
 
 
-def chamfer_labels(sites: Sites, rect: Rect) -> Labels:
+def chamfer_labels(sites: Sites, rect: Rect, borders: bool = False) -> Labels:
     """Approximate: sites in whole pixels, distances along a 5 x 5 mask, sites outside or still growing left out."""
     h, w = rect.height, rect.width
     x, y = (np.round(a / STEPS).astype(np.int64) - at for a, at in ((sites.x, rect.x0), (sites.y, rect.y0)))
     inside = np.flatnonzero((x >= 0) & (y >= 0) & (x < w) & (y < h) & (sites.weight > -STEPS * STEPS))
-    solid = np.full((h, w), SOLID, np.uint8)
     if not len(inside):
-        zero = np.zeros((h, w), np.int32)
-        return Labels(zero, zero, solid, max(len(sites), 1))
+        return unlabelled(h, w, max(len(sites), 1), borders)
     mask = np.ones((h, w), np.uint8)
     number = np.zeros((h, w), np.int32)
     mask[y[inside], x[inside]] = 0
@@ -33,17 +31,17 @@ def chamfer_labels(sites: Sites, rect: Rect) -> Labels:
     zeros = mask == 0
     of_label[at[zeros]] = number[zeros]
     first = of_label[at]
-    return Labels(first, first, solid, len(sites))
+    if not borders:
+        return Labels(first, np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), len(sites))
+    return Labels(first, first, np.full((h, w), SOLID, np.uint8), len(sites))
 
 
 def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: float = 0.0) -> Labels:
     """The same as labels.label, in float64 and by other means: every pair of site and pixel, or where those are too many
     a search tree (the weight as a third coordinate) whose nearest few are told apart exactly."""
     h, w = rect.height, rect.width
-    solid = np.full(h * w, SOLID, np.uint8)
     if not len(sites):
-        zero = np.zeros((h, w), np.int32)
-        return Labels(zero, zero, solid.reshape(h, w), 1)
+        return unlabelled(h, w, 1, blend_px > 0)
     x, y, weight = (np.asarray(a, float) for a in (sites.x, sites.y, sites.weight))
     py, px = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float) * STEPS
     if wobble is not None and wobble.size:
@@ -60,7 +58,7 @@ def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None,
         solid = np.where(near, share, SOLID).astype(np.uint8)
         second = np.where(solid < SOLID, second, first)
     else:
-        second = first
+        return Labels(first.reshape(h, w), np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), len(sites))
     return Labels(first.reshape(h, w), second.reshape(h, w), solid.reshape(h, w), len(sites))
 
 

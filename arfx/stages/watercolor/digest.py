@@ -7,14 +7,21 @@ import numpy as np
 
 from arfx.stages.watercolor.bands import by_bands
 
+_SMALL = 4096  # rows: below it threads cost more than they save
 LANES = 64  # independent ones, so that none waits for another
 
 
 def digest(array: np.ndarray) -> int:
-    """Of a contiguous float32 array, at the speed of memory; any other array is copied first."""
-    words = np.ascontiguousarray(array).reshape(-1).view(np.uint32)
+    """Of a contiguous array of 4 bytes each, at the speed of memory; any other array is copied first."""
+    flat = np.ascontiguousarray(array).reshape(-1)
+    if flat.itemsize != 4:
+        flat = np.pad(flat.view(np.uint8), (0, -flat.nbytes % 4))
+    words = flat.view(np.uint32)
     whole = words[: words.size // LANES * LANES].reshape(-1, LANES)
-    parts = by_bands(lambda a, b: int(_digest(whole, a, b)), whole.shape[0])
+    small = whole.shape[0] < _SMALL
+    parts = (
+        [int(_digest(whole, 0, whole.shape[0]))] if small else by_bands(lambda a, b: int(_digest(whole, a, b)), whole.shape[0])
+    )
     return hash((tuple(parts), words[whole.size :].tobytes(), array.shape))
 
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
-from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.watercolor.bands import BANDS, by_bands
 
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -45,47 +45,24 @@ def _difference(a: np.ndarray) -> np.ndarray:
     return out
 
 
-def halved(image: np.ndarray) -> np.ndarray:
-    """(ceil(h / 2), ceil(w / 2), 3) float32 square roots (near to coded values) of the means of 2 x 2 pixels."""
-    h, w = image.shape[:2]
-    out = np.empty(((h + 1) // 2, (w + 1) // 2, 3), np.float32)
-    by_bands(lambda a, b: _halve(image, a, b, out), out.shape[0])
-    return out
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _halve(image, ya, yb, out):  # pragma: no cover - compiled
-    h, w = image.shape[:2]
-    quarter, zero, one = np.float32(0.25), np.float32(0), np.float32(1)
-    for j in range(ya, yb):
-        y0, y1 = 2 * j, min(2 * j + 1, h - 1)
-        for i in range(w // 2):
-            for c in range(3):
-                s = image[y0, 2 * i, c] + image[y0, 2 * i + 1, c] + image[y1, 2 * i, c] + image[y1, 2 * i + 1, c]
-                out[j, i, c] = np.sqrt(min(max(s * quarter, zero), one))
-        if w % 2:
-            for c in range(3):
-                s = (image[y0, w - 1, c] + image[y1, w - 1, c]) * np.float32(0.5)
-                out[j, w // 2, c] = np.sqrt(min(max(s, zero), one))
-
-
 def line_strength(
-    image: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
+    small: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
     virtual: np.ndarray | None = None, matrix: str = "bt601",
 ) -> np.ndarray:  # fmt: skip
-    """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1.
+    """(h, w) float32 strength of lines, 0..1.
 
-    image : (h, w, 3) linear;  low, high : of the printed measure per px of the full picture: below low there is no line,
-    a line that nowhere reaches high fades out;  width_px, smooth_px : of the full picture
-    virtual : of `virtual_edges`, on the same half-size grid
+    small (3, h, w) : square roots of the picture at half size (cells.means_and_half)
+    low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches
+    high fades out;  width_px, smooth_px : of the full picture;  virtual : of `virtual_edges`, on the same grid
     """
-    small = halved(image)
     sigma = max(smooth_px / 2, 0.3)
-    small = cv2.GaussianBlur(small, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE).reshape(small.shape)
-    h, w = image.shape[0] + 1 >> 1, image.shape[1] + 1 >> 1
+    h, w = small.shape[1:]
+    smooth = np.empty_like(small)
+    for c in range(3):
+        cv2.GaussianBlur(small[c], (0, 0), sigma, dst=smooth[c], borderType=cv2.BORDER_REPLICATE)
     measure, dx, dy = (np.empty((h, w), np.float32) for _ in range(3))
     luma = yuv_matrix(matrix).astype(np.float32)
-    by_bands(lambda a, b: _measure(small, luma, np.float32(alpha), np.float32(beta), a, b, measure, dx, dy), h)
+    by_bands(lambda a, b: _measure(smooth, luma, np.float32(alpha), np.float32(beta), a, b, measure, dx, dy), h)
     if virtual is not None and virtual.size:
         _add_virtual(measure, dx, dy, virtual, np.float32(high))
     line = np.zeros((h, w), np.float32)
@@ -93,40 +70,50 @@ def line_strength(
     offset = np.float32(max(width_px / 2, 0.75))
     by_bands(lambda a, b: _ridge(measure, dx, dy, offset, np.float32(low), np.float32(high), a, b, line, weak), h)
     count, parts = cv2.connectedComponents(weak, connectivity=8, ltype=cv2.CV_32S)
-    _hysteresis(measure, parts, count, np.float32(low), np.float32(high), line)
+    strongest = np.zeros((BANDS, count), np.float32)
+    rows = -(-h // BANDS)
+    by_bands(lambda a, b: _strongest(measure, parts, a, b, strongest[a // rows]), h)
+    most = strongest.max(0)
+    most[0] = 0
+    by_bands(lambda a, b: _hysteresis(most, parts, np.float32(low), np.float32(high), a, b, line), h)
     return line
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def _measure(small, luma, alpha, beta, ya, yb, measure, dx, dy):  # pragma: no cover - compiled
     """The printed measure from central differences, per px of this grid, and the direction across the edge."""
-    h, w = small.shape[:2]
-    half, third = np.float32(0.5), np.float32(1.0 / 3.0)
+    h, w = small.shape[1:]
     for y in range(ya, yb):
         up, down = max(y - 1, 0), min(y + 1, h - 1)
-        for x in range(w):
+        for x in (0, w - 1):
             left, right = max(x - 1, 0), min(x + 1, w - 1)
-            ax, ay = (small[y, right, 0] - small[y, left, 0]) * half, (small[down, x, 0] - small[up, x, 0]) * half
-            bx, by = (small[y, right, 1] - small[y, left, 1]) * half, (small[down, x, 1] - small[up, x, 1]) * half
-            cx, cy = (small[y, right, 2] - small[y, left, 2]) * half, (small[down, x, 2] - small[up, x, 2]) * half
-            a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)
-            yx = luma[0, 0] * ax + luma[0, 1] * bx + luma[0, 2] * cx
-            yy = luma[0, 0] * ay + luma[0, 1] * by + luma[0, 2] * cy
-            ux = luma[1, 0] * ax + luma[1, 1] * bx + luma[1, 2] * cx
-            uy = luma[1, 0] * ay + luma[1, 1] * by + luma[1, 2] * cy
-            vx = luma[2, 0] * ax + luma[2, 1] * bx + luma[2, 2] * cx
-            vy = luma[2, 0] * ay + luma[2, 1] * by + luma[2, 2] * cy
-            of_y, of_u, of_v = np.sqrt(yx * yx + yy * yy), np.sqrt(ux * ux + uy * uy), np.sqrt(vx * vx + vy * vy)
-            of_yuv = (np.float32(1) - alpha) * of_y + alpha * half * (of_u + of_v)
-            measure[y, x] = beta * of_yuv + (np.float32(1) - beta) * third * (a + b + c)
-            # across: the strongest channel's
-            gx, gy, most = ax, ay, a
-            if b > most:
-                gx, gy, most = bx, by, b
-            if c > most:
-                gx, gy, most = cx, cy, c
-            scale = np.float32(1) / most if most > np.float32(1e-6) else np.float32(0)
-            dx[y, x], dy[y, x] = gx * scale, gy * scale
+            _measured(small, luma, alpha, beta, up, y, down, left, x, right, measure, dx, dy)
+        for x in range(1, w - 1):
+            _measured(small, luma, alpha, beta, up, y, down, x - 1, x, x + 1, measure, dx, dy)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
+def _measured(small, luma, alpha, beta, up, y, down, left, x, right, measure, dx, dy):  # pragma: no cover - compiled
+    half, third, one = np.float32(0.5), np.float32(1.0 / 3.0), np.float32(1)
+    ax, ay = (small[0, y, right] - small[0, y, left]) * half, (small[0, down, x] - small[0, up, x]) * half
+    bx, by = (small[1, y, right] - small[1, y, left]) * half, (small[1, down, x] - small[1, up, x]) * half
+    cx, cy = (small[2, y, right] - small[2, y, left]) * half, (small[2, down, x] - small[2, up, x]) * half
+    a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)
+    yx = luma[0, 0] * ax + luma[0, 1] * bx + luma[0, 2] * cx
+    yy = luma[0, 0] * ay + luma[0, 1] * by + luma[0, 2] * cy
+    ux = luma[1, 0] * ax + luma[1, 1] * bx + luma[1, 2] * cx
+    uy = luma[1, 0] * ay + luma[1, 1] * by + luma[1, 2] * cy
+    vx = luma[2, 0] * ax + luma[2, 1] * bx + luma[2, 2] * cx
+    vy = luma[2, 0] * ay + luma[2, 1] * by + luma[2, 2] * cy
+    of_y, of_u, of_v = np.sqrt(yx * yx + yy * yy), np.sqrt(ux * ux + uy * uy), np.sqrt(vx * vx + vy * vy)
+    of_yuv = (one - alpha) * of_y + alpha * half * (of_u + of_v)
+    measure[y, x] = beta * of_yuv + (one - beta) * third * (a + b + c)
+    # across: the strongest channel's
+    gx, gy = (bx, by) if b > a else (ax, ay)
+    most = max(a, b)
+    gx, gy = (cx, cy) if c > most else (gx, gy)
+    scale = one / max(max(most, c), np.float32(1e-6))
+    dx[y, x], dy[y, x] = gx * scale, gy * scale
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
@@ -160,23 +147,24 @@ def _at(a, x, y):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _hysteresis(measure, parts, count, low, high, line):  # pragma: no cover - compiled
-    """Fade each connected line by how far its strongest point gets from low to high."""
-    most = np.zeros(count, np.float32)
-    h, w = measure.shape
-    for y in range(h):
-        for x in range(w):
+def _strongest(measure, parts, ya, yb, most):  # pragma: no cover - compiled
+    """most (count,) : of each connected line, over some rows."""
+    for y in range(ya, yb):
+        for x in range(measure.shape[1]):
             k = parts[y, x]
             if k > 0:
                 most[k] = max(most[k], measure[y, x])
-    for k in range(count):
-        t = min(max((most[k] - low) / max(high - low, np.float32(1e-6)), np.float32(0)), np.float32(1))
-        most[k] = t * t * (np.float32(3) - np.float32(2) * t)
-    most[0] = np.float32(0)
-    for y in range(h):
-        for x in range(w):
+
+
+@numba.njit(cache=True, nogil=True)
+def _hysteresis(most, parts, low, high, ya, yb, line):  # pragma: no cover - compiled
+    """Fade each connected line by how far its strongest point gets from low to high."""
+    for y in range(ya, yb):
+        for x in range(line.shape[1]):
             if line[y, x] > 0:
-                line[y, x] *= most[parts[y, x]]
+                t = (most[parts[y, x]] - low) / max(high - low, np.float32(1e-6))
+                t = min(max(t, np.float32(0)), np.float32(1))
+                line[y, x] *= t * t * (np.float32(3) - np.float32(2) * t)
 
 
 def virtual_edges(coverage: np.ndarray, normal: np.ndarray, depth: np.ndarray, opacity: float) -> np.ndarray:

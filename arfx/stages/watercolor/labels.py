@@ -1,35 +1,55 @@
 """Nearest-site labels, exact: a tile of 8 x 8 pixels only meets the sites that can win one of its pixels.
 
 Distance is that of a power diagram, |p - s|^2 - weight; with all weights 0 the cells are Voronoi cells. Sites and pixels lie
-on a grid of 1/8 px, so that distances are integers and float32 holds them exactly (float64 where cells are larger than
-400 px); of equal distances the site of the lower number wins. Pixels may be displaced (wobble) before they ask.
-Cost: O(pixels x some 6 candidates). Source: SYSTEMS.md S3 step 2; tiles in place of cones.
+on a grid of 1/8 px, so that distances are integers; of equal distances the site of the lower number wins. Pixels may be
+displaced (wobble) before they ask. A block of 2 x 2 tiles collects the sites around it once; its tiles prune them and compare
+what is left (label_kernels). Cost: O(pixels x some 10 candidates). Source: SYSTEMS.md S3 step 2; tiles in place of cones.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
 
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.watercolor.label_kernels import (
+    BLOCK,
+    FAR,
+    MIDDLE,
+    PACKED,
+    PACKED_LIMIT,
+    PIXELS,
+    SOLID,
+    STEP,
+    TILE,
+    any_of,
+    bound,
+    by_number,
+    collected,
+    filled_up,
+    inside_of,
+    kept,
+    named,
+    nearest_any,
+    nearest_one,
+    nearest_two,
+    packed,
+    within,
+)  # fmt: skip
 from arfx.stages.watercolor.sites import STEPS, Sites
 
-TILE = 8
-_FAR_PX = 400.0
-PACKED = 64  # candidates whose number fits one float32 together with their distance, exactly, ...
-PACKED_DISTANCE = 1 << 18  # ... which is below this, in 1/STEPS^2 px^2
-
-_MOST = np.float32(2**24 - PACKED)  # number 0, and as far as can be
-SOLID = 255  # a pixel this far inside its cell takes nothing of its neighbour's colour
+_U = np.uint64
+__all__ = ["SOLID", "STILL", "Labels", "Wobble", "in_order", "label", "unlabelled", "wobble_of"]
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
     """first (h, w) int32 : the nearest site;  second (h, w) int32 : the next one, where it is near
     inside (h, w) uint8 : 0 on the border between both, SOLID from `blend_px` off it;  count : of sites
+    second and inside are (0, 0) where borders were not asked for.
     """
 
     first: np.ndarray
@@ -37,75 +57,108 @@ class Labels:
     inside: np.ndarray
     count: int
 
-    @property
-    def bytes(self) -> int:
-        return self.first.nbytes + self.second.nbytes + self.inside.nbytes
+
+def unlabelled(height: int, width: int, count: int, borders: bool) -> Labels:
+    """Every pixel in cell 0."""
+    first = np.zeros((height, width), np.int32)
+    if not borders:
+        return Labels(first, np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), count)
+    return Labels(first, first, np.full((height, width), SOLID, np.uint8), count)
+
+
+@dataclass(frozen=True, eq=False)
+class Wobble:
+    """Displacement of pixels before they ask, repeated: the same wherever the tiles of labels begin.
+
+    tile (2, n, n) int8 : along x and y, 1/STEPS px;  x, y : where in it pixel (0, 0) of the frame lies
+    places (n/8, n/8, 2, PIXELS) float32 : displaced places of each 8 x 8 pixels, 1/STEPS px from their middle
+    boxes (n/8, n/8, 4) int32 : around these: middle, half sides
+    """
+
+    tile: np.ndarray
+    places: np.ndarray
+    boxes: np.ndarray
+    x: int = 0
+    y: int = 0
+
+    def at(self, x: int, y: int) -> Wobble:
+        return replace(self, x=x, y=y)
+
+
+def wobble_of(tile: np.ndarray) -> Wobble:
+    """tile (2, n, n) whole numbers of 1/STEPS px, |.| <= 127; n a multiple of 8."""
+    n = tile.shape[1] // TILE
+    own = np.arange(TILE, dtype=np.float32) * STEPS - MIDDLE
+    squares = tile.reshape(2, n, TILE, n, TILE).transpose(1, 3, 0, 2, 4) + np.stack(np.broadcast_arrays(own, own[:, None]))
+    places = np.ascontiguousarray(squares, np.float32).reshape(n, n, 2, PIXELS)
+    low, high = places.min(-1).astype(np.int32), places.max(-1).astype(np.int32)
+    middle = (low + high) // 2
+    boxes = np.concatenate([middle, np.maximum(high - middle, middle - low)], -1)
+    return Wobble(tile.astype(np.int8), places, np.ascontiguousarray(boxes, np.int32))
+
+
+STILL = wobble_of(np.zeros((2, TILE, TILE)))
+
+
+def _grid(count: int, rect: Rect, wobble: Wobble) -> tuple[int, int, int, int, int]:
+    """(x, y of the first tile in rect, <= 0, side of a bucket px, rows, columns): buckets of about one site."""
+    x, y = -((wobble.x + rect.x0) % TILE), -((wobble.y + rect.y0) % TILE)
+    spacing, longest = np.sqrt(rect.area / max(count, 1)), max(rect.width, rect.height)
+    side = int(TILE * max(1, min(np.round(spacing / TILE), np.ceil(longest / TILE))))
+    return x, y, side, -(-(rect.height - y) // side), -(-(rect.width - x) // side)
+
+
+def in_order(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
+    """The same sites, numbered so that `label` need not sort what it finds."""
+    if not len(sites) or rect.empty:
+        return sites
+    x, y, side, gh, gw = _grid(len(sites), rect, wobble)
+    _, order = _bucketed(sites.x, sites.y, rect.x0 + x, rect.y0 + y, side, gh, gw)
+    return Sites(*(a[order] for a in (sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v)))
 
 
 def label(
-    sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: float = 0.0, reach: float | None = None
+    sites: Sites, rect: Rect, wobble: Wobble = STILL, blend_px: float = 0.0, mask: np.ndarray | None = None
 ) -> Labels:  # fmt: skip
     """Labels of the pixels of `rect`.
 
-    wobble : (2, h, w) float32 displacement along x and y, in 1/STEPS px, whole numbers;  blend_px : see Labels
-    reach : no displacement is larger, 1/STEPS px; None = measured
+    blend_px : as in Labels, 0 = no borders;  mask (h, w) bool : only these are asked for, the others hold anything
     Without a site every pixel is labelled 0 and count is 1.
     """
     h, w = rect.height, rect.width
-    n = len(sites)
+    n, borders = len(sites), blend_px > 0
     if n == 0 or h == 0 or w == 0:
-        first = np.zeros((h, w), np.int32)
-        return Labels(first, first, np.full((h, w), SOLID, np.uint8), max(n, 1))
-    borders = blend_px > 0
+        return unlabelled(h, w, max(n, 1), borders)
     first = np.empty((h, w), np.int32)
-    second = np.empty((h, w), np.int32) if borders else first
-    inside = np.empty((h, w), np.uint8) if borders else np.full((h, w), SOLID, np.uint8)
-    spacing = np.sqrt(h * w / n)
-    # buckets of about a site or two each, whole tiles wide
-    bucket = int(TILE * max(1, min(np.ceil(spacing / TILE), np.ceil(max(h, w) / TILE))))
-    gh, gw = -(-h // bucket), -(-w // bucket)
-    start, order = _bucketed(sites.x, sites.y, rect.x0, rect.y0, bucket, gh, gw)
-    wobble = np.zeros((2, 0, 0), np.float32) if wobble is None else wobble
-    if reach is None:
-        reach = float(np.abs(wobble).max()) if wobble.size else 0.0
-    wide = spacing * 4 + reach / STEPS + 2 * blend_px > _FAR_PX
-    kind = np.float64 if wide else np.float32
-    x, y, weight = (a.astype(np.float64) for a in (sites.x, sites.y, sites.weight))
-    place = np.stack([x - STEPS * rect.x0, y - STEPS * rect.y0, weight]).astype(kind)
+    second = np.empty((h, w) if borders else (0, 0), np.int32)
+    inside = np.empty((h, w) if borders else (0, 0), np.uint8)
+    x0, y0, side, gh, gw = _grid(n, rect, wobble)
+    start, order = _bucketed(sites.x, sites.y, rect.x0 + x0, rect.y0 + y0, side, gh, gw)
+    ordered = bool((order[1:] > order[:-1]).all())
+    place = np.zeros((3, n + STEP), np.int32)
+    place[0, :n], place[1, :n], place[2, :n] = sites.x[order], sites.y[order], np.maximum(sites.weight[order], -(float(FAR) ** 2))
+    place[:2, :n] -= np.array([[STEPS * rect.x0], [STEPS * rect.y0]], np.int32)
+    mask = np.zeros((0, 0), bool) if mask is None else mask
+    row, column = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
 
-    by_bucket = np.ascontiguousarray(place[:, order])
-
-    def one(y0: int, y1: int) -> None:
+    def one(a: int, b: int) -> None:
         _label(
-            place,
-            by_bucket,
-            order,
-            start,
-            bucket,
-            gh,
-            gw,
-            wobble,
-            kind(reach),
-            kind(blend_px * STEPS),
-            y0,
-            y1,
-            first,
-            second,
-            inside,
-        )
+            place, order, ordered, start, side, gh, gw, wobble.places, wobble.boxes, row, column, np.float32(blend_px * STEPS),
+            mask, x0, y0, a, b, first, second, inside,
+        )  # fmt: skip
 
-    by_bands(one, h, TILE)
+    by_bands(one, h - y0, BLOCK)
     return Labels(first, second, inside, n)
 
 
 @numba.njit(cache=True, nogil=True)
-def _bucketed(sx, sy, x0, y0, bucket, gh, gw):  # pragma: no cover - compiled
+def _bucketed(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
     """(start (gh gw + 1), order (n,)) : sites by bucket, in each by number. Sites outside count to the nearest bucket."""
     n = sx.shape[0]
     start, at = np.zeros(gh * gw + 1, np.int32), np.empty(n, np.int32)
     for k in range(n):
-        i = np.int64(np.floor((sy[k] / STEPS - y0) / bucket))
-        j = np.int64(np.floor((sx[k] / STEPS - x0) / bucket))
+        i = np.int64(np.floor((sy[k] / STEPS - y0) / side))
+        j = np.int64(np.floor((sx[k] / STEPS - x0) / side))
         at[k] = min(max(i, 0), gh - 1) * gw + min(max(j, 0), gw - 1)
         start[at[k] + 1] += 1
     for k in range(gh * gw):
@@ -119,189 +172,104 @@ def _bucketed(sx, sy, x0, y0, bucket, gh, gw):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _label(
-    place, sorted_, order, start, bucket, gh, gw, wobble, reach, blend, y_first, y_last, first, second, inside
-):  # pragma: no cover
+    place, order, ordered, start, side, gh, gw, places, boxes, row, column, blend, mask, x0, y0, y_first, y_last, first,
+    second, inside,
+):  # fmt: skip  # pragma: no cover
+    """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0), of which (row, column) of `places` is the first."""
     h, w = first.shape
-    zero, inf = reach * 0, reach * 0 + np.inf
-    px, py = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
-    d1, d2 = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
-    n1, n2 = np.empty(TILE * TILE, np.int32), np.empty(TILE * TILE, np.int32)
-    own_x, own_y = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
-    for q in range(TILE * TILE):
-        own_x[q], own_y[q] = (q % TILE) * STEPS, (q // TILE) * STEPS
-    found = np.empty(order.shape[0] + 1, np.int32)
-    share = np.empty(TILE * TILE, np.uint8)
-    k1, k2 = np.empty(TILE * TILE, place.dtype), np.empty(TILE * TILE, place.dtype)
-    sx, sy, sw = np.empty(PACKED, place.dtype), np.empty(PACKED, place.dtype), np.empty(PACKED, place.dtype)
-    moved = wobble.shape[1] > 0
-    side, half = zero + bucket * STEPS, zero + 0.5
-    for ty in range(y_first, y_last, TILE):
-        rows = min(TILE, h - ty)
-        for tx in range(0, w, TILE):
-            cols = min(TILE, w - tx)
-            # the pixels' places, and the box that holds them
-            left, right = zero + tx * STEPS - reach, zero + (tx + cols - 1) * STEPS + reach
-            top, bottom = zero + ty * STEPS - reach, zero + (ty + rows - 1) * STEPS + reach
-            base_x, base_y = zero + tx * STEPS, zero + ty * STEPS
-            for q in range(TILE * TILE):
-                px[q] = base_x + own_x[q]
-                py[q] = base_y + own_y[q]
-            if moved:
-                for y in range(rows):
-                    if cols == TILE:
-                        for x in range(TILE):  # of fixed length: one step of a vector unit
-                            px[y * TILE + x] += wobble[0, ty + y, tx + x]
-                            py[y * TILE + x] += wobble[1, ty + y, tx + x]
-                    else:
-                        for x in range(cols):
-                            px[y * TILE + x] += wobble[0, ty + y, tx + x]
-                            py[y * TILE + x] += wobble[1, ty + y, tx + x]
-            # a bound that no pixel's nearest site exceeds: of each quarter the farthest pixel's distance to its best site
-            gy, gx = ty // bucket, tx // bucket
-            middle_x, middle_y = (left + right) * half, (top + bottom) * half
-            wide, high = (right - left) * half * half + reach, (bottom - top) * half * half + reach
-            bound, window = inf, np.int64(1)
-            while bound == inf:
-                b0, b1, b2, b3 = inf, inf, inf, inf
-                for i in range(max(gy - window, 0), min(gy + window, gh - 1) + 1):
-                    for m in range(start[i * gw + max(gx - window, 0)], start[i * gw + min(gx + window, gw - 1) + 1]):
-                        # the quarters' middles lie `wide`, `high` off the tile's; so do their corners of them
-                        ex, ey, cw = sorted_[0, m] - middle_x, sorted_[1, m] - middle_y, sorted_[2, m]
-                        near_x, far_x = abs(ex + wide) + wide, abs(ex - wide) + wide
-                        near_y, far_y = abs(ey + high) + high, abs(ey - high) + high
-                        near_x, far_x, near_y, far_y = near_x * near_x, far_x * far_x, near_y * near_y - cw, far_y * far_y - cw
-                        b0, b1 = min(b0, near_x + near_y), min(b1, far_x + near_y)
-                        b2, b3 = min(b2, near_x + far_y), min(b3, far_x + far_y)
-                bound = max(max(b0, b1), max(b2, b3))
-                window *= 2
-            # a site that comes within `blend` of winning is at most 2 blend farther than the winner
-            root = np.sqrt(bound) + 2 * blend
-            bound = root * root + 1
-            # what lies outside a window of buckets is at least its size away
-            window = np.int64(np.ceil((root + 1 + reach) / side))
-            candidates = np.int64(0)
-            for i in range(max(gy - window, 0), min(gy + window, gh - 1) + 1):
-                for m in range(start[i * gw + max(gx - window, 0)], start[i * gw + min(gx + window, gw - 1) + 1]):
-                    dx = max(left - sorted_[0, m], sorted_[0, m] - right, zero)
-                    dy = max(top - sorted_[1, m], sorted_[1, m] - bottom, zero)
-                    found[candidates] = order[m]
-                    candidates += np.int64(dx * dx + dy * dy - sorted_[2, m] <= bound)
-            if candidates > PACKED:
-                found[:candidates].sort()
-            else:
-                for m in range(1, candidates):
-                    k, at = found[m], m
-                    while at > 0 and found[at - 1] > k:
-                        found[at] = found[at - 1]
-                        at -= 1
-                    found[at] = k
-            span = np.sqrt(bound) + np.float32(1.415) * (2 * reach + (TILE - 1) * STEPS)
-            if candidates <= PACKED and span * span < PACKED_DISTANCE:
-                for m in range(candidates):
-                    k = found[m]
-                    sx[m], sy[m], sw[m] = place[0, k], place[1, k], place[2, k]
-                _nearest_packed(sx, sy, sw, candidates, px, py, k1, k2, blend > 0)
-                _unpacked(k1, found, n1, d1)
-                if blend > 0:
-                    _unpacked(k2, found, n2, d2)
-            else:
-                _nearest(place, found, candidates, px, py, d1, d2, n1, n2)
-            if blend > 0:
-                _inside(d1, d2, n1, n2, blend, share)
-            for y in range(rows):
-                if cols == TILE:
-                    for x in range(TILE):
-                        first[ty + y, tx + x] = n1[y * TILE + x]
-                    if blend > 0:
-                        for x in range(TILE):
-                            second[ty + y, tx + x] = n2[y * TILE + x]
-                        for x in range(TILE):
-                            inside[ty + y, tx + x] = share[y * TILE + x]
+    k1, k2 = np.empty(PIXELS, np.float32), np.empty(PIXELS, np.float32)
+    n1, n2, share = np.empty(PIXELS, np.int32), np.empty(PIXELS, np.int32), np.empty(PIXELS, np.uint8)
+    room = order.shape[0] + 2 * STEP
+    lx, ly, lw, away = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
+    number, found = np.empty(room, np.int32), np.empty(room, np.int32)
+    ca, cb, cc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
+    near = np.empty(PACKED, np.int32)
+    borders = blend > 0
+    reach = np.int32((np.abs(boxes[..., :2]) + boxes[..., 2:]).max())  # of a tile's places from its middle
+    half = np.int32(reach + TILE * STEPS // 2)
+    every = np.arange(order.shape[0]).astype(np.int32)
+    # how far around a block it looks at first: mostly enough
+    usual = side * STEPS * 2 + 2 * blend
+    for by in range(y_first + y0, min(y_last + y0, h), BLOCK):
+        for bx in range(x0, w, BLOCK):
+            mx, my = np.int32(bx * STEPS + STEPS * (BLOCK - 1) // 2), np.int32(by * STEPS + STEPS * (BLOCK - 1) // 2)
+            # the block's middle from the first bucket's corner
+            ox, oy = np.int64(mx - x0 * STEPS), np.int64(my - y0 * STEPS)
+            r, wanted, count, far = np.int64(0), np.int64(half + usual), 0, False
+            while r < wanted and not far:
+                r = wanted
+                count = collected(place, start, gh, gw, side * STEPS, oy - r, ox - r, oy + r, ox + r, mx, my, lx, ly, lw, number)
+                full = filled_up(count, lx, ly, lw)
+                # what may matter to one of its tiles lies no farther off the box of its places than this
+                root = np.sqrt(np.float64(bound(lx, ly, lw, full, np.int32(0), np.int32(0), half, half))) + 2 * blend
+                if count > 0:
+                    far = root > FAR - 2 * half
+                    wanted = np.int64(root) + half + 1
                 else:
-                    for x in range(cols):
-                        first[ty + y, tx + x] = n1[y * TILE + x]
-                        if blend > 0:
-                            second[ty + y, tx + x] = n2[y * TILE + x]
-                            inside[ty + y, tx + x] = share[y * TILE + x]
-
-
-@numba.njit(cache=True, nogil=True)
-def _unpacked(packed, found, number, distance):  # pragma: no cover - compiled
-    for q in range(TILE * TILE):
-        d = np.floor(packed[q] * np.float32(1.0 / PACKED))
-        distance[q] = d
-        number[q] = np.int32(packed[q] - d * np.float32(PACKED))
-    for q in range(TILE * TILE):
-        number[q] = found[number[q]]
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"nnan", "ninf", "nsz"})
-def _nearest_packed(sx, sy, sw, candidates, px, py, k1, k2, two):  # pragma: no cover - compiled
-    """Distance and number of the nearest candidate to each pixel of a tile, and of the next, packed in one float32 each,
-    both integers: the lesser is the nearer site, or of two as near the one of the lower number."""
-    k1[:] = _MOST
-    k2[:] = _MOST
-    for m in range(candidates):
-        cx, cy, add = sx[m], sy[m], np.float32(m) - sw[m] * np.float32(PACKED)
-        if two:
-            for q in range(TILE * TILE):
-                ex, ey = px[q] - cx, py[q] - cy
-                k = (ex * ex + ey * ey) * np.float32(PACKED) + add
-                a, b = k1[q], k2[q]
-                other = a if a > k else k
-                k2[q] = b if b < other else other
-                k1[q] = a if a < k else k
-        else:
-            for q in range(TILE * TILE):
-                ex, ey = px[q] - cx, py[q] - cy
-                k = (ex * ex + ey * ey) * np.float32(PACKED) + add
-                a = k1[q]
-                k1[q] = a if a < k else k
-
-
-@numba.njit(cache=True, nogil=True)
-def _nearest(place, found, candidates, px, py, d1, d2, n1, n2):  # pragma: no cover - compiled
-    """The same for many candidates or far ones. found ascends."""
-    d1[:] = np.inf
-    d2[:] = np.inf
-    n1[:] = found[0]
-    n2[:] = found[0]
-    for m in range(candidates):
-        k = found[m]
-        cx, cy, cw = place[0, k], place[1, k], place[2, k]
-        for q in range(TILE * TILE):
-            ex, ey = px[q] - cx, py[q] - cy
-            d = ex * ex + ey * ey - cw
-            if d < d1[q]:
-                d1[q], n1[q], d2[q], n2[q] = d, k, d1[q], n1[q]
-            elif d < d2[q]:
-                d2[q], n2[q] = d, k
-
-
-@numba.njit(cache=True, nogil=True)
-def _inside(d1, d2, n1, n2, blend, share):  # pragma: no cover - compiled
-    """How much farther the next site is than the nearest, 0..SOLID: SOLID is 2 blend. Half of it is about the way to the
-    border between the two."""
-    factor = np.float32(SOLID) / np.float32(2 * blend)
-    for q in range(TILE * TILE):
-        s = (np.sqrt(np.float32(d2[q])) - np.sqrt(np.float32(d1[q]))) * factor
-        share[q] = np.uint8(np.int32(min(s, np.float32(SOLID))))
-    for q in range(TILE * TILE):
-        n2[q] = n2[q] if share[q] < np.uint8(SOLID) else n1[q]
-
-
-def merged(whole: Labels, part: Labels, mask: np.ndarray, x0: int, y0: int) -> Labels:
-    """`whole`, and from (x0, y0) on where the mask says so `part`, whose cells are numbered on."""
-    first, second, inside = whole.first.copy(), whole.second.copy(), whole.inside.copy()
-    _merge(first, second, inside, part.first, part.second, part.inside, mask, x0, y0, whole.count)
-    return Labels(first, second, inside, whole.count + part.count)
-
-
-@numba.njit(cache=True, nogil=True)
-def _merge(first, second, inside, own_first, own_second, own_inside, mask, x0, y0, start):  # pragma: no cover - compiled
-    for y in range(mask.shape[0]):
-        for x in range(mask.shape[1]):
-            if mask[y, x]:
-                first[y0 + y, x0 + x] = own_first[y, x] + start
-                second[y0 + y, x0 + x] = own_second[y, x] + start
-                inside[y0 + y, x0 + x] = own_inside[y, x]
+                    wanted = 2 * r
+            if not far:
+                count = within(lx, ly, lw, full, np.int32(0), np.int32(0), half, half, np.int32(root * root) + 1, away, found)
+                kept(count, found, lx, ly, lw, number)
+            if not ordered and not far:
+                by_number(order, number, count, lx, ly, lw, away)
+            full = filled_up(count, lx, ly, lw)
+            for tile in range(4):
+                down, right = tile >> 1, tile & 1
+                ty, tx = by + TILE * down, bx + TILE * right
+                top, left, bottom, end = max(ty, 0), max(tx, 0), min(ty + TILE, h), min(tx + TILE, w)
+                if top >= bottom or left >= end:
+                    continue
+                if mask.shape[0] > 0 and not any_of(mask, top, left, bottom - top, end - left):
+                    continue
+                i = (row + (ty - y0) // TILE) % places.shape[0]
+                j = (column + (tx - x0) // TILE) % places.shape[1]
+                p, n, fits = places[i, j], 0, False
+                if not far:
+                    half_tile = TILE * STEPS // 2
+                    own_x, own_y = np.int32((2 * right - 1) * half_tile), np.int32((2 * down - 1) * half_tile)
+                    cx, cy = np.int32(own_x + boxes[i, j, 0]), np.int32(own_y + boxes[i, j, 1])
+                    hx, hy = boxes[i, j, 2], boxes[i, j, 3]
+                    # a site that comes within `blend` of winning is at most 2 blend farther than the winner
+                    root = np.sqrt(np.float64(bound(lx, ly, lw, full, cx, cy, hx, hy))) + 2 * blend
+                    n = within(lx, ly, lw, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
+                    if n <= PACKED:
+                        fits = (
+                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ca, cb, cc, near) < PACKED_LIMIT
+                        )
+                if fits:
+                    if borders:
+                        nearest_two(ca, cb, cc, n, p, k1, k2)
+                        if n == 1:
+                            k2[:] = np.float32(2e9)  # there is no other near enough
+                        inside_of(p, k1, k2, blend, n1, n2, share)
+                        named(n2, near)
+                    else:
+                        nearest_one(ca, cb, cc, n, p, k1, n1)
+                    named(n1, near)
+                else:
+                    for m in range(n):
+                        found[m] = number[found[m]]
+                    tile_x, tile_y = np.float64(tx * STEPS + MIDDLE), np.float64(ty * STEPS + MIDDLE)
+                    which = every if far else found
+                    nearest_any(place, order, which, order.shape[0] if far else n, tile_x, tile_y, p, blend, n1, n2, share)
+                if not ordered:
+                    named(n1, order)
+                    if borders:
+                        named(n2, order)
+                if end - left == TILE:
+                    for y in range(top, bottom):
+                        for x in range(TILE):  # of fixed length: one step of a vector unit
+                            first[y, _U(tx) + _U(x)] = n1[_U((y - ty) * TILE) + _U(x)]
+                        if borders:
+                            for x in range(TILE):
+                                second[y, _U(tx) + _U(x)] = n2[_U((y - ty) * TILE) + _U(x)]
+                            for x in range(TILE):
+                                inside[y, _U(tx) + _U(x)] = share[_U((y - ty) * TILE) + _U(x)]
+                else:
+                    for y in range(top, bottom):
+                        for x in range(left, end):
+                            q = (y - ty) * TILE + x - tx
+                            first[y, x] = n1[q]
+                            if borders:
+                                second[y, x] = n2[q]
+                                inside[y, x] = share[q]

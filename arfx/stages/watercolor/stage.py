@@ -25,17 +25,19 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.watercolor.cells import means, neighbours, neighbours_within, toned, washed
+from arfx.stages.watercolor.cells import means_and_half, neighbours, neighbours_within, toned, washed
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import line_strength, virtual_edges
-from arfx.stages.watercolor.field import frame_field
-from arfx.stages.watercolor.labels import Labels, label, merged
+from arfx.stages.watercolor.field import FACT, frame_field
+from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, wobble_of
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
+from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
-from arfx.stages.watercolor.pigment import laid_out, paint, paper_grain, turbulence, wobble_tile
+from arfx.stages.watercolor.pigment import laid_out, paper_grain, turbulence, wobble_tile
 from arfx.stages.watercolor.printed import printed
-from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, sites_of
+from arfx.stages.watercolor.rows import Cover, Picture, offset
+from arfx.stages.watercolor.sites import GRID_PX, Field, Sites, sites_of
 from arfx.stages.watercolor.toon import EVEN, toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
@@ -56,18 +58,20 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. grain, wobble : tiles"""
+    """Of one clip, worker and level. grain : tile of the paper"""
 
     grain: np.ndarray
-    wobble: np.ndarray | None
+    wobble: Wobble
     surface: Surface
     cells: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
     pictures: Kept = field(default_factory=lambda: Kept(_KEPT_PICTURES))
+    fields: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
 
     def forget(self) -> None:
         """Drop what was kept between frames, so that the next one costs what a new frame costs."""
         self.cells.clear()
         self.pictures.clear()
+        self.fields.clear()
 
 
 class Watercolor:
@@ -93,9 +97,9 @@ class Watercolor:
         return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 40.0)
 
     def prepare(self, scene: Scene, level: Level) -> Prepared:
-        p, wobble = self.params, None
+        p, wobble = self.params, STILL
         if p.pigment and p.wobble_px > 0:
-            wobble = wobble_tile(scene.seed, p.wobble_px, 4 * p.wobble_px + 6)
+            wobble = wobble_of(wobble_tile(scene.seed, p.wobble_px, 4 * p.wobble_px + 6))
         return Prepared(paper_grain(scene.seed, p.grain_px), wobble, surface_of(scene, scene.seed))
 
     def run(
@@ -106,77 +110,73 @@ class Watercolor:
         if facts.camera_from_world is not None and facts.opacity > 0:
             box = facts.model_box.pad(PAD_PX).clip(now.rect)
         if p.formula == "paper":
-            image = self._with_toon(now, box, facts, scene)
+            image = self._with_toon(now, box, facts, scene).whole()
             return {Layer.IMAGE: printed(image, now.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, rng)}
-        where, pose = frame_field(facts, scene, self._cell_px(level), p.nearer_finer, p.anchored)
-        sites_key = _field_key(where, now.rect)
-        if now.rect.area > _LARGEST_KEPT_PX:
-            return {Layer.IMAGE: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)}
-        key = (
-            sites_key, box, facts.opacity, _content(now, box), repr(facts.light or scene.light),
-            None if pose is None else tuple(pose.to_json()),
-        )  # fmt: skip
+        where, pose, sites_key = self._field(facts, scene, prepared, level)
         make = lambda: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)  # noqa: E731
-        return {Layer.IMAGE: prepared.pictures.get(key, make)}
+        if now.rect.area > _LARGEST_KEPT_PX:
+            return {Layer.IMAGE: make()}
+        seen = (box, facts.opacity, repr(facts.light or scene.light), None if pose is None else tuple(pose.to_json()))
+        return {Layer.IMAGE: prepared.pictures.get((sites_key, now.rect, _content(now, box), *seen), make)}
+
+    def _field(self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level) -> tuple[Field, Any, bytes]:
+        """(where the sites come from, the pose that goes with it, a number of the field's content)."""
+        p, cell_px = self.params, self._cell_px(level)
+
+        def make() -> tuple[Field, Any, bytes]:
+            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored)
+            return where, pose, _field_key(where)
+
+        found = facts.extra.get(FACT, {})
+        pose = facts.camera_from_world
+        key = (found.get("nodes"), repr(found.get("pose")), None if found or pose is None else tuple(pose.to_json()))
+        made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
+        return made
 
     def _cell_px(self, level: Level) -> float:
         return self.params.cell_px * (1.4 if level.name == "draft" else 1.0)
 
-    def _with_toon(self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> np.ndarray:
+    def _with_toon(self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> Picture:
         p, image = self.params, now[Layer.IMAGE]
         if not p.toon or box.empty:
-            return image
+            return Picture(image)
         part = now.crop(box)
         if not part[Layer.COVERAGE].any():
-            return image
+            return Picture(image)
         light = facts.light or scene.light
         direction, radiance = toon_light(light, scene.world_from_anchor.rotation[:, 2])
         even = np.zeros(3) if p.formula == "paper" else EVEN * np.clip(light.ambient_rgb, 0, radiance)
-        out = image.copy()
-        out[box.slices_in(now.rect)] = toon(
+        patch = toon(
             part[Layer.IMAGE], part[Layer.VIRTUAL], part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.ALBEDO],
             part[Layer.EMISSIVE], direction, radiance, even, p.toon_thresholds, p.toon_factors, facts.opacity,
             p.formula == "paper",
         )  # fmt: skip
-        return out
+        return Picture(image, patch, *offset(box, now.rect))
 
     def _painted(
         self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, where: Field,
-        pose: Any, sites_key: Any,
+        pose: Any, sites_key: bytes,
     ) -> np.ndarray:  # fmt: skip
         p, rect = self.params, now.rect
-        image = self._with_toon(now, box, facts, scene)
-        cells = prepared.cells.get(("field", sites_key), lambda: self._cells(where, rect, scene, prepared, level))
+        picture = self._with_toon(now, box, facts, scene)
+        cells = prepared.cells.get((sites_key, rect), lambda: self._cells(where, rect, scene, prepared, level))
+        cover, flow, near = Cover(cells.labels), cells.flow, cells.near
+        if not box.empty and pose is not None:
+            cover, flow, near = self._with_object(now, box, cells, scene, prepared, level, pose)
+        colours, small = means_and_half(picture, cover, p.lines > 0)
         line = np.zeros((0, 0), np.float32)
         if p.lines > 0:
             line = line_strength(
-                image, p.alpha, p.beta, p.line_low, p.line_high, p.line_width_px, p.line_smooth_px,
+                small, p.alpha, p.beta, p.line_low, p.line_high, p.line_width_px, p.line_smooth_px,
                 self._virtual_edges(now, box, facts), p.yuv,
             )  # fmt: skip
-        if not box.empty and pose is not None:
-            cells = self._with_object(now, box, cells, scene, prepared, level, pose)
-        colours = means(image, cells.labels.first, cells.labels.count)
-        plain = washed(colours, cells.near, 1.0, 0)
-        root = washed(colours, cells.near, 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
+        root = washed(colours, near, 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
-        on = np.float32(p.pigment)
-        strengths = np.array(
-            [on * p.edge_darkening, 0.25, on * p.flow, on * p.grain, p.lines, on * p.dry_brush], np.float32
-        )  # fmt: skip
-        return paint(
-            cells.labels,
-            image,
-            plain,
-            root,
-            cells.flow,
-            prepared.grain,
-            line,
-            2,
-            strengths,
-            np.array(p.ink_rgb, np.float32),
-            rect.x0,
-            rect.y0,
-        )
+        ink = np.array(p.ink_rgb, np.float32)
+        if not p.pigment:
+            return paint_cells(cover, root * root, line, p.lines, ink)
+        strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
+        return paint(picture, cover, colours, root, flow, prepared.grain, line, strengths, ink, rect.x0, rect.y0)
 
     def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
         if box.empty:
@@ -195,50 +195,47 @@ class Watercolor:
         p = self.params
         cell, area = self._cell_px(level), scene.camera.rect.area
         most = int(min(2 * area + 4096, 8 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
-        sites = sites_of(where, scene.seed, most, cell)
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
-        shift = _shift(where)
-        labels = self._labels(sites, rect, prepared, level, shift)
-        flow = turbulence(sites.u, sites.v, scene.seed, p.flow_px) if len(sites) else np.zeros(1, np.float32)
-        near = neighbours(labels.first, labels.count) if p.wash > 0 else np.zeros((0, 0), np.int32)
+        wobble = prepared.wobble.at(*_shift(where))
+        sites = in_order(sites_of(where, scene.seed, most, cell), rect, wobble)
+        labels = self._labels(sites, rect, wobble, level)
+        flow = turbulence(sites.u, sites.v, scene.seed, p.flow_px) if p.pigment else np.zeros(0, np.float32)
+        near = neighbours(labels.first, labels.count) if p.wash > 0 else np.zeros((labels.count, 0), np.int32)
         return Cells(labels, flow, near)
 
-    def _labels(self, sites: Any, rect: Rect, prepared: Prepared, level: Level, shift: tuple[int, int]) -> Labels:
-        p = self.params
+    def _labels(self, sites: Sites, rect: Rect, wobble: Wobble, level: Level, mask: np.ndarray | None = None) -> Labels:
+        blend = BLEND_PX if self.params.pigment else 0.0
         if level.name == "draft":
-            return chamfer_labels(sites, rect)
-        wobble = None
-        if prepared.wobble is not None:
-            x, y = rect.x0 + shift[0], rect.y0 + shift[1]
-            wobble = laid_out(prepared.wobble, x, y, rect.width, rect.height)
-        blend = BLEND_PX if p.pigment else 0.0
+            return chamfer_labels(sites, rect, blend > 0)
         if level.name == "reference":
-            return reference_labels(sites, rect, wobble, blend)
-        return label(sites, rect, wobble, blend, 0.0 if wobble is None else float(np.ceil(p.wobble_px * STEPS)))
+            moved = laid_out(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height)
+            return reference_labels(sites, rect, moved.astype(np.float32), blend)
+        return label(sites, rect, wobble, blend, mask)
 
     def _with_object(
         self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: Level, pose: Any
-    ) -> Cells:
-        """The cells, and in the pixels that the object mostly covers those of its surface."""
+    ) -> tuple[Cover, np.ndarray, np.ndarray]:
+        """(labels, turbulence, neighbours) with the cells of the object's surface in the pixels that it mostly covers."""
         p, rect = self.params, now.rect
         inside = now.crop(box)[Layer.COVERAGE] >= 0.5
         if not inside.any():
-            return cells
+            return Cover(cells.labels), cells.flow, cells.near
 
         def make() -> tuple[Labels, np.ndarray]:
+            wobble = prepared.wobble
             sites = object_sites(prepared.surface, scene.camera, pose, 0.8 * self._cell_px(level), p.flow_px)
+            sites = in_order(sites, box, wobble)
+            labels = self._labels(sites, box, wobble, level, inside)
             flow = turbulence(sites.u, sites.v, scene.seed + 1, p.flow_px) if len(sites) else np.zeros(1, np.float32)
-            return self._labels(sites, box, prepared, level, (0, 0)), flow
+            return labels, flow if p.pigment else np.zeros(0, np.float32)
 
-        own, flow = prepared.cells.get(("object", tuple(pose.to_json()), box), make)
-        flow = np.concatenate([cells.flow, flow])
-        labels = merged(cells.labels, own, inside, box.x0 - rect.x0, box.y0 - rect.y0)
-        if p.wash <= 0:
-            return Cells(labels, flow, cells.near)
+        key = ("object", tuple(pose.to_json()), box, digest(inside.view(np.uint8)))
+        own, flow = prepared.cells.get(key, make)
         # neighbours within the object only: paint does not run over its outline
-        near = neighbours_within(own.first, inside, own.count)
-        start = cells.labels.count
-        return Cells(labels, flow, np.concatenate([cells.near, np.where(near < 0, -1, near + start).astype(np.int32)]))
+        near = neighbours_within(own.first, inside, own.count) if p.wash > 0 else np.zeros((own.count, 0), np.int32)
+        near = np.where(near < 0, -1, near + cells.labels.count).astype(np.int32)
+        cover = Cover(cells.labels, own, inside, *offset(box, rect))
+        return cover, np.concatenate([cells.flow, flow]), np.concatenate([cells.near, near])
 
 
 def _shift(where: Field) -> tuple[int, int]:
@@ -248,18 +245,18 @@ def _shift(where: Field) -> tuple[int, int]:
     return round(float(np.median(where.u - x))), round(float(np.median(where.v - y)))
 
 
-def _field_key(where: Field, rect: Rect) -> tuple[bytes, Rect]:
+def _field_key(where: Field) -> bytes:
     h = hashlib.blake2b(digest_size=16)
     for a in (where.u, where.v, where.size):
         h.update(np.ascontiguousarray(a).tobytes())
     h.update(repr((where.x0, where.y0)).encode())
-    return h.digest(), rect
+    return h.digest()
 
 
 def _content(now: Layers, box: Rect) -> tuple[int, ...]:
     out = [digest(now[Layer.IMAGE])]
     if not box.empty:
         part = now.crop(box)
-        # a fourth of the rows tells one state of the object from another: its colours are in the picture already
-        out += [digest(part[name][::4]) for name in (Layer.COVERAGE, Layer.NORMAL, Layer.ALBEDO)]
+        # an eighth of the rows tells one state of the object from another: its colours are in the picture, its pose is known
+        out += [digest(part[name][::8]) for name in (Layer.COVERAGE, Layer.NORMAL)]
     return tuple(out)

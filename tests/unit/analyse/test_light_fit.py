@@ -8,7 +8,7 @@ import pytest
 from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_explain import Params
 from arfx.analyse.light_fit import MEASURED, REFUSED, LightFit, fit, paper_lights
-from arfx.analyse.light_time import CONSTANT, SEGMENTS, fit_over_time
+from arfx.analyse.light_time import CONSTANT, SEGMENTS, SWITCHED, fit_over_time, switches
 from arfx.core.numerics import angle_between, normalise
 
 AMBIENT = np.array([0.2, 0.21, 0.24])
@@ -149,19 +149,39 @@ def test_spans_cover_the_clip_without_gaps() -> None:
     assert spans[0].start_s == 0 and spans[0].stop_s == pytest.approx(149 / 25) and spans[0].fit.verdict == MEASURED
 
 
-def test_a_lamp_that_is_switched_keeps_its_direction_in_segments() -> None:
+def switched(on: np.ndarray, gain: np.ndarray) -> tuple[str, list, np.ndarray]:
+    """A marker turned by hand before a lamp that is on and off, exposed by a gain, both (180,)."""
     n, d = turned(180), at(40, 40)
+    light = gain[:, None] * (AMBIENT + on[:, None] * np.clip(n @ d, 0, None)[:, None] * LAMP)
+    return *clip(n, light, [60 / 25, 110 / 25]), d
+
+
+def test_a_lamp_that_is_switched_keeps_its_direction_and_the_ambient_light() -> None:
     on = np.ones(180)
     on[60:110] = 0
-    light = AMBIENT + on[:, None] * np.clip(n @ d, 0, None)[:, None] * LAMP
-    account, spans = clip(n, light, [60 / 25, 110 / 25])
+    account, spans, d = switched(on, np.ones(180))
+    assert account == SWITCHED and len(spans) == 3
     assert [s.stop_s for s in spans[:-1]] == [s.start_s for s in spans[1:]]
-    if account == SEGMENTS:
-        assert len(spans) == 3
-        assert spans[1].fit.lights[0].rgb[spans[1].group].max() < 0.05
-        assert np.degrees(angle_between(spans[0].fit.lights[0].direction, d)) < 2
-    else:
-        assert spans[0].fit.verdict == REFUSED
+    assert not spans[1].fit.lights and spans[1].fit.verdict == MEASURED
+    for s in spans:
+        assert s.fit.ambient_rgb[0] == pytest.approx(AMBIENT, rel=0.02)
+        assert all(np.degrees(angle_between(li.direction, d)) < 1 for li in s.fit.lights)
+
+
+def test_exposure_that_jumps_is_not_taken_for_a_lamp() -> None:
+    gain = np.ones(180)
+    gain[60:110] = 0.4
+    account, spans, d = switched(np.ones(180), gain)
+    assert account == SEGMENTS and len(spans) == 3
+    assert spans[1].fit.lights[0].rgb[spans[1].group] == pytest.approx(0.4 * LAMP, rel=0.05)
+    assert np.degrees(angle_between(spans[0].fit.lights[0].direction, d)) < 2
+
+
+def test_steps_that_do_not_go_down_and_up_in_turn_are_no_switch() -> None:
+    t, edges = np.arange(100) / 25, [0.0, 1.0, 2.0, 3.96]
+    down = np.where(t < 1, 1.0, np.where(t < 2, 0.6, 0.3))[:, None] * np.ones(3)
+    assert switches(t, down, edges) is None and switches(t, down, [0.0, 3.96]) is None
+    assert switches(t, np.where(t[:, None] < 2, down, 1.0 - down), edges).tolist() == [1, 0, 1]  # type: ignore[union-attr]
 
 
 def test_a_lamp_that_swings_before_one_marker_is_refused() -> None:

@@ -14,7 +14,8 @@ import pytest
 
 from arfx.analyse.light_fit import MEASURED, LightFit
 from arfx.analyse.light_time import fit_over_time
-from arfx.analyse.photometry import WHITE
+from arfx.analyse.photometry import WHITE, cut_off
+from arfx.analyse.photometry_clip import comparable
 from arfx.analyse.photometry_paper import solve_paper
 from arfx.analyse.photometry_solve import INK, PAPER, solve
 from arfx.core.numerics import normalise
@@ -30,6 +31,8 @@ class Tally:
     cone_deg: list[float] = field(default_factory=list)
     irradiance: list[float] = field(default_factory=list)
     bias_grey: list[float] = field(default_factory=list)
+    bias_half_grey: list[float] = field(default_factory=list)
+    bias_held: list[float] = field(default_factory=list)
     paper_bias_grey: list[float] = field(default_factory=list)
     scenes: int = 0
     false: list[str] = field(default_factory=list)
@@ -40,7 +43,7 @@ class Tally:
     def told(self) -> str:
         known = f"plain {self.plain_measured} of {self.plain}"
         out = [f"measured {len(self.direction_deg)} of {self.scenes}, false {len(self.false)}, {known}"]
-        for name in ("direction_deg", "cone_deg", "irradiance", "bias_grey", "paper_bias_grey"):
+        for name in ("direction_deg", "cone_deg", "irradiance", "bias_grey", "bias_half_grey", "bias_held", "paper_bias_grey"):
             v = getattr(self, name)
             if v:
                 out.append(f"{name} median {np.median(v):.3g}, 90th percentile {np.percentile(v, 90):.3g}")
@@ -64,8 +67,8 @@ def photographed(
     gamma: float = 1.0,
     gloss: bool = False,
     exact: bool = False,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(mean, variance (t, 8, 3), clipped (t, 8)) of the patches under light (t, 3), as photometry.measure makes them."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """(mean, variance (t, 8, 3), clipped (t, 8)) of the patches under light (t, 3), as photometry.measure makes them, bias."""
     ink, paper = rng.uniform(0.03, 0.07), rng.uniform(0.8, 0.92)
     if exact:
         ink, paper = INK, PAPER
@@ -74,7 +77,8 @@ def photographed(
     if gloss:  # one quarter of the marker in a third of the frames
         exact[: len(light) // 3, 4] += 0.3
     if clip_share:
-        exact = exact * (1 / np.quantile(exact[:, WHITE], 1 - clip_share))
+        longer = 1 / np.quantile(exact[:, WHITE], 1 - clip_share)
+        exact, bias = exact * longer, bias * longer
     grey = np.round(np.clip(encode(exact**gamma) + rng.normal(0, 2 / 255, exact.shape), 0, 1) * 255)
     fine = ((grey > 0) & (grey < 255)).all(-1)
     value, w = decode(grey / 255), fine[..., None]
@@ -83,10 +87,10 @@ def photographed(
     spread2 = (((value - mean[..., None, :]) ** 2) * w).sum(-2) / np.maximum(count - 1, 1)
     clipped = 1 - fine.mean(-1)
     few = fine.sum(-1) < 4
-    cut2 = np.where(clipped > 0, 2 * clipped, 0)[..., None] ** 2 * spread2
+    cut2 = cut_off(clipped)[..., None] ** 2 * spread2
     variance = spread2 / count + (decode(mean) * 0 + 0.0005) ** 2 + cut2
     mean[few], variance[few] = np.nan, np.nan
-    return mean, variance, clipped
+    return mean, variance, clipped, bias
 
 
 def direction(rng: np.random.Generator, least: float, most: float) -> np.ndarray:
@@ -143,9 +147,19 @@ def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
         ambient, lamp = ambient * 0, lamp * 0
     E = ambient + lamp * c[:, None]
     E = E * rng.uniform(0.7, 1.0)
+    off = (times > 2) & (times < 3.2)
+    breaks = [2.0, 3.2] if "switched" in kind else []
+    if kind == "lamp switched":
+        E = E - (lamp * (off * c)[:, None]) * (E[0] / (ambient + lamp * c[0]))
+    if kind == "exposure switched":
+        E = E * np.where(off, 0.45, 1)[:, None]
+    if kind == "one of two switched":
+        other = direction(rng, 15, 75)
+        E, lamps = E + 0.4 * np.clip(normals @ other, 0, None)[:, None] * ~off[:, None], np.stack([d, other])
     if "pumps" in kind:
         E = E * (0.75 + 0.25 * np.sin(2 * np.pi * 0.4 * times))[:, None]
     about = {"bias": rng.uniform(0.003, 0.03), "gamma": rng.uniform(0.94, 1.06), "exact": "own model" in kind}
+    about["breaks"] = breaks
     about["gamma"] = 1.0 if about["exact"] else about["gamma"]
     about |= {"clip_share": {"clipped 5 %": 0.05, "clipped 60 %": 0.6}.get(kind, 0.0), "gloss": kind == "highlight"}
     return times, normals, E, lamps, about
@@ -165,19 +179,25 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
     out = Tally()
     for seed in range(scenes):
         times, normals, E, lamps, about = scene(kind, seed)
-        mean, variance, clipped = photographed(E, np.random.default_rng(seed), **about)
+        breaks = about.pop("breaks")
+        mean, variance, clipped, bias = photographed(E, np.random.default_rng(seed), **about)
         p = solve(mean, variance, WHITE, None, clipped)
         assert np.isfinite(p.y).all() and np.isfinite(p.bias).all()
-        _, spans = fit_over_time(times[p.seen], normals[p.seen], p.y[p.seen], p.var_y_own[p.seen])
+        y, own, on = comparable(p, mean, variance, WHITE, clipped)
+        _, spans = fit_over_time(times[on], normals[on], y[on], own[on], breaks)
         out.scenes += 1
-        best = max(spans, key=lambda s: s.stop_s - s.start_s).fit
+        low, high = p.bias_95.T
+        out.bias_held.append(float(np.mean((low <= bias) & (bias <= high))))
+        level = 0.05 * np.median(E)
+        out.bias_half_grey.append(float((encode(level + high) - encode(level + low)).max() * 255 / 2))
+        best = max(spans, key=lambda s: (len(s.fit.lights), s.stop_s - s.start_s)).fit
         plain = one_lamp_is_plain(normals, lamps)
         out.plain += plain
         out.plain_measured += plain and best.verdict == MEASURED
         for f in {id(s.fit): s.fit for s in spans}.values():
             assert np.isfinite(f.ambient_rgb).all() and np.isfinite(f.seen_rgb).all() and np.isfinite(f.condition)
             assert all(np.isfinite([*li.direction, *li.rgb.ravel(), li.confidence_deg]).all() for li in f.lights)
-            if f.verdict != MEASURED:
+            if f.verdict != MEASURED or not f.lights:  # none in the dark
                 continue
             off = off_deg(f, lamps)
             if not known or off > 2 * f.lights[0].confidence_deg:
@@ -193,11 +213,11 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
             out.irradiance.append(float(np.sqrt(((model / scale - E) ** 2).mean()) / E.mean()))
             level = np.median(E)
             for p2, to in ((p, out.bias_grey), (solve_paper(mean[::3], WHITE), out.paper_bias_grey)):
-                to.append(float(np.abs(encode(0.05 * level + p2.bias) - encode(0.05 * level + about["bias"])).max() * 255))
+                to.append(float(np.abs(encode(0.05 * level + p2.bias) - encode(0.05 * level + bias)).max() * 255))
     return out
 
 
-KNOWN = ("hand", "hand, own model", "board", "clipped 5 %", "highlight", "board pumps")
+KNOWN = ("hand", "hand, own model", "board", "clipped 5 %", "clipped 60 %", "highlight", "board pumps", "lamp switched")
 UNKNOWN = (
     "one normal", "normals 1e-6 rad apart", "even light", "three at rest", "lit from behind", "light that swings", "dark",
     "exposure pumps",
@@ -222,7 +242,7 @@ def test_what_cannot_be_known_is_refused(kind: str) -> None:
     assert not got.false, got.told()
 
 
-@pytest.mark.parametrize("kind", ["two lights", "clipped 60 %"])
+@pytest.mark.parametrize("kind", ["two lights", "exposure switched", "one of two switched"])
 def test_hard_ones_are_right_or_refused(kind: str) -> None:
     """Two lights 60 degrees apart: one of the two, never their middle."""
     got = run(kind, True, max(SCENES // 4, 1))

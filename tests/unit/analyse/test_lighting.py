@@ -213,6 +213,9 @@ def test_the_meter_goes_on_from_its_state_to_the_same_readings() -> None:
             y, x = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1]
             return np.repeat(((x + y) / 120).astype(np.float32)[..., None], 3, -1)
 
+        def linear_at(self, pixels: np.ndarray) -> np.ndarray:
+            return self.linear(self.rect)[pixels[:, 1], pixels[:, 0]]
+
         def reduced(self, width: int) -> np.ndarray:
             return self.linear(self.rect)
 

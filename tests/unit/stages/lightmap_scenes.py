@@ -9,7 +9,7 @@ import trimesh
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose, rotation_from_euler_deg
@@ -62,11 +62,10 @@ def run_stage(
     at: Level = level_named(stage.levels, level)
     f: FrameFacts = facts(s, pose or from_above()).with_(**changes)
     if layers is None:
-        from arfx.core.layers import neutral
-
         layers = Layers(s.camera.rect).adding({name: neutral(name, s.camera.rect) for name in stage.reads})
     prepared = prepared or stage.prepare(s, at)
-    return dict(stage.run(Window((layers,), (f,)), s, prepared, at, np.random.default_rng(0)))
+    made = stage.run(Window((layers,), (f,)), s, prepared, at, np.random.default_rng(0))
+    return {name: a.over(name, s.camera.rect) if isinstance(a, Patch) else a for name, a in made.items()}
 
 
 def ground_points(s: Scene, pose: Pose) -> np.ndarray:

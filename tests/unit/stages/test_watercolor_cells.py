@@ -8,7 +8,8 @@ import pytest
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.cells import means, neighbours, washed
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
-from arfx.stages.watercolor.labels import SOLID, label
+from arfx.stages.watercolor.labels import SOLID, STILL, Wobble, in_order, label, wobble_of
+from arfx.stages.watercolor.pigment import laid_out
 from arfx.stages.watercolor.printed import jittered_sites, merged_by_colour
 from arfx.stages.watercolor.reference import cell_means, nearest_labels
 from arfx.stages.watercolor.sites import STEPS, Field, Sites, sites_of, still_field
@@ -25,7 +26,15 @@ def brute(sites: Sites, rect: Rect, wobble: np.ndarray | None) -> tuple[np.ndarr
     return first.reshape(x.shape), second.reshape(x.shape)
 
 
-def random_sites(case: int) -> tuple[Sites, Rect, np.ndarray | None, float]:
+def random_wobble(g: np.random.Generator, reach: int) -> Wobble:
+    return wobble_of(g.integers(-reach, reach + 1, (2, 64, 64)).astype(float)).at(*(int(v) for v in g.integers(-99, 99, 2)))
+
+
+def displacement(wobble: Wobble, rect: Rect) -> np.ndarray:
+    return laid_out(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height).astype(np.float32)
+
+
+def random_sites(case: int) -> tuple[Sites, Rect, Wobble, float]:
     """Few and many, on one spot, growing, far outside the picture; pictures down to one row or column."""
     g = np.random.default_rng(case)
     w, h = (int(v) for v in g.integers(1, 160, 2))
@@ -37,7 +46,7 @@ def random_sites(case: int) -> tuple[Sites, Rect, np.ndarray | None, float]:
     if case % 3 == 0:
         x[n // 2 :], y[n // 2 :] = x[0], y[0]
     weight = -np.round(g.random(n) * (g.random(n) < 0.3) * 4000 * (case % 2)).astype(np.float32)
-    wobble = g.integers(-12, 13, (2, h, w)).astype(np.float32) if case % 4 else None
+    wobble = random_wobble(g, 12) if case % 4 else STILL
     return Sites(x, y, weight, np.arange(n), x, y), rect, wobble, (0.0, 2.0, 1.3)[case % 3]
 
 
@@ -45,7 +54,7 @@ def random_sites(case: int) -> tuple[Sites, Rect, np.ndarray | None, float]:
 def test_labels_are_those_of_brute_force(case: int) -> None:
     sites, rect, wobble, blend = random_sites(case)
     found = label(sites, rect, wobble, blend)
-    first, second = brute(sites, rect, wobble)
+    first, second = brute(sites, rect, displacement(wobble, rect))
     assert np.array_equal(found.first, first)
     if blend:
         near = found.inside < SOLID
@@ -62,8 +71,9 @@ def test_cells_wider_than_float32_tells_apart() -> None:
 def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("arfx.stages.watercolor.chamfer._BRUTE", 0)
     sites = sites_of(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
-    wobble = np.random.default_rng(0).integers(-9, 10, (2, 150, 200)).astype(np.float32)
-    a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, wobble, 2.0)
+    wobble = random_wobble(np.random.default_rng(0), 9)
+    sites = in_order(sites, FRAME, wobble)
+    a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, displacement(wobble, FRAME), 2.0)
     assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
     assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
 

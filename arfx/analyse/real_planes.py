@@ -1,0 +1,103 @@
+"""The real scene's planes over a clip: those of several depth maps brought together in one frame, and the one to stand on.
+
+Which way is up nobody tells: a camera is held upright and not turned down by more than 60 degrees, so a plane that faces up
+leans less than that against the pictures' mean upward direction, and no wall does.
+Source: S4 (several planes; the object at the centre of the dominant one).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.analyse.depth_cloud import Cloud, cloud_of
+from arfx.analyse.depth_planes import FoundPlane, find_planes
+from arfx.analyse.plane_mesh import PlaneMesh, mesh_of, spacing_on
+from arfx.core.camera import Camera
+from arfx.core.numerics import normalise
+from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
+
+SAME_DEG = 6.0  # planes of two maps are one if they lean less against each other
+SAME_NOISES, SAME_M = 3.0, 0.015  # and lie so near each other at their middles
+UPRIGHT = np.cos(np.radians(60))
+LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePlane:
+    """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on it, world;  up : world;
+    right : of the picture, world, for its x axis;  noise_m : of the points"""
+
+    normal: np.ndarray
+    points: np.ndarray
+    spacing_m: np.ndarray
+    right: np.ndarray
+    noise_m: float
+    frames: int
+
+    @property
+    def offset_m(self) -> float:
+        return float(np.median(self.points @ self.normal))
+
+    def meshed(self) -> tuple[RealPlane, PlaneMesh]:
+        """With its mesh, about the middle of what was seen."""
+        x = normalise(self.right - (self.right @ self.normal) * self.normal)
+        axes = np.stack([x, np.cross(self.normal, x), self.normal], 1)
+        places = self.points @ axes
+        mesh = mesh_of(places[:, :2], self.spacing_m)
+        height = self.offset_m
+        middle = mesh.middle_m
+        moved = PlaneMesh(mesh.mask, mesh.low_m - middle, mesh.cell_m)
+        pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
+        residual = 1e3 * float(np.sqrt(((places[:, 2] - height) ** 2).mean()))
+        plane = RealPlane(pose, moved.extent_m, moved.area_m2, residual, len(places), self.frames)
+        return plane, moved
+
+
+def scene_planes(maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera) -> list[ScenePlane]:
+    """maps : (depth (h, w) metres, 0 = unknown; camera_from_world) of some frames. Those seen most first."""
+    out: list[ScenePlane] = []
+    for depth, pose in maps:
+        cloud = cloud_of(depth, camera)
+        if cloud is None:
+            continue
+        for found in find_planes(cloud):
+            _join(out, _in_world(cloud, found, pose.inverse()))
+    return sorted(out, key=lambda p: -len(p.points))
+
+
+def _in_world(cloud: Cloud, found: FoundPlane, world_from_camera: Pose) -> ScenePlane:
+    rows = found.inliers
+    cosine = np.abs(normalise(cloud.points[rows]) @ found.normal)
+    return ScenePlane(
+        world_from_camera.rotation @ found.normal, world_from_camera.apply(cloud.points[rows]),
+        spacing_on(cloud.spacing_m[rows], cosine), world_from_camera.rotation[:, 0], float(np.median(cloud.noise_m[rows])), 1,
+    )  # fmt: skip
+
+
+def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
+    """Add `new`, or make it part of one that is already there."""
+    for k, old in enumerate(planes):
+        near = SAME_M + SAME_NOISES * max(old.noise_m, new.noise_m)
+        gap = max(
+            abs(float(new.points.mean(0) @ old.normal) - old.offset_m), abs(float(old.points.mean(0) @ new.normal) - new.offset_m)
+        )
+        if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
+            share = len(old.points) / (len(old.points) + len(new.points))
+            planes[k] = ScenePlane(
+                normalise(share * old.normal + (1 - share) * new.normal), np.concatenate([old.points, new.points]),
+                np.concatenate([old.spacing_m, new.spacing_m]), old.right, share * old.noise_m + (1 - share) * new.noise_m,
+                old.frames + new.frames,
+            )  # fmt: skip
+            return
+    planes.append(new)
+
+
+def facing_up(planes: Sequence[ScenePlane], camera_from_world: Sequence[Pose]) -> list[ScenePlane]:
+    """Those on which something can stand, the one seen most first."""
+    up = normalise(-np.mean([p.rotation[1] for p in camera_from_world], 0))
+    level = [p for p in planes if p.normal @ up > UPRIGHT]
+    return [p for p in level if p.meshed()[0].area_m2 >= LEAST_AREA_M2]

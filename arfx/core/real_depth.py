@@ -1,0 +1,81 @@
+"""Measured depth of the real scene in one frame, as the facts carry it: which map, its scale, and the range in every tile.
+
+The pixels are `Layer.REAL_DEPTH`; what the planner needs to know of them before any pixel is read is here.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arfx.core.facts import FrameFacts
+
+KEY = "real_depth"  # in FrameFacts.extra; absent or None = the frame has no depth
+TILE_PX = 64
+
+
+@dataclass(frozen=True, eq=False)
+class RealDepth:
+    """map : number of the depth map;  scale : metres of it to true ones;  digest : of the map's file
+
+    tiles : (2, th, tw) float32, least and greatest dioptre, 1/m, in every TILE_PX-th tile of the frame; wider by rounding
+    """
+
+    map: int
+    scale: float
+    digest: str
+    tiles: np.ndarray
+
+    @property
+    def dioptre_range(self) -> tuple[float, float]:
+        return float(self.tiles[0].min()), float(self.tiles[1].max())
+
+    def to_json(self) -> dict[str, Any]:
+        low = np.nextafter(self.tiles[0].astype(np.float16), np.float16(0))
+        high = np.nextafter(self.tiles[1].astype(np.float16), np.float16(np.inf))
+        packed = np.stack([low, np.minimum(high, np.finfo(np.float16).max)])
+        return {
+            "map": self.map, "scale": self.scale, "digest": self.digest, "shape": list(self.tiles.shape[1:]),
+            "tiles": base64.b64encode(packed.astype("<f2").tobytes()).decode(),
+        }  # fmt: skip
+
+    @staticmethod
+    def from_json(d: dict[str, Any]) -> RealDepth:
+        tiles = np.frombuffer(base64.b64decode(d["tiles"]), "<f2").reshape(2, *d["shape"])
+        return RealDepth(d["map"], d["scale"], d["digest"], tiles.astype(np.float32))
+
+
+def real_depth_of(facts: FrameFacts) -> RealDepth | None:
+    """The frame's, None where it has none."""
+    told = facts.extra.get(KEY)
+    return None if told is None else RealDepth.from_json(told)
+
+
+def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(2, th, tw) float32, least and greatest dioptre in every tile of a frame of `size` (width, height).
+
+    depth_m : (h, w), any size of the same shape as the frame; not finite or <= 0 = unknown. A tile that holds an unknown
+    pixel has the range of the whole map, since it may be filled from anywhere.
+    Raises ValueError where nothing is known.
+    """
+    with np.errstate(all="ignore"):
+        known = np.isfinite(depth_m) & (depth_m > 0)
+        dioptre = np.where(known, 1.0 / depth_m, 0.0)
+    if not known.any():
+        raise ValueError("no pixel of the map is known")
+    low, high = float(dioptre[known].min()), float(dioptre[known].max())
+    h, w = depth_m.shape
+    th, tw = -(-size[1] // TILE_PX), -(-size[0] // TILE_PX)
+    out = np.empty((2, th, tw), np.float32)
+    for j in range(th):
+        # one pixel more on each side: the map is resampled to the frame
+        y0, y1 = max(j * TILE_PX * h // size[1] - 1, 0), min(-(-(j + 1) * TILE_PX * h // size[1]) + 1, h)
+        for i in range(tw):
+            x0, x1 = max(i * TILE_PX * w // size[0] - 1, 0), min(-(-(i + 1) * TILE_PX * w // size[0]) + 1, w)
+            here = np.s_[y0:y1, x0:x1]
+            whole = bool(known[here].all())
+            out[:, j, i] = (dioptre[here].min(), dioptre[here].max()) if whole else (low, high)
+    return out

@@ -1,0 +1,148 @@
+"""Measured depth of the real scene: a folder of maps (16-bit PNG or PGM, EXR), or one map for a camera at rest.
+
+Depth runs along the optical axis, upright as the clip is shown. 0, negative, not finite and the largest value of 16 bits
+mean that nothing was measured there. Maps belong to frames by their order, or by the time in their names as TUM RGB-D
+writes them (1305031102.160407.png: seconds).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from arfx.errors import InputError
+from arfx.media.images import load_image
+
+SUFFIXES = (".png", ".pgm", ".exr")
+_STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
+_ASPECT = 0.005
+_NEAR_SHARE = 0.75  # a frame takes a map that is at most this share of the maps' usual distance in time away
+
+
+@dataclass(frozen=True)
+class DepthMaps:
+    """files : in order;  steps_per_m : stored values to a metre, None = by kind (integers: millimetres, EXR: metres)
+
+    times_s : of each map after the first one, where the names tell, else None;  start_s : of the first, after the clip's
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    steps_per_m: float | None
+    times_s: tuple[float, ...] | None
+    start_s: float = 0.0
+
+    @property
+    def still(self) -> bool:
+        """One map for every frame."""
+        return len(self.files) == 1
+
+    def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[int | None]:
+        """Number of each frame's map, None where none was taken near its time.
+
+        times_s : after the clip's first frame;  before : frames of the clip before the first of these
+        whole : these reach to the clip's end
+        Raises InputError where maps are ordered and their number is not the clip's.
+        """
+        if self.still:
+            return [0] * len(times_s)
+        if self.times_s is None:
+            wanted, held = before + len(times_s), len(self.files)
+            if held < wanted or (whole and held > wanted):
+                count = f"{wanted} frames" if whole else f"at least {wanted} frames"
+                raise InputError(
+                    f"depth {self.path} holds {held} maps, the clip has {count}",
+                    "one map for each frame, or times in their names (1305031102.160407.png), or a single map",
+                )
+            return list(range(before, wanted))
+        taken = np.array(self.times_s) + self.start_s
+        reach = _NEAR_SHARE * float(np.median(np.diff(taken)))
+        times = np.asarray(times_s, float)
+        after = np.clip(np.searchsorted(taken, times), 1, len(taken) - 1)
+        nearest = after - (times - taken[after - 1] <= taken[after] - times)
+        return [int(k) if abs(taken[k] - t) <= reach else None for k, t in zip(nearest, times, strict=True)]
+
+    def load(self, number: int, width: int, height: int) -> np.ndarray:
+        """(h, w) float32 metres of a map at its own size; nothing measured = 0.
+
+        width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
+        """
+        path = self.files[number]
+        stored = _stored(path)
+        h, w = stored.shape
+        if abs(w * height / (h * width) - 1) > _ASPECT:
+            raise InputError(
+                f"depth map {path} is {w}x{h}, the clip {width}x{height}: another shape",
+                "maps as the clip is shown, of its size or the same aspect ratio",
+            )
+        steps = self.steps_per_m or (_STEPS_A_METRE if stored.dtype.kind == "u" else 1.0)
+        with np.errstate(all="ignore"):
+            metres = stored.astype(np.float32) / np.float32(steps)
+            good = np.isfinite(metres) & (metres > 0)
+            if stored.dtype.kind == "u":
+                good &= stored < np.iinfo(stored.dtype).max
+        return np.where(good, metres, np.float32(0))
+
+    def digest(self, number: int) -> str:
+        """Of a map's file."""
+        return hashlib.blake2b(self.files[number].read_bytes(), digest_size=8).hexdigest()
+
+
+def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.0) -> DepthMaps:
+    """List a folder's maps, or take one file. Raises InputError: missing, empty, kinds mixed, times twice."""
+    if not path.exists():
+        raise InputError(f"depth {path}: no such file or folder", "check the path")
+    if path.is_file():
+        if path.suffix.lower() not in SUFFIXES:
+            raise InputError(f"depth {path} is not a depth map", "16-bit PNG or PGM, or EXR; or a folder of them")
+        return DepthMaps(path, (path,), steps_per_m, None)
+    found = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    if not found:
+        raise InputError(f"depth folder {path} holds no depth map", "16-bit PNG or PGM, or EXR")
+    kinds = sorted({p.suffix.lower() for p in found})
+    if len(kinds) > 1:
+        raise InputError(f"depth folder {path} holds {' and '.join(kinds)} files", "maps of one kind only")
+    stamps = [_time(p.stem) for p in found]
+    if len(found) > 1 and all(t is not None for t in stamps):
+        ordered = sorted(zip((t for t in stamps if t is not None), found, strict=True))
+        times = np.array([t for t, _ in ordered])
+        if (np.diff(times) <= 0).any():
+            raise InputError(f"depth folder {path}: two maps have the same time in their names")
+        return DepthMaps(path, tuple(p for _, p in ordered), steps_per_m, tuple((times - times[0]).tolist()), start_s)
+    return DepthMaps(path, tuple(sorted(found, key=_natural)), steps_per_m, None)
+
+
+def _time(stem: str) -> float | None:
+    """Seconds in a map's name; only with a fraction: 12.png is the twelfth map, not the twelfth second."""
+    return float(stem) if re.fullmatch(r"\d+\.\d+", stem) else None
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """2 before 10."""
+    return [(int(n), "") if n else (-1, text) for n, text in re.findall(r"(\d+)|(\D+)", path.stem)], path.name
+
+
+def _stored(path: Path) -> np.ndarray:
+    """(h, w) as stored: uint16 or float32."""
+    if path.suffix.lower() == ".exr":
+        picture = load_image(path)
+        return np.ascontiguousarray(picture[..., 0])
+    import cv2
+
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as e:
+        raise InputError(f"depth map {path} cannot be read: {e.strerror}") from None
+    raw: np.ndarray | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if raw is None:
+        raise InputError(f"depth map {path} cannot be read as an image", "16-bit PNG or PGM, or EXR")
+    if raw.ndim != 2 or raw.dtype != np.uint16:
+        kind = f"{raw.dtype} with {1 if raw.ndim == 2 else raw.shape[2]} channel{'s' if raw.ndim > 2 else ''}"
+        raise InputError(
+            f"depth map {path} holds {kind}, not depth", "one channel of 16 bits: a PNG or PGM as RGB-D cameras give"
+        )
+    return raw

@@ -1,0 +1,101 @@
+"""Camera poses that come with the footage: text of `tx ty tz qx qy qz qw`, the camera in the world, as RGB-D sets write them.
+
+One line a frame, in order; or with the time in seconds before it (TUM RGB-D), and lines are taken by time. `#` begins a comment.
+Axes of the camera: x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from arfx.core.pose import Pose
+from arfx.errors import InputError
+
+_NEAR_SHARE = 0.75  # a frame takes a pose that is at most this share of the poses' usual distance in time away
+_UNIT = 1e-2  # from 1, of a quaternion's length
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """camera_from_given : in order;  times_s : after the first one, None = one for each frame of the clip"""
+
+    path: Path
+    camera_from_given: tuple[Pose, ...]
+    times_s: tuple[float, ...] | None
+
+    def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[Pose | None]:
+        """Each frame's pose, None where none was taken near its time.
+
+        times_s : after the clip's first frame;  before : frames of the clip before the first of these;  whole : to its end
+        Raises InputError where poses are ordered and their number is not the clip's.
+        """
+        if self.times_s is None:
+            wanted, held = before + len(times_s), len(self.camera_from_given)
+            if held < wanted or (whole and held > wanted):
+                raise InputError(
+                    f"poses {self.path} hold {held} lines, the clip has {'' if whole else 'at least '}{wanted} frames",
+                    "one line for each frame, or the time in seconds before each pose",
+                )
+            return list(self.camera_from_given[before:wanted])
+        taken = np.array(self.times_s)
+        reach = _NEAR_SHARE * float(np.median(np.diff(taken))) if len(taken) > 1 else np.inf
+        out: list[Pose | None] = []
+        for t in times_s:
+            k = int(np.abs(taken - t).argmin())
+            out.append(self.camera_from_given[k] if abs(taken[k] - t) <= reach else None)
+        return out
+
+
+def load_poses(path: Path) -> CameraPath:
+    """Raises InputError: missing, a line that is no pose, times that do not rise."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as e:
+        raise InputError(f"poses {path} cannot be read: {e}", "text lines of tx ty tz qx qy qz qw") from None
+    rows, columns = [], 0
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            values = np.array([float(w) for w in words])
+        except ValueError:
+            values = np.zeros(0)
+        length = float(np.linalg.norm(values[-4:])) if len(values) in (7, 8) else 0.0
+        if (
+            len(values) not in (7, 8)
+            or (columns and len(values) != columns)
+            or not np.isfinite(values).all()
+            or (abs(length - 1) > _UNIT)
+        ):
+            raise InputError(
+                f"poses {path}, line {number}: {line.strip()!r} is not a pose",
+                "tx ty tz qx qy qz qw, perhaps the time before them",
+            )
+        columns = len(values)
+        rows.append(values)
+    if not rows:
+        raise InputError(f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw")
+    table = np.array(rows)
+    poses = tuple(Pose(_rotation(q), t).inverse() for t, q in zip(table[:, -7:-4], table[:, -4:], strict=True))
+    if columns == 7:
+        return CameraPath(path, poses, None)
+    times = table[:, 0] - table[0, 0]
+    if (np.diff(times) <= 0).any():
+        raise InputError(f"poses {path}: the times do not rise")
+    return CameraPath(path, poses, tuple(times.tolist()))
+
+
+def _rotation(q: np.ndarray) -> np.ndarray:
+    """(3, 3) of a quaternion x, y, z, w."""
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,175 @@
+"""The real scene of a job from its depth: its planes, and with `anchor = "plane"` where the object stands and from where it is
+seen: no marker, but a camera at rest or with poses of its own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse.at_rest import RestCheck
+from arfx.analyse.lighting import lighted
+from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.meter import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter
+from arfx.analyse.real_planes import ScenePlane, facing_up, scene_planes
+from arfx.analyse.records import Analysis
+from arfx.analyse.surroundings import look
+from arfx.core.camera import Camera
+from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose
+from arfx.core.real_depth import real_depth_of
+from arfx.core.real_plane import RealPlane
+from arfx.errors import NothingToDoError
+from arfx.media.depth_maps import DepthMaps
+from arfx.media.frames import ClipReader
+from arfx.run.ahead import Ahead
+from arfx.run.analysis import Pass, Progress
+from arfx.run.inputs import Inputs
+
+ANCHOR = "plane"  # in place of a marker's key
+MAPS = 6  # that planes are looked for in, over the clip
+LOOK_M = 0.1  # side of the square beside which the plane's radiance is looked at
+
+
+def measured_planes(maps: DepthMaps, facts: Sequence[FrameFacts], camera: Camera) -> list[RealPlane]:
+    """The real scene's planes in the world of facts that have poses and depth; those seen most first."""
+    with_both = [f for f in facts if f.camera_from_world is not None and real_depth_of(f) is not None]
+    some: list[tuple[np.ndarray, Pose]] = []
+    used: set[int] = set()
+    for f in _spread(with_both):
+        depth, pose = real_depth_of(f), f.camera_from_world
+        assert depth is not None and pose is not None
+        if maps.still and depth.map in used and f.camera_from_world == some[0][1]:
+            continue
+        used.add(depth.map)
+        some.append((maps.load(depth.map, camera.width, camera.height) * np.float32(depth.scale), pose))
+    return [p.meshed()[0] for p in scene_planes(some, camera)]
+
+
+def _spread(items: Sequence[Any]) -> list[Any]:
+    """MAPS of them, evenly."""
+    if len(items) <= MAPS:
+        return list(items)
+    return [items[k] for k in np.linspace(0, len(items) - 1, MAPS).astype(int)]
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """given_from_plane : where the object stands;  plane : as found"""
+
+    given_from_plane: Pose
+    plane: RealPlane
+
+
+def stand_on(planes: Sequence[ScenePlane], poses: Sequence[Pose]) -> Stand:
+    """The dominant plane that faces up. Raises NothingToDoError where there is none."""
+    level = facing_up(planes, poses)
+    if not level:
+        found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
+        raise NothingToDoError(
+            f"--anchor plane: the depth shows {found}",
+            "a table or floor has to be seen from above, by a camera held upright; or use a marker",
+        )
+    plane = level[0].meshed()[0]
+    return Stand(plane.world_from_plane, plane)
+
+
+def analyse_plane(
+    inputs: Inputs, span_s: tuple[float | None, float | None], progress: Progress, light: LightParams | None,
+    folds: frozenset[str],
+) -> Pass:  # fmt: skip
+    """Every frame's pose over the dominant plane, whose middle is the world's origin.
+
+    Raises NothingToDoError: no plane, or a camera that moves and no poses.
+    """
+    info, camera, maps = inputs.info, inputs.camera, inputs.depth
+    assert maps is not None
+    reader_path = inputs.poses
+    pts: list[int] = []
+    times: list[float] = []
+    origin, before, whole = None, 0, True
+    rest, looks = RestCheck(), []
+    next_look_s, analyse_s = -np.inf, 0.0
+    with ClipReader(info) as reader, Ahead(reader.frames()) as frames:
+        for frame in frames:
+            origin = frame.pts if origin is None else origin
+            since_s = float((frame.pts - origin) * info.time_base)
+            if span_s[0] is not None and since_s < span_s[0] - 1e-9:
+                before += 1
+                continue
+            if span_s[1] is not None and since_s > span_s[1] + 1e-9:
+                whole = False
+                break
+            start = time.perf_counter()
+            if reader_path is None:
+                rest.step(frame.time_s, frame.luma())
+            if light is not None and frame.time_s >= next_look_s:
+                next_look_s = frame.time_s + SURROUNDINGS_S
+                looks.append((len(pts), frame.reduced(SURROUNDINGS_PX)))
+            analyse_s += time.perf_counter() - start
+            pts.append(frame.pts)
+            times.append(frame.time_s)
+            progress("analyse", len(pts), None)
+        truncated, decode_s = reader.truncated, frames.seconds
+    if not pts:
+        raise NothingToDoError(f"{info.path} has no frame in that span", "check --start and --end")
+    start = time.perf_counter()
+    from_start = [float((t - pts[0] if origin is None else t - origin) * info.time_base) for t in pts]
+    whole = whole and not truncated
+    poses: list[Pose | None]
+    if reader_path is None:
+        if not rest.rests:
+            raise NothingToDoError(
+                f"--anchor plane: the camera moves ({rest.moved_px:.1f} px), and no poses are given",
+                "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
+            )
+        poses = [Pose.identity() for _ in pts]
+    else:
+        poses = reader_path.of_frames(from_start, before, whole)
+    numbers = maps.of_frames(from_start, before, whole)
+    both = [(k, p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
+    if maps.still and reader_path is None:
+        both = both[:1]
+    planes = scene_planes([(maps.load(k, camera.width, camera.height), p) for k, p in _spread(both)], camera)
+    stand = stand_on(planes, [p for p in poses if p is not None])
+    facts = tuple(
+        FrameFacts(k, t) if p is None else FrameFacts(
+            k, t, status=MEASURED, camera_from_world=p @ stand.given_from_plane, raw_camera_from_world=p @ stand.given_from_plane,
+            opacity=1.0,
+        )
+        for k, (t, p) in enumerate(zip(times, poses, strict=True))
+    )  # fmt: skip
+    analysis = Analysis(facts, {}, "marker", _summary(facts, stand, reader_path is not None, rest.moved_px))
+    if light is not None:
+        meter = LightMeter()
+        square = MarkerSpec(ANCHOR, 0, LOOK_M)
+        for k, small in looks:
+            pose = facts[k].camera_from_world
+            if pose is None or min(small.shape[:2]) < 3:
+                continue
+            quad = camera.project(pose.apply(square.corners_m))
+            if np.isfinite(quad).all():
+                meter.looks.append(look(k, small, (quad + 0.5) * (small.shape[1] / camera.width) - 0.5))
+        analysis = lighted(analysis, meter, (square,), light, inputs.panorama, "environment" in folds)
+    analyse_s += time.perf_counter() - start
+    progress("analyse", len(pts), len(pts))
+    return Pass(analysis, pts, truncated, decode_s, analyse_s, pts[0] if origin is None else origin, before, whole)
+
+
+def _summary(facts: Sequence[FrameFacts], stand: Stand, posed: bool, moved_px: float) -> dict[str, Any]:
+    """As the analysis of markers tells it, empty where that measures nothing."""
+    seen = sum(f.camera_from_world is not None for f in facts)
+    nothing = {"median": None, "p95": None}
+    return {
+        "frames": len(facts), "frames_measured": seen, "frames_interpolated": 0, "frames_absent": len(facts) - seen,
+        "shots": 1, "cuts": [], "flips_resolved": 0, "whole_frame_searches": 0, "ambiguous_sightings": 0,
+        "reprojection_px": {"raw": nothing, "smoothed": nothing}, "pose_condition": {"median": None}, "markers_seen": {},
+        "rivals": 0, "dropped": 0, "static_evidence": {} if posed else {"moved_px": moved_px},
+        "map": {"given": True, "frames": 0, "rms_px": None, "condition": None, "unmapped": [], "sd_m": {}},
+        "anchor": {"kind": ANCHOR, "poses": "given" if posed else "a camera at rest", **stand.plane.to_json()},
+    }  # fmt: skip

@@ -1,0 +1,189 @@
+"""The picture out of cells, pigment and lines: the last pass over the pixels.
+
+Paint knows of each cell two things of 64 bits each: the root of its colour with its turbulence, and its mean. A row is
+painted in steps: what the pixel's own cell and the next one hold is fetched, then all is computed in steps of a vector unit.
+Cost: O(pixels). Source: SYSTEMS.md S3 ("pigment"); the pigment itself is in pigment.py.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.watercolor.labels import SOLID
+from arfx.stages.watercolor.pigment import PAPER_PX
+from arfx.stages.watercolor.rows import Cover, Picture, borders_of, labels_of, row_of
+
+_FAST = {"contract", "nsz", "arcp", "nnan", "ninf"}
+_U, _F = np.uint64, np.float32
+_FLOW = 4.0  # turbulence lies in -_FLOW .. _FLOW
+
+
+def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: float, ink_rgb: np.ndarray) -> np.ndarray:
+    """(h, w, 3) float32 linear: flat cells and lines. colours (n, 3) : linear;  line : as in `paint`"""
+    h, w = cover.back.first.shape
+    out = np.empty((h, w, 3), np.float32)
+    b = cover.back
+    start, mask = b.count, cover.mask
+    own = b if cover.own is None else cover.own
+
+    def one(ya: int, yb: int) -> None:
+        _paint_cells(
+            b.first, own.first, mask, start, cover.y, cover.x, colours, line, _F(opacity), ink_rgb.astype(np.float32), ya, yb, out
+        )
+
+    by_bands(one, h)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, ink, ya, yb, out):  # pragma: no cover
+    h, w = first.shape
+    lh, lw = line.shape
+    a, lines, row = np.empty(w, np.int32), np.zeros(w + 1, np.float32), np.empty(max(lw, 1), np.float32)
+    for y in range(ya, yb):
+        labels_of(first, own_first, mask, start, ly, lx, y, a)
+        for x in range(w):
+            k = _U(a[x])
+            for c in range(3):
+                out[y, x, c] = colours[k, c]
+        if lh > 0 and line_row(line, y, row, lines):
+            for x in range(w):
+                s = lines[x] * opacity
+                for c in range(3):
+                    out[y, x, c] += s * (ink[c] - out[y, x, c])
+
+
+def paint(
+    picture: Picture, cover: Cover, mean: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray, line: np.ndarray,
+    strengths: np.ndarray, ink_rgb: np.ndarray, x0: int, y0: int,
+) -> np.ndarray:  # fmt: skip
+    """(h, w, 3) float32 linear: the picture with pigment.
+
+    cover : with borders;  mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
+    flow (n,) : their turbulence;  grain : of `paper_grain`
+    line (ceil(h / 2), ceil(w / 2)) : strength of lines, 0..1; empty = none
+    strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
+    ink_rgb (3,) : linear colour of lines;  x0, y0 : of the first pixel in the frame, to anchor the paper
+    """
+    h, w = cover.back.first.shape
+    out = np.empty((h, w, 3), np.float32)
+    known, tinted = _table(mean, flow), _table(root, flow)
+
+    def one(ya: int, yb: int) -> None:
+        _paint(
+            *picture.parts, *cover.parts, known, tinted, grain, line, strengths, ink_rgb.astype(np.float32), x0, y0, ya, yb, out
+        )
+
+    by_bands(one, h)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _table(colour, flow):  # pragma: no cover - compiled
+    """(n,) uint64: red, green, blue in 0..1 and the turbulence, 16 bits each."""
+    out = np.empty((colour.shape[0], 4), np.uint16)
+    for k in range(colour.shape[0]):
+        for c in range(3):
+            out[k, c] = np.uint16(min(max(colour[k, c], _F(0)), _F(1)) * _F(65535) + _F(0.5))
+        out[k, 3] = np.uint16((min(max(flow[k], _F(-_FLOW)), _F(_FLOW)) + _F(_FLOW)) * _F(65535 / (2 * _FLOW)) + _F(0.5))
+    return out.reshape(-1).view(np.uint64)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _paint(
+    image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, known, tinted, grain,
+    line, strengths, ink, x0, y0, ya, yb, out,
+):  # fmt: skip  # pragma: no cover
+    w = first.shape[1]
+    lh, lw = line.shape
+    a, k, near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
+    r, g, b, height = np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
+    lines, row = np.zeros(w + 1, np.float32), np.empty(max(lw, 1), np.float32)
+    m1, m2, c1, c2 = np.empty(w, np.uint64), np.empty(w, np.uint64), np.empty(w, np.uint64), np.empty(w, np.uint64)
+    mean1, mean2, root1, root2 = m1.view(np.uint16), m2.view(np.uint16), c1.view(np.uint16), c2.view(np.uint16)
+    for y in range(ya, yb):
+        row_of(image, patch, py, px, y, r, g, b)
+        labels_of(first, own_first, mask, start, ly, lx, y, a)
+        borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k, near)
+        for x in range(w):
+            at, to = _U(a[x]), _U(k[x])
+            m1[x], m2[x], c1[x], c2[x] = known[at], known[to], tinted[at], tinted[to]
+        _grain_row(grain, y0 + y, x0, height)
+        if lh > 0:
+            line_row(line, y, row, lines)
+        _mix(mean1, mean2, root1, root2, near, r, g, b, height, lines, strengths, ink, out[y])
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def _mix(mean1, mean2, root1, root2, near, r, g, b, height, lines, strengths, ink, out):  # pragma: no cover - compiled
+    """One row. mean, root (4 w,) uint16 : of the pixel's cell and of the next one, as in _table."""
+    zero, one, half, unit = _F(0), _F(1), _F(0.5), _F(1.0 / 65535)
+    step = _F(2 * _FLOW / 65535)
+    dark, contrast, much_flow, much_grain, opacity, dry = strengths
+    sharp = unit / contrast
+    ir, ig, ib = ink
+    for x in range(out.shape[0]):
+        i = 4 * x
+        # 1 on the border, 0 from where a pixel is inside its cell
+        t = one - _F(near[x]) * _F(1.0 / SOLID)
+        t *= t
+        r1, g1, b1, f1 = _F(root1[i]), _F(root1[i + 1]), _F(root1[i + 2]), _F(root1[i + 3])
+        dr, dg, db = _F(root2[i]) - r1, _F(root2[i + 1]) - g1, _F(root2[i + 2]) - b1
+        apart = min((abs(dr) + abs(dg) + abs(db)) * sharp, one)
+        apart *= apart
+        # of the two colours a pixel takes the one that is like it: where it lies between the means of the cells
+        mr, mg, mb = _F(mean1[i]), _F(mean1[i + 1]), _F(mean1[i + 2])
+        er, eg, eb = _F(mean2[i]) - mr, _F(mean2[i + 1]) - mg, _F(mean2[i + 2]) - mb
+        along = (r[x] * _F(65535) - mr) * er + (g[x] * _F(65535) - mg) * eg + (b[x] * _F(65535) - mb) * eb
+        like = along / (er * er + eg * eg + eb * eb + one)
+        like = min(max((like - half) * _F(3) + half * t, zero), one)
+        # alike cells run into each other, unlike ones keep their border, darker towards it
+        mix = half * t * (one - apart) + apart * min(_F(3) * t, one) * like
+        d = ((f1 + half * t * (_F(root2[i + 3]) - f1)) * step - _F(_FLOW)) * much_flow + dark * apart * t + much_grain * height[x]
+        pr, pg, pb = (r1 + mix * dr) * unit, (g1 + mix * dg) * unit, (b1 + mix * db) * unit
+        pr, pg, pb = pr * pr, pg * pg, pb * pb
+        pr, pg, pb = pr * (one - (one - pr) * d), pg * (one - (one - pg) * d), pb * (one - (one - pb) * d)
+        s = min(max(lines[x] * (one + dry * height[x]), zero), one) * opacity
+        out[x, 0] = max(pr + s * (ir - pr), zero)
+        out[x, 1] = max(pg + s * (ig - pg), zero)
+        out[x, 2] = max(pb + s * (ib - pb), zero)
+
+
+@numba.njit(cache=True, nogil=True)
+def _grain_row(grain, y, x0, height):  # pragma: no cover - compiled
+    w, at = height.shape[0], 0
+    row, s = y & (PAPER_PX - 1), x0 & (PAPER_PX - 1)
+    while at < w:
+        n = min(PAPER_PX - s, w - at)
+        for x in range(n):
+            height[_U(at) + _U(x)] = grain[row, _U(s) + _U(x)]
+        at, s = at + n, 0
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def line_row(line, y, row, lines):  # pragma: no cover - compiled
+    """One row of the picture's lines, bilinear between the centres of pixels of twice the size; whether there is any.
+
+    row (lw,), lines (at least w + 1,) are written.
+    """
+    lh, lw = line.shape
+    w = lines.shape[0] - 1
+    j = y // 2
+    k = min(j + 1, lh - 1) if y % 2 else max(j - 1, 0)
+    most, far, close = _F(0), _F(0.25), _F(0.75)
+    for x in range(lw):
+        row[x] = close * line[j, x] + far * line[k, x]
+        most = max(most, row[x])
+    if most == _F(0):
+        lines[:] = _F(0)
+        return False
+    for i in range(1, lw - 1):
+        lines[2 * i] = close * row[i] + far * row[i - 1]
+        lines[2 * i + 1] = close * row[i] + far * row[i + 1]
+    for i in (0, lw - 1):
+        lines[2 * i] = close * row[i] + far * row[max(i - 1, 0)]
+        if 2 * i + 1 <= w:
+            lines[2 * i + 1] = close * row[i] + far * row[min(i + 1, lw - 1)]
+    return True

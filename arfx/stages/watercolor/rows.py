@@ -1,0 +1,114 @@
+"""What the passes over the picture read: a row of the composite with the toon-shaded object in its place, and a row of labels
+with the object's own cells where it covers the background. Rows are put together in buffers that stay in the cache, so that
+no pass needs a copy of the picture. Kernels only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+
+from arfx.core.rect import Rect
+from arfx.stages.watercolor.labels import Labels
+
+_U = np.uint64  # an index of that type is not looked at for a minus: loops stay simple
+_NO_IMAGE = np.zeros((0, 0, 3), np.float32)
+_NO_MASK = np.zeros((0, 0), bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """image (h, w, 3) linear;  patch (bh, bw, 3) : stands in its place from pixel (y, x) on, may be empty"""
+
+    image: np.ndarray
+    patch: np.ndarray = field(default_factory=lambda: _NO_IMAGE)
+    y: int = 0
+    x: int = 0
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, int, int]:
+        return self.image, self.patch, self.y, self.x
+
+    def whole(self) -> np.ndarray:
+        if not self.patch.size:
+            return self.image
+        out = self.image.copy()
+        out[self.y : self.y + self.patch.shape[0], self.x : self.x + self.patch.shape[1]] = self.patch
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Labels of the whole picture, and those of the object from pixel (y, x) on where mask (bh, bw) says so. The object's cells
+    are numbered on from the background's."""
+
+    back: Labels
+    own: Labels | None = None
+    mask: np.ndarray = field(default_factory=lambda: _NO_MASK)
+    y: int = 0
+    x: int = 0
+
+    @property
+    def count(self) -> int:
+        return self.back.count + (self.own.count if self.own is not None else 0)
+
+    @property
+    def parts(self) -> tuple[np.ndarray, ...]:
+        """As the kernels take them."""
+        own = self.back if self.own is None else self.own
+        return (
+            self.back.first, self.back.second, self.back.inside, own.first, own.second, own.inside, self.mask, self.back.count,
+            self.y, self.x,
+        )  # fmt: skip
+
+    def first(self) -> np.ndarray:
+        """(h, w) int32 all labels."""
+        out = self.back.first
+        if self.own is not None:
+            out = out.copy()
+            part = out[self.y : self.y + self.mask.shape[0], self.x : self.x + self.mask.shape[1]]
+            part[self.mask] = self.own.first[self.mask] + self.back.count
+        return out
+
+
+def offset(box: Rect, rect: Rect) -> tuple[int, int]:
+    return box.y0 - rect.y0, box.x0 - rect.x0
+
+
+@numba.njit(cache=True, nogil=True)
+def row_of(image, patch, py, px, y, r, g, b):  # pragma: no cover - compiled
+    """r, g, b (w,) float32 : row y of the picture."""
+    for x in range(image.shape[1]):
+        r[x], g[x], b[x] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+    if py <= y < py + patch.shape[0]:
+        for x in range(patch.shape[1]):
+            to = _U(px) + _U(x)
+            r[to], g[to], b[to] = patch[y - py, x, 0], patch[y - py, x, 1], patch[y - py, x, 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def labels_of(first, own_first, mask, start, ly, lx, y, a):  # pragma: no cover - compiled
+    """a (w,) int32 : row y of the labels."""
+    for x in range(first.shape[1]):
+        a[x] = first[y, x]
+    if ly <= y < ly + mask.shape[0]:
+        for x in range(mask.shape[1]):
+            if mask[y - ly, x]:
+                a[_U(lx) + _U(x)] = own_first[y - ly, x] + start
+
+
+@numba.njit(cache=True, nogil=True)
+def borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k, near):  # pragma: no cover - compiled
+    """k (w,) int32, near (w,) uint8 : row y of the next cells and of how far inside a pixel is."""
+    for x in range(second.shape[1]):
+        k[x] = second[y, x]
+    for x in range(second.shape[1]):
+        near[x] = inside[y, x]
+    if ly <= y < ly + mask.shape[0]:
+        for x in range(mask.shape[1]):
+            if mask[y - ly, x]:
+                to = _U(lx) + _U(x)
+                k[to] = own_second[y - ly, x] + start
+                near[to] = own_inside[y - ly, x]

@@ -1,0 +1,83 @@
+"""`--anchor plane`: no marker; the object stands on the main level plane of the depth input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg
+from tests.cli.conftest import Material, Run
+from tests.cli.test_process import frames
+from tests.clips import SIZE, clip_camera, write_clip
+
+DOWN_DEG, HEIGHT_M = 35.0, 0.5
+
+
+def depth_map(floor: bool = True) -> np.ndarray:
+    """(h, w) uint16 mm: a floor 0.5 m under a camera that looks down, or a wall before it; a third of it not measured."""
+    camera = clip_camera()
+    d = camera.directions(np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).astype(float))
+    a = np.radians(DOWN_DEG)
+    up = np.array([0, -np.cos(a), -np.sin(a)])
+    z = -HEIGHT_M / np.minimum(d @ up, -0.1) if floor else np.full(d.shape[:2], 1.0)
+    gone = np.random.default_rng(0).random((12, 16)) < 0.32
+    return np.where(np.kron(gone, np.ones((20, 20), bool)), 0, np.round(1000 * z)).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clip without a marker whose camera stands still."""
+    return write_clip(tmp_path_factory.mktemp("still") / "still.mp4", 18, absent=range(18))
+
+
+def arguments(material: Material, clip: Path, *more: str) -> list[str]:
+    return [
+        "process", str(clip), "--camera", str(material.camera), "--model", str(material.model), "--fit", "8cm", "--anchor", "plane",
+        "-o", "out.mkv", "--codec", "ffv1", *more,
+    ]  # fmt: skip
+
+
+def test_the_object_stands_on_the_plane(material: Material, still: Path, arfx: Run, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "one.png"), depth_map())
+    r = arfx(*arguments(material, still, "--depth", "one.png", "--pipeline", "lightmap,gi", "--quality", "draft", "--json"))
+    assert r.code == 0, r.err
+    told = r.json["pose"]
+    assert told["frames_measured"] == 18 and told["anchor"]["poses"] == "a camera at rest"
+    assert told["anchor"]["residual_mm"] < 1 and told["anchor"]["area_m2"] > 0.1
+    plane = Pose.from_json(told["anchor"]["world_from_plane"])  # the given world is the camera's
+    a = np.radians(DOWN_DEG)
+    assert np.degrees(np.arccos(plane.rotation[:, 2] @ [0, -np.cos(a), -np.sin(a)])) < 0.2
+    assert -plane.rotation[:, 2] @ plane.translation_m == pytest.approx(HEIGHT_M, abs=0.002)
+    made, plain = frames(tmp_path / "out.mkv")[9][1].astype(float), frames(still)[9][1].astype(float)
+    changed = np.abs(made - plain).max(-1) > 12
+    x, y = clip_camera().project(plane.translation_m + 0.03 * plane.rotation[:, 2])
+    assert changed[round(y), round(x)] and 0.002 < changed.mean() < 0.2
+
+
+def test_given_poses_hold_it_in_place(material: Material, still: Path, arfx: Run, tmp_path: Path) -> None:
+    """The given camera goes to the right: the object goes to the left."""
+    turn = rotation_from_euler_deg(-90 - DOWN_DEG, 0, 0)
+    w, x, y, z = quaternion_from_rotation(turn)
+    lines = [f"{0.005 * k} 0 {HEIGHT_M} {x} {y} {z} {w}" for k in range(18)]
+    (tmp_path / "poses.txt").write_text("# camera in the world\n" + "\n".join(lines) + "\n")
+    cv2.imwrite(str(tmp_path / "one.png"), depth_map())
+    more = ("--depth", "one.png", "--poses", "poses.txt", "--pipeline", "lightmap", "--end", "0.5")
+    assert arfx(*arguments(material, still, *more)).code == 0
+    plain = frames(still)[0][1].astype(float)
+    at = [np.argwhere(np.abs(f.astype(float) - plain).max(-1) > 40).mean(0)[1] for _, f in frames(tmp_path / "out.mkv")]
+    assert 12 < at[0] - at[15] < 30
+
+
+@pytest.mark.parametrize(
+    ("case", "code", "words"),
+    [("no depth", 2, "needs the depth"), ("a wall", 4, "none of which faces up"), ("moving", 4, "the camera moves")],
+)
+def test_refusals(case: str, code: int, words: str, material: Material, still: Path, arfx: Run, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "one.png"), depth_map(case != "a wall"))
+    more = () if case == "no depth" else ("--depth", "one.png")
+    r = arfx(*arguments(material, material.clip if case == "moving" else still, *more))
+    assert r.code == code and words in r.err, r.err
+    assert not (tmp_path / "out.mkv").exists()

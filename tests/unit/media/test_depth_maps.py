@@ -1,0 +1,100 @@
+"""Depth maps: which file belongs to which frame, what their values mean, what is refused, and holes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.errors import InputError
+from arfx.media.depth_fill import filled
+from arfx.media.depth_maps import open_depth
+from arfx.media.images import write_exr, write_png
+
+W, H = 32, 24
+
+
+def maps(folder: Path, *names: str, value: int = 1500) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name in names:
+        cv2.imwrite(str(folder / name), np.full((H, W), value, np.uint16))
+    return folder
+
+
+def test_order_is_that_of_numbers_and_the_count_must_be_the_clips(tmp_path: Path) -> None:
+    found = open_depth(maps(tmp_path / "d", "2.pgm", "10.pgm", "1.pgm"))
+    assert [p.name for p in found.files] == ["1.pgm", "2.pgm", "10.pgm"]
+    assert found.of_frames([0.0, 0.1, 0.2], 0, whole=True) == [0, 1, 2]
+    assert found.of_frames([0.1], 1, whole=False) == [1]  # --start, --end
+    with pytest.raises(InputError, match="holds 3 maps, the clip has 2 frames"):
+        found.of_frames([0.0, 0.1], 0, whole=True)
+    with pytest.raises(InputError, match="holds 3 maps, the clip has at least 4"):
+        found.of_frames([0.1, 0.2, 0.3], 1, whole=False)
+
+
+def test_times_in_the_names_pair_with_the_nearest_frame(tmp_path: Path) -> None:
+    names = [f"{1305031102.16 + t:.6f}.png" for t in (0.0, 0.033, 0.066, 0.166)]
+    found = open_depth(maps(tmp_path / "d", *names))
+    assert found.of_frames([0.0, 0.02, 0.04, 0.07, 0.12, 0.16, 1.0], 0, whole=True) == [0, 1, 1, 2, None, 3, None]
+    assert open_depth(tmp_path / "d", start_s=0.05).of_frames([0.0, 0.05, 0.08], 0, whole=True) == [None, 0, 1]
+
+
+def test_one_map_is_for_all_frames(tmp_path: Path) -> None:
+    found = open_depth(maps(tmp_path / "d", "room.png") / "room.png")
+    assert found.of_frames([0.0, 0.1], 7, whole=True) == [0, 0]
+
+
+def test_values_are_millimetres_or_of_the_given_scale_and_exr_metres(tmp_path: Path) -> None:
+    stored = np.full((H, W), 2500, np.uint16)
+    stored[0, :2] = 0, 65535
+    cv2.imwrite(str(tmp_path / "a.png"), stored)
+    depth = open_depth(tmp_path / "a.png").load(0, W, H)
+    assert depth[5, 5] == pytest.approx(2.5) and not depth[0, :2].any() and depth.dtype == np.float32
+    assert open_depth(tmp_path / "a.png", 5000).load(0, W, H)[5, 5] == pytest.approx(0.5)
+    metres = np.full((H, W), 1.25, np.float32)
+    metres[0, :4] = np.nan, np.inf, -1, 0
+    write_exr(tmp_path / "b.exr", metres)
+    depth = open_depth(tmp_path / "b.exr").load(0, 2 * W, 2 * H)  # maps may be smaller than the picture
+    assert depth[5, 5] == 1.25 and not depth[0, :4].any() and np.isfinite(depth).all()
+
+
+def test_what_is_wrong_is_said(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file or folder"):
+        open_depth(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no depth map"):
+        open_depth(tmp_path / "empty")
+    with pytest.raises(InputError, match=r"\.pgm and \.png files"):
+        open_depth(maps(tmp_path / "mixed", "1.pgm", "2.png"))
+    with pytest.raises(InputError, match="same time"):
+        open_depth(maps(tmp_path / "twice", "1.50.png", "1.5.png"))
+    (tmp_path / "t.txt").write_text("x")
+    with pytest.raises(InputError, match="is not a depth map"):
+        open_depth(tmp_path / "t.txt")
+    write_png(tmp_path / "eight.png", np.zeros((H, W), np.uint8))
+    with pytest.raises(InputError, match="uint8 with 1 channel, not depth"):
+        open_depth(tmp_path / "eight.png").load(0, W, H)
+    (tmp_path / "cut.png").write_bytes((maps(tmp_path / "d", "1.png") / "1.png").read_bytes()[:40])
+    with pytest.raises(InputError, match=r"cut\.png cannot be read"):
+        open_depth(tmp_path / "cut.png").load(0, W, H)
+    with pytest.raises(InputError, match="is 32x24, the clip 64x36"):
+        open_depth(tmp_path / "d").load(0, 64, 36)
+
+
+def test_holes_fill_from_the_side_that_looks_alike() -> None:
+    guide = np.full((60, 80), 60, np.uint8)
+    guide[:, 40:] = 180  # the picture's edge: near on the left, far on the right
+    depth = np.where(np.arange(80) < 40, 1.0, 4.0)[None].repeat(60, 0).astype(np.float32)
+    holed = depth.copy()
+    holed[20:40, 30:50] = 0  # over the edge
+    holed[:, 74:] = 0
+    out = filled(holed, guide)
+    known = holed > 0
+    np.testing.assert_array_equal(out[known], depth[known])
+    assert np.abs(1 / out - 1 / depth).max() < 0.05
+    alone = np.zeros((60, 80), np.float32)
+    alone[30, 40] = 2.0  # hardly anything known: everything takes it
+    np.testing.assert_allclose(filled(alone, guide), 2.0, rtol=1e-5)
+    assert filled(depth[::2, ::2], guide).shape == guide.shape

@@ -1,0 +1,44 @@
+"""Real depth in a job: what the facts are told of it, and when it is an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.core.real_depth import KEY, real_depth_of
+from arfx.errors import InputError
+from arfx.media.depth_maps import open_depth
+from arfx.run.depth import with_depth
+from tests.scenes import facts, scene
+
+
+def quiet(phase: str, done: int, total: int | None) -> None:
+    assert phase == "depth" and total is not None and done <= total
+
+
+def test_facts_say_which_map_and_what_is_in_it(tmp_path: Path) -> None:
+    s = scene()
+    for k, metres in enumerate((1.0, 2.0, 0.0)):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((60, 80), metres * 1000, np.uint16))
+    maps = open_depth(tmp_path)
+    frames = [facts(s, index=k) for k in range(4)]
+    out, told = with_depth(frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, False, quiet)
+    assert told["known"] and told["frames_with"] == 2 and told["frames_without"] == 2 and told["holes"] == pytest.approx(1 / 3)
+    second = real_depth_of(out[1])
+    assert second is not None and second.map == 1 and second.digest == maps.digest(1)
+    assert second.dioptre_range == pytest.approx((0.5, 0.5), rel=2e-3)
+    assert KEY not in out[2].extra and KEY not in out[3].extra
+    refused, told = with_depth(frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, True, quiet)
+    assert not told["known"] and all(KEY not in f.extra for f in refused)
+
+
+def test_depth_that_holds_nothing_is_an_error(tmp_path: Path) -> None:
+    s = scene()
+    cv2.imwrite(str(tmp_path / "none.png"), np.zeros((60, 80), np.uint16))
+    with pytest.raises(InputError, match="no valid pixel"):
+        with_depth([facts(s)], open_depth(tmp_path / "none.png"), [0], s.world_from_marker, s.camera, True, quiet)
+    with pytest.raises(InputError, match="near the time of any frame"):
+        with_depth([facts(s)], open_depth(tmp_path / "none.png"), [None], s.world_from_marker, s.camera, True, quiet)

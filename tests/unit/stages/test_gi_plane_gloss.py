@@ -1,0 +1,135 @@
+"""The object mirrored in a glossy real plane, and measured depth that says what is no plane."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from arfx.core.layers import Layer
+from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
+from arfx.core.rect import Rect
+from arfx.core.stage import level_named
+from arfx.stages.gi import Gi, GiParams
+from arfx.stages.gi.real_planes import picture_on_planes, planes_of, texture_places
+from tests.contract.stage_laws import check_roi_law
+from tests.scenes import facts
+from tests.unit.stages.gi_scenes import BLACK, CAMERA, EVEN, LAMP, MATT_RED, box, from_above, ground_points, on_plane, run_gi
+
+SCENE = on_plane(box(MATT_RED), LAMP, CAMERA)
+POSE = from_above(55)
+
+
+def mirror_image() -> np.ndarray:
+    """Pixels of the plane whose mirrored line of sight meets the box of 12 cm; closed form."""
+    g = ground_points(SCENE, POSE)
+    eye = POSE.inverse().translation_m
+    d = (g - eye) * [1, 1, -1]
+    low, high = np.array([-0.06, -0.06, 0]), np.array([0.06, 0.06, 0.12])
+    with np.errstate(all="ignore"):
+        a, b = (low - g) / d, (high - g) / d
+    near, far = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
+    return np.asarray((near < far) & (far > 1e-6))
+
+
+@cache
+def by_rays() -> tuple[np.ndarray, np.ndarray]:
+    """SHADOW with and without the gloss."""
+    both = (GiParams(plane_gloss=g, plane_roughness=0.2, samples=10) for g in (0.3, 0.0))
+    shiny, matt = (run_gi(SCENE, "reference", POSE, params=p)[Layer.SHADOW] for p in both)
+    return shiny, matt
+
+
+@pytest.mark.parametrize("level", ["draft", "standard"])
+def test_the_mirror_image_is_where_and_as_strong_as_rays_say(level: str) -> None:
+    params = GiParams(plane_gloss=0.3, plane_roughness=0.2)
+    matt = replace(params, plane_gloss=0.0)
+    made, without = (run_gi(SCENE, level, POSE, params=p)[Layer.SHADOW] for p in (params, matt))
+    true, plain = by_rays()
+    bare = run_gi(SCENE, level, POSE, params=matt)[Layer.COVERAGE] == 0
+    image = mirror_image() & bare
+    change, expected = made - without, true - plain
+    assert expected[image][:, 1].mean() < -0.1, "red takes the place of grey"
+    np.testing.assert_allclose(change[image].mean(0), expected[image].mean(0), atol=0.035)
+    assert np.abs(change[bare]).sum() < 1.35 * np.abs(change[image]).sum(), "next to nothing beside it"
+
+
+def test_a_matt_plane_mirrors_nothing_and_asks_for_nothing() -> None:
+    a, b = run_gi(SCENE, pose=POSE), run_gi(SCENE, pose=POSE, params=GiParams(plane_gloss=0.0, plane_roughness=0.7))
+    assert np.array_equal(a[Layer.SHADOW], b[Layer.SHADOW])
+    f = facts(SCENE, POSE)
+    plain, shiny = (Gi(GiParams(plane_gloss=g)).demand(f, SCENE, CAMERA.rect) for g in (0.0, 0.04))
+    assert "mirrors" not in plain.reason and "mirrors 0.04 of the light" in shiny.reason
+    assert shiny.rect.contains(plain.rect)
+
+
+def test_a_faint_gloss_is_left_out() -> None:
+    """Under half a grey level: no cone is traced, and no pixel changes."""
+    a = run_gi(SCENE, pose=from_above(10), params=GiParams(plane_gloss=0.0))[Layer.SHADOW]
+    b = run_gi(SCENE, pose=from_above(10), params=GiParams(plane_gloss=1e-4, plane_roughness=1.0))[Layer.SHADOW]
+    assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("formula", ["corrected", "paper"])
+def test_a_part_of_the_picture_is_as_the_whole(formula: str) -> None:
+    stage = Gi(GiParams(formula=formula, plane_gloss=0.5, plane_roughness=0.3))
+    level = level_named(stage.levels, "draft")
+    check_roi_law(stage, level, SCENE, facts(SCENE, POSE), stage.prepare(SCENE, level), 3)
+
+
+def test_no_light_is_taken_that_is_not_there() -> None:
+    """A black picture of the plane stays black; nothing becomes negative or infinite."""
+    plate = np.zeros((CAMERA.height, CAMERA.width, 3), np.float32)
+    for pose in (POSE, from_above(80, 0.3), from_above(0, 0.5)):
+        made = run_gi(SCENE, "draft", pose, plate, GiParams(plane_gloss=1.0, plane_roughness=0.0))
+        assert np.isfinite(made[Layer.SHADOW]).all() and made[Layer.SHADOW].min() >= 0
+
+
+def depth_with_a_thing() -> np.ndarray:
+    """The plane's depth, and something 10 cm before it in the left half."""
+    g = ground_points(SCENE, POSE)
+    depth = POSE.apply(g)[..., 2].astype(np.float32)
+    depth[:, : CAMERA.width // 2] -= 0.1
+    return depth
+
+
+@pytest.mark.parametrize("level", ["standard", "reference"])
+def test_what_is_not_on_the_plane_is_left_alone(level: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tests.unit.stages import gi_scenes
+
+    params = GiParams(plane_gloss=0.3, samples=4)
+    plain = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)
+    bare = gi_scenes.surface
+    monkeypatch.setattr(gi_scenes, "surface", lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth_with_a_thing()})
+    made = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)[Layer.SHADOW]
+    left = np.arange(CAMERA.width) < CAMERA.width // 2
+    assert (made[:, left] == 1).all()
+    np.testing.assert_allclose(made[:, ~left], plain[Layer.SHADOW][:, ~left], atol=0.02)
+    assert made[:, ~left].min() < 0.9
+
+
+def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
+    planes = planes_of(SCENE)
+    places = texture_places(planes, 32)
+    plate = np.full((CAMERA.height, CAMERA.width, 3), 0.5, np.float32)
+    plate[:, : CAMERA.width // 2] = 9
+    whole = Rect.of(CAMERA.width, CAMERA.height)
+    axes = planes.axes.astype(float)
+    seen, known = picture_on_planes(
+        plate, whole, whole, CAMERA, POSE, places, axes, np.zeros(3, np.float32), depth_with_a_thing()
+    )
+    assert known.sum() > 20 and seen[known > 0].max() < 5
+    _, all_of_it = picture_on_planes(plate, whole, whole, CAMERA, POSE, places, axes, np.zeros(3, np.float32))
+    assert known.sum() < 0.8 * all_of_it.sum()
+
+
+def test_measured_planes_are_real_planes_unless_they_are_the_anchors() -> None:
+    floor = RealPlane(Pose(np.eye(3), np.array([0.3, 0.1, 0.01])), (-1, -1, 1, 1), 4.0, 3.0, 900)
+    wall = Pose(np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]), np.array([-0.2, 0, 0]))
+    behind = Pose(wall.rotation, np.array([0.3, 0, 0]))
+    scene = replace(SCENE, real_planes=(floor, *(RealPlane(p, (-1, -1, 1, 1), 4.0, 3.0, 900) for p in (wall, behind))))
+    axes = planes_of(scene).axes
+    assert len(axes) == 2 and np.allclose(axes[1, 3], [1, 0, 0]) and np.allclose(axes[1, 0, 0], -0.2, atol=1e-6)
