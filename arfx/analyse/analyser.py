@@ -75,7 +75,8 @@ class Analyser:
         self._tracker = Tracker([m.key for m in markers], self.params)
         self._refiner = EdgeRefiner(self.params.transfer)
         self._cut, self._flow, self._survey = CutSignal(), BackgroundFlow(), Survey()
-        self.light, self.panorama, self._meter = light, panorama, LightMeter()
+        self.light, self.panorama = light, panorama
+        self._meter = LightMeter(light.formula if light is not None else "corrected")
         self._motion = BackgroundMotion() if "flow" in folds else None
         self._edges = EdgeBlur() if "lens" in folds else None
         self._folds = folds

@@ -2,7 +2,7 @@
 
 field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
 motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
-that nothing of the old pattern is seen again. Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
+that nothing of the old pattern is seen again. `high` paints two patterns (anchors_back). Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
 Source: SYSTEMS.md S3 ("sites fixed on the screen"). Cost: O(nodes) per set.
 """
 
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from arfx.analyse.anchors_back import SetStep, both_ways
 from arfx.analyse.flow import GRID_PX, MotionStep, node_places
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -42,7 +43,7 @@ def with_anchors(
     last: FrameFacts | None = None
     key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
     document: Mapping[str, Any] = {}
-    out = []
+    out, sets, of_frame = [], [], []
     for f in facts:
         step = by_index.get(f.index)
         cut = last is not None and f.shot != last.shot
@@ -65,9 +66,19 @@ def with_anchors(
                     _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
                 )  # fmt: skip
             document = _document(number, gx, gy, u, v, f.camera_from_world)
+            begins = back is None
+            kept = back if back is not None else None if step is None or step.back is None else step.back.astype(float)
+            sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
         last = f
         out.append(f.with_(extra={**f.extra, FACT: document}))
-    return tuple(out)
+        of_frame.append(len(sets) - 1)
+    other = both_ways(sets, gx, gy, lambda a, x, y: _sampled(a, x, y, gx, gy), relaxed)
+    documents = [
+        {"share": round(o.share, 4), "forward": _nodes(*o.forward), "backward": _nodes(*o.backward)} for o in other
+    ]  # fmt: skip
+    return tuple(
+        f.with_(extra={**f.extra, FACT: {**f.extra[FACT], **documents[k]}}) for f, k in zip(out, of_frame, strict=True)
+    )
 
 
 def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
@@ -138,10 +149,14 @@ def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _document(number: int, gx: np.ndarray, gy: np.ndarray, u: np.ndarray, v: np.ndarray, pose: Pose | None) -> Mapping[str, Any]:
-    whole = np.round(np.stack([u, v]) * 16).astype(np.int64)
-    steps = np.diff(whole, axis=2, prepend=0).astype("<i4")
     return {
         "set": number, "pitch": GRID_PX, "origin": [int(gx[0, 0]), int(gy[0, 0])], "shape": list(u.shape),
-        "nodes": base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 6)).decode(),
+        "nodes": _nodes(u, v),
         "pose": None if pose is None else pose.to_json(),
     }  # fmt: skip
+
+
+def _nodes(u: np.ndarray, v: np.ndarray) -> str:
+    whole = np.round(np.stack([u, v]) * 16).astype(np.int64)
+    steps = np.diff(whole, axis=2, prepend=0).astype("<i4")
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 6)).decode()

@@ -21,6 +21,8 @@ from arfx.analyse.blocked_light import already_blocked, clearly_blocked, quarter
 from arfx.analyse.environment_time import with_environment
 from arfx.analyse.light_fit import MEASURED as LIT
 from arfx.analyse.light_fit import REFUSED
+from arfx.analyse.lighting_paper import KEY as MAP
+from arfx.analyse.lighting_paper import told
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.lighting_room import Readings, RoomLight
 from arfx.analyse.meter import LightMeter
@@ -52,12 +54,14 @@ def lighted(
     anchor = stands_on.key
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
+    maps: dict[int, np.ndarray] = {}
     known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
     for shots in _parts(facts, analysis.static):
         part = RoomLight(shots, facts, room, readings, params)
         given = _given(analysis, anchor, room, shots, params, panorama)
         lights, report = part.given(*given) if given else part.told(analysis.static != "both", meter.looks)
         out |= lights
+        maps |= part.maps
         reports.append((len(shots), report))
         if report["verdict"] == LIT:
             known |= set(lights)
@@ -76,6 +80,7 @@ def lighted(
         and (found := already_blocked(quarters(patches.mean, patches.count, bias), stands_on.size_m))
     }
     lit = tuple(f.with_(extra={**f.extra, "already_blocked": shaded[k]}) if k in shaded else f for k, f in enumerate(lit))
+    lit = tuple(f.with_(extra={**f.extra, MAP: told(maps[k], room[k])}) if k in maps else f for k, f in enumerate(lit))
     marker = analysis.world_from_marker.get(anchor)
     upright = np.eye(3) if marker is None else marker.rotation
     if environment:

@@ -15,7 +15,7 @@ ALBEDOS = ("known", "normalised", "unknown")
 class LightParams:
     """Where the light comes from.
 
-    formula : corrected, or paper: gain, bias and light map as printed, lights at the map's peaks
+    formula : corrected, or paper: gain, bias and light map as printed, lights at the map's peaks, surroundings folded with seams
     given : a light that is known: azimuth from the anchor marker's x and elevation above its plane, degrees, and perhaps
         its linear RGB on a surface that faces it; without it as bright as the marker shows. A camera at rest sees the
         marker move below it: then the angles hold in the first frame that shows the marker

@@ -53,7 +53,7 @@ class Readings:
 
 
 class RoomLight:
-    """Frames that share one room, with their readings."""
+    """Frames that share one room, with their readings. maps : by frame, the paper's light map (lighting_paper), ROOM axes"""
 
     def __init__(
         self, frames: Sequence[int], facts: Sequence[FrameFacts], room: dict[int, np.ndarray], readings: Readings,
@@ -61,6 +61,7 @@ class RoomLight:
     ) -> None:  # fmt: skip
         """frames : numbers of those that share the room;  room : by number, (3, 3) to ROOM axes from the world's"""
         self.frames, self.facts, self.room, self.params = list(frames), facts, room, params
+        self.maps: dict[int, np.ndarray] = {}
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
         mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
@@ -81,7 +82,7 @@ class RoomLight:
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
             return dict.fromkeys(self.frames, soft), _report(REFUSED, source, why, soft)
         if self.params.formula == "paper":
-            return self._as_printed(paper_lights_of(self.observations, self.map_params, self.params))
+            return self._as_printed(*paper_lights_of(self.observations, self.map_params, self.params))
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
         on = self.fit if self.fit.any() else np.ones(len(times), bool)
@@ -108,13 +109,11 @@ class RoomLight:
         middle = lights[self.lit[len(self.lit) // 2]]
         return lights, _report(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
 
-    def _as_printed(self, found: Sequence[Light]) -> tuple[Lights, dict[str, Any]]:
+    def _as_printed(self, found: Sequence[Light], cubes: Sequence[np.ndarray]) -> tuple[Lights, dict[str, Any]]:
         """The paper's own: each frame's light map and its peaks; frames without a reading have those before them."""
-        at = {k: light for k, light in zip(self.lit, found, strict=True)}
-        lights, last = {}, found[0]
-        for k in self.frames:
-            last = at.get(k, last)
-            lights[k] = last
+        last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
+        lights = {k: found[i] for k, i in zip(self.frames, last, strict=True)}
+        self.maps = {k: cubes[i] for k, i in zip(self.frames, last, strict=True)}
         middle = found[len(found) // 2]
         peaks = f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map, as printed: no confidence is known"
         report = _report(MEASURED if middle.lights else REFUSED, "marker", peaks, middle, **self._normals(None))

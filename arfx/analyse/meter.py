@@ -34,9 +34,13 @@ class Picture(Protocol):
 
 
 class LightMeter:
-    """readings : (frame, marker key, Patches) in order;  looks : of the surroundings"""
+    """readings : (frame, marker key, Patches) in order;  looks : of the surroundings
 
-    def __init__(self) -> None:
+    formula : "corrected" or "paper", how the surroundings are folded
+    """
+
+    def __init__(self, formula: str = "corrected") -> None:
+        self._formula = formula
         self.readings: list[tuple[int, str, Patches]] = []
         self.looks: list[Look] = []
         self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
@@ -57,7 +61,7 @@ class LightMeter:
             if min(small.shape[:2]) >= 3:
                 shrink = small.shape[1] / picture.rect.width
                 largest = max(seen, key=lambda s: s.side_px)
-                self.looks.append(look(frame, small, (largest.corners_px + 0.5) * shrink - 0.5))
+                self.looks.append(look(frame, small, (largest.corners_px + 0.5) * shrink - 0.5, self._formula))
             if len(self.looks) > MOST_LOOKS:
                 self.looks, self._interval_s = self.looks[::2], 2 * self._interval_s
 

@@ -27,7 +27,7 @@ AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA axes (environment.fold)
+    """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA axes (environment.py)
     plane : (3,) radiance beside the marker, as seen"""
 
     frame: int
@@ -35,8 +35,11 @@ class Look:
     plane: np.ndarray
 
 
-def look(frame: int, picture: np.ndarray, quad: np.ndarray) -> Look:
-    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels"""
+def look(frame: int, picture: np.ndarray, quad: np.ndarray, formula: str = "corrected") -> Look:
+    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels
+
+    formula : "corrected", folded without a seam, or "paper"
+    """
     middle = quad.mean(0)
     share = np.linspace(0, 1, 8, endpoint=False)[:, None]
     sides = np.concatenate([a + share * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)])
@@ -44,7 +47,8 @@ def look(frame: int, picture: np.ndarray, quad: np.ndarray) -> Look:
     inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
     beside = picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
     small = cv2.resize(np.ascontiguousarray(picture, np.float32), (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)))
-    return Look(frame, environment.fold(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
+    folded = environment.fold if formula == "paper" else environment.fold_corrected
+    return Look(frame, folded(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
 
 
 def soft_light(

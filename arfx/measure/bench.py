@@ -25,6 +25,7 @@ from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.plan.planner import plan_frame
 from arfx.plan.work import terms_of
 from arfx.run.frame import Canvas, rng_for
+from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
 FEWEST, MOST, BUDGET_S = 3, 25, 1.5
@@ -75,6 +76,7 @@ def bench(
     Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size below 64x64.
     """
     check(stages, stage, level, sizes)
+    keep_memory()  # as a worker does
     rows = []
     for size in sizes:
         cells = make_cells(bench_scene(*size), stage, level, stages)
@@ -110,10 +112,9 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
             if stage in (None, name) and level in (None, le.name):
                 cells.append(_cell(s, le, step, canvas, at, size))
         if name != stage or len(steps) > 1:
-            for layer, array in _run(
-                s, standard[name], step, canvas, at.facts, at.scene, s.prepare(at.scene, standard[name])
-            ).items():
-                canvas.put(layer, step.out, array[step.out.slices_in(step.need)])
+            prepared = s.prepare(at.scene, standard[name])
+            for layer, array in _run(s, standard[name], step, canvas, at.facts, at.scene, prepared).items():
+                canvas.take(layer, array, step.need, step.out)
     return cells
 
 

@@ -35,7 +35,8 @@ def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def arguments(material: Material, clip: Path, *more: str) -> list[str]:
     return [
-        "process", str(clip), "--camera", str(material.camera), "--model", str(material.model), "--fit", "8cm", "--anchor", "plane",
+        "process", str(clip), "--camera", str(material.camera), "--model", str(material.model), "--fit", "8cm",
+        "--anchor", "plane",
         "-o", "out.mkv", "--codec", "ffv1", *more,
     ]  # fmt: skip
 

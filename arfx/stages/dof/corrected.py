@@ -17,12 +17,23 @@ from arfx.stages.dof.ladder import SHARP_PX, Ladder
 from arfx.stages.dof.layer import DARK, Spread, strips
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.surfaces import Real, plane_radius, square_radius
+from arfx.stages.dof.surfaces import GRID_PX, Real, plane_radius, square_radius
 from arfx.stages.dof.work import on_all_cores
 
 Optics = tuple[np.float32, np.float32, np.float32]  # px per dioptre, focus dioptre, limit px
 OBJECT_PAD_PX = 2  # around the model's box: the raster may write there
 _NONE = np.empty((0, 0), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class RealPixels:
+    """The sharp real scene without the object: plate (h, w, 3) under shadow. top : its first row in the frame"""
+
+    top: int
+    plate: np.ndarray
+    shadow: np.ndarray
+    opacity: np.float32
+    bias: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +48,12 @@ class CutOut:
     gap: Spread
 
     def deposit(self, strip: tuple[int, int]) -> None:
-        light.deposit_cut(*strip, self.spread.radius, self.colour, self.coverage, self.opacity, *self.spread.sink)
-        light.deposit_gap(*strip, self.spread.radius, self.coverage, self.opacity, *self.gap.sink)
+        radius, coverage = self.spread.radius, self.coverage
+        self.spread.note(strip, light.deposit_cut(*strip, radius, self.colour, coverage, self.opacity, *self.spread.sink))
+        self.gap.note(strip, light.deposit_gap(*strip, radius, coverage, self.opacity, *self.gap.sink))
 
-    def lay(self, out: np.ndarray, touched: np.ndarray, rows: Rect) -> None:
-        """Put it over the rows `rows` (their rectangle) of out."""
+    def lay(self, out: np.ndarray, state: np.ndarray, rows: Rect, real: RealPixels) -> None:
+        """Put it over the rows `rows` (their rectangle) of out. real : from the layers' first row"""
         part = self.rect.clip(rows)
         if part.empty:
             return
@@ -51,9 +63,10 @@ class CutOut:
         at = slice(part.y0 - rows.y0, part.y1 - rows.y0)
         mine = slice(top, bottom)
         light.lay_cut(
-            out[at], touched[at], part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
+            out[at], state[at], part.y0 - real.top, part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
             own, own_lo, own_hi, gap, gap_lo, gap_hi,
             self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity,
+            real.plate, real.shadow, real.opacity, real.bias,
         )  # fmt: skip
 
 
@@ -91,21 +104,21 @@ def render(
         cuts = _fronts(measured, rect, at, ladder, params)
     boxed = _object(now, facts, frame, optics, ladder, params)
     cuts += [boxed] if boxed else []
+    sharp = RealPixels(rect.y0, plate, shadow, opacity, bias)
     nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
     background = np.float32(real.background)
     rows = strips(rect)
 
     def start(strip: tuple[int, int]) -> None:
-        if largest <= SHARP_PX:
+        if largest <= SHARP_PX or (measured is None and _sharp_strip(strip, rect, nodes, real.background, at)):
             base.radius[slice(*strip)] = 0
             return
         if measured is not None:
             base.radius[slice(*strip)] = measured.radius[slice(*strip)]
         else:
             plane_radius(base.radius, *strip, rect.x0, rect.y0, nodes, background, *optics)
-        light.deposit_real(
-            *strip, base.radius, flat[0], flat[1], opacity, bias, kept, np.float32(params.highlight_boost), *base.sink
-        )
+        boost = np.float32(params.highlight_boost)
+        base.note(strip, light.deposit_real(*strip, base.radius, flat[0], flat[1], opacity, bias, kept, boost, *base.sink))
 
     on_all_cores(start, rows)
     on_all_cores(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
@@ -113,23 +126,29 @@ def render(
 
     def finish(strip: tuple[int, int]) -> None:
         top, bottom = strip
-        out, touched = result[top:bottom], np.zeros((bottom - top, rect.width), np.bool_)
+        out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
         spread, lo, hi = base.rows(top, bottom, "base") if largest > SHARP_PX else (DARK, 0, 0)
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
-        active = EMPTY if lo >= hi else Rect(rect.x0 + lo, here.y0, rect.x0 + hi, here.y1)
-        for cut in cuts:
-            active = active.union(cut.rect.clip(here))
-        begin, end = active.x0 - rect.x0, active.x1 - rect.x0
-        if active.empty:
+        if lo >= hi:
             out[:] = image[top:bottom]
-            return
-        light.lay_real(out, touched, top, begin, end, spread, lo, hi, base.radius, plate, shadow, opacity, bias, kept)
+        else:
+            light.lay_real(out, state, image, top, spread, lo, hi, base.radius, plate, shadow, opacity, bias, kept)
+        active = EMPTY
         for cut in cuts:
-            cut.lay(out, touched, here)
-        light.keep_untouched(out, touched, image, top)
+            cut.lay(out, state, here, sharp)
+            active = active.union(cut.rect.clip(here))
+        if not active.empty:
+            light.restore(out, state, image, top, active.x0 - rect.x0, active.x1 - rect.x0)
 
     on_all_cores(finish, rows)
     return result
+
+
+def _sharp_strip(strip: tuple[int, int], rect: Rect, nodes: np.ndarray, background: float, at: Circles) -> bool:
+    """Whether no pixel of the endless plane is blurred in a strip: its dioptres lie between those of the nodes around."""
+    y0, y1 = (rect.y0 + strip[0]) // GRID_PX, (rect.y0 + strip[1] - 1) // GRID_PX + 2
+    part = nodes[y0:y1, rect.x0 // GRID_PX : (rect.x1 - 1) // GRID_PX + 2]
+    return bool(at.radius_px(np.maximum(part, background)).max() <= SHARP_PX)
 
 
 def _measured(now: Layers, facts: FrameFacts, real: Real, at: Circles) -> DepthLayers | None:

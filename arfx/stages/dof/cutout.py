@@ -85,26 +85,28 @@ def _grow(mean, known):  # pragma: no cover - compiled
     return out, found
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
 def _fill(radius, mean, known, lead_x, lead_y):  # pragma: no cover - compiled
     """Bilinear between the centres of known tiles."""
     h, w = radius.shape
     th, tw = mean.shape
+    step, half = np.float32(1.0 / TILE_PX), np.float32(0.5)
+    total, weight = np.empty(tw, np.float32), np.empty(tw, np.float32)  # of a row, by column of tiles
     for y in range(h):
-        v = (y + lead_y + 0.5) / TILE_PX - 0.5
+        v = (np.float32(y + lead_y) + half) * step - half
         j = int(np.floor(v))
+        t = v - np.float32(j)
+        a, b = min(max(j, 0), th - 1), min(max(j + 1, 0), th - 1)
+        for i in range(tw):
+            above, below = (np.float32(1) - t) * np.float32(known[a, i]), t * np.float32(known[b, i])
+            total[i], weight[i] = above * mean[a, i] + below * mean[b, i], above + below
         for x in range(w):
             if radius[y, x] >= 0:
                 continue
-            u = (x + lead_x + 0.5) / TILE_PX - 0.5
+            u = (np.float32(x + lead_x) + half) * step - half
             i = int(np.floor(u))
-            total, weight = 0.0, 0.0
-            for b in range(2):
-                for a in range(2):
-                    ty, tx = min(max(j + b, 0), th - 1), min(max(i + a, 0), tw - 1)
-                    if known[ty, tx]:
-                        s = (u - i if a else 1 - (u - i)) * (v - j if b else 1 - (v - j))
-                        total += s * mean[ty, tx]
-                        weight += s
-            if weight > 1e-6:
-                radius[y, x] = total / weight
+            s = u - np.float32(i)
+            p, q = min(max(i, 0), tw - 1), min(max(i + 1, 0), tw - 1)
+            share = weight[p] + (weight[q] - weight[p]) * s
+            if share > np.float32(1e-6):
+                radius[y, x] = (total[p] + (total[q] - total[p]) * s) / share

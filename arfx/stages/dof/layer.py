@@ -13,7 +13,7 @@ import numpy as np
 from arfx.core.rect import Rect
 from arfx.stages.dof.aperture import STEPS, Shape, shape
 from arfx.stages.dof.ladder import ALIGN_PX, Ladder
-from arfx.stages.dof.spread import add_rung, any_blurred, run_sums, spread_cells, spread_pixels
+from arfx.stages.dof.spread import TILE_PX, add_rung, run_sums, spread_cells, spread_pixels
 from arfx.stages.dof.work import zeros
 
 DARK = np.zeros((1, 1, 4), np.float32)
@@ -38,9 +38,12 @@ class Spread:
         self.radius = np.empty((rect.height, rect.width), np.float32)
         self.rungs = ladder.rungs(largest_px)
         self.shape: Shape = shape(ladder.table_px(largest_px), blades, turn_deg)
-        # memory that is never touched costs nothing: rung 0 holds light only where the radius is small
+        self.busy: list[tuple[int, int]] = []  # strips that hold light
+        # memory that is never touched costs nothing: rung 0 holds light only where the radius is small, in `held` tiles
         self.near = np.empty((rect.height, rect.width, 4), np.float32)
         self.lead_x, self.lead_y = rect.x0 % ALIGN_PX, rect.y0 % ALIGN_PX
+        tiles = [(lead % TILE_PX + n - 1) // TILE_PX + 1 for lead, n in ((self.lead_y, rect.height), (self.lead_x, rect.width))]
+        self.held = np.zeros(tiles, np.uint8)
         self.meta = np.zeros((self.rungs, 3), np.int64)
         first = 0
         for k in range(1, self.rungs):
@@ -51,24 +54,30 @@ class Spread:
         self.cells = np.zeros((first, 5), np.float32)
 
     @property
-    def sink(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int, np.ndarray]:
+    def sink(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int, np.ndarray, np.ndarray]:
         """Arguments of the deposit kernels: where light goes."""
-        return self.ladder.fade, self.cells, self.meta, self.lead_y, self.lead_x, self.near
+        return self.ladder.fade, self.cells, self.meta, self.lead_y, self.lead_x, self.near, self.held
+
+    def note(self, strip: tuple[int, int], any_light: bool) -> None:
+        """What a deposit kernel said of a strip."""
+        if any_light:
+            self.busy.append(strip)
 
     def rows(self, top: int, bottom: int, name: str) -> tuple[np.ndarray, int, int]:
         """Light (rows, w, 4) that reaches rows top..bottom, and the columns lo..hi outside of which it is 0.
 
         The array is this thread's, until it asks for the same name again."""
-        h, w = self.radius.shape
+        w = self.radius.shape[1]
         s = self.shape
         far = max(self._far(k) + 2 << k for k in range(self.rungs))
-        near_by = self.radius[max(top - far, 0) : min(bottom + far, h)]
-        if not any_blurred(near_by):
+        if not any(a < bottom + far and b > top - far for a, b in self.busy):
             return DARK, 0, 0
         table = s.ends, s.shares, s.unit, s.reach
         until = float(self.ladder.fade[0, 1]) if self.rungs > 1 else np.inf
         out = zeros(name, (bottom - top, w + 1, 4))
-        lo, hi = spread_pixels(self.near, self.radius, np.float32(until), top, bottom, self._far(0), out, *table)
+        lo, hi = spread_pixels(
+            self.near, self.held, self.lead_y, self.lead_x, self.radius, np.float32(until), top, bottom, self._far(0), out, *table
+        )  # fmt: skip
         run_sums(out, lo, hi)
         for k in range(1, self.rungs):
             first, width, height = (int(v) for v in self.meta[k])

@@ -14,6 +14,8 @@ from arfx.stages.dof.ladder import SHARP_PX
 from arfx.stages.dof.spread import TILE_PX, deposit_tile, extremes, highlight, only_rung, to_cell
 
 _FLAGS = {"contract", "nsz", "arcp"}
+# State of a pixel of the result: the composite's bits; something sharp laid there; light spread there.
+KEPT, TRIED, LAID = np.uint8(0), np.uint8(1), np.uint8(2)
 CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
 
 
@@ -42,9 +44,9 @@ def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_real(
-    top, bottom, radius, flat_plate, flat_shadow, opacity, bias, kept, boost, fade, cells, meta, lead_y, lead_x, near
+    top, bottom, radius, flat_plate, flat_shadow, opacity, bias, kept, boost, fade, cells, meta, lead_y, lead_x, near, held
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of the real scene. flat_plate, flat_shadow : (h, 3 w)
+    """Rows top..bottom of the real scene; returns whether any of it is blurred. flat_plate, flat_shadow : (h, 3 w)
 
     kept : (h, w) share that is not cut out, (0, 0) = all
     """
@@ -57,6 +59,7 @@ def deposit_real(
         biases[n] = bias[n % 3]
     gone = np.empty(width, np.float32)
     left = -(lead_x & (TILE_PX - 1))
+    blurred = False
     rungs = np.empty((width - left + TILE_PX - 1) // TILE_PX, np.int64)  # of each tile; -1 = several, -2 = none
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
         ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
@@ -64,6 +67,7 @@ def deposit_real(
             x0 = left + i * TILE_PX
             least, most = extremes(radius, ya, max(x0, 0), yb, min(x0 + TILE_PX, width))
             rungs[i] = only_rung(least, most, fade, meta.shape[0]) if most > SHARP_PX else -2
+            blurred |= most > SHARP_PX
         after = 0
         for tile in range(len(rungs)):
             if tile < after or rungs[tile] == -2:
@@ -95,7 +99,8 @@ def deposit_real(
                             k *= _boosted(red, green, blue, boost)
                     j = y - ya
                     source[j, i, 0], source[j, i, 1], source[j, i, 2], source[j, i, 3] = red * k, green * k, blue * k, weight
-            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+    return blurred
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -164,124 +169,121 @@ def _sum_cells(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_cut(
-    top, bottom, radius, colour, coverage, opacity, fade, cells, meta, lead_y, lead_x, near
+    top, bottom, radius, colour, coverage, opacity, fade, cells, meta, lead_y, lead_x, near, held
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of a layer of premultiplied colour (h, w, 3), coverage (h, w)."""
-    width = radius.shape[1]
+    """Rows top..bottom of a layer of premultiplied colour (h, w, 3), coverage (h, w). Returns whether there is any light."""
+    width, found = radius.shape[1], False
     source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
         for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
             ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
-            any_ = False
+            if extremes(coverage, ya, xa, yb, xb)[1] * opacity <= 0:
+                continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
-                    weight = coverage[y, x] * opacity
                     for c in range(3):
                         source[y - ya, x - xa, c] = colour[y, x, c] * opacity
-                    source[y - ya, x - xa, 3] = weight
-                    any_ |= weight > 0
-            if any_:
-                deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
-            else:
-                _nothing(near, ya, yb, xa, xb)
+                    source[y - ya, x - xa, 3] = coverage[y, x] * opacity
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+            found = True
+    return found
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_gap(
-    top, bottom, radius, coverage, opacity, fade, cells, meta, lead_y, lead_x, near
+    top, bottom, radius, coverage, opacity, fade, cells, meta, lead_y, lead_x, near, held
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of what a layer lets through: weight only, in the last channel."""
-    width = radius.shape[1]
+    """Rows top..bottom of what a layer lets through: weight only, in the last channel. Returns whether there is any."""
+    width, found = radius.shape[1], False
     source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
         for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
             ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
-            any_ = False
+            if extremes(coverage, ya, xa, yb, xb)[0] * opacity >= 1:
+                continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
-                    open_ = np.float32(1) - coverage[y, x] * opacity
-                    source[y - ya, x - xa, 3] = open_
-                    any_ |= open_ > 0
-            if any_:
-                deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near)
-            else:
-                _nothing(near, ya, yb, xa, xb)
-
-
-@numba.njit(cache=True, nogil=True)
-def _nothing(near, ya, yb, xa, xb):  # pragma: no cover - compiled
-    for y in range(ya, yb):
-        for x in range(xa, xb):
-            near[y, x, 3] = 0
+                    source[y - ya, x - xa, 3] = np.float32(1) - coverage[y, x] * opacity
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+            found = True
+    return found
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_real(
-    out, touched, top, begin, end, light, lo, hi, radius, plate, shadow, opacity, bias, kept
+    out, state, image, top, light, lo, hi, radius, plate, shadow, opacity, bias, kept
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Columns begin..end of out (rows, w, 3) = the real scene blurred; touched (rows, w) = where it is.
+    """out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w) = LAID; else the
+    composite's own bits, image (h, w, 3) from its row `top`.
 
     light : of `Spread.rows`, columns lo..hi
     """
     whole = kept.shape[0] == 0
     for j in range(out.shape[0]):
         y = top + j
-        for x in range(begin, end):
-            w = light[j, x, 3] if lo <= x < hi else np.float32(0)
-            own = radius[y, x] <= SHARP_PX
-            share = np.float32(0)
-            if own:
-                share = np.float32(1) if whole else kept[y, x]
-            total = w + share
-            touched[j, x] = w > 0
-            if w > 0 and total > 0:
-                inverse = np.float32(1) / total
+        for x in range(lo):
+            out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+        for x in range(hi, out.shape[1]):
+            out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+        for x in range(lo, hi):
+            w = light[j, x, 3]
+            if not w > 0:
+                out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+                continue
+            state[j, x] = LAID
+            if radius[y, x] > SHARP_PX:
+                inverse = np.float32(1) / w
                 for c in range(3):
-                    v = light[j, x, c]
-                    if share > 0:
-                        v += share * _behind(plate[y, x, c], shadow[y, x, c], opacity, bias[c])
-                    out[j, x, c] = v * inverse
+                    out[j, x, c] = light[j, x, c] * inverse
             else:
+                share = np.float32(1) if whole else kept[y, x]
+                inverse = np.float32(1) / (w + share)
                 for c in range(3):
-                    out[j, x, c] = _behind(plate[y, x, c], shadow[y, x, c], opacity, bias[c])
+                    own = share * _behind(plate[y, x, c], shadow[y, x, c], opacity, bias[c])
+                    out[j, x, c] = (light[j, x, c] + own) * inverse
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_cut(
-    out, touched, begin, end, left, light, lo, hi, gap, gap_lo, gap_hi, radius, colour, coverage, opacity
+    out, state, top, begin, end, left, light, lo, hi, gap, gap_lo, gap_hi, radius, colour, coverage, layer_opacity,
+    plate, shadow, opacity, bias,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Put columns begin..end of a cut-out layer over out (rows, w, 3); its column 0 is `left` of out's.
 
-    light, gap : (rows, w', 4) of `Spread.rows`;  touched : set where any of it is spread
+    light, gap : (rows, w', 4) of `Spread.rows`;  state : set LAID where any of it is spread, else TRIED
+    plate, shadow : of the real scene, from row `top`, for pixels that hold the composite's bits as yet
     """
     for y in range(out.shape[0]):
         for x in range(begin, end):
             w = light[y, x, 3] if lo <= x < hi else np.float32(0)
+            c = coverage[y, x] * layer_opacity
+            sharp = radius[y, x] <= SHARP_PX
+            if not (w > 0 or (sharp and c > 0)):
+                continue
             total = w + (gap[y, x, 3] if gap_lo <= x < gap_hi else np.float32(0))
-            c = coverage[y, x] * opacity
-            own = np.float32(1) if radius[y, x] <= SHARP_PX and (c > 0 or w > 0) else np.float32(0)
-            if w > 0:
-                touched[y, left + x] = True
-            if not (w > 0 or (own > 0 and c > 0)):
-                continue
+            own = np.float32(1) if sharp else np.float32(0)
             total += own
+            if state[y, left + x] == KEPT:
+                for k in range(3):
+                    out[y, left + x, k] = _behind(plate[top + y, left + x, k], shadow[top + y, left + x, k], opacity, bias[k])
+                state[y, left + x] = TRIED
+            if w > 0:
+                state[y, left + x] = LAID
             w += own * c
-            if total <= 0:
-                continue
             inverse = np.float32(1) / total
             through = max(np.float32(1) - w * inverse, np.float32(0))
             for k in range(3):
-                v = own * colour[y, x, k] * opacity
+                v = own * colour[y, x, k] * layer_opacity
                 if lo <= x < hi:
                     v += light[y, x, k]
                 out[y, left + x, k] = out[y, left + x, k] * through + v * inverse
 
 
 @numba.njit(cache=True, nogil=True)
-def keep_untouched(out, touched, image, top):  # pragma: no cover - compiled
-    """The composite's own bits where no light was spread to. out (rows, w, 3), image (h, w, 3) from its row `top`"""
+def restore(out, state, image, top, begin, end):  # pragma: no cover - compiled
+    """The composite's own bits where nothing was spread to after all. out (rows, w, 3), image (h, w, 3) from row `top`"""
     for j in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            if not touched[j, x]:
+        for x in range(begin, end):
+            if state[j, x] == TRIED:
                 for c in range(3):
                     out[j, x, c] = image[top + j, x, c]

@@ -58,12 +58,12 @@ def to_cell(cells, meta, rung, y, x, lead_y, lead_x, a, b, c, d, r):  # pragma: 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_tile(
-    source, radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x, near
+    source, radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x, near, held
 ):  # fmt: skip  # pragma: no cover - compiled
     """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two rungs that their radii ask for.
 
     source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none
-    near : (h, w, 4) light of rung 0, set where SHARP_PX < radius < fade[0, 1]
+    near : (h, w, 4) light of rung 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `held` (th, tw) uint8
     cells : (n, 5) red, green, blue, weight, weight x radius of all further rungs;  meta : (rungs, 3) first cell, width,
     height;  lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
@@ -96,6 +96,8 @@ def deposit_tile(
                 cells[at, 3] += d
                 cells[at, 4] += e
         return
+    if least < fade[0, 1] or k == 0:
+        held[(y0 + lead_y) // TILE_PX - lead_y // TILE_PX, (x0 + lead_x) // TILE_PX - lead_x // TILE_PX] = 1
     if k == 0:
         for y in range(y0, y1):
             for x in range(x0, x1):
@@ -161,25 +163,32 @@ def _mark(marks, q, y, x, low, high, width, red, green, blue, weight, ends, shar
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def spread_pixels(near, radius, until, low, high, far, marks, ends, shares, unit, reach):  # pragma: no cover - compiled
+def spread_pixels(
+    near, held, lead_y, lead_x, radius, until, low, high, far, marks, ends, shares, unit, reach
+):  # fmt: skip  # pragma: no cover - compiled
     """Rung 0: light of pixels with SHARP_PX < radius < until onto rows low..high. Returns the columns marked (lo, hi)."""
+    first_x = lead_x // TILE_PX * TILE_PX - lead_x  # of the first tile
     h, w = radius.shape
     top = np.float32(unit.shape[0] - 1)
     flat = marks.reshape(-1)
     lo, hi = w, 0
     for y in range(max(low - far, 0), min(high + far, h)):
-        for x in range(w):
-            r = radius[y, x]
-            if r <= SHARP_PX or r >= until or near[y, x, 3] <= 0:
+        line = held[(y + lead_y) // TILE_PX - lead_y // TILE_PX]
+        for tile in range(len(line)):
+            if line[tile] == 0:
                 continue
-            q = np.uintp(min(r * STEPS + np.float32(0.5), top))
-            n = reach[q]
-            if y + n < low or y - n >= high:
-                continue
-            lo, hi = min(lo, x - n), max(hi, x + n + 2)  # the last mark of a row lies one beyond it
-            u = unit[q]
-            a, b, c, d = near[y, x, 0] * u, near[y, x, 1] * u, near[y, x, 2] * u, near[y, x, 3] * u
-            _mark(flat, q, y, x, low, high, w, a, b, c, d, ends, shares, n)
+            for x in range(max(first_x + tile * TILE_PX, 0), min(first_x + (tile + 1) * TILE_PX, w)):
+                r = radius[y, x]
+                if r <= SHARP_PX or r >= until or near[y, x, 3] <= 0:
+                    continue
+                q = np.uintp(min(r * STEPS + np.float32(0.5), top))
+                n = reach[q]
+                if y + n < low or y - n >= high:
+                    continue
+                lo, hi = min(lo, x - n), max(hi, x + n + 2)  # the last mark of a row lies one beyond it
+                u = unit[q]
+                a, b, c, d = near[y, x, 0] * u, near[y, x, 1] * u, near[y, x, 2] * u, near[y, x, 3] * u
+                _mark(flat, q, y, x, low, high, w, a, b, c, d, ends, shares, n)
     return max(lo, 0), min(hi, w)
 
 
@@ -209,16 +218,6 @@ def spread_cells(
             a, b, c, d = cells[k, 0] * u, cells[k, 1] * u, cells[k, 2] * u, cells[k, 3] * u
             _mark(flat, q, y, x, low, high, width, a, b, c, d, ends, shares, n)
     return max(lo, 0), min(hi, width)
-
-
-@numba.njit(cache=True, nogil=True)
-def any_blurred(radius):  # pragma: no cover - compiled
-    """Is any radius above SHARP_PX?"""
-    for y in range(radius.shape[0]):
-        for x in range(radius.shape[1]):
-            if radius[y, x] > SHARP_PX:
-                return True
-    return False
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)

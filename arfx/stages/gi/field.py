@@ -90,6 +90,12 @@ class Field:
     direct: np.ndarray
     open: np.ndarray
 
+    @property
+    def printed(self) -> np.ndarray:
+        """V_delta with the paper's labels, V_rho (real alone) - V_mu (real and virtual): the light that the object adds, with the
+        sign turned round. It means something only if it is taken from the picture, which formula paper does."""
+        return -self.gain
+
 
 def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool) -> Body:
     """n : voxels a side;  side : texels of a plane;  cones : of each of them."""

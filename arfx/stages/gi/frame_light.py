@@ -48,7 +48,8 @@ class LevelSettings:
 class Around:
     """cube (6, n, n, 3) WORLD axes, and factor (3,) that scales it to the light
     picture (p, side, side, 3), known (p, side, side) on the planes
-    mean (3,) of it near the object, rounded;  back : for the cones, with the mean instead of the picture"""
+    mean (3,) of it near the object, rounded;  back : for the cones, with the mean instead of the picture
+    soft : least channel of the light without a direction, of a white surface on the plane"""
 
     cube: np.ndarray
     factor: np.ndarray
@@ -56,6 +57,7 @@ class Around:
     known: np.ndarray
     mean: np.ndarray
     back: Behind
+    soft: float
     atlas: Atlas | None = None
 
     def lit(self, field: Field) -> Around:
@@ -64,6 +66,12 @@ class Around:
         open_ = enlarged(field.open, side)
         picture = self.picture * enlarged(field.direct, side) * open_[..., None]
         return replace(self, atlas=field.atlas, back=self.back.with_textures(picture, self.known * open_, self.mean))
+
+    @property
+    def brightest(self) -> float:
+        """Radiance that no cone exceeds: of the environment, the picture and the voxels."""
+        inside = 0.0 if self.atlas is None else float(self.atlas.values.reshape(-1, 4)[:, :3].max(initial=0.0))
+        return max(float(self.back.maps.max()), float(self.back.textures.max()), inside)
 
     @property
     def arguments(self) -> tuple:
@@ -147,7 +155,7 @@ def around(
         planes.axes, np.float32(planes.half_m), textures, mips, maps,
         np.array(HALF_ANGLES_DEG, np.float32), turn,
     )  # fmt: skip
-    return Around(cube, factor, picture, known, mean, back)
+    return Around(cube, factor, picture, known, mean, back, float(light.soft_radiance(up).min()))
 
 
 def plane_mean(

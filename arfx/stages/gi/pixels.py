@@ -77,7 +77,7 @@ def gloss_weights(roughness, cosine):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def chosen(
-    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, sharp, gloss_floor
+    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows
 ):  # pragma: no cover - compiled
     """Points that stand for blocks: (points (m, 7), wanted (m,), index (rows, columns) of blocks, -1 = none).
 
@@ -100,7 +100,7 @@ def chosen(
                 continue
             rough = material[at_y, at_x, 1]
             points[m, 6] = rough
-            shines = rough >= sharp and strength(material, albedo, at_y, at_x) > gloss_floor
+            shines = rough >= sharp and mirrors(material, albedo, at_y, at_x, points[m], eye, gloss_floor, shows)
             wanted[m] = DIFFUSE + GLOSS if shines else DIFFUSE
             index[j, i] = m
             m += 1
@@ -109,8 +109,8 @@ def chosen(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def spread(
-    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, sharp, gloss_floor, size, points, light,
-    index,
+    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, size,
+    points, light, index,
 ):  # pragma: no cover - compiled  # fmt: skip
     """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), wanted (m,), pixels (m, 2)) of those that
     still have to be gathered. light (n, 6), index : of the blocks;  block 0 : there are none"""
@@ -148,7 +148,7 @@ def spread(
                     total += w
                     for c in range(6):
                         out[y, x, c] += w * light[index[j, i], c]
-            shines = strength(material, albedo, y, x) > gloss_floor
+            shines = mirrors(material, albedo, y, x, here, eye, gloss_floor, shows)
             need = 0
             if total < _AGREE:
                 need = DIFFUSE + GLOSS if shines else DIFFUSE
@@ -168,7 +168,7 @@ def spread(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def reflected(
-    coverage, normal, position, albedo, material, rotation, offset, eye, gloss_floor, light, fresh, wanted, pixels
+    coverage, normal, position, albedo, material, rotation, offset, eye, gloss_floor, shows, light, fresh, wanted, pixels
 ):  # pragma: no cover - compiled
     """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage. fresh (m, 6) : of the pixels (m, 2)
 
@@ -192,7 +192,7 @@ def reflected(
             ga, gb = gloss_weights(material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
             metal = material[y, x, 0]
             f0 = np.float32(0.08) * material[y, x, 2] * (one - metal)
-            shines = 3 if strength(material, albedo, y, x) > gloss_floor else 0
+            shines = 3 if mirrors(material, albedo, y, x, here, eye, gloss_floor, shows) else 0
             for c in range(3):
                 a = albedo[y, x, c]
                 matt = a * (one - metal) * (one - min(f0 * ga + gb, one))
@@ -202,11 +202,22 @@ def reflected(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def strength(material, albedo, y, x):  # pragma: no cover - compiled
-    """The largest share of light that the surface mirrors when seen from above."""
+def mirrors(material, albedo, y, x, here, eye, gloss_floor, shows):  # pragma: no cover - compiled
+    """Whether what the pixel mirrors can change it by half a grey level: specular x Fresnel over what that is of its own light.
+
+    here (6+,) : normal and place, as eye anchor axes;  gloss_floor : least share mirrored at all
+    shows : half a grey level as a share of a white surface's light, over the brightest that is around
+    """
+    zero, one = np.float32(0), np.float32(1)
     metal = material[y, x, 0]
     most = max(albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2])
-    return np.float32(0.08) * material[y, x, 2] * (np.float32(1) - metal) + most * metal
+    f0 = np.float32(0.08) * material[y, x, 2] * (one - metal) + most * metal
+    if f0 <= zero:
+        return False
+    ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
+    s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
+    ga, gb = gloss_weights(material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
+    return f0 * ga + gb > max(gloss_floor, shows * most)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)

@@ -19,6 +19,7 @@ from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
+from arfx.core.numerics import divide
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
@@ -35,11 +36,12 @@ from arfx.stages.gi.surroundings import Planes
 from arfx.stages.lightmap.stage import Kept
 from arfx.stages.viewing import direction_grid, viewing
 
+SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
 PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {
     "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
-    "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.002),
-    "high": LevelSettings(128, 256, 16, 512, 1, True, 1.1, 0.002),
+    "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.0),
+    "high": LevelSettings(128, 256, 16, 512, 1, True, 1.1, 0.0),
 }
 
 
@@ -106,6 +108,8 @@ class Gi:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return Demand(EMPTY, "marker not visible")
         model = facts.model_box.pad(PAD_PX).clip(frame)
+        if size_px := self._unseen_px(facts, scene):
+            return Demand(model, f"no cones: model matt and grey, all that it changes is {size_px} px wide; even light")
         disc, why = self._disc(facts, scene, frame)
         mirror = self._mirror_rect(facts, scene, frame)
         if model.empty and disc.empty and mirror.empty:
@@ -150,6 +154,8 @@ class Gi:
         assert pose is not None
         light = source_light(facts, scene)
         frame = scene.camera.rect
+        if self._unseen_px(facts, scene):
+            return even_light(now, light)
         disc = self._disc(facts, scene, frame)[0]
         if level.name == "reference":
             return trace_frame(
@@ -168,8 +174,8 @@ class Gi:
             disc = disc_rect(scene, prepared.planes, radius, pose, frame)
             anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
             nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(np.float32)
-            target, delta = (virtual, whole.gain) if self._paper else (shadow, whole.delta)
-            weight = self.params.strength * (self.params.plane_albedo if self._paper else 1.0)
+            target, delta = (virtual, whole.printed) if self._paper else (shadow, whole.delta)
+            weight = self.params.strength * (-self.params.plane_albedo if self._paper else 1.0)
             changed = add_delta(
                 target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                 anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
@@ -206,18 +212,18 @@ class Gi:
             directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps, prepared.lobes,
             prepared.tangents, prepared.counts, *back.arguments,
         )  # fmt: skip
-        limits: Any = f32(at.sharp), f32(at.gloss_floor)
+        limits: Any = f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(back.soft, back.brightest))
         points, light = np.zeros((0, 7), f32), np.zeros((0, 6), f32)
         index = np.zeros((0, 0), np.int32)
         if block > 1:
-            choice: Any = (*surface, box.x0, box.y0, block, *axes, *limits)
+            choice: Any = (*surface, box.x0, box.y0, block, *axes, eye, *limits)
             points, wanted, index = chosen(*choice)
             light = light_points(points, wanted, eye, *cones)
-        near: Any = (*surface, box.x0, box.y0, block if block > 1 else 0, *axes, *limits, f32(volume.voxel_m))
+        near: Any = (*surface, box.x0, box.y0, block if block > 1 else 0, *axes, eye, *limits, f32(volume.voxel_m))
         near = (*near, points, light, index)
         spread_light, points, wanted, pixels = spread(*near)
         fresh = light_points(points, wanted, eye, *cones)
-        last: Any = (*surface, *axes, eye, limits[1], spread_light, fresh, wanted, pixels)
+        last: Any = (*surface, *axes, eye, *limits[1:], spread_light, fresh, wanted, pixels)
         out[box.slices_in(now.rect)] += reflected(*last)
         return out
 
@@ -286,6 +292,17 @@ class Gi:
         share = max(float(soft), peak) / max(float(whole), 1e-3)
         return disc_radius_m(scene, planes_of(scene), share)
 
+    def _unseen_px(self, facts: FrameFacts, scene: Scene) -> int:
+        """Size of all that cones could tell, where nobody could see it, else 0: the planes change by half a grey level within
+        a few pixels only, and the object neither colours nor mirrors anything."""
+        pose = facts.camera_from_world
+        if pose is None or facts.model_box.empty or self.params.plane_gloss > 0 or not plain(scene):
+            return 0
+        radius = self._radius_m(source_light(facts, scene), scene)
+        wide = facts.model_box.union(disc_rect(scene, planes_of(scene), radius, pose, scene.camera.rect))
+        size = max(wide.width, wide.height)
+        return size if size <= SMALL_PX else 0
+
     def _seen(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels of the picture that the object may reflect."""
         pose = facts.camera_from_world
@@ -303,6 +320,25 @@ def _texture_side(scene: Scene, at: LevelSettings) -> int:
     sharp = [m.roughness < 0.5 or m.metallic_roughness_texture is not None for m in materials]
     mirrors = [0.08 * m.specular * (1 - m.metallic) + m.metallic > at.gloss_floor for m in materials]
     return at.texture_side if any(a and b for a, b in zip(sharp, mirrors, strict=True)) else min(at.texture_side, 64)
+
+
+def plain(scene: Scene) -> bool:
+    """Whether the model is matt and grey all over: nothing glows, mirrors more than half a grey level, or has a colour."""
+    for part in scene.model.parts:
+        m = part.material
+        if m.base_texture is not None or m.metallic_roughness_texture is not None or part.colours is not None:
+            return False
+        if max(m.emissive) > 0 or 0.08 * m.specular * (1 - m.metallic) + m.metallic > SHOWS:
+            return False
+        if max(m.base_colour[:3]) - min(m.base_colour[:3]) > SHOWS:
+            return False
+    return True
+
+
+def even_light(now: Layers, light: Light) -> Mapping[Layer, np.ndarray]:
+    """VIRTUAL with the light's soft part on the object as if nothing were in its way, SHADOW as it is."""
+    soft = light.soft_radiance(now[Layer.NORMAL]) * now[Layer.ALBEDO] * now[Layer.COVERAGE][..., None]
+    return {Layer.VIRTUAL: now[Layer.VIRTUAL] + soft.astype(np.float32), Layer.SHADOW: now[Layer.SHADOW].copy()}
 
 
 def source_light(facts: FrameFacts, scene: Scene) -> Light:

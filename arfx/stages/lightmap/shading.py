@@ -14,6 +14,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.stages.lightmap.printed_map import add_map
+
 _FAST = {"contract", "nsz", "arcp"}
 
 
@@ -37,12 +39,29 @@ def highlight_width(size_deg: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def shade(
-    coverage, normal, position, albedo, material, emissive, left, eye, towards, rgb, widths, soft, constant, bias, paper
+    coverage,
+    normal,
+    position,
+    albedo,
+    material,
+    emissive,
+    left,
+    eye,
+    towards,
+    rgb,
+    widths,
+    soft,
+    constant,
+    bias,
+    paper,
+    cube,
+    axes,
 ):  # pragma: no cover - compiled
     """(h, w, 3) float32, premultiplied by the coverage.
 
     left : (l, h, w) share of each directional light that the object leaves itself;  eye (3,) : the camera, WORLD frame
     towards, rgb (l, 3);  widths (l,);  soft (9, 3), constant : only its first row counts;  bias (3,)
+    cube (6, n, n, 3), axes (3, 3) : printed_map in place of `soft`, n = 0 for none
     """
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
@@ -88,7 +107,9 @@ def shade(
             rough = max(material[y, x, 1], np.float32(0.05))
             width4[i] = rough * rough * rough * rough
         gloss = zero if paper else one
-        if constant:
+        if cube.shape[1] > 0:
+            add_map(r, g, b, dr, dg, db, nx, ny, nz, cube, axes, n)
+        elif constant:
             for i in range(n):
                 r[i] = (dr[i] + gloss * fr[i]) * soft[0, 0]
                 g[i] = (dg[i] + gloss * fg[i]) * soft[0, 1]
@@ -167,6 +188,9 @@ def shade(
                 g[i] += lg * (dg[i] * lit[i] + (fg[i] + (one - fg[i]) * graze[i]) * lobe[i])
             for i in range(n):
                 b[i] += lb * (db[i] * lit[i] + (fb[i] + (one - fb[i]) * graze[i]) * lobe[i])
+        if cube.shape[1] > 0:  # what the lights' lobes have more than the map is not left in the shade
+            for i in range(n):
+                r[i], g[i], b[i] = max(r[i], zero), max(g[i], zero), max(b[i], zero)
         for i in range(n):
             x = at[i]
             c = coverage[y, x]

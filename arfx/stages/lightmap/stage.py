@@ -31,6 +31,7 @@ from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.lookup import light_left
 from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, ambient_texture, beam_texture, bounded
+from arfx.stages.lightmap.printed_map import printed_map
 from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.region import ground_of
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
@@ -43,7 +44,7 @@ _KEPT = 8  # lights whose shadows are kept; at the standard level 1.3 MB each
 
 @dataclass(frozen=True)
 class LightmapParams:
-    """formula : corrected, or paper: Phong's highlights, lights without size, diffuse albedo x light
+    """formula : corrected, or paper: Phong's highlights, lights without size, diffuse albedo x the light map
     shadow_strength : share of the computed darkening of the plane that is shown, 0..1
     self_shadow : the same of the object's shadow on itself, 0..1
     faint : darkening of the plane by less than this share of its light is left out, up to 3 times as much is faded, 0..0.3
@@ -184,7 +185,7 @@ class Lightmap:
             eye.astype(f32), light.towards[reaching].astype(f32),
             (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
             self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32),
-            self._paper,
+            self._paper, *printed_map(facts.extra if self._paper and self.params.ambient else {}),
         )  # fmt: skip
         return virtual
 

@@ -15,7 +15,8 @@ from arfx.stages.watercolor.labels import Labels
 from arfx.stages.watercolor.rows import Cover, Picture, labels_of, row_of
 
 ROWS = 4  # at a time in `means`
-NEIGHBOURS = 12  # of a cell that are kept; a Voronoi cell has 6 on average
+NEIGHBOURS = 10  # of a cell that are kept; a Voronoi cell has 6 on average
+REACH = 1.7  # sizes of a cell: sites that far apart have nothing to do with each other
 _MANY = 8  # below this many pixels per cell, sums over bands would cost more than they save
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -26,11 +27,11 @@ def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     image : (h, w, 3) float32;  labels : (h, w) int32, 0 ... count - 1
     """
     whole = Labels(labels, np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), count)
-    return means_and_half(Picture(image), Cover(whole), False)[0]
+    return means_and_half(Picture(image), Cover(whole), False)[0][:, :3]
 
 
 def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """(means (count, 3) as above, (3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded values) of the means of
+    """(means (count, 4): as above, and the number of pixels; (3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded values) of the means of
     2 x 2 pixels, empty where `half` is false): one pass over the picture."""
     h, w = picture.image.shape[:2]
     small = np.empty((3, (h + 1) // 2, (w + 1) // 2) if half else (3, 0, 0), np.float32)
@@ -42,19 +43,21 @@ def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[n
         return total
 
     parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, ROWS)
-    out = np.empty((count, 3), np.float32)
+    out = np.empty((count, 4), np.float32)
     if len(parts) == BANDS:
         _mean_of_four(parts[0], parts[1], parts[2], parts[3], out)
     else:
         total = np.sum(parts, axis=0)
-        out[:] = total[:, :3] / np.maximum(total[:, 3:], 1)
+        out[:] = total
+        out[:, :3] = total[:, :3] / np.maximum(total[:, 3:], 1)
     return out, small
 
 
 @numba.njit(cache=True, nogil=True)
 def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
     for k in range(out.shape[0]):
-        n = max(a[k, 3] + b[k, 3] + c[k, 3] + d[k, 3], 1.0)
+        out[k, 3] = a[k, 3] + b[k, 3] + c[k, 3] + d[k, 3]
+        n = max(np.float64(out[k, 3]), 1.0)
         for i in range(3):
             out[k, i] = (a[k, i] + b[k, i] + c[k, i] + d[k, i]) / n
 
@@ -68,6 +71,7 @@ def _sum(
     h, w = first.shape
     r, g, b = np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32)
     pixel, a = np.empty((ROWS, w, 4)), np.empty((ROWS, w), np.int32)
+    sums, one, two, three = total.reshape(-1), np.uint64(1), np.uint64(2), np.uint64(3)
     for y in range(y0, y1, ROWS):
         rows = min(ROWS, y1 - y)
         for j in range(rows):
@@ -78,9 +82,11 @@ def _sum(
         if rows == ROWS:
             for x in range(w):
                 for j in range(ROWS):
-                    k = np.uint64(a[j, x])
-                    for c in range(4):
-                        total[k, c] += pixel[j, x, c]
+                    # all four at once: nothing is written between what is read
+                    i = np.uint64(4) * np.uint64(a[j, x])
+                    p0, p1, p2, p3 = pixel[j, x, 0], pixel[j, x, 1], pixel[j, x, 2], pixel[j, x, 3]
+                    t0, t1, t2, t3 = sums[i], sums[i + one], sums[i + two], sums[i + three]
+                    sums[i], sums[i + one], sums[i + two], sums[i + three] = t0 + p0, t1 + p1, t2 + p2, t3 + p3
         else:
             for j in range(rows):
                 for x in range(w):
@@ -93,109 +99,101 @@ def _sum(
                     _halve(p[j], p[other], small[c, (y + j) // 2])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _halve(top, bottom, out):  # pragma: no cover - compiled
     w = top.shape[0]
     zero, one, quarter = np.float32(0), np.float32(1), np.float32(0.25)
     for i in range(w // 2):
-        s = (top[2 * i] + top[2 * i + 1] + bottom[2 * i] + bottom[2 * i + 1]) * quarter
+        a, b = np.uint64(2) * np.uint64(i), np.uint64(2) * np.uint64(i) + np.uint64(1)
+        s = (top[a] + top[b] + bottom[a] + bottom[b]) * quarter
         out[i] = np.sqrt(min(max(s, zero), one))
     if w % 2:
         out[w // 2] = np.sqrt(min(max((top[w - 1] + bottom[w - 1]) * np.float32(0.5), zero), one))
 
 
-def neighbours(labels: np.ndarray, count: int) -> np.ndarray:
-    """(count, NEIGHBOURS) int32 cells that touch each cell, -1 behind the last. Borders shorter than about half a
-    cell may be missed."""
-    step = int(np.clip(np.round(np.sqrt(labels.size / count) / 2), 1, 8))
-    out: np.ndarray = _neighbours(labels, count, step)
-    return out
+def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(near (n, NEIGHBOURS) int32 sites around each, the nearest, -1 behind the last; share (n, NEIGHBOURS) float32 0..1).
+
+    x, y, size (n,) float32 : sites and the sizes of cells there, one unit. What counts is how far apart sites are, never the
+    pixels that their cells share: a border of a pixel or two comes and goes as the picture moves, and washes would with it.
+    """
+    n = len(x)
+    near, share = np.full((n, NEIGHBOURS), -1, np.int32), np.zeros((n, NEIGHBOURS), np.float32)
+    if n < 2:
+        return near, share
+    side = float(max(size.max() * REACH, np.sqrt(np.ptp(x) * np.ptp(y) / n), 1e-3))
+    low = float(x.min()), float(y.min())
+    gw, gh = int((x.max() - low[0]) // side) + 1, int((y.max() - low[1]) // side) + 1
+    bucket = ((y - low[1]) // side).astype(np.int32) * gw + ((x - low[0]) // side).astype(np.int32)
+    order = np.argsort(bucket, kind="stable").astype(np.int32)
+    start = np.searchsorted(bucket[order], np.arange(gh * gw + 1)).astype(np.int32)
+    by_bands(lambda a, b: _near(x, y, size, bucket, order, start, gh, gw, a, b, near, share), n)
+    return near, share
 
 
 @numba.njit(cache=True, nogil=True)
-def _neighbours(labels, count, step):  # pragma: no cover - compiled
-    """Looks at every `step`-th row and column: what crosses them."""
-    out = np.full((count, NEIGHBOURS), -1, np.int32)
-    h, w = labels.shape
-    for y in range(0, h, step):
-        for x in range(w - 1):
-            a, b = labels[y, x], labels[y, x + 1]
-            if a != b:
-                _join(out, a, b)
-        if y + 1 < h:  # along the row, what lies below; a pair once only
-            last_a = last_b = -1
-            for x in range(0, w, 2):
-                a, b = labels[y, x], labels[y + 1, x]
-                if a != b and (a != last_a or b != last_b):
-                    _join(out, a, b)
-                    last_a, last_b = a, b
-    return out
+def _near(x, y, size, bucket, order, start, gh, gw, a, b, near, share):  # pragma: no cover - compiled
+    """Of the sites a ... b - 1."""
+    one, reach = np.float32(1), np.float32(REACH)
+    for k in range(a, b):
+        gy, gx = bucket[k] // gw, bucket[k] % gw
+        n, least = 0, np.float32(0)
+        for i in range(max(gy - 1, 0), min(gy + 1, gh - 1) + 1):
+            for m in range(start[i * gw + max(gx - 1, 0)], start[i * gw + min(gx + 1, gw - 1) + 1]):
+                j = order[m]
+                ex, ey, r = x[j] - x[k], y[j] - y[k], min(size[j], size[k]) * reach
+                s = one - (ex * ex + ey * ey) / (r * r)
+                if s <= 0 or j == k:
+                    continue
+                s *= s
+                if n < NEIGHBOURS:
+                    near[k, n], share[k, n] = j, s
+                    n += 1
+                elif s > least:  # in place of the farthest
+                    at = np.argmin(share[k])
+                    near[k, at], share[k, at] = j, s
+                if n == NEIGHBOURS:
+                    least = share[k].min()
 
 
-@numba.njit(cache=True, nogil=True)
-def neighbours_within(labels, mask, count):  # pragma: no cover - compiled
-    """The same where both pixels are in the mask (h, w)."""
-    out = np.full((count, NEIGHBOURS), -1, np.int32)
-    h, w = labels.shape
-    for y in range(0, h - 1):
-        for x in range(w - 1):
-            a = labels[y, x]
-            if mask[y, x]:
-                if labels[y, x + 1] != a and mask[y, x + 1]:
-                    _join(out, a, labels[y, x + 1])
-                if labels[y + 1, x] != a and mask[y + 1, x]:
-                    _join(out, a, labels[y + 1, x])
-    return out
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _join(out, a, b):  # pragma: no cover - compiled
-    for m in range(NEIGHBOURS):
-        if out[a, m] == b:
-            return
-        if out[a, m] < 0:
-            out[a, m] = b
-            break
-    for m in range(NEIGHBOURS):
-        if out[b, m] == a:
-            return
-        if out[b, m] < 0:
-            out[b, m] = a
-            return
-
-
-def washed(colours: np.ndarray, near: np.ndarray, contrast: float, rounds: int) -> np.ndarray:
+def washed(
+    colours: np.ndarray, near: np.ndarray, share: np.ndarray, area: np.ndarray, contrast: float, rounds: int
+) -> np.ndarray:  # fmt: skip
     """(n, 3) float32 square roots of the colours (near to what is coded), alike neighbours drawn together.
 
-    colours : (n, 3) linear;  near : of `neighbours`;  contrast : difference of square roots at which the pull has
-    fallen to a quarter
+    colours : (n, 3) linear;  near, share : of `neighbours`;  area (n,) : pixels of the cells: one of few counts little
+    contrast : difference of square roots at which the pull has fallen to a quarter
     """
     root = np.sqrt(np.clip(colours, 0, 1)).astype(np.float32)
+    if not rounds or not near.shape[1]:
+        return root
+    seen = (area / (area + 0.25 * max(float(np.median(area)), 1.0))).astype(np.float32)
+    share = share * seen[near]
     for _ in range(rounds):
-        root = _pull(root, near, np.float32(1 / max(contrast, 1e-3) ** 2))
+        out = np.empty_like(root)
+        by_bands(lambda a, b, r=root, o=out: _pull(r, near, share, np.float32(1 / max(contrast, 1e-3) ** 2), a, b, o), len(root))  # type: ignore[misc]
+        root = out
     return root
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _pull(root, near, sharp):  # pragma: no cover - compiled
-    out = np.empty_like(root)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _pull(root, near, share, sharp, a, b, out):  # pragma: no cover - compiled
     one = np.float32(1)
-    for k in range(root.shape[0]):
-        r, g, b = root[k, 0], root[k, 1], root[k, 2]
-        sr, sg, sb, total = r, g, b, one
+    for k in range(a, b):
+        r, g, b_ = root[k, 0], root[k, 1], root[k, 2]
+        sr, sg, sb, total = r, g, b_, one
         for m in range(NEIGHBOURS):
             j = near[k, m]
             if j < 0:
                 break
-            dr, dg, db = root[j, 0] - r, root[j, 1] - g, root[j, 2] - b
+            dr, dg, db = root[j, 0] - r, root[j, 1] - g, root[j, 2] - b_
             w = one / (one + (dr * dr + dg * dg + db * db) * sharp)
-            w *= w
+            w *= w * share[k, m]
             sr += w * root[j, 0]
             sg += w * root[j, 1]
             sb += w * root[j, 2]
             total += w
         out[k, 0], out[k, 1], out[k, 2] = sr / total, sg / total, sb / total
-    return out
 
 
 def toned(root: np.ndarray, lightness: float, saturation: float, deepest: float) -> np.ndarray:

@@ -60,9 +60,10 @@ def line_strength(
     smooth = np.empty_like(small)
     for c in range(3):
         cv2.GaussianBlur(small[c], (0, 0), sigma, dst=smooth[c], borderType=cv2.BORDER_REPLICATE)
-    measure, dx, dy = (np.empty((h, w), np.float32) for _ in range(3))
+    made = np.empty((3, h, w), np.float32)
+    measure, dx, dy = made
     luma = yuv_matrix(matrix).astype(np.float32)
-    by_bands(lambda a, b: _measure(smooth, luma, np.float32(alpha), np.float32(beta), a, b, measure, dx, dy), h)
+    by_bands(lambda a, b: _measure(smooth, luma, np.float32(alpha), np.float32(beta), a, b, made), h)
     if virtual is not None and virtual.size:
         _add_virtual(measure, dx, dy, virtual, np.float32(high))
     line = np.zeros((h, w), np.float32)
@@ -79,44 +80,47 @@ def line_strength(
     return line
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _measure(small, luma, alpha, beta, ya, yb, measure, dx, dy):  # pragma: no cover - compiled
-    """The printed measure from central differences, per px of this grid, and the direction across the edge."""
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _measure(small, luma, alpha, beta, ya, yb, out):  # pragma: no cover - compiled
+    """out (3, h, w) : the printed measure from central differences, per px of this grid, and the direction across the edge."""
     h, w = small.shape[1:]
+    half, third, one = np.float32(0.5), np.float32(1.0 / 3.0), np.float32(1)
+    y0, y1, y2 = luma[0]
+    u0, u1, u2 = luma[1]
+    v0, v1, v2 = luma[2]
+    slope = np.empty((6, w), np.float32)  # along x and y, of each colour
     for y in range(ya, yb):
         up, down = max(y - 1, 0), min(y + 1, h - 1)
-        for x in (0, w - 1):
-            left, right = max(x - 1, 0), min(x + 1, w - 1)
-            _measured(small, luma, alpha, beta, up, y, down, left, x, right, measure, dx, dy)
-        for x in range(1, w - 1):
-            _measured(small, luma, alpha, beta, up, y, down, x - 1, x, x + 1, measure, dx, dy)
+        for c in range(3):
+            _slopes(small[c, up], small[c, y], small[c, down], slope[2 * c], slope[2 * c + 1])
+        for x in range(w):
+            ax, ay, bx, by, cx, cy = slope[0, x], slope[1, x], slope[2, x], slope[3, x], slope[4, x], slope[5, x]
+            a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)
+            yx, yy = y0 * ax + y1 * bx + y2 * cx, y0 * ay + y1 * by + y2 * cy
+            ux, uy = u0 * ax + u1 * bx + u2 * cx, u0 * ay + u1 * by + u2 * cy
+            vx, vy = v0 * ax + v1 * bx + v2 * cx, v0 * ay + v1 * by + v2 * cy
+            of_y, of_u, of_v = np.sqrt(yx * yx + yy * yy), np.sqrt(ux * ux + uy * uy), np.sqrt(vx * vx + vy * vy)
+            of_yuv = (one - alpha) * of_y + alpha * half * (of_u + of_v)
+            out[0, y, x] = beta * of_yuv + (one - beta) * third * (a + b + c)
+            # across: the strongest channel's
+            gx, gy, most = bx if b > a else ax, by if b > a else ay, max(a, b)
+            gx, gy = cx if c > most else gx, cy if c > most else gy
+            scale = one / max(max(most, c), np.float32(1e-6))
+            out[1, y, x], out[2, y, x] = gx * scale, gy * scale
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
-def _measured(small, luma, alpha, beta, up, y, down, left, x, right, measure, dx, dy):  # pragma: no cover - compiled
-    half, third, one = np.float32(0.5), np.float32(1.0 / 3.0), np.float32(1)
-    ax, ay = (small[0, y, right] - small[0, y, left]) * half, (small[0, down, x] - small[0, up, x]) * half
-    bx, by = (small[1, y, right] - small[1, y, left]) * half, (small[1, down, x] - small[1, up, x]) * half
-    cx, cy = (small[2, y, right] - small[2, y, left]) * half, (small[2, down, x] - small[2, up, x]) * half
-    a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)
-    yx = luma[0, 0] * ax + luma[0, 1] * bx + luma[0, 2] * cx
-    yy = luma[0, 0] * ay + luma[0, 1] * by + luma[0, 2] * cy
-    ux = luma[1, 0] * ax + luma[1, 1] * bx + luma[1, 2] * cx
-    uy = luma[1, 0] * ay + luma[1, 1] * by + luma[1, 2] * cy
-    vx = luma[2, 0] * ax + luma[2, 1] * bx + luma[2, 2] * cx
-    vy = luma[2, 0] * ay + luma[2, 1] * by + luma[2, 2] * cy
-    of_y, of_u, of_v = np.sqrt(yx * yx + yy * yy), np.sqrt(ux * ux + uy * uy), np.sqrt(vx * vx + vy * vy)
-    of_yuv = (one - alpha) * of_y + alpha * half * (of_u + of_v)
-    measure[y, x] = beta * of_yuv + (one - beta) * third * (a + b + c)
-    # across: the strongest channel's
-    gx, gy = (bx, by) if b > a else (ax, ay)
-    most = max(a, b)
-    gx, gy = (cx, cy) if c > most else (gx, gy)
-    scale = one / max(max(most, c), np.float32(1e-6))
-    dx[y, x], dy[y, x] = gx * scale, gy * scale
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _slopes(above, here, below, dx, dy):  # pragma: no cover - compiled
+    w, half, one, two = here.shape[0], np.float32(0.5), np.uint64(1), np.uint64(2)
+    for x in range(w):
+        dy[x] = (below[x] - above[x]) * half
+    for x in range(w - 2):
+        dx[np.uint64(x) + one] = (here[np.uint64(x) + two] - here[x]) * half
+    dx[0] = (here[min(1, w - 1)] - here[0]) * half
+    dx[w - 1] = (here[w - 1] - here[max(w - 2, 0)]) * half
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _ridge(measure, dx, dy, offset, low, high, ya, yb, line, weak):  # pragma: no cover - compiled
     """Strength of lines before hysteresis: high where the measure is larger than `offset` px to both sides."""
     _h, w = measure.shape

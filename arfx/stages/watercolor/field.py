@@ -2,7 +2,8 @@
 
 The facts hold it as {"set", "pitch", "origin", "shape", "nodes", "pose"} (written by arfx.analyse.flow): nodes is base64 of
 zlib of int32 [u, v] in 1/16 px, each the difference to the node before it in its row; pose is camera_from_world of the
-frame for which the set was made, null where there is none.
+frame for which the set was made, null where there is none. {"forward", "backward"} are nodes of two more patterns that begin
+unbent at both ends of a stretch of the clip, "share" is that of the second in this frame.
 """
 
 from __future__ import annotations
@@ -26,13 +27,22 @@ _FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may giv
 
 def pad_px(cell_px: float) -> int:
     """How far outside the picture sites are still needed."""
-    return int(np.ceil(4 * _COARSEST * cell_px)) + GRID_PX
+    return int(np.ceil(2.5 * _COARSEST * cell_px))
+
+
+def ways(facts: FrameFacts, anchored: bool, both: bool) -> tuple[tuple[str, float], ...]:
+    """(name of the field in the facts, its share) of those to paint: one, or the two carried forward and backward."""
+    found = facts.extra.get(FACT) if anchored and both else None
+    if found is None or "backward" not in found:
+        return (("nodes", 1.0),)
+    pairs = ("forward", 1 - found["share"]), ("backward", found["share"])
+    return tuple((name, share) for name, share in pairs if share > 0)
 
 
 def frame_field(
-    facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool
+    facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool, way: str = "nodes"
 ) -> tuple[Field, Pose | None]:
-    """The field, and the pose that goes with it: the same as long as the set of sites is."""
+    """The field, and the pose that goes with it: the same as long as the set of sites is. way : of `ways`"""
     camera, pose = scene.camera, facts.camera_from_world
     found = facts.extra.get(FACT) if anchored else None
     if found is None or found["pitch"] != GRID_PX:
@@ -40,7 +50,7 @@ def frame_field(
     else:
         x0, y0 = found["origin"]
         gh, gw = found["shape"]
-        u, v = decoded(found["nodes"], gh, gw)
+        u, v = decoded(found[way], gh, gw)
         field = Field(x0, y0, u, v, np.full((gh, gw), cell_px))
         pose = None if found["pose"] is None else Pose.from_json(found["pose"])
     if pose is not None and nearer_finer > 0:

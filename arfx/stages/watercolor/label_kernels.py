@@ -119,7 +119,7 @@ def packed(lx, ly, lw, found, n, number, mx, my, reach, ca, cb, cc, near):  # pr
     return most
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def nearest_one(ca, cb, cc, n, p, k1, n1):  # pragma: no cover - compiled
     """n1 : candidate of each pixel of a tile. The lesser packed number is the nearer site, or the one of lower number.
     Three candidates at a time: what is kept is loaded and stored a third as often."""
@@ -139,7 +139,7 @@ def nearest_one(ca, cb, cc, n, p, k1, n1):  # pragma: no cover - compiled
         n1[q] = _I(k1[q]) & (PACKED - 1)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def nearest_two(ca, cb, cc, n, p, k1, k2):  # pragma: no cover - compiled
     """k1, k2 : packed numbers of the nearest two."""
     for q in range(PIXELS):
@@ -166,7 +166,7 @@ def nearest_two(ca, cb, cc, n, p, k1, k2):  # pragma: no cover - compiled
             k1[q] = min(r, k)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def inside_of(p, k1, k2, blend, n1, n2, share):  # pragma: no cover - compiled
     """How much farther the next site is than the nearest, 0..SOLID: SOLID is 2 blend. Half of it is about the way to the
     border between the two."""

@@ -37,7 +37,7 @@ def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: fl
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, ink, ya, yb, out):  # pragma: no cover
     h, w = first.shape
     lh, lw = line.shape
@@ -48,7 +48,8 @@ def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, 
             k = _U(a[x])
             for c in range(3):
                 out[y, x, c] = colours[k, c]
-        if lh > 0 and line_row(line, y, row, lines):
+        if lh > 0:
+            line_row(line, y, row, lines)
             for x in range(w):
                 s = lines[x] * opacity
                 for c in range(3):
@@ -91,7 +92,7 @@ def _table(colour, flow):  # pragma: no cover - compiled
     return out.reshape(-1).view(np.uint64)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _paint(
     image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, known, tinted, grain,
     line, strengths, ink, x0, y0, ya, yb, out,
@@ -99,56 +100,65 @@ def _paint(
     w = first.shape[1]
     lh, lw = line.shape
     a, k, near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
-    r, g, b, height = np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
-    lines, row = np.zeros(w + 1, np.float32), np.empty(max(lw, 1), np.float32)
-    m1, m2, c1, c2 = np.empty(w, np.uint64), np.empty(w, np.uint64), np.empty(w, np.uint64), np.empty(w, np.uint64)
-    mean1, mean2, root1, root2 = m1.view(np.uint16), m2.view(np.uint16), c1.view(np.uint16), c2.view(np.uint16)
+    # few arrays: where loops touch many, the compiler gives up proving that they do not overlap
+    light = np.zeros((8, w + 1), np.float32)
+    held, row = np.empty((4, w), np.uint64), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
-        row_of(image, patch, py, px, y, r, g, b)
+        row_of(image, patch, py, px, y, light[0], light[1], light[2])
         labels_of(first, own_first, mask, start, ly, lx, y, a)
         borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k, near)
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
-            m1[x], m2[x], c1[x], c2[x] = known[at], known[to], tinted[at], tinted[to]
-        _grain_row(grain, y0 + y, x0, height)
+            held[0, x], held[1, x], held[2, x], held[3, x] = known[at], known[to], tinted[at], tinted[to]
+        _grain_row(grain, y0 + y, x0, light[3, :w])
         if lh > 0:
-            line_row(line, y, row, lines)
-        _mix(mean1, mean2, root1, root2, near, r, g, b, height, lines, strengths, ink, out[y])
+            line_row(line, y, row, light[4])
+        _mix(held, near, light, strengths, ink)
+        for x in range(w):
+            out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[5, x], light[6, x], light[7, x]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _mix(mean1, mean2, root1, root2, near, r, g, b, height, lines, strengths, ink, out):  # pragma: no cover - compiled
-    """One row. mean, root (4 w,) uint16 : of the pixel's cell and of the next one, as in _table."""
+@numba.njit(cache=True, nogil=True, inline="always")
+def _part(v, shift):  # pragma: no cover - compiled
+    return _F(np.int32((v >> _U(shift)) & _U(0xFFFF)))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _mix(held, near, light, strengths, ink):  # pragma: no cover - compiled
+    """One row. held (4, w), as in _table : mean of a pixel's cell, of the next one, colour of its cell, of the next
+    light (8, w + 1) : red, green, blue, height of the paper, line; and the three that come out
+    """
     zero, one, half, unit = _F(0), _F(1), _F(0.5), _F(1.0 / 65535)
     step = _F(2 * _FLOW / 65535)
     dark, contrast, much_flow, much_grain, opacity, dry = strengths
     sharp = unit / contrast
     ir, ig, ib = ink
-    for x in range(out.shape[0]):
-        i = 4 * x
+    for x in range(near.shape[0]):
+        m1, m2, c1, c2 = held[0, x], held[1, x], held[2, x], held[3, x]
         # 1 on the border, 0 from where a pixel is inside its cell
         t = one - _F(near[x]) * _F(1.0 / SOLID)
         t *= t
-        r1, g1, b1, f1 = _F(root1[i]), _F(root1[i + 1]), _F(root1[i + 2]), _F(root1[i + 3])
-        dr, dg, db = _F(root2[i]) - r1, _F(root2[i + 1]) - g1, _F(root2[i + 2]) - b1
+        r1, g1, b1, f1 = _part(c1, 0), _part(c1, 16), _part(c1, 32), _part(c1, 48)
+        dr, dg, db = _part(c2, 0) - r1, _part(c2, 16) - g1, _part(c2, 32) - b1
         apart = min((abs(dr) + abs(dg) + abs(db)) * sharp, one)
         apart *= apart
         # of the two colours a pixel takes the one that is like it: where it lies between the means of the cells
-        mr, mg, mb = _F(mean1[i]), _F(mean1[i + 1]), _F(mean1[i + 2])
-        er, eg, eb = _F(mean2[i]) - mr, _F(mean2[i + 1]) - mg, _F(mean2[i + 2]) - mb
-        along = (r[x] * _F(65535) - mr) * er + (g[x] * _F(65535) - mg) * eg + (b[x] * _F(65535) - mb) * eb
+        mr, mg, mb = _part(m1, 0), _part(m1, 16), _part(m1, 32)
+        er, eg, eb = _part(m2, 0) - mr, _part(m2, 16) - mg, _part(m2, 32) - mb
+        along = (light[0, x] * _F(65535) - mr) * er + (light[1, x] * _F(65535) - mg) * eg + (light[2, x] * _F(65535) - mb) * eb
         like = along / (er * er + eg * eg + eb * eb + one)
         like = min(max((like - half) * _F(3) + half * t, zero), one)
         # alike cells run into each other, unlike ones keep their border, darker towards it
         mix = half * t * (one - apart) + apart * min(_F(3) * t, one) * like
-        d = ((f1 + half * t * (_F(root2[i + 3]) - f1)) * step - _F(_FLOW)) * much_flow + dark * apart * t + much_grain * height[x]
+        d = ((f1 + half * t * (_part(c2, 48) - f1)) * step - _F(_FLOW)) * much_flow
+        d += dark * apart * t + much_grain * light[3, x]
         pr, pg, pb = (r1 + mix * dr) * unit, (g1 + mix * dg) * unit, (b1 + mix * db) * unit
         pr, pg, pb = pr * pr, pg * pg, pb * pb
         pr, pg, pb = pr * (one - (one - pr) * d), pg * (one - (one - pg) * d), pb * (one - (one - pb) * d)
-        s = min(max(lines[x] * (one + dry * height[x]), zero), one) * opacity
-        out[x, 0] = max(pr + s * (ir - pr), zero)
-        out[x, 1] = max(pg + s * (ig - pg), zero)
-        out[x, 2] = max(pb + s * (ib - pb), zero)
+        s = min(max(light[4, x] * (one + dry * light[3, x]), zero), one) * opacity
+        light[5, x] = max(pr + s * (ir - pr), zero)
+        light[6, x] = max(pg + s * (ig - pg), zero)
+        light[7, x] = max(pb + s * (ib - pb), zero)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -162,9 +172,9 @@ def _grain_row(grain, y, x0, height):  # pragma: no cover - compiled
         at, s = at + n, 0
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def line_row(line, y, row, lines):  # pragma: no cover - compiled
-    """One row of the picture's lines, bilinear between the centres of pixels of twice the size; whether there is any.
+    """One row of the picture's lines, bilinear between the centres of pixels of twice the size.
 
     row (lw,), lines (at least w + 1,) are written.
     """
@@ -172,18 +182,15 @@ def line_row(line, y, row, lines):  # pragma: no cover - compiled
     w = lines.shape[0] - 1
     j = y // 2
     k = min(j + 1, lh - 1) if y % 2 else max(j - 1, 0)
-    most, far, close = _F(0), _F(0.25), _F(0.75)
+    far, close = _F(0.25), _F(0.75)
     for x in range(lw):
         row[x] = close * line[j, x] + far * line[k, x]
-        most = max(most, row[x])
-    if most == _F(0):
-        lines[:] = _F(0)
-        return False
-    for i in range(1, lw - 1):
-        lines[2 * i] = close * row[i] + far * row[i - 1]
-        lines[2 * i + 1] = close * row[i] + far * row[i + 1]
+    one, two = _U(1), _U(2)
+    for x in range(lw - 2):
+        i = _U(x) + one
+        lines[two * i] = close * row[i] + far * row[i - one]
+        lines[two * i + one] = close * row[i] + far * row[i + one]
     for i in (0, lw - 1):
         lines[2 * i] = close * row[i] + far * row[max(i - 1, 0)]
         if 2 * i + 1 <= w:
             lines[2 * i + 1] = close * row[i] + far * row[min(i + 1, lw - 1)]
-    return True

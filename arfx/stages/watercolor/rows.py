@@ -80,8 +80,10 @@ def offset(box: Rect, rect: Rect) -> tuple[int, int]:
 @numba.njit(cache=True, nogil=True)
 def row_of(image, patch, py, px, y, r, g, b):  # pragma: no cover - compiled
     """r, g, b (w,) float32 : row y of the picture."""
+    line = image[y].reshape(-1)  # that a pixel has three numbers is known to the compiler in this form only
     for x in range(image.shape[1]):
-        r[x], g[x], b[x] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+        i = _U(3) * _U(x)
+        r[x], g[x], b[x] = line[i], line[i + _U(1)], line[i + _U(2)]
     if py <= y < py + patch.shape[0]:
         for x in range(patch.shape[1]):
             to = _U(px) + _U(x)

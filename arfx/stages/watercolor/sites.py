@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from arfx.stages.watercolor.bands import by_bands
+
 STEPS = 8  # sites lie on multiples of 1/8 px: squared distances below 500 px are exact in float32
 GRID_PX = 32  # pitch of the nodes on which the field is known
 FADE = 0.19  # in levels: how long a site takes to appear
@@ -72,14 +74,13 @@ def sites_of(field: Field, seed: int, limit: int, unit_px: float = 8.0) -> Sites
     """
     size = np.clip(field.size, 0.25, None)
     for _ in range(_HIGHEST):
-        made = _enumerate(
-            field.x0, field.y0, field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, unit_px
-        )  # fmt: skip
+        args = field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, unit_px
+        parts = by_bands(lambda a, b, args=args: _enumerate(field.x0, field.y0, *args, a, b), field.u.shape[0] - 1, least=8)  # type: ignore[misc]
+        made = parts[0] if len(parts) == 1 else tuple(np.concatenate(column) for column in zip(*parts, strict=True))
         if made[0].shape[0] < limit:
             break
         size = size * 2
-    x, y, weight, key, u, v = made
-    return Sites(x, y, weight, key, u, v)
+    return Sites(*(a[:limit] for a in made))
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -118,18 +119,18 @@ def _place(seed, level, i, j):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _enumerate(x0, y0, u, v, wanted, seed, limit, unit):  # pragma: no cover - compiled
-    """All sites of the field's triangles.
+def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no cover - compiled
+    """All sites of the field's triangles in rows row ... end - 1 of quads.
 
     u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame
     """
-    gh, gw = u.shape
+    gw = u.shape[1]
     sx, sy, sw = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.float32)
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
     e1u, e1v, e2u, e2v = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
     det, scale = np.empty(2), np.zeros(2)
     n = 0
-    for gy in range(gh - 1):
+    for gy in range(row, end):
         for gx in range(gw - 1):
             # its two triangles: (0, 0) (1, 0) (0, 1) and (1, 1) (0, 1) (1, 0)
             lo_u, hi_u, lo_v, hi_v, least = u[gy, gx], u[gy, gx], v[gy, gx], v[gy, gx], np.inf

@@ -5,7 +5,8 @@
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
 and gives the same bits. Cost: O(pixels). Memory: about 120 bytes a pixel while a frame is painted, 68 of them the layers that
 it reads (4 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
-Levels: draft has coarser cells by chamfer distance, reference float64 labels by other means; high is standard so far.
+Levels: draft has coarser cells by chamfer distance; high paints the patterns carried forward and backward and fades between
+them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
 """
 
@@ -16,6 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
 import numpy as np
 
 from arfx.core.cost import Cost
@@ -25,11 +27,11 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.watercolor.cells import means_and_half, neighbours, neighbours_within, toned, washed
+from arfx.stages.watercolor.cells import means_and_half, neighbours, toned, washed
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import line_strength, virtual_edges
-from arfx.stages.watercolor.field import FACT, frame_field
+from arfx.stages.watercolor.field import FACT, frame_field, ways
 from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, wobble_of
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.paint import paint, paint_cells
@@ -37,23 +39,24 @@ from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import laid_out, paper_grain, turbulence, wobble_tile
 from arfx.stages.watercolor.printed import printed
 from arfx.stages.watercolor.rows import Cover, Picture, offset
-from arfx.stages.watercolor.sites import GRID_PX, Field, Sites, sites_of
+from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, Sites, sites_of
 from arfx.stages.watercolor.toon import EVEN, toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
-_KEPT_SETS, _KEPT_PICTURES = 3, 2
+_KEPT_SETS, _KEPT_PICTURES = 4, 2
 _LARGEST_KEPT_PX = 16_000_000
 _VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBEDO, Layer.EMISSIVE)
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Of one set of sites. flow (n,) : turbulence at the sites;  near (n, k) : neighbours"""
+    """Of one set of sites. flow (n,) : turbulence at the sites;  near, share (n, k) : neighbours, see cells.neighbours"""
 
     labels: Labels
     flow: np.ndarray
     near: np.ndarray
+    share: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,7 @@ class Watercolor:
     name = "watercolor"
     reads = frozenset({Layer.IMAGE, *_VIRTUAL})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.1), Level("standard", 0.13), Level("high", 0.13), Level("reference", 4.0))
+    levels = (Level("draft", 0.1), Level("standard", 0.13), Level("high", 0.26), Level("reference", 4.0))
     needs_facts = frozenset({"flow", "light"})
     reach = 0
     Params = WatercolorParams
@@ -112,24 +115,38 @@ class Watercolor:
         if p.formula == "paper":
             image = self._with_toon(now, box, facts, scene).whole()
             return {Layer.IMAGE: printed(image, now.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, rng)}
-        where, pose, sites_key = self._field(facts, scene, prepared, level)
-        make = lambda: self._painted(now, box, facts, scene, prepared, level, where, pose, sites_key)  # noqa: E731
+        fields = [
+            (self._field(facts, scene, prepared, level, way), share)
+            for way, share in ways(facts, p.anchored, level.name == "high")
+        ]
+
+        def make() -> np.ndarray:
+            painted = [self._painted(now, box, facts, scene, prepared, level, *field) for field, _ in fields]
+            if len(painted) == 1:
+                return painted[0]
+            (_, first), (_, second) = fields
+            return cv2.addWeighted(painted[0], first, painted[1], second, 0).reshape(painted[0].shape)
+
         if now.rect.area > _LARGEST_KEPT_PX:
             return {Layer.IMAGE: make()}
-        seen = (box, facts.opacity, repr(facts.light or scene.light), None if pose is None else tuple(pose.to_json()))
-        return {Layer.IMAGE: prepared.pictures.get((sites_key, now.rect, _content(now, box), *seen), make)}
+        key = (
+            tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, _content(now, box), box, facts.opacity,
+            repr(facts.light or scene.light), tuple(None if pose is None else tuple(pose.to_json()) for (_, pose, _), _ in fields),
+        )  # fmt: skip
+        return {Layer.IMAGE: prepared.pictures.get(key, make)}
 
-    def _field(self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level) -> tuple[Field, Any, bytes]:
+    def _field(
+        self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, way: str
+    ) -> tuple[Field, Any, bytes]:  # fmt: skip
         """(where the sites come from, the pose that goes with it, a number of the field's content)."""
         p, cell_px = self.params, self._cell_px(level)
 
         def make() -> tuple[Field, Any, bytes]:
-            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored)
+            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored, way)
             return where, pose, _field_key(where)
 
-        found = facts.extra.get(FACT, {})
-        pose = facts.camera_from_world
-        key = (found.get("nodes"), repr(found.get("pose")), None if found or pose is None else tuple(pose.to_json()))
+        found, pose = facts.extra.get(FACT, {}), facts.camera_from_world
+        key = (found.get(way), repr(found.get("pose")), None if found or pose is None else tuple(pose.to_json()))
         made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
         return made
 
@@ -160,9 +177,9 @@ class Watercolor:
         p, rect = self.params, now.rect
         picture = self._with_toon(now, box, facts, scene)
         cells = prepared.cells.get((sites_key, rect), lambda: self._cells(where, rect, scene, prepared, level))
-        cover, flow, near = Cover(cells.labels), cells.flow, cells.near
+        cover = Cover(cells.labels)
         if not box.empty and pose is not None:
-            cover, flow, near = self._with_object(now, box, cells, scene, prepared, level, pose)
+            cover, cells = self._with_object(now, box, cells, scene, prepared, level, pose)
         colours, small = means_and_half(picture, cover, p.lines > 0)
         line = np.zeros((0, 0), np.float32)
         if p.lines > 0:
@@ -170,13 +187,13 @@ class Watercolor:
                 small, p.alpha, p.beta, p.line_low, p.line_high, p.line_width_px, p.line_smooth_px,
                 self._virtual_edges(now, box, facts), p.yuv,
             )  # fmt: skip
-        root = washed(colours, near, 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
+        root = washed(colours[:, :3], cells.near, cells.share, colours[:, 3], 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
         ink = np.array(p.ink_rgb, np.float32)
         if not p.pigment:
             return paint_cells(cover, root * root, line, p.lines, ink)
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
-        return paint(picture, cover, colours, root, flow, prepared.grain, line, strengths, ink, rect.x0, rect.y0)
+        return paint(picture, cover, colours, root, cells.flow, prepared.grain, line, strengths, ink, rect.x0, rect.y0)
 
     def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
         if box.empty:
@@ -199,9 +216,17 @@ class Watercolor:
         wobble = prepared.wobble.at(*_shift(where))
         sites = in_order(sites_of(where, scene.seed, most, cell), rect, wobble)
         labels = self._labels(sites, rect, wobble, level)
-        flow = turbulence(sites.u, sites.v, scene.seed, p.flow_px) if p.pigment else np.zeros(0, np.float32)
-        near = neighbours(labels.first, labels.count) if p.wash > 0 else np.zeros((labels.count, 0), np.int32)
-        return Cells(labels, flow, near)
+        return self._described(sites, labels, _size_at(where, sites), scene.seed)
+
+    def _described(self, sites: Sites, labels: Labels, size: np.ndarray, seed: int) -> Cells:
+        """size (n,) : of cells at the sites, px"""
+        p = self.params
+        flow = turbulence(sites.u, sites.v, seed, p.flow_px) if p.pigment and len(sites) else np.zeros(labels.count, np.float32)
+        if p.wash > 0 and len(sites) > 1:
+            near, share = neighbours(sites.x, sites.y, size * STEPS)
+        else:
+            near, share = np.zeros((labels.count, 0), np.int32), np.zeros((labels.count, 0), np.float32)
+        return Cells(labels, flow, near, share)
 
     def _labels(self, sites: Sites, rect: Rect, wobble: Wobble, level: Level, mask: np.ndarray | None = None) -> Labels:
         blend = BLEND_PX if self.params.pigment else 0.0
@@ -214,28 +239,42 @@ class Watercolor:
 
     def _with_object(
         self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: Level, pose: Any
-    ) -> tuple[Cover, np.ndarray, np.ndarray]:
-        """(labels, turbulence, neighbours) with the cells of the object's surface in the pixels that it mostly covers."""
-        p, rect = self.params, now.rect
+    ) -> tuple[Cover, Cells]:
+        """Labels, and what is known of all cells, with those of the object's surface in the pixels that it mostly covers."""
+        rect, cell = now.rect, 0.8 * self._cell_px(level)
         inside = now.crop(box)[Layer.COVERAGE] >= 0.5
         if not inside.any():
-            return Cover(cells.labels), cells.flow, cells.near
+            return Cover(cells.labels), cells
 
-        def make() -> tuple[Labels, np.ndarray]:
-            wobble = prepared.wobble
-            sites = object_sites(prepared.surface, scene.camera, pose, 0.8 * self._cell_px(level), p.flow_px)
-            sites = in_order(sites, box, wobble)
-            labels = self._labels(sites, box, wobble, level, inside)
-            flow = turbulence(sites.u, sites.v, scene.seed + 1, p.flow_px) if len(sites) else np.zeros(1, np.float32)
-            return labels, flow if p.pigment else np.zeros(0, np.float32)
+        def make() -> Cells:
+            sites = object_sites(prepared.surface, scene.camera, pose, cell, self.params.flow_px)
+            sites = in_order(sites, box, prepared.wobble)
+            labels = self._labels(sites, box, prepared.wobble, level, inside)
+            return self._described(sites, labels, np.full(len(sites), cell, np.float32), scene.seed + 1)
 
         key = ("object", tuple(pose.to_json()), box, digest(inside.view(np.uint8)))
-        own, flow = prepared.cells.get(key, make)
+        own = prepared.cells.get(key, make)
         # neighbours within the object only: paint does not run over its outline
-        near = neighbours_within(own.first, inside, own.count) if p.wash > 0 else np.zeros((own.count, 0), np.int32)
-        near = np.where(near < 0, -1, near + cells.labels.count).astype(np.int32)
-        cover = Cover(cells.labels, own, inside, *offset(box, rect))
-        return cover, np.concatenate([cells.flow, flow]), np.concatenate([cells.near, near])
+        wide = max(cells.near.shape[1], own.near.shape[1])
+        near = np.concatenate([_widened(cells.near, wide), _widened(np.where(own.near < 0, -1, own.near + cells.labels.count), wide)])
+        share = np.concatenate([_widened(cells.share, wide), _widened(own.share, wide)])
+        cover = Cover(cells.labels, own.labels, inside, *offset(box, rect))
+        return cover, Cells(cells.labels, np.concatenate([cells.flow, own.flow]), near, share)
+
+
+def _widened(a: np.ndarray, wide: int) -> np.ndarray:
+    """Neighbours of a set that has none: none."""
+    return a.astype(a.dtype if a.dtype == np.float32 else np.int32) if a.shape[1] == wide else np.full(
+        (len(a), wide), -1, np.int32 if a.dtype != np.float32 else np.float32
+    )  # fmt: skip
+
+
+def _size_at(where: Field, sites: Sites) -> np.ndarray:
+    """(n,) float32 size of cells at the sites, px: that of the nearest node."""
+    gh, gw = where.size.shape
+    i = np.clip(np.round((sites.y / STEPS - where.y0) / GRID_PX).astype(np.int32), 0, gh - 1)
+    j = np.clip(np.round((sites.x / STEPS - where.x0) / GRID_PX).astype(np.int32), 0, gw - 1)
+    return where.size[i, j].astype(np.float32)
 
 
 def _shift(where: Field) -> tuple[int, int]:

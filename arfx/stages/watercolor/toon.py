@@ -53,7 +53,7 @@ def toon(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _toon(
     image, virtual, coverage, normal, albedo, emissive, light, direct, even, at, factors, opacity, ramp
 ):  # pragma: no cover

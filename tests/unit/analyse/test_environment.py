@@ -18,7 +18,7 @@ from arfx.analyse.environment import (
     turned,
 )
 from arfx.analyse.environment_time import with_environment
-from arfx.analyse.surroundings import Look
+from arfx.analyse.surroundings import Look, look
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, harmonics
 from arfx.core.pose import Pose, rotation_from_euler_deg
@@ -92,6 +92,9 @@ def test_the_papers_fold_has_a_seam_and_the_corrected_one_none() -> None:
     assert largest_step(fold(picture, 12)) > 0.3
     assert largest_step(fold_corrected(picture, 12)) < 0.16
     assert np.abs(fold_corrected(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
+    quad = np.array([[100.0, 80], [140, 80], [140, 120], [100, 120]])
+    printed, corrected = (largest_step(look(0, picture, quad, formula).cube) for formula in ("paper", "corrected"))
+    assert printed > 0.3 and corrected < 0.3 and look(0, picture, quad).cube.shape == (6, 6, 6, 3)
 
 
 def test_the_corrected_fold_keeps_sides_where_they_are() -> None:

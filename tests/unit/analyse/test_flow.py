@@ -196,3 +196,55 @@ def test_a_checkpoint_goes_on_to_the_same_steps() -> None:
         assert [(s.index, s.key) for s in second.steps] == [(s.index, s.key) for s in whole.steps]
         for a, b in zip(second.steps, whole.steps, strict=True):
             assert (a.back is None) == (b.back is None) and (a.back is None or np.array_equal(a.back, b.back))
+
+
+def fields_of(f: FrameFacts, way: str) -> tuple[np.ndarray, np.ndarray]:
+    return reader.decoded(f.extra[FACT][way], *f.extra[FACT]["shape"])
+
+
+@pytest.mark.parametrize("path", [pan, zoom, roll])
+def test_both_ways_follow_true_motion_and_begin_unbent_at_either_end(path: object) -> None:
+    n, world = 13, texture()
+    facts = facts_of(folded([view(world, path(t), t) for t in range(n)]), n)  # type: ignore[operator]
+    shares = [f.extra[FACT]["share"] for f in facts]
+    assert shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
+    gx, gy = node_places(W, H)
+    inside = ((gx >= 0) & (gx < W) & (gy >= 0) & (gy < H)).ravel()
+    for way, start in (("forward", 0), ("backward", n - 1)):
+        u, v = fields_of(facts[start], way)
+        np.testing.assert_allclose([np.ptp(u - gx), np.ptp(v - gy)], 0, atol=1e-6)
+        for t in (0, n // 2, n - 1):
+            now, first = (np.vstack([path(k), [0, 0, 1]]) for k in (t, start))  # type: ignore[operator]
+            true = np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+            at_t = fields_of(facts[t], way)
+            missed = np.hypot(at_t[0].ravel() - (u - gx)[0, 0] - true[0], at_t[1].ravel() - true[1])
+            assert np.median(missed[inside]) < 0.8 and missed[inside].max() < 2.5
+
+
+def test_a_clip_run_backwards_gives_the_same_patterns_in_turn() -> None:
+    """What is forward in one is backward in the other, with the same shares: no direction is favoured."""
+    world = texture()
+    frames = [view(world, zoom(t), t) for t in range(10)]
+    one, other = facts_of(folded(frames), 10), facts_of(folded(frames[::-1]), 10)
+    for a, b in zip(one, other[::-1], strict=True):
+        assert a.extra[FACT]["share"] == pytest.approx(1 - b.extra[FACT]["share"], abs=0.12)
+        u, v = fields_of(a, "backward"), fields_of(b, "forward")
+        shift = np.round(np.median(u[0] - v[0]))
+        middle = (slice(3, -3),) * 2
+        apart = np.hypot(u[0] - v[0] - shift, u[1] - v[1])[middle]
+        assert np.median(apart) < 3 and apart.max() < 9
+
+
+def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("arfx.analyse.anchors_back.PERIOD", 4)
+    world = texture()
+    facts = facts_of(folded([view(world, pan(4 * t), t) for t in range(18)]), 18, cut=14)
+    u = [fields_of(f, "forward")[0] for f in facts]
+    begins = [t for t in range(1, 18) if np.abs(u[t] - u[t - 1]).min() > 1000]
+    assert len(begins) >= 3 and 14 in begins
+    gx, _ = node_places(W, H)
+    for t in begins:
+        before = fields_of(facts[t - 1], "backward")[0]
+        assert np.ptp(u[t] - gx) == 0
+        near = np.abs(u[t] - before).max() < 100
+        assert near == (t != 14)  # what faded in goes on; a cut shows nothing of it

@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from arfx.analyse.lighting_paper import told
+from arfx.core.cube import face_directions
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
+from arfx.core.pose import rotation_from_euler_deg
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.errors import RenderError
 from arfx.stages import STAGES
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from tests.contract.stage_laws import run as run_law
@@ -76,6 +80,23 @@ def test_a_matt_surface_shows_the_radiance_of_the_light_and_the_bias(light: Ligh
     n = any_normals(s)
     made = shaded(s, surface(s, n, far(s), coverage=0.25), replace(BARE, formula=formula), bias_rgb=bias)
     np.testing.assert_allclose(made, 0.25 * (0.87 * light.radiance(n) + np.array(bias)), atol=2e-6)
+
+
+def test_the_papers_formula_shades_by_its_light_map() -> None:
+    light, turn = Light((0.3, 0.2, 0.1), TWO), rotation_from_euler_deg(20, -35, 110)
+    s, d = on_plane(box_model(), light), face_directions(24)
+    cube = np.stack([0.5 + 0.2 * d[..., 0], 0.4 + 0.1 * d[..., 1] * d[..., 2], 0.6 - 0.3 * d[..., 2]], -1)
+    n = any_normals(s)
+    extra = {"light_map": told(cube, turn)}
+    made = shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), extra=extra)
+    m = n @ turn.T
+    of_map = np.stack([0.5 + 0.2 * m[..., 0], 0.4 + 0.1 * m[..., 1] * m[..., 2], 0.6 - 0.3 * m[..., 2]], -1)
+    lamps = light.radiance(n) - light.soft_radiance(n)
+    np.testing.assert_allclose(made, 0.87 * (of_map + lamps), atol=6e-3)  # float16 and texels of 4 degrees
+    same = shaded(s, surface(s, n, far(s)), BARE, extra=extra)  # the corrected formula knows lights alone
+    np.testing.assert_allclose(same, 0.87 * light.radiance(n), atol=2e-6)
+    with pytest.raises(RenderError, match="light_map"):
+        shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), extra={"light_map": {"size": 3, "faces": "AAAA"}})
 
 
 @pytest.mark.parametrize("exposure", [0.3, 1.0, 1.7])

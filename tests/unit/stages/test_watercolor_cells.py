@@ -165,8 +165,28 @@ def test_more_cells_than_pixels_and_one_cell() -> None:
 
 
 def test_washes_join_alike_cells_only() -> None:
-    labels = np.repeat(np.arange(6, dtype=np.int32), 4)[None].repeat(4, 0)
+    x, one = np.arange(6, dtype=np.float32), np.ones(6, np.float32)
+    near, share = neighbours(x, 0 * x, one)
+    assert set(near[2][near[2] >= 0]) == {1, 3} and share[2].max() > 0.3
     colours = np.array([[0.5], [0.52], [0.5], [0.05], [0.052], [0.05]], np.float32).repeat(3, 1)
-    out = washed(colours, neighbours(labels, 6), 0.05, 6) ** 2
+    out = washed(colours, near, share, one, 0.05, 10) ** 2
     assert np.ptp(out[:3]) < 0.4 * 0.02 and np.ptp(out[3:]) < 0.002
     assert out[2, 0] - out[3, 0] > 0.95 * 0.45
+    colours[1] = 0  # a cell without a pixel has no colour to give
+    empty = washed(colours, near, share, np.array([9, 0, 9, 9, 9, 9], np.float32), 5.0, 10)
+    assert empty[0, 0] == pytest.approx(np.sqrt(0.5), abs=1e-6)
+
+
+def test_neighbours_are_those_of_all_pairs_wherever_the_picture_moves() -> None:
+    g = np.random.default_rng(2)
+    x, y = (g.uniform(0, 400, 900).astype(np.float32) for _ in range(2))
+    size = g.uniform(5, 14, 900).astype(np.float32)
+    near, share = neighbours(x, y, size)
+    moved = neighbours(x + 37, y - 11, size)[0]
+    for k in range(0, 900, 37):
+        r = 1.7 * np.minimum(size, size[k])
+        s = np.clip(1 - ((x - x[k]) ** 2 + (y - y[k]) ** 2) / r**2, 0, None) ** 2
+        s[k] = 0
+        best = np.sort(s)[::-1][: near.shape[1]]
+        np.testing.assert_allclose(np.sort(share[k])[::-1], best, atol=1e-5)
+        assert set(near[k]) == set(moved[k])
