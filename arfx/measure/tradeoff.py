@@ -16,6 +16,7 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
+from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Stage, level_named
 from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, touched, unrest
@@ -26,7 +27,7 @@ from arfx.run.job import Planned
 from arfx.run.parameters import make_stages
 
 QUALITIES = ("draft", "standard", "high", "reference")
-REFERENCE_S = 40.0
+REFERENCE_S, PROBE_PX = 40.0, 1500
 Progress = Callable[[str, int, int | None], None]
 
 
@@ -89,7 +90,8 @@ def measure(planned: Planned, frames: int, progress: Progress) -> Found:
     facts = {f.index: f for f in planned.facts}
     shop = Shop(planned.scene, stages)
     slow = frozenset((n, s.levels[-1].name) for n, s in stages.items() if s.levels[-1].name == "reference" and _dear(s))
-    area = _window_px(stages, len(wanted))
+    probe = FrameBench(facts[first], plates[first], plans[first], EMPTY, shop, slow)
+    area = _window_px(probe, len(wanted), camera)
     benches = {
         i: FrameBench(facts[i], plates[i], plans[i], window_of(plans[i], facts[i], camera, area), shop, slow) for i in wanted
     }
@@ -121,10 +123,14 @@ def _dear(stage: Stage) -> bool:
     return stage.levels[-1].seconds_per_mpx > 2.0
 
 
-def _window_px(stages: Mapping[str, Stage], frames: int) -> float:
-    """Pixels in which all references of all frames take about REFERENCE_S by their shipped prices; each is run twice."""
-    price = sum(s.levels[-1].seconds_per_mpx for s in stages.values() if _dear(s))
-    return 1e6 * REFERENCE_S / max(2 * frames * price, 1e-6)
+def _window_px(probe: FrameBench, frames: int, camera: Rect) -> float:
+    """Pixels in which all references of all frames take about REFERENCE_S, each run twice; from a few pixels of one frame."""
+    probe.window = window_of(probe.plan, probe.facts, camera, PROBE_PX)
+    best = {n: s.levels[-1].name for n, s in probe.shop.stages.items()}
+    probe.image(chain_of(probe.plan, best))
+    areas = {s.stage: s.out.area for s in probe.plan.steps}
+    price = sum(s / areas[name] for (name, level), s in probe.seconds.items() if (name, level) in probe.slow)
+    return max(REFERENCE_S / max(2 * frames * price, 1e-9), PROBE_PX)
 
 
 def _plates(planned: Planned, wanted: Sequence[int]) -> dict[int, np.ndarray]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from arfx.core.cost import Prediction, Prices
+from arfx.core.cost import Prediction, Prices, exactly
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
@@ -18,6 +19,8 @@ from arfx.plan.planner import plan_frame
 from arfx.plan.work import predicted, what_is_new
 
 SecondsOf = Callable[[Sequence[FramePlan], Prediction], float]
+Once = Callable[[str, str], Prediction | None]
+NOTHING = exactly(0.0)
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,11 @@ def plan_clip(
     prices: Prices,
     seconds_of: SecondsOf,
     skip: bool = True,
+    once: Once = lambda stage, level: NOTHING,
 ) -> ClipPlan:
-    """seconds_of : upper end of the whole job's time, from plans (for what is not the stages') and the stages' prediction"""
+    """seconds_of : upper end of the whole job's time, from plans (for what is not the stages') and the stages' prediction
+    once : what a stage prepares at a level, in the same seconds as its work; None = not known
+    """
     frame = scene.camera.rect
     new = list(what_is_new(facts))
     usual = {s.name: level_named(s.levels, wish.quality) for s in stages}
@@ -67,7 +73,7 @@ def plan_clip(
     shots: dict[int, int] = {}
     for f in facts:
         shots.setdefault(f.shot, f.index)
-    options = _options(stages, plans, facts, new, scene, prices, errors)
+    options = _options(stages, plans, facts, new, scene, prices, errors, once)
     if wish.budget_s is not None:
         chosen = keep_budget(options, lambda work: seconds_of(plans, work), wish.budget_s)
     elif wish.max_error is not None:
@@ -91,6 +97,7 @@ def _options(
     scene: Scene,
     prices: Prices,
     errors: Errors,
+    once: Once,
 ) -> dict[Place, list[Option]]:
     """Every level of every stage that runs, shot by shot. A level without a price cannot be chosen by a budget."""
     by_name = {s.name: s for s in stages}
@@ -99,10 +106,13 @@ def _options(
         for step in plan.steps:
             work.setdefault((f.shot, step.stage), []).append((step.need, f, n))
     out: dict[Place, list[Option]] = {}
+    shots = Counter(name for _, name in work)
     for (shot, name), runs in work.items():
         stage = by_name[name]
         for level in stage.levels:
             costs = [predicted(prices, stage, level, need, f, scene, n) for need, f, n in runs]
+            made = once(name, level.name)
+            costs.append(None if made is None else made.times(1 / shots[name]))
             known = [c for c in costs if c is not None]
             cost = alike(known) if len(known) == len(costs) else Prediction(float("inf"), 0.0, float("inf"))
             error = errors.of(name, level.name, stage.levels[-1].name)

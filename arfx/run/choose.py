@@ -15,7 +15,7 @@ from arfx.errors import ConfigError
 from arfx.plan.clip import Wish, plan_clip
 from arfx.plan.errors import Errors
 from arfx.run.folder import write_lines, write_text
-from arfx.run.predict import Terms, parts, stages_of, to_json, wall
+from arfx.run.predict import Terms, parts, prepare_one, stages_of, to_json, wall
 
 if TYPE_CHECKING:
     from arfx.run.job import Planned
@@ -39,7 +39,7 @@ def choose(
         wish = replace(wish, budget_s=len(planned.facts) / config.pipeline.fps)
 
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
-        found = wall(parts(plans, work, terms, prices), terms)
+        found = wall(parts(plans, work, terms, prices, prepared=True), terms)
         if found is None:
             raise ConfigError(
                 f"a budget needs the price of everything, and encoding {terms.codec} has none",
@@ -47,7 +47,13 @@ def choose(
             )
         return found.high_s
 
-    made = plan_clip(list(stages.values()), planned.facts, planned.scene, wish, errors, prices, upper_s, config.pipeline.skip)
+    def once(stage: str, level: str) -> Prediction | None:
+        found = prepare_one(stage, level, terms, prices)
+        return None if found is None else found.times(terms.workers)  # no worker helps another with it
+
+    made = plan_clip(
+        list(stages.values()), planned.facts, planned.scene, wish, errors, prices, upper_s, config.pipeline.skip, once
+    )
     if not made.chosen.met:
         notice(made.chosen.why)
     if wish.budget_s is not None and not prices.calibrated:

@@ -35,17 +35,19 @@ class Terms:
     mfaces: float = 0.0
 
 
-def parts(plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices) -> dict[str, Prediction | None]:
+def parts(
+    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, prepared: bool = False
+) -> dict[str, Prediction | None]:
     """Seconds by phase, summed over the workers; None = not known.
 
-    work : of all stages
+    work : of all stages;  prepared : what they prepare is in it
     """
     changed = [p for p in plans if p.steps]
     edited = {"frames": float(len(changed)), "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6}
     whole = {"frames": float(terms.frames), "mpx": terms.frames * terms.frame_mpx}
     return {
         "before": exactly(terms.before_s),
-        "prepare": prepare(_prepared(plans), terms, prices),
+        "prepare": exactly(0.0) if prepared else prepare(_prepared(plans), terms, prices),
         "decode": with_spread(terms.decode_s, DECODE_SPREAD),
         "stages": work,
         "edit": prices.predict("edit", edited) if changed else exactly(0.0),
@@ -70,9 +72,19 @@ def _prepared(plans: Sequence[FramePlan]) -> set[tuple[str, str]]:
 
 def prepare(wanted: Collection[tuple[str, str]], terms: Terms, prices: Prices) -> Prediction | None:
     """What is made once: threads share it, every further process makes it anew, beside the others."""
-    found = [prices.predict(f"prepare {stage}/{level}", {"frames": 1.0, "mfaces": terms.mfaces}) for stage, level in wanted]
+    found = [prepare_one(stage, level, terms, prices) for stage, level in wanted]
     known = [p for p in found if p is not None]
     return together(known) if len(known) == len(found) else None
+
+
+def prepare_one(stage: str, level: str, terms: Terms, prices: Prices) -> Prediction | None:
+    """A level that was not timed counts as the stage's dearest that was, with a wide interval."""
+    work = {"frames": 1.0, "mfaces": terms.mfaces}
+    own = prices.predict(f"prepare {stage}/{level}", work)
+    if own is not None:
+        return own
+    others = [p.seconds(work) for key, p in prices.prices.items() if key.startswith(f"prepare {stage}/")]
+    return with_spread(max(others), 1.0) if others else None
 
 
 def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:

@@ -1,0 +1,93 @@
+"""A plan costs a part of what forcing costs, for the same picture, where little is called for (proportions of scene 0050);
+and a budget is kept by the plan, which a resumed job reads back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from arfx.config.load import load
+from arfx.errors import ConfigError
+from arfx.run.folder import JobFolder, read_lines
+from arfx.run.inputs import open_inputs
+from arfx.run.job import Options, plan_job, process
+from arfx.run.parameters import parameters
+from tests.clips import MARKER, write_camera, write_clip, write_model
+
+FRAMES = 24
+SEEN = 8
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    d = tmp_path_factory.mktemp("savings")
+    write_clip(d / "clip.mp4", FRAMES, absent=range(SEEN, FRAMES))
+    write_camera(d / "camera.yaml")
+    write_model(d / "model.glb")
+    return d
+
+
+def job(material: Path, out: Path, **pipeline: object):  # type: ignore[no-untyped-def]
+    return load(None, {
+        "input": {"clip": str(material / "clip.mp4"), "camera": str(material / "camera.yaml")}, "marker": [{"spec": str(MARKER)}],
+        "model": {"file": str(material / "model.glb"), "fit": "4cm"}, "output": {"path": str(out), "codec": "ffv1"},
+        "pipeline": {"stages": ["lightmap", "dof"], **pipeline},
+        # in focus for the first half of the time that the marker is seen
+        "dof": {"scope": "virtual", "fnumber": 5.6, "focus": "object@0.13s, 5m@0.14s"},
+    }, parameters())  # fmt: skip
+
+
+def options(folder: Path, **more: object) -> Options:
+    return Options(folder, notice=lambda _: None, **more)  # type: ignore[arg-type]
+
+
+def test_planned_is_forced_for_a_part_of_the_work(material: Path, tmp_path: Path) -> None:
+    reports = {}
+    process(job(material, tmp_path / "warm.mkv", skip=False), options(tmp_path / "warm"))  # loads kernels
+    for name, skip in (("planned", True), ("forced", False)):
+        reports[name] = process(job(material, tmp_path / f"{name}.mkv", skip=skip), options(tmp_path / name))
+    seconds = {name: sum(s["measured_s"] for s in r["stages"]) for name, r in reports.items()}
+    assert seconds["forced"] >= 1.7 * seconds["planned"], seconds  # about 3, with room for a busy machine
+    dof = next(s for s in reports["planned"]["stages"] if s["name"] == "dof")
+    assert 0 < dof["frames_run"] < SEEN and any("blur circle" in r for r in dof["reasons"])
+    assert sum(dof["reasons"].values()) == FRAMES - dof["frames_run"]
+    pictures = []
+    for name in reports:
+        with av.open(str(tmp_path / f"{name}.mkv")) as clip:
+            pictures.append([f.to_ndarray(format="rgb24").astype(int) for f in clip.decode(video=0)])
+    assert max(np.abs(a - b).max() for a, b in zip(*pictures, strict=True)) <= 1
+
+
+def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(material: Path, tmp_path: Path) -> None:
+    folder = JobFolder(tmp_path / "job")
+    folder.open(False, False)
+    config = job(material, tmp_path / "out.mkv", budget="500s")
+    first = plan_job(open_inputs(config), folder, options(folder.path))
+    assert first.levels["by"] == "budget" and first.predicted["wall"]["high_s"] <= 500 and first.levels["met"]
+    levels = {(row["stage"], row["level"]) for row in first.levels["chosen"]}
+    assert ("raster", "reference") in levels, "there is time for the best"
+    written = folder.plan.read_bytes()
+    line = next(iter(read_lines(folder.plan)))
+    assert {"seconds", "between"} <= line["steps"][0].keys()
+    json.loads(folder.plan_summary.read_text())
+    again = plan_job(open_inputs(config), folder, options(folder.path, resume=True))
+    assert folder.plan.read_bytes() == written and again.plans == first.plans
+    hurried = tmp_path / "hurried"
+    JobFolder(hurried).open(False, False)
+    told: list[str] = []
+    poor = plan_job(
+        open_inputs(job(material, tmp_path / "o.mkv", budget="0.01s")), JobFolder(hurried), Options(hurried, notice=told.append)
+    )
+    assert not poor.levels["met"] and any("even the cheapest" in t for t in told)
+    assert sum(p.seconds for p in poor.plans) < sum(p.seconds for p in first.plans)
+
+
+def test_two_ways_to_choose_levels_are_one_too_many(material: Path, tmp_path: Path) -> None:
+    folder = JobFolder(tmp_path / "job")
+    folder.open(False, False)
+    with pytest.raises(ConfigError, match="both choose levels"):
+        plan_job(open_inputs(job(material, tmp_path / "o.mkv", budget="9s", max_error=1)), folder, options(folder.path))
