@@ -19,7 +19,7 @@ from arfx.stages.watercolor.sites import STEPS
 
 ROWS = 4  # at a time in `means`
 NEIGHBOURS = 8  # of a cell that are kept; a Voronoi cell has 6 on average
-REACH = 1.5  # sizes of a cell: sites that far apart have nothing to do with each other
+REACH = 1.4  # sizes of a cell: sites that far apart have nothing to do with each other
 _MANY = 8  # below this many pixels per cell, sums over bands would cost more than they save
 _FAST = {"contract", "nsz", "arcp"}
 

@@ -3,8 +3,8 @@
 1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact mean of its pixels;
 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour, silhouette or crease are strong.
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
-and gives the same bits. Cost: O(pixels). Memory: about 120 bytes a pixel while a frame is painted, 68 of them the layers that
-it reads (4 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
+and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while a frame is painted, 68 of them the layers that
+it reads (3.5 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
 Levels: draft has coarser cells by chamfer distance; high paints the patterns carried forward and backward and fades between
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
@@ -23,6 +23,7 @@ import numpy as np
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
+from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
@@ -132,7 +133,7 @@ class Watercolor:
         key = (
             tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, _content(now, box), box, facts.opacity,
             repr(facts.light or scene.light),
-            tuple(None if pose is None else tuple(pose.to_json()) for (_, pose, _), _ in fields),
+            tuple(_pose_key(pose) for (_, pose, _), _ in fields),
         )  # fmt: skip
         return {Layer.IMAGE: prepared.pictures.get(key, make)}
 
@@ -147,7 +148,7 @@ class Watercolor:
             return where, pose, _field_key(where)
 
         found, pose = facts.extra.get(FACT, {}), facts.camera_from_world
-        key = (found.get(way), repr(found.get("pose")), None if found or pose is None else tuple(pose.to_json()))
+        key = (found.get(way), repr(found.get("pose")), None if found else _pose_key(pose))
         made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
         return made
 
@@ -252,7 +253,7 @@ class Watercolor:
             labels = self._labels(sites, box, prepared.wobble, level, inside)
             return self._described(sites, labels, np.full(len(sites), cell, np.float32), scene.seed + 1)
 
-        key = ("object", tuple(pose.to_json()), box, digest(inside.view(np.uint8)))
+        key = ("object", _pose_key(pose), box, digest(inside.view(np.uint8)))
         own = prepared.cells.get(key, make)
         # neighbours within the object only: paint does not run over its outline
         if own.near.shape[1] and cells.near.shape[1]:
@@ -277,6 +278,10 @@ def _shift(where: Field) -> tuple[int, int]:
     gh, gw = where.u.shape
     x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
     return round(float(np.median(where.u - x))), round(float(np.median(where.v - y)))
+
+
+def _pose_key(pose: Pose | None) -> bytes | None:
+    return None if pose is None else pose.rotation.tobytes() + pose.translation_m.tobytes()
 
 
 def _field_key(where: Field) -> bytes:
