@@ -32,7 +32,7 @@ from arfx.run.analysis import Pass, Progress
 from arfx.run.inputs import Inputs
 
 ANCHOR = "plane"  # in place of a marker's key
-MAPS = 6  # that planes are looked for in, over the clip
+MAPS = 4  # that planes are looked for in, over the clip
 LOOK_M = 0.1  # side of the square beside which the plane's radiance is looked at
 
 
