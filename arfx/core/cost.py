@@ -2,7 +2,8 @@
 
 A price is linear in a few terms of the work, with coefficients >= 0, so that more work never costs less:
 
-frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box · mfaces triangles, millions ·
+frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box · mfaces triangles, millions · lamps
+lights with a direction · lamp_mpx these times object_mpx ·
 new_directions, new_lights 1 where the frame's light is not one that was met before
 """
 
@@ -17,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-TERMS = ("frames", "mpx", "object_mpx", "mfaces", "new_directions", "new_lights")
+TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
 # An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
 _REACH = 1.645
 UNCALIBRATED = 0.7  # spread of a price from another machine: a factor of 3 either way

@@ -22,6 +22,7 @@ from scipy.optimize import nnls
 from arfx.core.cost import Price, Prices, prices_file
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
+from arfx.core.model import Model
 from arfx.measure.bench import Cell, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.run.folder import write_text
@@ -38,8 +39,10 @@ SLOW_SCENES = ((64, 64, 0.08, (20, 19)), (96, 64, 0.1, (60, 51)))  # of levels `
 LIMIT_S = 55.0
 LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
 TERMS_OF: Mapping[str, tuple[str, ...]] = {
-    "raster": ("frames", "mpx", "object_mpx", "mfaces"), "lightmap": ("frames", "mpx", "object_mpx", "new_directions"),
-    "gi": ("frames", "mpx", "object_mpx", "new_lights"),
+    "raster": ("frames", "mpx", "object_mpx", "mfaces"),
+    "lightmap": ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions"),
+    "gi": ("frames", "mpx", "object_mpx", "lamps", "new_lights"),
+    "watercolor": ("frames", "mpx", "object_mpx"),
 }  # fmt: skip
 USUAL_TERMS = ("frames", "mpx", "object_mpx")
 
@@ -102,7 +105,8 @@ def calibrate(
         for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:
                 break
-            at = bench_scene(width, height, covered, ball(longitudes, latitudes))
+            model = ball(longitudes, latitudes) if k % 2 else pile(longitudes, latitudes)
+            at = bench_scene(width, height, covered, model)
             _time_scene(at, slow, stages, timed, pool, crowd)
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
@@ -145,11 +149,26 @@ def _time_scene(
         cell.go()  # compiles, loads, makes what is kept for this light
         for _ in range(2):
             timed[key].add(cell.terms, _seconds(cell, pool, crowd))
+        if "lamps" in TERMS_OF.get(cell.stage, ()):
+            dull = replace(at.facts, light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
+            cell.go(dull)
+            start = time.perf_counter()
+            cell.go(dull)
+            timed[key].add({**cell.terms, "lamps": 0.0, "lamp_mpx": 0.0}, time.perf_counter() - start)
         for term in ("new_directions", "new_lights"):
             if term in TERMS_OF.get(cell.stage, ()):
                 start = time.perf_counter()
                 cell.go(_under_another_light(at, timed[key]))
                 timed[key].add({**cell.terms, term: 1.0}, time.perf_counter() - start)
+
+
+def pile(longitudes: int, latitudes: int) -> Model:
+    """Nine small balls, each a part of its own, with as many triangles as one large: outlines cost more than insides."""
+    whole = ball(longitudes, latitudes)
+    (one,) = ball(max(longitudes // 3, 8), max(latitudes // 3, 6)).parts
+    places = np.array([(x, y, 0.3 * abs(x * y)) for x in (-1, 0, 1) for y in (-1, 0, 1)], float) * 0.35
+    parts = tuple(replace(one, vertices=one.vertices * 0.33 + at) for at in places)
+    return Model(parts, up=whole.up, source="benchmark pile")
 
 
 def _under_another_light(at: BenchScene, runs: Runs) -> FrameFacts:

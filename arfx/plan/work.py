@@ -18,10 +18,15 @@ _COLOUR_STEP = 0.1
 
 def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()) -> dict[str, float]:
     """new : those of "new_directions", "new_lights" that hold for the frame"""
+    light = scene.light if facts.light is None else facts.light
+    lamps = float(sum(any(c > 0 for c in li.rgb) for li in light.lights))
+    object_mpx = facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0
     return {
         "frames": 1.0,
         "mpx": need.area / 1e6,
-        "object_mpx": facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0,
+        "object_mpx": object_mpx,
+        "lamps": lamps,
+        "lamp_mpx": lamps * object_mpx,
         "mfaces": scene.model.face_count / 1e6,
         **{name: 1.0 for name in sorted(new)},
     }
