@@ -235,6 +235,8 @@ def test_what_can_be_known_is_measured_well(kind: str) -> None:
     assert got.plain_measured >= 0.9 * got.plain, got.told()
     if got.irradiance:
         assert np.median(got.irradiance) <= 0.02, got.told()
+    if kind in ("hand", "hand, own model"):  # of another ink, paper and curve, too
+        assert np.mean(got.bias_held) >= 0.95, got.told()
     if kind == "hand, own model":
         assert np.percentile(got.bias_grey, 90) <= 1, got.told()
 

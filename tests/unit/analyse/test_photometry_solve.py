@@ -9,6 +9,7 @@ import pytest
 
 from arfx.analyse.photometry import WHITE
 from arfx.analyse.photometry_channel import UNKNOWN_VARIANCE
+from arfx.analyse.photometry_clip import comparable
 from arfx.analyse.photometry_paper import smallest_vector, solve_paper
 from arfx.analyse.photometry_solve import DEGENERATE, INK, MEASURED, PAPER, Photometry, solve
 
@@ -273,3 +274,22 @@ def test_time_is_linear_in_frames(formula: str) -> None:
         return best
 
     assert seconds(10_000) < 25 * seconds(1000)  # quadratic: 100 times
+
+
+@pytest.mark.parametrize(("spoilt", "kept", "of_ink"), [(0, 30, False), (3, 27, False), (12, 30, True)])
+def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(spoilt: int, kept: int, of_ink: bool) -> None:
+    """The ink is .06 in truth: read from it, all light is 1.2 times as much, but of one scale."""
+    grey, y = clip(30, rho=np.where(WHITE, PAPER, 0.06), bias=0.0, noise=1e-5)
+    clipped = np.zeros(grey.shape[:2])
+    clipped[:spoilt, WHITE] = 1.0
+    grey[:spoilt, WHITE] = np.nan
+    variance = np.full(grey.shape, 1e-10)
+    p = solve(grey, variance, WHITE, clipped=clipped)
+    light, own, fit = comparable(p, grey, variance, WHITE, clipped)
+    for c in range(3):
+        line = np.polyfit(y[fit, c], light[fit, c], 1)
+        assert line[0] == pytest.approx(1.2 if of_ink else 1.0, abs=0.03)
+        assert np.abs(light[fit, c] - np.polyval(line, y[fit, c])).max() < 0.005
+        if of_ink:  # both kinds together have no one scale
+            both = np.polyfit(y[:, c], p.y[:, c], 1)
+            assert np.abs(p.y[:, c] - np.polyval(both, y[:, c])).max() > 0.02
