@@ -14,6 +14,7 @@ from arfx.core.stage import Level, Stage
 
 _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
 _COLOUR_STEP = 0.1
+NO_LAMP = ()  # without lamps no shadow is made
 
 
 def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()) -> dict[str, float]:
@@ -50,7 +51,7 @@ def what_is_new(facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:
         new = set()
         if f.visible:
             for name, key in _light_keys(f).items():
-                if key not in met[name]:
+                if key != NO_LAMP and key not in met[name]:
                     met[name].add(key)
                     new.add(name)
         yield frozenset(new)
@@ -64,4 +65,4 @@ def _light_keys(facts: FrameFacts) -> dict[str, Hashable]:
     coarse = tuple(tuple(np.round(li.unit, 2).tolist()) for li in lights)
     light = [v for li in lights for v in li.rgb] + list(facts.light.ambient_rgb)
     steps = tuple(np.round(np.log(np.maximum(np.asarray(light, float), 1e-6)) / _COLOUR_STEP).astype(int).tolist())
-    return {"new_directions": directions, "new_lights": (coarse, steps)}
+    return {"new_directions": directions or NO_LAMP, "new_lights": (coarse, steps)}

@@ -67,4 +67,6 @@ def test_light_is_new_once() -> None:
     dimmer = replace(f, light=Light(lights=(replace(lamp, rgb=(0.2, 0.2, 0.2)),)))
     gone = replace(f, camera_from_world=None)
     found = list(what_is_new([gone, lit, lit, dimmer, lit]))
+    soft = replace(f, light=Light(lights=()))
+    assert list(what_is_new([soft])) == [{"new_lights"}], "no lamp, no shadow to make"
     assert found == [frozenset(), {"new_directions", "new_lights"}, frozenset(), {"new_lights"}, frozenset()]

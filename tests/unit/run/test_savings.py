@@ -1,5 +1,5 @@
-"""A plan costs a part of what forcing costs, for the same picture, where little is called for (proportions of scene 0050);
-and a budget is kept by the plan, which a resumed job reads back."""
+"""A plan touches a third of the pixels that forcing touches, for the same picture, where little is called for (proportions
+of scene 0050); and a budget is kept by the plan, which a resumed job reads back."""
 
 from __future__ import annotations
 
@@ -47,11 +47,10 @@ def options(folder: Path, **more: object) -> Options:
 
 def test_planned_is_forced_for_a_part_of_the_work(material: Path, tmp_path: Path) -> None:
     reports = {}
-    process(job(material, tmp_path / "warm.mkv", skip=False), options(tmp_path / "warm"))  # loads kernels
     for name, skip in (("planned", True), ("forced", False)):
         reports[name] = process(job(material, tmp_path / f"{name}.mkv", skip=skip), options(tmp_path / name))
-    seconds = {name: sum(s["measured_s"] for s in r["stages"]) for name, r in reports.items()}
-    assert seconds["forced"] >= 1.7 * seconds["planned"], seconds  # about 3, with room for a busy machine
+    pixels = {name: sum(s["area_fraction"] * s["frames_run"] for s in r["stages"]) for name, r in reports.items()}
+    assert pixels["forced"] >= 3 * pixels["planned"], pixels  # stage-pixels: seconds are not told apart on a busy machine
     dof = next(s for s in reports["planned"]["stages"] if s["name"] == "dof")
     assert 0 < dof["frames_run"] < SEEN and any("blur circle" in r for r in dof["reasons"])
     assert sum(dof["reasons"].values()) == FRAMES - dof["frames_run"]
