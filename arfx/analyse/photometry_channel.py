@@ -13,6 +13,7 @@ ASSUMED_BIAS = 0.01  # standard deviation of a bias that nothing tells, linear l
 LEAST_SHARE = 1e-12
 WORST_BIAS = 0.1  # of the bright patches' median: a 95 % interval of b that is wider says nothing
 LEAST_CONTRAST = 0.05  # of the bright patches' median that has to be light: less is haze, or no print at all
+ENOUGH = 100  # frames that tell how much the bias depends on what is not known
 _HUBER, _PASSES = 1.345, 25
 
 
@@ -26,10 +27,11 @@ def robust(
         holds what an ink with this prior, solved for beside the bias, makes of the bias too. (Gloss and glare bend dark cells
         as another ink would, so that one found is no better an answer than the stated one.)
     """
-    part = _solved(grey, w0, rho, dark, known, find_ink, 0.0)
+    part = solved(grey, w0, rho, dark, known, find_ink, 0.0)
     if find_ink or ink_sigma == 0 or not part["determined"]:
         return part
-    other = _solved(grey, w0, rho, dark, known, False, ink_sigma)
+    some = slice(None, None, max(1, len(grey) // ENOUGH))
+    other = solved(grey[some], w0[some], rho[some], dark[some], known, False, ink_sigma)
     (low, high), bright = part["bias_95"], float(np.median(part["y"][part["seen"]]))
     if other["determined"] and other["ink"] != part["ink"]:
         low, high = min(low, other["bias_95"][0]), max(high, other["bias_95"][1])
@@ -38,7 +40,7 @@ def robust(
     return part | {"bias_95": (low, high)}
 
 
-def _solved(
+def solved(
     grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool, ink_sigma: float
 ) -> dict:  # fmt: skip
     """As `robust`. ink_sigma : above 0 the ink is an unknown with this prior"""

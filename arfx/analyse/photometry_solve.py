@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.photometry_channel import normalised, robust
+from arfx.analyse.photometry_channel import ENOUGH, normalised, robust, solved
 
 MEASURED, DEGENERATE = "measured", "degenerate"
 INK, PAPER = 0.05, 0.88  # albedos of print
@@ -24,7 +24,6 @@ TRANSFER = 0.08  # by so much the exponent of the camera's curve may be another 
 # Coded steps of 1/255 by which all dark cells of a clip may be off together: half a step of chroma is 1 of blue, and a codec
 # leaves smooth chroma where its rounding put it.
 STEPS = 1.5
-_ENOUGH = 100  # frames that tell how much the bias depends on the curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +99,7 @@ def solve(
         else:
             part = robust(grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma)
         if part["determined"] and transfer > 0:
-            part["bias_95"] = _with_other_curves(part, grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma, transfer)
+            part["bias_95"] = _with_other_curves(part, grey, w, rho, dark, known_noise, albedos == "unknown", transfer)
         if part["determined"] and steps > 0:
             level = float(np.median(grey[dark & (w > 0)]))
             part["bias_95"] = _widened(part["bias_95"], part["bias"], steps / 255 * slope_of_code(level))
@@ -110,18 +109,18 @@ def solve(
 
 def _with_other_curves(
     part: dict, grey: np.ndarray, w: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool,
-    ink_sigma: float, transfer: float,
+    transfer: float,
 ) -> tuple[float, float]:  # fmt: skip
     """The bias's interval, moved to what the bias is under other exponents of the camera's curve. Arguments as for `robust`."""
     low, high = part["bias_95"]
-    some = slice(None, None, max(1, len(grey) // _ENOUGH))
+    some = slice(None, None, max(1, len(grey) // ENOUGH))
     grey, w, rho, dark = grey[some], w[some], rho[some], dark[some]
     size = np.maximum(np.abs(grey), 1e-4)
     found = []
     for exponent in (1.0, 1 / (1 - transfer), 1 / (1 + transfer)):
         slope = exponent * size ** (exponent - 1)
         value = np.sign(grey) * np.abs(grey) ** exponent
-        found.append(robust(value, w / slope**2, rho, dark, known, find_ink, ink_sigma))
+        found.append(solved(value, w / slope**2, rho, dark, known, find_ink, 0.0))
     off = [f["bias"] - found[0]["bias"] for f in found if f["determined"] and found[0]["determined"]] or [0.0]
     return low + min(off), high + max(off)
 

@@ -285,7 +285,7 @@ def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(spoilt: 
     grey[:spoilt, WHITE] = np.nan
     variance = np.full(grey.shape, 1e-10)
     p = solve(grey, variance, WHITE, clipped=clipped)
-    light, _, fit = comparable(p, grey, variance, WHITE, clipped)
+    light, _own, fit = comparable(p, grey, variance, WHITE, clipped)
     for c in range(3):
         line = np.polyfit(y[fit, c], light[fit, c], 1)
         assert line[0] == pytest.approx(1.2 if of_ink else 1.0, abs=0.03)
