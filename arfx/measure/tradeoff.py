@@ -27,7 +27,7 @@ from arfx.run.job import Planned
 from arfx.run.parameters import make_stages
 
 QUALITIES = ("draft", "standard", "high", "reference")
-REFERENCE_S, PROBE_PX = 40.0, 1500
+REFERENCE_S, PROBE_PX = 25.0, 1500
 Progress = Callable[[str, int, int | None], None]
 
 

@@ -16,7 +16,7 @@ from arfx_cli.job_options import job_config, job_options, run_options
 @click.command()
 @job_options
 @run_options
-@click.option("--frames", type=click.IntRange(1, 24), default=3, show_default=True, help="How many frames stand for the clip.")
+@click.option("--frames", type=click.IntRange(1, 24), default=2, show_default=True, help="How many frames stand for the clip.")
 @overwrite_option
 @message_options
 def command(output: Path | None, report_dir: Path | None, frames: int, overwrite: bool, as_json: bool, **given: Any) -> None:
