@@ -7,6 +7,7 @@ and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while 
 it reads (3.5 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
 Levels: draft has coarser cells by chamfer distance; high paints the patterns carried forward and backward and fades between
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
+Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
 Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
 """
 
