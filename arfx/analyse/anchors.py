@@ -104,11 +104,11 @@ def _with_pose(
     far = divide(np.full(d.shape[:-1], -eye[2]), d[..., 2], where_zero=np.nan)
     on_plane = eye + d * np.where(far > 0, far, np.nan)[..., None]
     distance = np.linalg.norm(on_plane[..., :2], axis=-1)
-    before = camera.project((then @ world_from_anchor).apply(np.nan_to_num(on_plane)))
+    before = camera.project((then @ world_from_anchor).apply(np.where(np.isfinite(on_plane), on_plane, 0.0)))
     step = before - np.stack([gx, gy], -1)
     known = np.isfinite(distance) & np.isfinite(step).all(-1)
     share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[..., None]
-    out: np.ndarray = back + share * (np.nan_to_num(step) - back)
+    out: np.ndarray = back + share * (np.where(known[..., None], step, back) - back)
     return out
 
 

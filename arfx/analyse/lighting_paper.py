@@ -9,7 +9,6 @@ Source: Tan, Chen, Sun 2010, eq. (7) to (9).
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,7 +18,7 @@ from arfx.analyse import light_map
 from arfx.analyse.icosphere import icosphere
 from arfx.analyse.light_fit import paper_lights
 from arfx.analyse.lighting_params import LightParams
-from arfx.core.cube import face_directions
+from arfx.core.cube import face_directions, packed
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import normalise
 
@@ -70,11 +69,7 @@ def paper_lights_of(
 
 def told(cube: np.ndarray, map_from_world: np.ndarray) -> dict:
     """What FrameFacts.extra[KEY] holds."""
-    half = np.clip(cube, -6e4, 6e4).astype("<f2")
-    return {
-        "size": int(cube.shape[1]), "faces": base64.b64encode(half.tobytes()).decode("ascii"),
-        "map_from_world": np.asarray(map_from_world, float).ravel().tolist(),
-    }  # fmt: skip
+    return {**packed(cube), "map_from_world": np.asarray(map_from_world, float).ravel().tolist()}
 
 
 def _upright(up: np.ndarray) -> np.ndarray:

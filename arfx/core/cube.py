@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from arfx.core.numerics import normalise
+
+_MOST = 6e4  # float16 ends at 65504
 
 
 @lru_cache(maxsize=4)
@@ -40,3 +44,15 @@ def mip_level(half_angle_rad: float, size: int) -> float:
     """Level of a cube's mip chain whose texels are as large as a cone: half log2 of the ratio of solid angles, >= 0."""
     cone = 2 * np.pi * (1 - np.cos(half_angle_rad))
     return float(max(0.5 * np.log2(max(cone / (4 * np.pi / (6 * size * size)), 1e-12)), 0.0))
+
+
+def packed(faces: np.ndarray) -> dict[str, Any]:
+    """A cube (6, n, n, 3) as facts hold it: {"size": n, "faces": base64 of float16}, values within +-_MOST."""
+    half = np.clip(faces, -_MOST, _MOST).astype("<f2")
+    return {"size": int(faces.shape[1]), "faces": base64.b64encode(half.tobytes()).decode("ascii")}
+
+
+def unpacked(told: dict[str, Any]) -> np.ndarray:
+    """(6, n, n, 3) float16. Raises KeyError, TypeError or ValueError for anything that `packed` does not make."""
+    n = int(told["size"])
+    return np.frombuffer(base64.b64decode(told["faces"]), "<f2").reshape(6, n, n, 3)

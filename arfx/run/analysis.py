@@ -13,11 +13,11 @@ import numpy as np
 from arfx.analyse.analyser import Analyser, Analysis, LightParams
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose
-from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import ClipReader
 from arfx.run.ahead import Ahead
 from arfx.run.folder import JobFolder, write_text
+from arfx.run.span import Span
 
 CHECKPOINT_S = 20.0  # at most this much analysis is lost to a kill
 Progress = Callable[[str, int, int | None], None]
@@ -25,20 +25,13 @@ Progress = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True)
 class Pass:
-    """What the pass leaves behind.
-
-    pts : presentation times of the frames to render, in the clip's time base;  origin : of the clip's first frame
-    before : frames of the clip before them;  whole : they reach to its end
-    """
+    """What the pass leaves behind. span : the frames to render;  truncated : a message where the file ends in damage"""
 
     analysis: Analysis
-    pts: list[int]
+    span: Span
     truncated: str | None
     decode_s: float
     analyse_s: float
-    origin: int = 0
-    before: int = 0
-    whole: bool = True
 
 
 def analyse_clip(
@@ -62,50 +55,33 @@ def analyse_clip(
     Raises NothingToDoError if the span holds no frame or no marker is seen.
     """
     analyser = Analyser(markers, camera, params, marker_map, light, panorama, folds)
-    pts: list[int] = []
-    origin: int | None = None
-    before, whole = 0, True
+    span = Span(span_s, info.time_base)
     if folder is not None and (saved := _saved(folder, key)):
         analyser.restore(saved["state"])
-        pts, origin, before = saved["pts"], saved["origin"], saved["before"]
+        span.pts, span.origin, span.before = saved["pts"], saved["origin"], saved["before"]
+    pts = span.pts
     analyse_s = 0.0
     last_save = time.monotonic()
     expected = info.frame_count_stated if span_s == (None, None) else None
     with ClipReader(info) as reader, Ahead(reader.frames(first_pts=pts[-1] if pts else None)) as frames:
-        for frame in frames:
-            if origin is None:
-                origin = frame.pts
-            if pts and frame.pts <= pts[-1]:
-                continue
-            since_s = float((frame.pts - origin) * info.time_base)
-            if span_s[0] is not None and since_s < span_s[0] - 1e-9:
-                before += 1
-                continue
-            if span_s[1] is not None and since_s > span_s[1] + 1e-9:
-                whole = False
-                break
+        for frame in span.inside(frames):
             start = time.perf_counter()
             analyser.step(len(pts), frame.time_s, frame.luma(), frame)
             analyse_s += time.perf_counter() - start
             pts.append(frame.pts)
             progress("analyse", len(pts), expected)
             if folder is not None and time.monotonic() - last_save > CHECKPOINT_S:
-                saved = {"key": key, "pts": pts, "origin": origin, "before": before, "state": analyser.state()}
+                saved = {"key": key, "pts": pts, "origin": span.origin, "before": span.before, "state": analyser.state()}
                 write_text(folder.checkpoint, json.dumps(saved))
                 last_save = time.monotonic()
         truncated, decode_s = reader.truncated, frames.seconds
-    if not pts:
-        raise NothingToDoError(
-            f"{info.path} has no frame between {span_s[0] or 0:g} s and {'its end' if span_s[1] is None else f'{span_s[1]:g} s'}",
-            "check --start and --end; `arfx inspect` tells the clip's length",
-        )
+    span.whole &= not truncated
+    span.require_any(info.path)
     start = time.perf_counter()
     analysis = analyser.finish()
     analyse_s += time.perf_counter() - start
     progress("analyse", len(pts), len(pts))
-    return Pass(
-        analysis, pts, truncated, decode_s, analyse_s, pts[0] if origin is None else origin, before, whole and not truncated
-    )
+    return Pass(analysis, span, truncated, decode_s, analyse_s)
 
 
 def _saved(folder: JobFolder, key: str) -> dict[str, Any] | None:

@@ -275,7 +275,8 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
         options.notice(notice)
     write_facts(folder.facts, facts)
     document = {
-        "job_key": job_key, "pts": done.pts, "anchor": anchor, "world_from_marker": {k: p.to_json() for k, p in world.items()},
+        "job_key": job_key, "pts": done.span.pts, "anchor": anchor,
+        "world_from_marker": {k: p.to_json() for k, p in world.items()},
         "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
         "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,
         "real_planes": [p.to_json() for p in planes],
@@ -284,7 +285,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
     part = clock.before_s / max(done.decode_s + done.analyse_s, 1e-9)
     seconds = {"decode": done.decode_s * (1 + part), "analyse": done.analyse_s * (1 + part)}
-    log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.pts))
+    log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.span.pts))
 
 
 def _depth(
@@ -292,8 +293,7 @@ def _depth(
 ) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
     """The facts with each frame's real depth, and a summary."""
     assert inputs.depth is not None
-    times_s = [float((t - done.origin) * inputs.info.time_base) for t in done.pts]
-    of_frames = inputs.depth.of_frames(times_s, done.before, done.whole)
+    of_frames = inputs.depth.of_frames(done.span.from_start_s(), done.span.before, done.span.whole)
     align = inputs.config.input.depth_align == "marker" and inputs.config.model.anchor == "marker"
     return with_depth(
         facts, inputs.depth, of_frames, done.analysis.world_from_marker, inputs.camera, align, options.progress

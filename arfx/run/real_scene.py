@@ -30,6 +30,7 @@ from arfx.media.frames import ClipReader
 from arfx.run.ahead import Ahead
 from arfx.run.analysis import Pass, Progress
 from arfx.run.inputs import Inputs
+from arfx.run.span import Span
 
 ANCHOR = "plane"  # in place of a marker's key
 MAPS = 4  # that planes are looked for in, over the clip
@@ -90,37 +91,27 @@ def analyse_plane(
     info, camera, maps = inputs.info, inputs.camera, inputs.depth
     assert maps is not None
     reader_path = inputs.poses
-    pts: list[int] = []
+    span = Span(span_s, info.time_base)
     times: list[float] = []
-    origin, before, whole = None, 0, True
     rest, looks = RestCheck(), []
     next_look_s, analyse_s = -np.inf, 0.0
     with ClipReader(info) as reader, Ahead(reader.frames()) as frames:
-        for frame in frames:
-            origin = frame.pts if origin is None else origin
-            since_s = float((frame.pts - origin) * info.time_base)
-            if span_s[0] is not None and since_s < span_s[0] - 1e-9:
-                before += 1
-                continue
-            if span_s[1] is not None and since_s > span_s[1] + 1e-9:
-                whole = False
-                break
+        for frame in span.inside(frames):
             start = time.perf_counter()
             if reader_path is None:
                 rest.step(frame.time_s, frame.luma())
             if light is not None and frame.time_s >= next_look_s:
                 next_look_s = frame.time_s + SURROUNDINGS_S
-                looks.append((len(pts), frame.reduced(SURROUNDINGS_PX)))
+                looks.append((len(times), frame.reduced(SURROUNDINGS_PX)))
             analyse_s += time.perf_counter() - start
-            pts.append(frame.pts)
+            span.pts.append(frame.pts)
             times.append(frame.time_s)
-            progress("analyse", len(pts), None)
+            progress("analyse", len(times), None)
         truncated, decode_s = reader.truncated, frames.seconds
-    if not pts:
-        raise NothingToDoError(f"{info.path} has no frame in that span", "check --start and --end")
+    span.whole &= not truncated
+    span.require_any(info.path)
     start = time.perf_counter()
-    from_start = [float((t - pts[0] if origin is None else t - origin) * info.time_base) for t in pts]
-    whole = whole and not truncated
+    from_start_s = span.from_start_s()
     poses: list[Pose | None]
     if reader_path is None:
         if not rest.rests:
@@ -128,10 +119,10 @@ def analyse_plane(
                 f"--anchor plane: the camera moves ({rest.moved_px:.1f} px), and no poses are given",
                 "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
             )
-        poses = [Pose.identity() for _ in pts]
+        poses = [Pose.identity() for _ in times]
     else:
-        poses = reader_path.of_frames(from_start, before, whole)
-    numbers = maps.of_frames(from_start, before, whole)
+        poses = reader_path.of_frames(from_start_s, span.before, span.whole)
+    numbers = maps.of_frames(from_start_s, span.before, span.whole)
     both = [(k, p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
     if maps.still and reader_path is None:
         both = both[:1]
@@ -157,8 +148,8 @@ def analyse_plane(
                 meter.looks.append(look(k, small, (quad + 0.5) * (small.shape[1] / camera.width) - 0.5, light.formula))
         analysis = lighted(analysis, meter, (square,), light, inputs.panorama, "environment" in folds)
     analyse_s += time.perf_counter() - start
-    progress("analyse", len(pts), len(pts))
-    return Pass(analysis, pts, truncated, decode_s, analyse_s, pts[0] if origin is None else origin, before, whole)
+    progress("analyse", len(times), len(times))
+    return Pass(analysis, span, truncated, decode_s, analyse_s)
 
 
 def _summary(facts: Sequence[FrameFacts], stand: Stand, posed: bool, moved_px: float) -> dict[str, Any]:

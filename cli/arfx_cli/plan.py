@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import itertools
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, say, verbose
-from arfx_cli.job_options import job_config, job_options, run_options
+from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, say, verbose
+from arfx_cli.job_options import job_options, run_options
+from arfx_cli.planned import planned_aside
 
 if TYPE_CHECKING:
     from arfx.core.plan import FramePlan
@@ -30,22 +30,9 @@ def command(output: Path | None, as_json: bool, **given: Any) -> None:
       arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm
     """
     from arfx.plan.explain import level_lines, summarise, table, total_line
-    from arfx.run.folder import JobFolder
-    from arfx.run.inputs import open_inputs
-    from arfx.run.job import Options, plan_job
 
-    with tempfile.TemporaryDirectory(prefix="arfx-plan-") as scratch:
-        config = job_config(given, output)
-        if config.output.path is None:  # only where it would go is open; mkv holds what any clip has
-            config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
-        inputs = open_inputs(config)
-        for notice in inputs.notices:
-            note(notice)
-        folder = JobFolder(Path(scratch) / "job")
-        folder.open(resume=False, overwrite=False)
-        with Progress() as progress:
-            planned = plan_job(inputs, folder, Options(progress=progress, notice=note))
-        rows = summarise(planned.plans, planned.stage_names, inputs.camera.rect.area)
+    with Progress() as progress, planned_aside(given, output, progress) as planned:
+        rows = summarise(planned.plans, planned.stage_names, planned.inputs.camera.rect.area)
     stages = [r["predicted_s"] for r in rows]
     total = None if any(p is None for p in stages) else sum(stages)
     if as_json:

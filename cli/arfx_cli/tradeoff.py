@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option, say
-from arfx_cli.job_options import job_config, job_options, run_options
+from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, say
+from arfx_cli.job_options import job_options, run_options
+from arfx_cli.planned import planned_aside
 
 
 @click.command()
@@ -37,23 +37,12 @@ def command(output: Path | None, report_dir: Path | None, frames: int, overwrite
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_document import document
     from arfx.measure.tradeoff_html import write_tradeoff
-    from arfx.run.folder import JobFolder, write_text
-    from arfx.run.inputs import open_inputs
-    from arfx.run.job import Options, plan_job
+    from arfx.run.folder import write_text
 
     if report_dir is not None and (report_dir / "tradeoff.json").exists() and not overwrite:
         raise ConfigError(f"{report_dir / 'tradeoff.json'} exists", "--overwrite replaces it; or name another folder")
     began = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="arfx-tradeoff-") as scratch, Progress() as progress:
-        config = job_config(given, output)
-        if config.output.path is None:
-            config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
-        inputs = open_inputs(config)
-        for notice in inputs.notices:
-            note(notice)
-        folder = JobFolder(Path(scratch) / "job")
-        folder.open(resume=False, overwrite=False)
-        planned = plan_job(inputs, folder, Options(progress=progress, notice=note))
+    with Progress() as progress, planned_aside(given, output, progress) as planned:
         found = measure(planned, frames, progress)
     told = finite(document(found, planned, time.perf_counter() - began))
     if report_dir is not None:

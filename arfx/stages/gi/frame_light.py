@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from arfx.core.cube import unpacked
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
@@ -22,7 +22,7 @@ from arfx.stages.gi.real_planes import ball_of, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
 from arfx.stages.lightmap.stage import Kept
 
-KEY = "environment"  # in FrameFacts.extra: {"size": n, "faces": base64 of float16 (6, n, n, 3), WORLD axes}
+KEY = "environment"  # in FrameFacts.extra: a cube as core.cube packs it, WORLD axes
 _LIGHT_STEP = 0.03
 _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %: of the planes' change that is 1 %
 
@@ -116,16 +116,10 @@ def rounded(light: Light) -> Light:
     return replace(light, ambient_rgb=steps(light.ambient_rgb), lights=lights, soft=soft)
 
 
-def encoded(cube: np.ndarray) -> dict[str, Any]:
-    """What FrameFacts.extra[KEY] holds."""
-    half = np.clip(cube, 0, 6e4).astype("<f2")
-    return {"size": int(cube.shape[1]), "faces": base64.b64encode(half.tobytes()).decode("ascii")}
-
-
 def decoded(told: dict[str, Any]) -> np.ndarray:
+    """(6, n, n, 3) float64, finite and >= 0. Raises RenderError for anything else."""
     try:
-        n = int(told["size"])
-        cube = np.frombuffer(base64.b64decode(told["faces"]), "<f2").reshape(6, n, n, 3).astype(float)
+        cube = unpacked(told).astype(float)
     except (KeyError, TypeError, ValueError) as e:
         raise RenderError(f"facts: extra.{KEY} is not understood: {e!r}") from None
     if not np.isfinite(cube).all() or (cube < 0).any():

@@ -1,7 +1,7 @@
 """The paper's light map M(n) itself, per pixel: I(v) = g rho_v M(n_v) + b, eq. (3), where the analysis wrote one.
 
 `FrameFacts.extra["light_map"]` holds what M has beside its lights' own cosine lobes, as a cube:
-    {"size": n, "faces": base64 of float16 (6, n, n, 3), "map_from_world": nine numbers, row by row}
+    {**cube.packed, "map_from_world": nine numbers, row by row}
 so that lights which the object takes from itself can be left out of M. Faces as in core.cube, axes of the map.
 Source: Tan, Chen, Sun 2010, eq. (3), (7); SYSTEMS.md S1.
 """
@@ -9,12 +9,12 @@ Source: Tan, Chen, Sun 2010, eq. (3), (7); SYSTEMS.md S1.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-import base64
 from typing import Any
 
 import numba
 import numpy as np
 
+from arfx.core.cube import unpacked
 from arfx.errors import RenderError
 
 KEY = "light_map"
@@ -27,12 +27,11 @@ def printed_map(extra: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     if told is None:
         return _NONE
     try:
-        size = int(told["size"])
-        faces = np.frombuffer(base64.b64decode(told["faces"]), "<f2").reshape(6, size, size, 3)
+        faces = unpacked(told)
         axes = np.array(told["map_from_world"], float).reshape(3, 3)
     except (KeyError, TypeError, ValueError) as e:
         raise RenderError(f"facts: extra.{KEY} is not understood: {e!r}") from None
-    if size < 2 or not np.isfinite(faces).all() or not np.isfinite(axes).all():
+    if faces.shape[1] < 2 or not np.isfinite(faces).all() or not np.isfinite(axes).all():
         raise RenderError(f"facts: extra.{KEY} needs faces of finite numbers, 2 x 2 or more")
     return faces.astype(np.float32), axes.astype(np.float32)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from arfx.core.cube import packed
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.cones import START, six_cones, steps_of, trace_many, turned
-from arfx.stages.gi.frame_light import encoded, environment_cube
+from arfx.stages.gi.frame_light import environment_cube
 from arfx.stages.gi.pyramid import Atlas, atlas_of, levels_of, structure_of
 from arfx.stages.gi.stage import source_light
 from arfx.stages.gi.surroundings import irradiance
@@ -140,7 +141,7 @@ def test_the_lamps_are_no_part_of_the_environment() -> None:
     cube = np.full((6, 8, 8, 3), 0.3)
     cube[4, 3:5, 3:5] = 1.0  # clipped
     s = on_plane(box(MATT_RED), LAMP, CAMERA)
-    f = facts(s, from_above()).with_(extra={"environment": encoded(cube)})
+    f = facts(s, from_above()).with_(extra={"environment": packed(cube)})
     got, factor = environment_cube(f, s, LAMP)
     up = np.array([0, 0, 1.0])
     np.testing.assert_allclose(irradiance(got * factor, up), LAMP.soft_radiance(up), rtol=1e-3)
