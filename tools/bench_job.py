@@ -36,6 +36,9 @@ from arfx.media.output import OutputSettings, plan_output
 WIDTH, HEIGHT, FPS = 1280, 720, 30
 MARKER = MarkerSpec("36h11", 3, 0.15)
 FOCAL_PX, DISTANCE_M = 1150.0, 0.9
+# Coded values of ink and paper, whose linear light is as a laser print's reflectances, .04 and .9: a deeper black would be
+# found to be a camera's negative bias, which no real clip has.
+PRINT = 51, 225
 
 
 def camera() -> Camera:
@@ -57,7 +60,7 @@ def make_clip(path: Path, frames: int, visible: int) -> Path:
     table = cv2.resize(g.integers(70, 180, (board // 12, board // 12, 3)).astype(np.uint8), (board, board))
     with_marker = table.copy()
     code = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, side)
-    code = np.clip(cv2.copyMakeBorder(code, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=255), 25, 225)
+    code = np.clip(cv2.copyMakeBorder(code, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=255), *PRINT)
     at = board // 2 - code.shape[0] // 2
     with_marker[at : at + code.shape[0], at : at + code.shape[1]] = code[..., None]
     half = board / 2 / scale

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -67,6 +67,9 @@ def unset(name: Layer, rect: Rect) -> np.ndarray:
 
 UNWRITTEN = (EMPTY, np.empty(0))
 
+# The pixels of a rectangle, made when they are asked for.
+Deferred = Callable[[Rect], np.ndarray]
+
 
 @dataclass(frozen=True)
 class Patch:
@@ -80,21 +83,39 @@ class Patch:
         return Layers(rect, {name: (self.rect, self.array)})[name]
 
 
+@dataclass(frozen=True, eq=False)
+class Dimmed:
+    """IMAGE of a frame after whose stage none reads it: as written in `part`, else PLATE with less light, not worked out yet.
+
+    left : (h, w, 3) or (h, w, 1) over `rect`, share of PLATE's light that is left;  opacity : how much of that change is shown
+    bias : (3,) what of PLATE is no light and stays
+    """
+
+    part: Patch
+    rect: Rect
+    left: np.ndarray
+    opacity: float
+    bias: np.ndarray
+
+
 @dataclass(frozen=True)
 class Layers:
     """Layers seen over one rectangle, read-only: each as it was written, neutral where nothing has written it.
 
-    written : every name that may be read -> the rectangle that its array covers (EMPTY: none), and the array
+    written : every name that may be read -> the rectangle that its array covers (EMPTY: none), and the array or what makes it
     A layer's neutral pixels are made when it is asked for, so cropping first costs nothing for what is cut off.
     """
 
     rect: Rect
-    written: Mapping[Layer, tuple[Rect, np.ndarray]] = field(default_factory=dict)
+    written: Mapping[Layer, tuple[Rect, np.ndarray | Deferred]] = field(default_factory=dict)
 
     def __getitem__(self, name: Layer) -> np.ndarray:
         """(h, w, ...) over `rect`. Raises KeyError for a layer that is not among `written`, and for PLATE and IMAGE where
         they do not cover `rect`, as they have no neutral value."""
         where, array = self.written[name]
+        if not isinstance(array, np.ndarray):
+            where = self.rect.clip(where)
+            array = array(where)
         if where.contains(self.rect) and not where.empty:
             seen = array[self.rect.slices_in(where)].view()
         else:
@@ -102,8 +123,17 @@ class Layers:
             both = where.clip(self.rect)
             if not both.empty:
                 seen[both.slices_in(self.rect)] = array[both.slices_in(where)]
+        if seen.ndim == 3 and seen.strides[-1] == 0:  # one value for all channels
+            seen = np.ascontiguousarray(seen)
         seen.setflags(write=False)
         return seen
+
+    def one_channel(self, name: Layer) -> np.ndarray:
+        """Like `layers[name]`, but (h, w, 1) where it was written with one value for all channels over all of `rect`."""
+        where, array = self.written[name]
+        if isinstance(array, np.ndarray) and array.ndim == 3 and array.strides[-1] == 0 and where.contains(self.rect):
+            return array[self.rect.slices_in(where)][..., :1]
+        return self[name]
 
     def extent(self, name: Layer) -> Rect:
         """Pixels of `rect` outside which the layer is neutral."""

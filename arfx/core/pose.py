@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -83,7 +85,7 @@ class Pose:
         """Points (..., 3) of the source in destination coordinates."""
         return np.asarray(points, float) @ self.rotation.T + self.translation_m
 
-    @property
+    @cached_property
     def rotvec(self) -> np.ndarray:
         return rotvec_from_rotation(self.rotation)
 
@@ -120,6 +122,14 @@ class Pose:
         )
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside; compare by value only
+
+
+def find_rotvecs(poses: Iterable[Pose]) -> None:
+    """Work out `rotvec` of many poses at once, which takes little longer than of one."""
+    missing = [p for p in poses if "rotvec" not in p.__dict__]
+    if missing:
+        for p, r in zip(missing, rotvec_from_rotation(np.stack([p.rotation for p in missing])), strict=True):
+            p.__dict__["rotvec"] = r
 
 
 def rotation_angle_rad(a: Pose, b: Pose) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch
+from arfx.core.layers import Dimmed, Layer, Layers, Patch
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 
@@ -45,11 +45,13 @@ class Window:
     """What `run` sees: its layers, the facts of the same frames, oldest first; the last is the frame itself.
 
     out : the pixels that are kept of what it makes, None = all: a slow stage may leave the others as they are
+    last : nobody reads what it makes but the edit of the frame, so IMAGE may be left as `Dimmed`
     """
 
     layers: tuple[Layers, ...]
     facts: tuple[FrameFacts, ...]
     out: Rect | None = None
+    last: bool = False
 
     @property
     def now(self) -> Layers:
@@ -76,7 +78,7 @@ class Stage(Protocol):
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray | Patch]: ...
+    ) -> Mapping[Layer, np.ndarray | Patch | Dimmed]: ...
 
 
 def level_named(levels: Sequence[Level], name: str) -> Level:

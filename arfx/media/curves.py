@@ -58,6 +58,14 @@ def apply_curve(values, curve, base, mantissa, out):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def power_of(values, power, base, mantissa, out):
+    """out[k] = values[k]^power (n,) float32 of values >= 0; base, mantissa (n,) float32 : room to work in."""
+    for k in range(values.shape[0]):
+        base[k] = max(values[k], np.float32(1e-30))
+    _raise(base, power, mantissa, out)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _raise(base, power, mantissa, out):
     """out = base^power (n,) of positive normal float32; `base` and `mantissa` are used up."""
     one, middle, shift = np.float32(1), np.int32(0x3F3504F3), np.int32(23)  # the bits of sqrt(1/2)

@@ -15,7 +15,7 @@ import av
 import numpy as np
 
 from arfx.core.colour import SRGB, Transfer, yuv_from_rgb
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 from arfx.errors import RenderError
 from arfx.media.orient import Orientation
 from arfx.media.planes import PixelLayout, chroma_size, copy_picture, planes_of
@@ -175,6 +175,26 @@ class Frame:
             decode_curve(f.transfer),
         )  # fmt: skip
 
+    def dimmed(self, rect: Rect, left: np.ndarray, opacity: float, bias: np.ndarray, hole: Rect) -> Frame:
+        """A new frame with less light inside `rect`, but for `hole`: of every linear value's part above `bias` (3,) a share
+        1 + opacity (left - 1) is left.
+
+        left : (h, w, 3 or 1) float32 over the upright `rect`; 1 keeps a pixel's bits. Errors and legal range as in `edited`.
+        """
+        f, r, h = self.format, self._coded(rect), self._coded(hole) if not hole.empty else EMPTY
+        if left.shape[:2] != (rect.height, rect.width) or left.shape[2] not in (1, 3):
+            raise RenderError(f"frame {self.index}: {left.shape} shares of light for {rect.to_json()}")
+        if f.layout.kind != "yuv":
+            before = self.linear(rect)
+            after = before + np.float32(opacity) * (left - 1) * (before - bias.astype(np.float32))
+            if not hole.empty:
+                after[hole.slices_in(rect)] = before[hole.slices_in(rect)]
+            return self.edited(rect, before, after)
+        picture = copy_picture(self.picture, f.layout)
+        whole = np.ascontiguousarray(f.orientation.coded(left), np.float32)
+        _dim_yuv(planes_of(picture, f.layout), f, r, h, whole, opacity, bias, self._yuv_factors())
+        return Frame(picture, f, self.index, self.pts, self.key)
+
     def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before) inside `rect`.
 
@@ -217,6 +237,37 @@ def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndar
     for plane, lines in zip(planes[1:3], chroma, strict=True):
         kernels.edit_chroma(plane, lines, reach, rect, f.height, (sub_x, sub_y), top, np.float32(cn), c_low, c_high)
     return int(bad)
+
+
+def _dim_yuv(
+    planes: list[np.ndarray],
+    f: FrameFormat,
+    r: Rect,
+    hole: Rect,
+    left: np.ndarray,
+    opacity: float,
+    bias: np.ndarray,
+    factors: Any,
+) -> None:
+    from arfx.media import kernels
+    from arfx.media.curves import encode_curve
+    from arfx.media.dimming import dim_luma
+
+    _, _, alpha, power = f.transfer.curve
+    (_, yn), (_, cn) = f.luma_steps, f.chroma_steps
+    y_low, y_high, c_low, c_high = f.legal
+    rect, steps = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y)
+    chroma = np.empty((2, r.height, -(-r.x1 >> steps[0]) - (r.x0 >> steps[0])), np.float32)
+    reach = np.empty((r.height, 2), np.int32)
+    size, scale, matrix, decode = factors
+    curves = decode, encode_curve(f.transfer), np.array([1 / power, alpha - 1], np.float32)
+    dim_luma(
+        planes[0], planes[1], planes[2], rect, (hole.x0, hole.y0, hole.x1, hole.y1), left, np.float32(opacity),
+        bias.astype(np.float32) if bias.any() else None, steps, f.cosited, size, scale, matrix, curves,
+        yuv_from_rgb(f.matrix).astype(np.float32), f.width, np.float32(yn), (y_low, y_high), chroma, reach,
+    )  # fmt: skip
+    for plane, lines in zip(planes[1:3], chroma, strict=True):
+        kernels.edit_chroma(plane, lines, reach, rect, f.height, steps, f.cosited[1], np.float32(cn), c_low, c_high)
 
 
 def _edit_rgb(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from arfx.media.curves import FAST, apply_curve
+from arfx.media.lines import add_steps, between, reduce_line, taps, to_luma_and_chroma, widen
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -38,10 +39,10 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, c
         c = min(max(c, np.float32(0)), np.float32(ch - 1))
         r0 = np.int32(c)
         r1 = min(r0 + 1, ch - 1)
-        _between(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, few)
-        _widen(few, c0, cw, sx, cosited[0], x0, cb)
-        _between(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, few)
-        _widen(few, c0, cw, sx, cosited[0], x0, cr)
+        between(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, few)
+        widen(few, c0, cw, sx, cosited[0], x0, cb)
+        between(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, few)
+        widen(few, c0, cw, sx, cosited[0], x0, cr)
         line = y[yy, x0:x1]
         for k in range(w):
             luma = (np.float32(line[k]) - yo) * yf
@@ -52,49 +53,6 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, c
             apply_curve(coded[c], curve, base, mantissa, light[c])
         for k in range(w):
             out[j, k, 0], out[j, k, 1], out[j, k, 2] = light[0, k], light[1, k], light[2, k]
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _between(above, below, part, offset, factor, out):
-    """Chroma between two lines of samples, -0.5..0.5."""
-    for i in range(out.shape[0]):
-        a, b = np.float32(above[i]), np.float32(below[i])
-        out[i] = (a + part * (b - a) - offset) * factor
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _widen(few, c0, columns, step, cosited, x0, out):
-    """Chroma at the luma columns x0 ... of one line, linear between samples. few : those of the chroma columns from c0 on"""
-    n = out.shape[0]
-    if step == 0:
-        for k in range(n):
-            out[k] = few[np.uintp(x0 - c0 + k)]
-        return
-    last = columns - 1
-    if step == 1:
-        before = np.float32(0) if cosited else np.float32(0.25)
-        after = np.float32(0.5) if cosited else np.float32(0.25)
-        inner, stop = max(x0 + x0 % 2, 2), min(x0 + n, 2 * last)
-        stop = inner + max(stop - inner, 0) // 2 * 2  # in pairs where both neighbours exist
-        if stop > inner:
-            own, earlier, pairs = few[inner // 2 - c0 :], few[inner // 2 - c0 - 1 :], out[inner - x0 : stop - x0]
-            for i in range((stop - inner) // 2):
-                a, b, c = earlier[i], own[i], own[i + 1]
-                pairs[2 * i] = b + before * (a - b)
-                pairs[2 * i + 1] = b + after * (c - b)
-        for q in range(n - (stop - inner)):
-            k = q if stop == inner or x0 + q < inner else q + stop - inner
-            i = (x0 + k) >> 1
-            m, part = (min(i + 1, last), after) if (x0 + k) & 1 else (max(i - 1, 0), before)
-            out[k] = few[i - c0] + part * (few[m - c0] - few[i - c0])
-        return
-    scale = np.float32(1.0 / (1 << step))
-    shift = np.float32(0) if cosited else np.float32(0.5) * scale - np.float32(0.5)
-    for k in range(n):
-        c = min(max(np.float32(x0 + k) * scale + shift, np.float32(0)), np.float32(last))
-        i = np.int32(c)
-        m = min(i + 1, last)
-        out[k] = few[i - c0] + (c - np.float32(i)) * (few[m - c0] - few[i - c0])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -165,26 +123,6 @@ def _clipped_differences(before, after):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _to_yuv(diff, to_yuv, dy, d_cb, d_cr):
-    """R'G'B' differences (3 n,) to luma and chroma (n,)."""
-    one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
-    for k in range(dy.shape[0]):
-        i = np.uintp(k) * three
-        r, g, b = diff[i], diff[i + one], diff[i + two]
-        dy[k] = to_yuv[0, 0] * r + to_yuv[0, 1] * g + to_yuv[0, 2] * b
-        d_cb[k] = to_yuv[1, 0] * r + to_yuv[1, 1] * g + to_yuv[1, 2] * b
-        d_cr[k] = to_yuv[2, 0] * r + to_yuv[2, 1] * g + to_yuv[2, 2] * b
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _add_steps(line, diff, factor, low, high):
-    """Adds diff (n,) x factor, rounded, to stored samples; legal ones stay legal, others go no further out."""
-    for k in range(diff.shape[0]):
-        old = np.int32(line[k])
-        line[k] = min(max(old + np.int32(np.rint(diff[k] * factor)), min(old, low)), max(old, high))
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach):
     """Adds the luma difference to plane y in place; leaves the chroma differences of each line, reduced to chroma columns.
 
@@ -202,7 +140,7 @@ def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high
     before, after = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
     base, mantissa = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
     dy = np.empty(w, np.float32)
-    low_tap, high_tap, weights = _taps(step, cosited and step > 0)
+    low_tap, high_tap, weights = taps(step, cosited and step > 0)
     start = ((x0 >> step) << step) + low_tap  # luma column of the first tap
     wide = np.empty((2, (n << step) + high_tap - low_tap), np.float32)
     # a line at a time from the first pixel that changes to the last, in steps of which the compiler makes vector code
@@ -227,8 +165,8 @@ def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high
         _clipped_differences(before[: 3 * m], after)
         wide[:] = 0
         at = x0 + first - start
-        _to_yuv(after, to_yuv, dy[:m], wide[0, at : at + m], wide[1, at : at + m])
-        _add_steps(y[y0 + j, x0 + first : x0 + last], dy[:m], factor, low, high)
+        to_luma_and_chroma(after, to_yuv, dy[:m], wide[0, at : at + m], wide[1, at : at + m])
+        add_steps(y[y0 + j, x0 + first : x0 + last], dy[:m], factor, low, high)
         c0 = max(((x0 + first - high_tap + 1) >> step) - (x0 >> step), 0)
         c1 = min(((x0 + last - 1 - low_tap) >> step) + 1 - (x0 >> step), n)
         reach[j, 0], reach[j, 1] = c0, c1
@@ -237,32 +175,8 @@ def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high
                 wide[c, :at] = wide[c, at]
             if x0 + last == picture_width:
                 wide[c, at + m :] = wide[c, at + m - 1]
-            _reduce(wide[c, c0 << step :], step, weights, chroma[c, j, c0:c1])
+            reduce_line(wide[c, c0 << step :], step, weights, chroma[c, j, c0:c1])
     return bad
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _reduce(line, step, weights, out):
-    """out[i] = weighted sum of the samples of `line` from i << step on."""
-    if step == 1 and weights.shape[0] == 3:
-        for i in range(out.shape[0]):
-            out[i] = weights[0] * line[2 * i] + weights[1] * line[2 * i + 1] + weights[2] * line[2 * i + 2]
-        return
-    out[:] = 0
-    for k in range(weights.shape[0]):
-        for i in range(out.shape[0]):
-            out[i] += weights[k] * line[np.uintp((i << step) + k)]
-
-
-@numba.njit(cache=True, nogil=True)
-def _taps(step, tent):
-    """Offsets from a chroma sample's first luma sample (from, to) and the weights of the luma samples there."""
-    n = 1 << step
-    low = 1 - n if tent else 0
-    weights = np.empty(n - low, np.float32)
-    for k in range(low, n):
-        weights[k - low] = (n - abs(k)) / (n * n) if tent else 1.0 / n
-    return low, n, weights
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -275,7 +189,7 @@ def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, low, 
     x0, y0, _, y1 = rect
     sx, sy = steps
     ca, n = x0 >> sx, lines.shape[1]
-    low_tap, high_tap, weights = _taps(sy, cosited and sy > 0)
+    low_tap, high_tap, weights = taps(sy, cosited and sy > 0)
     total = np.empty(n, np.float32)
     for r in range(y0 >> sy, -(-y1 >> sy)):
         a, b = n, 0
@@ -293,4 +207,4 @@ def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, low, 
                 weight, line = weights[k - low_tap], lines[yy - y0]
                 for i in range(from_, to):
                     total[i] += line[i] * weight
-        _add_steps(plane[r, ca + a : ca + b], total[a:b], factor, low, high)
+        add_steps(plane[r, ca + a : ca + b], total[a:b], factor, low, high)

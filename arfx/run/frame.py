@@ -16,22 +16,23 @@ import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import UNWRITTEN, Layer, Layers, Patch
+from arfx.core.layers import UNWRITTEN, Deferred, Dimmed, Layer, Layers, Patch
 from arfx.core.numerics import count_non_finite
 from arfx.core.plan import FramePlan
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, Window
 from arfx.errors import RenderError
+from arfx.media.frame import Frame
 
 
 @dataclass
 class Canvas:
     """The layers of one frame while its plan runs: name -> (rectangle, array)."""
 
-    plate: np.ndarray
+    plate: np.ndarray | Deferred
     rect: Rect
-    stored: dict[Layer, tuple[Rect, np.ndarray]] = field(default_factory=dict)
+    stored: dict[Layer, tuple[Rect, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.stored = {Layer.PLATE: (self.rect, self.plate), Layer.IMAGE: (self.rect, self.plate)}
@@ -51,8 +52,13 @@ class Canvas:
         else:
             self.stored[name] = (rect, array)
 
-    def take(self, name: Layer, made: np.ndarray | Patch, need: Rect, out: Rect) -> tuple[Rect, np.ndarray]:
-        """Write what a stage that saw `need` made, over `out`. Returns the pixels of it that are not neutral by definition."""
+    def take(self, name: Layer, made: np.ndarray | Patch | Dimmed, need: Rect, out: Rect) -> tuple[Rect, np.ndarray]:
+        """Write what a stage that saw `need` made, over `out`. Returns the pixels of it that are not neutral by definition.
+
+        Of what is `Dimmed` nothing is written, as nobody reads it.
+        """
+        if isinstance(made, Dimmed):
+            return made.part.rect, made.part.array
         patch = made if isinstance(made, Patch) else Patch(need, made)
         where = patch.rect.clip(out)
         pixels = patch.array[where.slices_in(patch.rect)]
@@ -65,12 +71,43 @@ class Canvas:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """image : (h, w, 3) linear over plan.changed;  plate : the same pixels before;  seconds : by stage"""
+    """rect : pixels of the picture that are new;  image : (h, w, 3) linear over it;  plate : the same pixels before
+    dimmed : less light on the plate elsewhere, None = nothing;  seconds : by stage
+    """
 
+    rect: Rect
     image: np.ndarray
     plate: np.ndarray
+    dimmed: Dimmed | None
     seconds: dict[str, float]
     canvas: Canvas
+
+    def onto(self, frame: Frame, changed: Rect) -> Frame:
+        """The frame with what is new inside `changed` written into its planes."""
+        out = frame
+        if self.dimmed is not None and not (where := self.dimmed.rect.clip(changed)).empty:
+            d = self.dimmed
+            out = out.dimmed(where, d.left[where.slices_in(d.rect)], d.opacity, d.bias, self.rect.clip(where))
+        return out if self.rect.empty else out.edited(self.rect, self.plate, self.image)
+
+
+class Plate:
+    """A rectangle of a frame in linear light, converted when it is asked for: what is asked for first, else all of it.
+
+    seconds : spent on that
+    """
+
+    def __init__(self, rect: Rect, read: Deferred) -> None:
+        self.rect, self._read, self.seconds = rect, read, 0.0
+        self._have, self._pixels = EMPTY, np.empty(0)
+
+    def __call__(self, rect: Rect) -> np.ndarray:
+        if self._have.empty or not self._have.contains(rect):
+            start = time.perf_counter()
+            self._have = rect if self._have.empty else self.rect
+            self._pixels = self._read(self._have)
+            self.seconds += time.perf_counter() - start
+        return self._pixels[rect.slices_in(self._have)]
 
 
 def rng_for(seed: int, index: int, stage: str) -> np.random.Generator:
@@ -79,7 +116,7 @@ def rng_for(seed: int, index: int, stage: str) -> np.random.Generator:
 
 
 def run_frame(
-    plate: np.ndarray,
+    plate: np.ndarray | Plate,
     facts: FrameFacts,
     plan: FramePlan,
     scene: Scene,
@@ -92,7 +129,7 @@ def run_frame(
 ) -> FrameResult:
     """Run a plan that has steps.
 
-    plate : (h, w, 3) float32 linear light over plan.rect
+    plate : (h, w, 3) float32 linear light over plan.rect; with a `Plate` the last stage may leave IMAGE as `Dimmed`
     past : canvases of the frames before, oldest first, as many as the largest reach asks for
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
@@ -102,29 +139,42 @@ def run_frame(
     if real_depth_m is not None:
         canvas.put(Layer.REAL_DEPTH, plan.rect, real_depth_m)
     seconds: dict[str, float] = {}
+    dimmed: Dimmed | None = None
+    may_dim = isinstance(plate, Plate) and not any(s.reach for s in stages.values())
     for step in plan.steps:
         stage = stages[step.stage]
-        start = time.perf_counter()
+        start, reading = time.perf_counter(), plate.seconds if isinstance(plate, Plate) else 0.0
         earlier = past[len(past) - stage.reach :] if stage.reach else ()
         window = Window(
             (*(c.view(stage.reads, step.need) for c, _ in earlier), canvas.view(stage.reads, step.need)),
             (*(f for _, f in earlier), facts),
             step.out,
+            may_dim and step is plan.steps[-1],
         )
         rng = rng_for(seed, facts.index, stage.name)
         made = stage.run(window, scene, prepared[stage.name], levels[stage.name], rng)
         for name, array in made.items():
+            dimmed = array if isinstance(array, Dimmed) else dimmed
             where, pixels = canvas.take(name, array, step.need, step.out)
             if name is not Layer.DEPTH:  # infinite where nothing is
                 _require_finite(pixels, name, stage.name, facts.index, where)
-        seconds[stage.name] = seconds.get(stage.name, 0.0) + time.perf_counter() - start
-    where, image = canvas.stored[Layer.IMAGE]
-    return FrameResult(image[plan.changed.slices_in(where)], plate[plan.changed.slices_in(plan.rect)], seconds, canvas)
+        spent = time.perf_counter() - start - (plate.seconds - reading if isinstance(plate, Plate) else 0.0)
+        seconds[stage.name] = seconds.get(stage.name, 0.0) + spent
+    if dimmed is None:
+        rect = plan.changed
+        image = canvas.view(frozenset({Layer.IMAGE}), rect)[Layer.IMAGE]
+    else:
+        rect = plan.changed.clip(dimmed.part.rect)
+        image = dimmed.part.array[rect.slices_in(dimmed.part.rect)]
+    before = image if rect.empty else canvas.view(frozenset({Layer.PLATE}), rect)[Layer.PLATE]
+    return FrameResult(rect, image, before, dimmed, seconds, canvas)
 
 
 def _require_finite(array: np.ndarray, layer: Layer, stage: str, index: int, rect: Rect) -> None:
     if array.dtype.kind != "f":
         return
+    if array.strides[-1] == 0:  # one value for all channels
+        array = array[..., 0]
     if array.dtype == np.float32 and array.flags.c_contiguous and _finite(array.reshape(-1).view(np.int32)):
         return
     bad = count_non_finite(array)

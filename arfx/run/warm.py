@@ -18,7 +18,7 @@ from arfx.core.pose import Pose
 from arfx.core.stage import level_named
 from arfx.media.frames import ClipReader
 from arfx.plan.planner import plan_frame
-from arfx.run.frame import run_frame
+from arfx.run.frame import Plate, run_frame
 from arfx.run.inputs import Inputs, make_scene
 from arfx.run.parameters import make_stages
 
@@ -58,5 +58,5 @@ def warm_up(config: JobConfig, inputs: Inputs) -> None:
     with ClipReader(inputs.info) as reader:
         frame = next(reader.frames())
         if plan.steps:
-            made = run_frame(frame.linear(plan.rect), facts, plan, scene, stages, levels, prepared)
-            frame.edited(plan.changed, made.plate, made.image)
+            made = run_frame(Plate(plan.rect, frame.linear), facts, plan, scene, stages, levels, prepared)
+            made.onto(frame, plan.changed)

@@ -31,7 +31,7 @@ from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter
 from arfx.run.depth import job_depth, real_depth_layer
 from arfx.run.folder import JobFolder, disk_error, read_lines
-from arfx.run.frame import Canvas, run_frame
+from arfx.run.frame import Canvas, Plate, run_frame
 from arfx.run.inputs import job_model, make_scene
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.preview import save_preview
@@ -172,9 +172,7 @@ def _frame(
 ) -> Frame:
     if not plan.steps or plan.changed.empty:
         return frame
-    start = time.perf_counter()
-    plate = frame.linear(plan.rect)
-    seconds["edit"] += time.perf_counter() - start
+    plate = Plate(plan.rect, frame.linear)
     depth = None
     if context.depth is not None and any(Layer.REAL_DEPTH in context.stages[s.stage].reads for s in plan.steps):
         start = time.perf_counter()
@@ -189,6 +187,6 @@ def _frame(
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s
     start = time.perf_counter()
-    out = frame.edited(plan.changed, result.plate, result.image)
-    seconds["edit"] += time.perf_counter() - start
+    out = result.onto(frame, plan.changed)
+    seconds["edit"] += time.perf_counter() - start + plate.seconds
     return out

@@ -17,7 +17,7 @@ import numpy as np
 
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Dimmed, Layer, Layers, Patch
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
@@ -56,18 +56,26 @@ class Composite:
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]:
-        now: Layers = window.now
-        facts = window.facts[-1]
-        virtual = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)))
-        opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-        plate, shadow = now[Layer.PLATE], now[Layer.SHADOW]
-        out = np.empty_like(plate)
-        _shade(plate.reshape(len(plate), -1), shadow.reshape(len(plate), -1), opacity, bias, out.reshape(len(plate), -1))
-        if not virtual.rect.empty:
-            inside = virtual.rect.slices_in(now.rect)
-            _over(plate[inside], virtual[Layer.VIRTUAL], virtual[Layer.COVERAGE], shadow[inside], opacity, bias, out[inside])
-        return {Layer.IMAGE: out}
+    ) -> Mapping[Layer, np.ndarray | Dimmed]:
+        now, facts = window.now, window.facts[-1]
+        if window.last:  # beside the object nothing is mixed: the light alone is less
+            part = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)))
+            dark = now.crop(now.extent(Layer.SHADOW))
+            over = Patch(part.rect, _composed(part, facts) if not part.rect.empty else np.empty((0, 0, 3), np.float32))
+            return {Layer.IMAGE: Dimmed(over, dark.rect, dark.one_channel(Layer.SHADOW), facts.opacity, np.array(facts.bias_rgb))}
+        return {Layer.IMAGE: _composed(now, facts)}
+
+
+def _composed(now: Layers, facts: FrameFacts) -> np.ndarray:
+    virtual = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)))
+    opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
+    plate, shadow = now[Layer.PLATE], now[Layer.SHADOW]
+    out = np.empty_like(plate)
+    _shade(plate.reshape(len(plate), -1), shadow.reshape(len(plate), -1), opacity, bias, out.reshape(len(plate), -1))
+    if not virtual.rect.empty:
+        inside = virtual.rect.slices_in(now.rect)
+        _over(plate[inside], virtual[Layer.VIRTUAL], virtual[Layer.COVERAGE], shadow[inside], opacity, bias, out[inside])
+    return out
 
 
 # Both take differences, so that a pixel with nothing virtual keeps its exact value.

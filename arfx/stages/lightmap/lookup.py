@@ -21,7 +21,8 @@ def light_left(
     rect: Rect, grid: np.ndarray, anchor_from_camera: Pose, textures: Sequence[PlaneTexture], shares: np.ndarray,
     blocked: PlaneTexture | None, faint: float, strength: float,
 ) -> np.ndarray:  # fmt: skip
-    """(h, w, 3) float32 ratio of the light that the object leaves the plane; 1 where it leaves all.
+    """(h, w, 3) float32 ratio of the light that the object leaves the plane; 1 where it leaves all. Read-only, and one value
+    for three channels where every light has one.
 
     textures, shares (t, 3) : the ambient light first, then the directional ones; each one's part of the plane's light
     blocked : share of every directional light that something real takes already
@@ -32,20 +33,23 @@ def light_left(
     sizes = np.array([[t.dark.size, *t.dark.shape] for t in every], np.int64)
     meta = np.column_stack([np.cumsum(sizes[:, 0]) - sizes[:, 0], sizes[:, 1:]])
     texels = every[0].dark.ravel() if len(every) == 1 else np.concatenate([t.dark.ravel() for t in every])
-    return _look_up(
+    grey = bool((shares == shares[:, :1]).all())
+    left = _look_up(
         rect.x0, rect.y0, rect.width, rect.height, (grid @ anchor_from_camera.rotation.T).astype(np.float32),
         anchor_from_camera.translation_m.astype(np.float32), texels, meta,
-        np.array([t.texel_from_m for t in every], np.float32), shares.astype(np.float32), blocked is not None,
-        np.float32(faint), np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
+        np.array([t.texel_from_m for t in every], np.float32), shares[:, : 1 if grey else 3].astype(np.float32),
+        blocked is not None, np.float32(faint), np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
     )  # fmt: skip
+    return np.broadcast_to(left, (rect.height, rect.width, 3))
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up(
     x0, y0, width, height, nodes, origin, texels, meta, affine, shares, blocked, faint, rise, strength
 ):  # pragma: no cover - compiled
-    """meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres"""
-    out = np.empty((height, width, 3), np.float32)
+    """(h, w, c).  meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres;  shares (t, c)"""
+    channels = shares.shape[1]
+    out = np.empty((height, width, channels), np.float32)
     zero, one = np.float32(0), np.float32(1)
     step, nowhere = np.float32(1.0 / GRID_PX), np.float32(1e9)
     g0, g1 = x0 // GRID_PX, (x0 + width - 1) // GRID_PX + 1
@@ -53,7 +57,7 @@ def _look_up(
     px, py = np.empty(span, np.float32), np.empty(span, np.float32)
     place, fu, fv = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
     dark, open_ = np.empty(width, np.float32), np.empty(width, np.float32)
-    r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    taken = np.empty((channels, width), np.float32)
     count = shares.shape[0]
     for j in range(height):
         iy = (y0 + j) // GRID_PX
@@ -75,8 +79,8 @@ def _look_up(
                 # away from the plane, or no direction maps here: as far from every picture as can be
                 px[at + i] = origin[0] + s * (ax + t * dx) if vz < 0 else nowhere
                 py[at + i] = origin[1] + s * (ay + t * dy) if vz < 0 else nowhere
-        for i in range(width):
-            r[i], g[i], b[i], open_[i] = zero, zero, zero, one
+        taken[:] = zero
+        open_[:] = one
         for m in range(meta.shape[0]):
             k = meta.shape[0] - 1 - m  # what is blocked comes last in the list and first here
             rows, columns = meta[k, 1], meta[k, 2]
@@ -116,19 +120,22 @@ def _look_up(
             if blocked and k > 0:
                 for i in range(n):
                     dark[i] *= seen[i]
-            _add(r[i0:i1], dark, shares[k, 0])
-            _add(g[i0:i1], dark, shares[k, 1])
-            _add(b[i0:i1], dark, shares[k, 2])
+            for channel in range(channels):
+                _add(taken[channel, i0:i1], dark, shares[k, channel])
         if blocked:  # what is there already is less than the whole light
-            ar, ag, ab = shares[0, 0], shares[0, 1], shares[0, 2]
-            for i in range(width):
-                r[i] /= max(ar + (one - ar) * open_[i], np.float32(1e-6))
-                g[i] /= max(ag + (one - ag) * open_[i], np.float32(1e-6))
-                b[i] /= max(ab + (one - ab) * open_[i], np.float32(1e-6))
+            for channel in range(channels):
+                ambient = shares[0, channel]
+                for i in range(width):
+                    taken[channel, i] /= max(ambient + (one - ambient) * open_[i], np.float32(1e-6))
+        r, g, b = taken[0], taken[channels // 2], taken[channels - 1]
         for i in range(width):
-            most = max(max(r[i], g[i]), b[i])
-            t = min(max((most - faint) * rise, zero), one)
+            t = min(max((max(max(r[i], g[i]), b[i]) - faint) * rise, zero), one)
             dark[i] = strength * t * t * (np.float32(3) - t - t)
+        if channels == 1:
+            line = out[j].reshape(-1)
+            for i in range(width):
+                line[i] = one - min(dark[i] * r[i], one)
+            continue
         for i in range(width):
             out[j, i, 0] = one - min(dark[i] * r[i], one)
             out[j, i, 1] = one - min(dark[i] * g[i], one)

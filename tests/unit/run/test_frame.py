@@ -13,9 +13,11 @@ from arfx.core.stage import Level
 from arfx.errors import RenderError
 from arfx.plan.planner import plan_frame
 from arfx.run.chunks import borders
-from arfx.run.frame import Canvas, rng_for, run_frame
+from arfx.run.frame import Canvas, Plate, rng_for, run_frame
 from arfx.stages.composite import Composite
 from tests.scenes import facts, scene
+from tests.unit.media.test_dimming import samples
+from tests.unit.media.test_frame import frame
 
 SCENE = scene()
 FACTS = facts(SCENE)
@@ -82,6 +84,68 @@ class Paint:
             Layer.COVERAGE: np.ones((r.height, r.width), np.float32),
             Layer.VIRTUAL: np.full((r.height, r.width, 3), (1, 0, 0), np.float32),
         }
+
+
+class Spot(Paint):
+    """As every raster does, it leaves the border of its rectangle free."""
+
+    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
+        made = super().run(window)
+        inner = np.pad(np.ones(tuple(n - 4 for n in made[Layer.COVERAGE].shape), np.float32), 2)
+        return {Layer.COVERAGE: inner, Layer.VIRTUAL: made[Layer.VIRTUAL] * inner[..., None]}
+
+
+class Shade(Paint):
+    """A shadow around the red."""
+
+    name = "shade"
+    writes = frozenset({Layer.SHADOW})
+
+    def demand(self, f: Any, s: Any, frame: Rect) -> Any:
+        from arfx.core.stage import Demand
+
+        return Demand(Rect(20, 20, 90, 80), "shade")
+
+    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
+        r = window.now.rect
+        left = np.linspace(0.4, 1, r.width, dtype=np.float32)[None, :, None]
+        return {Layer.SHADOW: np.broadcast_to(left, (r.height, r.width, 3))}
+
+
+@pytest.mark.parametrize("bias", [0.0, -0.02])
+def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
+    """Nothing but the object's own pixels is converted, and the picture is the one that whole conversion gives."""
+    stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite()}
+    levels, prepared = {n: LEVEL for n in stages}, dict.fromkeys(stages)
+    f = FACTS.with_(opacity=0.9, bias_rgb=(bias, bias, bias))
+    plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
+    picture = frame("yuv420p", SCENE.camera.width, SCENE.camera.height, smooth=True)
+    asked: list[Rect] = []
+
+    def linear(rect: Rect) -> np.ndarray:
+        asked.append(rect)
+        return picture.linear(rect)
+
+    found = run_frame(Plate(plan.rect, linear), f, plan, SCENE, stages, levels, prepared)
+    whole = run_frame(picture.linear(plan.rect), f, plan, SCENE, stages, levels, prepared)
+    assert found.dimmed is not None and whole.dimmed is None
+    assert all(Rect(40, 30, 60, 50).contains(r) for r in asked) and plan.changed == Rect(20, 20, 90, 80)
+    for a, b in zip(samples(found.onto(picture, plan.changed)), samples(whole.onto(picture, plan.changed)), strict=True):
+        assert np.abs(a - b).max() <= 1
+    assert np.abs(samples(found.onto(picture, plan.changed))[0] - samples(picture)[0]).max() > 10
+
+
+def test_a_plate_is_converted_once() -> None:
+    asked: list[Rect] = []
+
+    def read(rect: Rect) -> np.ndarray:
+        asked.append(rect)
+        return np.full((rect.height, rect.width, 3), len(asked), np.float32)
+
+    plate = Plate(Rect(0, 0, 50, 40), read)
+    assert plate(Rect(5, 5, 20, 20)).shape == (15, 15, 3) and plate(Rect(6, 6, 9, 9)).shape == (3, 3, 3)
+    assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(Rect(40, 30, 50, 40)).shape == (10, 10, 3)
+    assert asked == [Rect(5, 5, 20, 20), Rect(0, 0, 50, 40)], "what was asked for first, then all"
 
 
 @pytest.mark.parametrize("opacity", [1.0, 0.25])

@@ -1,0 +1,97 @@
+"""Steps over one line of stored samples that reading, editing and dimming share: chroma between its samples and back, and
+differences added to what is stored. Compiled, without branches inside, of which the compiler makes vector code."""
+
+# mypy: no-check-untyped-defs
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.media.curves import FAST
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def between(above, below, part, offset, factor, out):
+    """Chroma between two lines of samples, -0.5..0.5."""
+    for i in range(out.shape[0]):
+        a, b = np.float32(above[i]), np.float32(below[i])
+        out[i] = (a + part * (b - a) - offset) * factor
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def widen(few, c0, columns, step, cosited, x0, out):
+    """Chroma at the luma columns x0 ... of one line, linear between samples. few : those of the chroma columns from c0 on"""
+    n = out.shape[0]
+    if step == 0:
+        for k in range(n):
+            out[k] = few[np.uintp(x0 - c0 + k)]
+        return
+    last = columns - 1
+    if step == 1:
+        before = np.float32(0) if cosited else np.float32(0.25)
+        after = np.float32(0.5) if cosited else np.float32(0.25)
+        inner, stop = max(x0 + x0 % 2, 2), min(x0 + n, 2 * last)
+        stop = inner + max(stop - inner, 0) // 2 * 2  # in pairs where both neighbours exist
+        if stop > inner:
+            own, earlier, pairs = few[inner // 2 - c0 :], few[inner // 2 - c0 - 1 :], out[inner - x0 : stop - x0]
+            for i in range((stop - inner) // 2):
+                a, b, c = earlier[i], own[i], own[i + 1]
+                pairs[2 * i] = b + before * (a - b)
+                pairs[2 * i + 1] = b + after * (c - b)
+        for q in range(n - (stop - inner)):
+            k = q if stop == inner or x0 + q < inner else q + stop - inner
+            i = (x0 + k) >> 1
+            m, part = (min(i + 1, last), after) if (x0 + k) & 1 else (max(i - 1, 0), before)
+            out[k] = few[i - c0] + part * (few[m - c0] - few[i - c0])
+        return
+    scale = np.float32(1.0 / (1 << step))
+    shift = np.float32(0) if cosited else np.float32(0.5) * scale - np.float32(0.5)
+    for k in range(n):
+        c = min(max(np.float32(x0 + k) * scale + shift, np.float32(0)), np.float32(last))
+        i = np.int32(c)
+        m = min(i + 1, last)
+        out[k] = few[i - c0] + (c - np.float32(i)) * (few[m - c0] - few[i - c0])
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def to_luma_and_chroma(diff, to_yuv, dy, d_cb, d_cr):
+    """R'G'B' differences (3 n,) to luma and chroma (n,)."""
+    one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
+    for k in range(dy.shape[0]):
+        i = np.uintp(k) * three
+        r, g, b = diff[i], diff[i + one], diff[i + two]
+        dy[k] = to_yuv[0, 0] * r + to_yuv[0, 1] * g + to_yuv[0, 2] * b
+        d_cb[k] = to_yuv[1, 0] * r + to_yuv[1, 1] * g + to_yuv[1, 2] * b
+        d_cr[k] = to_yuv[2, 0] * r + to_yuv[2, 1] * g + to_yuv[2, 2] * b
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def add_steps(line, diff, factor, low, high):
+    """Adds diff (n,) x factor, rounded, to stored samples; legal ones stay legal, others go no further out."""
+    for k in range(diff.shape[0]):
+        old = np.int32(line[k])
+        line[k] = min(max(old + np.int32(np.rint(diff[k] * factor)), min(old, low)), max(old, high))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def reduce_line(line, step, weights, out):
+    """out[i] = weighted sum of the samples of `line` from i << step on."""
+    if step == 1 and weights.shape[0] == 3:
+        for i in range(out.shape[0]):
+            out[i] = weights[0] * line[2 * i] + weights[1] * line[2 * i + 1] + weights[2] * line[2 * i + 2]
+        return
+    out[:] = 0
+    for k in range(weights.shape[0]):
+        for i in range(out.shape[0]):
+            out[i] += weights[k] * line[np.uintp((i << step) + k)]
+
+
+@numba.njit(cache=True, nogil=True)
+def taps(step, tent):
+    """Offsets from a chroma sample's first luma sample (from, to) and the weights of the luma samples there."""
+    n = 1 << step
+    low = 1 - n if tent else 0
+    weights = np.empty(n - low, np.float32)
+    for k in range(low, n):
+        weights[k - low] = (n - abs(k)) / (n * n) if tent else 1.0 / n
+    return low, n, weights
