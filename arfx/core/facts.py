@@ -13,6 +13,8 @@ from arfx.core.rect import EMPTY, Rect
 
 MEASURED, INTERPOLATED, ABSENT = "measured", "interpolated", "absent"
 
+_AROUND_PX = 2
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -98,6 +100,11 @@ class FrameFacts:
     bias_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
     blur_px: float | None = None
     extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def drawn_box(self) -> Rect:
+        """model_box and the pixels around it that a raster may write; not clipped to the frame."""
+        return self.model_box.pad(_AROUND_PX)
 
     @property
     def visible(self) -> bool:

@@ -59,7 +59,7 @@ class Composite:
     ) -> Mapping[Layer, np.ndarray | Dimmed]:
         now, facts = window.now, window.facts[-1]
         if window.last:  # beside the object nothing is mixed: the light alone is less
-            part = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)))
+            part = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.drawn_box))
             dark = now.crop(now.extent(Layer.SHADOW))
             over = Patch(part.rect, _composed(part, facts) if not part.rect.empty else np.empty((0, 0, 3), np.float32))
             return {Layer.IMAGE: Dimmed(over, dark.rect, dark.one_channel(Layer.SHADOW), facts.opacity, np.array(facts.bias_rgb))}

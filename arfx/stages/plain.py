@@ -53,7 +53,7 @@ class Plain:
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return Demand(EMPTY, "marker not visible")
-        rect = facts.model_box.pad(2).clip(frame)
+        rect = facts.drawn_box.clip(frame)
         return Demand(rect, "model is lit" if not rect.empty else "model out of view")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:

@@ -38,7 +38,6 @@ from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth
 from arfx.stages.lightmap.shading import harmonic_terms, highlight_width, shade
 from arfx.stages.viewing import direction_grid
 
-PAD_PX = 2  # around the model's box: the raster may write there
 _KEPT = 8  # lights whose shadows are kept; at the standard level 1.3 MB each
 
 
@@ -122,7 +121,7 @@ class Lightmap:
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return Demand(EMPTY, "marker not visible")
-        model = facts.model_box.pad(PAD_PX).clip(frame)
+        model = facts.drawn_box.clip(frame)
         light = self._light(facts, scene)
         shadow, why = self._shadow_rect(facts, scene, frame, light)
         if model.empty and shadow.empty:
@@ -148,7 +147,7 @@ class Lightmap:
     ) -> Mapping[Layer, np.ndarray | Patch]:
         facts, now = window.facts[-1], window.now
         light = self._light(facts, scene)
-        lit = now.crop(facts.model_box.pad(PAD_PX).clip(now.rect))
+        lit = now.crop(facts.drawn_box.clip(now.rect))
         return {
             Layer.VIRTUAL: Patch(lit.rect, self._virtual(lit, facts, scene, prepared, level, light)),
             Layer.SHADOW: self._shadow(now.rect, facts, scene, prepared, level, light),

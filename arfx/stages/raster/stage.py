@@ -25,8 +25,6 @@ from arfx.errors import ConfigError
 from arfx.stages.raster.backends import BACKENDS, choose_backend, may_use_opengl
 from arfx.stages.raster.rays import OUTPUTS
 
-PAD_PX = 2
-
 
 @dataclass(frozen=True)
 class RasterParams:
@@ -75,7 +73,7 @@ class Raster:
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return Demand(EMPTY, "marker not visible")
-        rect = facts.model_box.pad(PAD_PX).clip(frame)
+        rect = facts.drawn_box.clip(frame)
         return Demand(rect, f"model covers up to {rect.area} px" if not rect.empty else "model out of view")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
@@ -100,7 +98,7 @@ class Raster:
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         rect, facts = window.now.rect, window.facts[-1]
-        box = facts.model_box.pad(PAD_PX).clip(scene.camera.rect)
+        box = facts.drawn_box.clip(scene.camera.rect)
         shown = box.clip(rect)
         if facts.camera_from_world is None or shown.empty:
             return {name: neutral(name, rect) for name in OUTPUTS}

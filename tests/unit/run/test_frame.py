@@ -117,7 +117,7 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
     """Nothing but the object's own pixels is converted, and the picture is the one that whole conversion gives."""
     stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite()}
     levels, prepared = {n: LEVEL for n in stages}, dict.fromkeys(stages)
-    f = FACTS.with_(opacity=0.9, bias_rgb=(bias, bias, bias))
+    f = FACTS.with_(opacity=0.9, bias_rgb=(bias, bias, bias), model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame("yuv420p", SCENE.camera.width, SCENE.camera.height, smooth=True)
     asked: list[Rect] = []
