@@ -5,7 +5,8 @@ edges of a print are anti-aliased without sampling error (Crow 1984, "Summed-are
 Radiance follows arfx.core.light: ambient + sum of rgb * max(n·d, 0) * visible, times albedo.
 
 Row layouts (float64):
-rectangle  0-2 centre, 3-5 u, 6-8 v, 9-11 normal, 12 half width, 13 half height, 14 texture, 15 object, 16 gloss
+rectangle  0-2 centre, 3-5 u, 6-8 v, 9-11 normal, 12 half width, 13 half height, 14 texture, 15 object, 16 gloss,
+           17 whether it is a face of a closed box
 sphere     0-2 centre, 3 radius, 4-6 albedo, 7 object
 lamp       0-2 unit vector towards it, 3-5 rgb, 6 tangent of half its angular size
 texture    0 offset into the table, 1 columns, 2 rows, 3 smallest box in texels (0: cells stay hard-edged)
@@ -18,42 +19,55 @@ import math
 import numpy as np
 from numba import njit
 
+from arfx.synth.shadows import blockers, meets_a_sphere, visible
+
 _FAR = 1e30
 _LIFT_M = 2e-5  # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie 2e-4 m apart
-_DISC_SAMPLES = 16
-_GOLDEN_ANGLE = 2.399963229728653
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rectangle(ox, oy, oz, dx, dy, dz, rect, limit):
-    """Distance, in units of d, at which a ray meets a rectangle before `limit`; `limit` where it does not."""
-    dn = dx * rect[9] + dy * rect[10] + dz * rect[11]
-    if dn == 0.0:
-        return limit
-    px, py, pz = rect[0] - ox, rect[1] - oy, rect[2] - oz
-    t = (px * rect[9] + py * rect[10] + pz * rect[11]) / dn
-    if t <= 1e-9 or t >= limit:
-        return limit
-    qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
-    inside = (
-        abs(qx * rect[3] + qy * rect[4] + qz * rect[5]) <= rect[12]
-        and abs(qx * rect[6] + qy * rect[7] + qz * rect[8]) <= rect[13]
-    )
-    return t if inside else limit
+def _views(origin, rects, textures):
+    """(n, 5): way from a point to each rectangle's centre along its normal, u and v, m; its texels per m along u and v."""
+    out = np.empty((rects.shape[0], 5))
+    for i in range(rects.shape[0]):
+        px, py, pz = rects[i, 0] - origin[0], rects[i, 1] - origin[1], rects[i, 2] - origin[2]
+        out[i, 0] = px * rects[i, 9] + py * rects[i, 10] + pz * rects[i, 11]
+        out[i, 1] = px * rects[i, 3] + py * rects[i, 4] + pz * rects[i, 5]
+        out[i, 2] = px * rects[i, 6] + py * rects[i, 7] + pz * rects[i, 8]
+        tex = int(rects[i, 14])
+        if tex < textures.shape[0]:
+            out[i, 3], out[i, 4] = textures[tex, 1] / (2 * rects[i, 12]), textures[tex, 2] / (2 * rects[i, 13])
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):
-    """(distance in units of d, kind 0 none 1 rectangle 2 sphere, index) of the first surface along a ray."""
+def _nearest(origin, ex, ey, ez, dx, dy, dz, rects, views, spheres):
+    """(distance in units of d, kind 0 none 1 rectangle 2 sphere, index) of the first surface along a ray from origin + e.
+
+    Rectangles are tested without a division: their offsets from the origin are known, and both sides are times |d·n|.
+    """
     best, kind, index = _FAR, 0, -1
     for i in range(rects.shape[0]):
-        t = _rectangle(ox, oy, oz, dx, dy, dz, rects[i], best)
-        if t < best:
-            best, kind, index = t, 1, i
+        dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
+        away = views[i, 0] - (ex * rects[i, 9] + ey * rects[i, 10] + ez * rects[i, 11])
+        if dn < 0.0:
+            dn, away = -dn, -away
+        if away <= 1e-9 * dn or away >= best * dn:
+            continue
+        pu = views[i, 1] - (ex * rects[i, 3] + ey * rects[i, 4] + ez * rects[i, 5])
+        if abs(away * (dx * rects[i, 3] + dy * rects[i, 4] + dz * rects[i, 5]) - pu * dn) > rects[i, 12] * dn:
+            continue
+        pv = views[i, 2] - (ex * rects[i, 6] + ey * rects[i, 7] + ez * rects[i, 8])
+        if abs(away * (dx * rects[i, 6] + dy * rects[i, 7] + dz * rects[i, 8]) - pv * dn) <= rects[i, 13] * dn:
+            best, kind, index = away / dn, 1, i
     for i in range(spheres.shape[0]):
-        px, py, pz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
+        px, py, pz = spheres[i, 0] - origin[0] - ex, spheres[i, 1] - origin[1] - ey, spheres[i, 2] - origin[2] - ez
         a = dx * dx + dy * dy + dz * dz
-        b = (px * dx + py * dy + pz * dz) / a
+        b = px * dx + py * dy + pz * dz
+        c = px * px + py * py + pz * pz - spheres[i, 3] * spheres[i, 3]
+        if b * b < a * c * (1 - 1e-9):  # passes by, rounding left to the exact test below
+            continue
+        b /= a
         cx, cy, cz = px - b * dx, py - b * dy, pz - b * dz
         h = spheres[i, 3] * spheres[i, 3] - (cx * cx + cy * cy + cz * cz)
         if h <= 0.0:
@@ -66,22 +80,21 @@ def nearest(ox, oy, oz, dx, dy, dz, rects, spheres):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):
+def _hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):
     """True if any surface lies on the ray before `limit`."""
     for i in range(rects.shape[0]):
-        if _rectangle(ox, oy, oz, dx, dy, dz, rects[i], limit) < limit:
+        dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
+        px, py, pz = rects[i, 0] - ox, rects[i, 1] - oy, rects[i, 2] - oz
+        t = (px * rects[i, 9] + py * rects[i, 10] + pz * rects[i, 11]) / dn if dn != 0.0 else limit
+        if t <= 1e-9 or t >= limit:
+            continue
+        qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
+        if (
+            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12]
+            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13]
+        ):
             return True
-    for i in range(spheres.shape[0]):
-        px, py, pz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
-        a = dx * dx + dy * dy + dz * dz
-        b = (px * dx + py * dy + pz * dz) / a
-        cx, cy, cz = px - b * dx, py - b * dy, pz - b * dz
-        h = spheres[i, 3] * spheres[i, 3] - (cx * cx + cy * cy + cz * cz)
-        if h > 0.0:
-            half = math.sqrt(h / a)
-            if b + half > 1e-9 and b - half < limit:
-                return True
-    return False
+    return meets_a_sphere(ox, oy, oz, dx, dy, dz, limit, spheres)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -97,93 +110,36 @@ def _noise(seed, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _in_the_way(px, py, pz, lx, ly, lz, disc, rects, spheres):
-    """False if no surface can meet any ray from a point to a lamp's disc."""
-    for i in range(rects.shape[0]):
-        cx, cy, cz = rects[i, 0] - px, rects[i, 1] - py, rects[i, 2] - pz
-        away = cx * rects[i, 9] + cy * rects[i, 10] + cz * rects[i, 11]
-        rise = lx * rects[i, 9] + ly * rects[i, 10] + lz * rects[i, 11]
-        if abs(rise) <= disc + 1e-9:  # some rays run along the plane
-            radius = math.sqrt(rects[i, 12] * rects[i, 12] + rects[i, 13] * rects[i, 13])
-            if _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
-                return True
-            continue
-        t = away / rise
-        if t < 0.0:
-            continue  # every ray leaves the plane
-        farthest = abs(away) / (abs(rise) - disc)
-        spread = 1.0001 * (farthest - t + farthest * disc) + 1e-6  # from the middle ray's meeting point to any other's
-        qx, qy, qz = t * lx - cx, t * ly - cy, t * lz - cz
-        if (
-            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12] + spread
-            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13] + spread
-        ):
-            return True
-    for i in range(spheres.shape[0]):
-        cx, cy, cz = spheres[i, 0] - px, spheres[i, 1] - py, spheres[i, 2] - pz
-        if _cone_meets(cx, cy, cz, lx, ly, lz, disc, spheres[i, 3]):
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
-    """Whether a cone along unit l from the origin, `disc` its slope, may meet the sphere; errs towards True."""
-    along = cx * lx + cy * ly + cz * lz
-    radius = 1.0001 * radius + 1e-6  # rounding
-    if along < -radius:
-        return False
-    across = cx * cx + cy * cy + cz * cz - along * along
-    reach = radius + disc * (along + radius)
-    return across <= reach * reach
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _visible(px, py, pz, lx, ly, lz, disc, rects, spheres, turn):
-    """Fraction 0..1 of a lamp's disc that a point sees: five rays, and sixteen more where these disagree."""
-    if disc == 0.0:
-        return 0.0 if hidden_by(px, py, pz, lx, ly, lz, _FAR, rects, spheres) else 1.0
-    if not _in_the_way(px, py, pz, lx, ly, lz, disc, rects, spheres):
-        return 1.0
-    if abs(lx) < 0.6:
-        ax, ay, az = 0.0, lz, -ly
-    else:
-        ax, ay, az = -lz, 0.0, lx
-    n = math.sqrt(ax * ax + ay * ay + az * az)
-    ax, ay, az = ax / n, ay / n, az / n
-    bx, by, bz = ly * az - lz * ay, lz * ax - lx * az, lx * ay - ly * ax
-    seen = 0
-    for k in range(5):
-        radius = 0.0 if k == 4 else disc
-        c, s = math.cos(k * math.pi / 2) * radius, math.sin(k * math.pi / 2) * radius
-        if not hidden_by(px, py, pz, lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz, _FAR, rects, spheres):
-            seen += 1
-    if seen == 0 or seen == 5:
-        return seen / 5.0
-    seen = 0
-    for k in range(_DISC_SAMPLES):
-        radius = disc * math.sqrt((k + 0.5) / _DISC_SAMPLES)
-        angle = turn + k * _GOLDEN_ANGLE
-        c, s = math.cos(angle) * radius, math.sin(angle) * radius
-        if not hidden_by(px, py, pz, lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz, _FAR, rects, spheres):
-            seen += 1
-    return seen / _DISC_SAMPLES
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _integral(table, offset, columns, x, y, c):
+def _corner(table, offset, columns, x, y):
+    """Integral of a texture's three channels over the box from its first corner to (x, y)."""
     ix, iy = int(x), int(y)
     fx, fy = x - ix, y - iy
-    row = columns + 1
-    base = offset + (iy * row + ix) * 3 + c
-    value = table[base] * (1 - fx) * (1 - fy)
+    row = 3 * (columns + 1)
+    at = offset + iy * row + 3 * ix
+    w = (1 - fx) * (1 - fy)
+    r, g, b = w * table[at], w * table[at + 1], w * table[at + 2]
     if fx > 0.0:
-        value += table[base + 3] * fx * (1 - fy)
+        w = fx * (1 - fy)
+        r, g, b = r + w * table[at + 3], g + w * table[at + 4], b + w * table[at + 5]
     if fy > 0.0:
-        value += table[base + 3 * row] * (1 - fx) * fy
+        w = (1 - fx) * fy
+        at += row
+        r, g, b = r + w * table[at], g + w * table[at + 1], b + w * table[at + 2]
         if fx > 0.0:
-            value += table[base + 3 * row + 3] * fx * fy
-    return value
+            w = fx * fy
+            r, g, b = r + w * table[at + 3], g + w * table[at + 4], b + w * table[at + 5]
+    return r, g, b
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean(table, offset, columns, left, right, top, bottom):
+    """Mean of a texture's three channels over a box, texels."""
+    r0, g0, b0 = _corner(table, offset, columns, right, bottom)
+    r1, g1, b1 = _corner(table, offset, columns, left, bottom)
+    r2, g2, b2 = _corner(table, offset, columns, left, top)
+    r3, g3, b3 = _corner(table, offset, columns, right, top)
+    share = 1.0 / ((right - left) * (bottom - top))
+    return (r0 - r1 + (r2 - r3)) * share, (g0 - g1 + (g2 - g3)) * share, (b0 - b1 + (b2 - b3)) * share
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -208,6 +164,8 @@ def render_rows(
     footprint: width in pixels that a sample stands for;  sky (h, w, 3): radiance by direction, (0, …) = black
     """
     width = rays.shape[1]
+    views = _views(origin, rects, textures)
+    rows_of_lamp, used = blockers(rects, spheres, lamps)
     for y in range(y0, y1):
         for x in range(width):
             cx, cy = rays[y, x, 0], rays[y, x, 1]
@@ -230,13 +188,13 @@ def render_rows(
                 angle = 2 * math.pi * _noise(seed, 2 * number + 1)
                 ex, ey = radius * math.cos(angle), radius * math.sin(angle)
                 cx, cy = cx - ex / focus_m, cy - ey / focus_m
-            ox = origin[0] + rotation[0, 0] * ex + rotation[0, 1] * ey
-            oy = origin[1] + rotation[1, 0] * ex + rotation[1, 1] * ey
-            oz = origin[2] + rotation[2, 0] * ex + rotation[2, 1] * ey
+            rx = rotation[0, 0] * ex + rotation[0, 1] * ey
+            ry = rotation[1, 0] * ex + rotation[1, 1] * ey
+            rz = rotation[2, 0] * ex + rotation[2, 1] * ey
             dx = rotation[0, 0] * cx + rotation[0, 1] * cy + rotation[0, 2]
             dy = rotation[1, 0] * cx + rotation[1, 1] * cy + rotation[1, 2]
             dz = rotation[2, 0] * cx + rotation[2, 1] * cy + rotation[2, 2]
-            t, kind, index = nearest(ox, oy, oz, dx, dy, dz, rects, spheres)
+            t, kind, index = _nearest(origin, rx, ry, rz, dx, dy, dz, rects, views, spheres)
             if kind == 0:
                 if sky.shape[0] > 0:
                     size = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -245,18 +203,19 @@ def render_rows(
                     for c in range(3):
                         out[y, x, c] += weight * sky[sy, sx, c]
                 continue
-            hx, hy, hz = ox + t * dx, oy + t * dy, oz + t * dz
+            hx, hy, hz = origin[0] + rx + t * dx, origin[1] + ry + t * dy, origin[2] + rz + t * dz
             gloss = 0.0
             if kind == 1:
                 nx, ny, nz = rects[index, 9], rects[index, 10], rects[index, 11]
                 dn = dx * nx + dy * ny + dz * nz
+                per_dn = 1.0 / dn
                 wide, high = 0.0, 0.0  # half extents of the footprint on the surface, along u and v
                 for k in range(2):
                     fx, fy = (ux, uy) if k == 0 else (vx, vy)
                     gx = rotation[0, 0] * fx + rotation[0, 1] * fy
                     gy = rotation[1, 0] * fx + rotation[1, 1] * fy
                     gz = rotation[2, 0] * fx + rotation[2, 1] * fy
-                    slide = (gx * nx + gy * ny + gz * nz) / dn
+                    slide = (gx * nx + gy * ny + gz * nz) * per_dn
                     gx, gy, gz = t * (gx - slide * dx), t * (gy - slide * dy), t * (gz - slide * dz)
                     a, b = (
                         gx * rects[index, 3] + gy * rects[index, 4] + gz * rects[index, 5],
@@ -266,18 +225,13 @@ def render_rows(
                     high += b * b
                 tex = int(rects[index, 14])
                 offset, columns, rows = int(textures[tex, 0]), int(textures[tex, 1]), int(textures[tex, 2])
-                per_u, per_v = columns / (2 * rects[index, 12]), rows / (2 * rects[index, 13])
+                per_u, per_v = views[index, 3], views[index, 4]
                 qx, qy, qz = hx - rects[index, 0], hy - rects[index, 1], hz - rects[index, 2]
                 tx = (qx * rects[index, 3] + qy * rects[index, 4] + qz * rects[index, 5] + rects[index, 12]) * per_u
                 ty = (rects[index, 13] - (qx * rects[index, 6] + qy * rects[index, 7] + qz * rects[index, 8])) * per_v
                 left, right = _span(tx, max(0.5 * math.sqrt(wide) * per_u, 0.5 * textures[tex, 3]), columns)
                 top, bottom = _span(ty, max(0.5 * math.sqrt(high) * per_v, 0.5 * textures[tex, 3]), rows)
-                area = (right - left) * (bottom - top)
-                colour = (
-                    _mean(table, offset, columns, left, right, top, bottom, area, 0),
-                    _mean(table, offset, columns, left, right, top, bottom, area, 1),
-                    _mean(table, offset, columns, left, right, top, bottom, area, 2),
-                )
+                colour = _mean(table, offset, columns, left, right, top, bottom)
                 gloss = rects[index, 16]
                 if dn > 0.0:
                     nx, ny, nz = -nx, -ny, -nz
@@ -296,7 +250,7 @@ def render_rows(
                 facing = nx * lamps[k, 0] + ny * lamps[k, 1] + nz * lamps[k, 2]
                 if facing <= 0.0:
                     continue
-                seen = _visible(px, py, pz, lamps[k, 0], lamps[k, 1], lamps[k, 2], lamps[k, 6], rects, spheres, turn)
+                seen = visible(px, py, pz, lamps, k, rows_of_lamp, used[k], spheres, turn)
                 if seen == 0.0:
                     continue
                 light0 += seen * facing * lamps[k, 3]
@@ -314,15 +268,9 @@ def render_rows(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mean(table, offset, columns, left, right, top, bottom, area, c):
-    whole = _integral(table, offset, columns, right, bottom, c) - _integral(table, offset, columns, left, bottom, c)
-    whole += _integral(table, offset, columns, left, top, c) - _integral(table, offset, columns, right, top, c)
-    return whole / area
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def probe(rays, rotation, origin, rects, spheres, depth, owner):
     """Depth along the axis (0 = nothing) and object number (0 = nothing) at the rays (h, w, 2) of pixel centres."""
+    views = _views(origin, rects, np.zeros((0, 4)))
     for y in range(rays.shape[0]):
         for x in range(rays.shape[1]):
             cx, cy = rays[y, x, 0], rays[y, x, 1]
@@ -332,7 +280,7 @@ def probe(rays, rotation, origin, rects, spheres, depth, owner):
             dx = rotation[0, 0] * cx + rotation[0, 1] * cy + rotation[0, 2]
             dy = rotation[1, 0] * cx + rotation[1, 1] * cy + rotation[1, 2]
             dz = rotation[2, 0] * cx + rotation[2, 1] * cy + rotation[2, 2]
-            t, kind, index = nearest(origin[0], origin[1], origin[2], dx, dy, dz, rects, spheres)
+            t, kind, index = _nearest(origin, 0.0, 0.0, 0.0, dx, dy, dz, rects, views, spheres)
             if kind == 1:
                 depth[y, x], owner[y, x] = t, int(rects[index, 15])
             elif kind == 2:
@@ -345,4 +293,4 @@ def unhidden(points, origin, rects, spheres, out):
     for i in range(points.shape[0]):
         dx, dy, dz = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
         size = math.sqrt(dx * dx + dy * dy + dz * dz)
-        out[i] = not hidden_by(origin[0], origin[1], origin[2], dx, dy, dz, 1.0 - _LIFT_M / size, rects, spheres)
+        out[i] = not _hidden_by(origin[0], origin[1], origin[2], dx, dy, dz, 1.0 - _LIFT_M / size, rects, spheres)

@@ -91,6 +91,8 @@ class World:
         rows = [_rect([0, 0, s * h], x, y, w / 2, d / 2, tex, number) for s in (0, 1)]
         rows += [_rect([s * w / 2, 0, h / 2], s * y, z, d / 2, h / 2, tex, number) for s in (-1, 1)]
         rows += [_rect([0, s * d / 2, h / 2], -s * x, z, w / 2, h / 2, tex, number) for s in (-1, 1)]
+        for row in rows:
+            row[17] = 1.0
         return rows
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
@@ -117,7 +119,7 @@ class World:
                 for k in (3, 6, 9):
                     new[k : k + 3] = pose.rotation @ row[k : k + 3]
                 rects.append(new)
-        return Moment(np.array(rects).reshape(-1, 17), np.array(spheres).reshape(-1, 8), self.lamps_at(time_s), poses)
+        return Moment(np.array(rects).reshape(-1, 18), np.array(spheres).reshape(-1, 8), self.lamps_at(time_s), poses)
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
         """camera_from_room at a time during (or next to) a frame, on the path of the frame's shot."""
@@ -159,7 +161,7 @@ def _factor(keys: tuple[tuple[float, float], ...], time_s: float) -> float:
 
 def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:
     u, v = np.asarray(u, float), np.asarray(v, float)
-    return np.array([*centre, *u, *v, *np.cross(u, v), half_w, half_h, texture, number, gloss], float)
+    return np.array([*centre, *u, *v, *np.cross(u, v), half_w, half_h, texture, number, gloss, 0.0], float)
 
 
 def _summed_areas(pictures: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, np.ndarray]:

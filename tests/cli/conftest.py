@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import contextlib
+import gc
 import json
 import os
 import subprocess
@@ -11,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from arfx_cli.main import main
 from tests.clips import MARKER, write_camera, write_clip, write_model
 
 
@@ -49,14 +52,30 @@ Run = Callable[..., Result]
 
 
 @pytest.fixture
-def arfx(tmp_path: Path) -> Run:
-    """Runs the real command in its own process."""
+def arfx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Runs the command in this process, or, with `apart` or an environment of its own, in one that it has to itself.
 
-    def run(*args: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> Result:
+    A process of its own takes seconds to import everything: for what is about processes, and once for each kind of job.
+    """
+
+    def run(*args: str, cwd: Path | None = None, env: dict[str, str] | None = None, apart: bool = False) -> Result:
+        if not (apart or env):
+            return here(list(args), cwd or tmp_path)
         p = subprocess.run(
             [sys.executable, "-m", "arfx_cli.main", *args], cwd=cwd or tmp_path, capture_output=True, text=True,
             env={**os.environ, **(env or {})}, check=False, timeout=300,
         )  # fmt: skip
         return Result(p.returncode, p.stdout, p.stderr)
+
+    def here(args: list[str], cwd: Path) -> Result:
+        collections = gc.get_threshold()
+        capfd.readouterr()
+        try:
+            with contextlib.chdir(cwd), pytest.raises(SystemExit) as done:
+                main(args)
+        finally:
+            gc.set_threshold(*collections)
+        code = done.value.code
+        return Result(code if isinstance(code, int) else int(code is not None), *capfd.readouterr())
 
     return run

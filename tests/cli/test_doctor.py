@@ -1,4 +1,4 @@
-"""`arfx doctor` as a process: one document, or lines for people, and what a machine without OpenGL gets."""
+"""`arfx doctor`: one document, or lines for people, and what a machine without OpenGL gets."""
 
 from __future__ import annotations
 

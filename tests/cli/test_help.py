@@ -9,7 +9,7 @@ from tests.cli.conftest import Run
 
 
 def test_help_lists_every_command_and_the_exit_codes(arfx: Run) -> None:
-    r = arfx("--help")
+    r = arfx("--help", apart=True)
     assert r.code == 0 and not r.err
     assert all(f"  {name} " in r.out for name in COMMANDS)
     assert "Exit codes: 0 done" in r.out
@@ -19,7 +19,7 @@ def test_help_lists_every_command_and_the_exit_codes(arfx: Run) -> None:
 def test_the_version_is_the_packages(arfx: Run) -> None:
     from arfx import __version__
 
-    assert arfx("--version").out.split()[-1] == __version__
+    assert arfx("--version", apart=True).out.split()[-1] == __version__
 
 
 @pytest.mark.parametrize(("word", "near"), [("proces", "process"), ("inpsect", "inspect"), ("docter", "doctor")])

@@ -24,7 +24,7 @@ CASES = [(name, level) for name in STAGES for level in range(len(STAGES[name].le
 IDS = [f"{name}-{STAGES[name].levels[level].name}" for name, level in CASES]
 
 
-QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 4}}  # the laws hold for any number of rays
+QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}}  # the laws hold for any number of rays
 
 
 @cache

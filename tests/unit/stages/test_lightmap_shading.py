@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.lighting_paper import told
+from arfx.core.camera import Camera
 from arfx.core.cube import face_directions
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
@@ -167,7 +168,8 @@ def test_shadow_on_itself_against_true_rays(level: str, most: float) -> None:
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("light", [(0, 60, 2.0), (130, 20, 15.0)])
 def test_no_acne_on_a_ball(level: str, light: tuple[float, float, float]) -> None:
-    s = on_plane(ball_model(3), lamp(*light, ambient=0.0))
+    camera = Camera(160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]))  # 19,200 places on the ball
+    s = on_plane(ball_model(3), lamp(*light, ambient=0.0), camera)
     # the facets of the model lie under the sphere of their normals: places on the facets, normals of the sphere
     part = s.model.parts[0]
     g = np.random.default_rng(0)

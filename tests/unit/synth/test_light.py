@@ -53,6 +53,38 @@ def test_a_sphere_s_shadow_is_the_cylinder_behind_it() -> None:
     assert shadow @ to_lamp < -0.08, "it falls away from the lamp"
 
 
+@pytest.mark.parametrize(
+    ("azimuth_deg", "elevation_deg", "size_deg"), [(20, 40, 0), (200, 30, 0.02), (-75, 65, 0.02), (-75, 65, 0), (0, 90, 0.02)]
+)
+@pytest.mark.parametrize("what", ["boxes", "board"])
+def test_a_shadow_is_the_outline_of_the_corners(what: str, azimuth_deg: float, elevation_deg: float, size_deg: float) -> None:
+    """One box on the floor, one in the air, through which nothing shines; a tilted board, with floor on both its sides."""
+    lamp = {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, "rgb": [0.6] * 3, "angular_size_deg": size_deg}
+    boxes = [
+        {"size_m": [0.12, 0.08, 0.1], "position_m": [0.1, 0.05, 0], "rotate_deg": [0, 0, 25], "texture": GREY},
+        {"size_m": [0.1, 0.06, 0.05], "position_m": [-0.15, -0.1, 0.15], "rotate_deg": [20, -15, 40], "texture": GREY},
+    ]
+    board = {"size_m": [0.12, 0.08], "position_m": [0.05, 0.1, 0.12], "rotate_deg": [35, 20, 10], "texture": GREY}
+    objects = {"plane": [FLOOR], "box": boxes} if what == "boxes" else {"plane": [FLOOR, board]}
+    scene = little_scene(160, 120, path=from_above(), **objects, light={"ambient_rgb": [0.2] * 3, "lamps": [lamp]})
+    world, picture = picture_of(scene, samples=1)
+    made, (_, owner) = picture.radiance(0)[..., 0], picture.surfaces(0)
+    a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
+    towards = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    points = ground_points(world)[..., :2].astype(np.float32)
+    inside = np.full(owner.shape, -np.inf)
+    for thing, pose in zip(boxes if what == "boxes" else [board], world.poses(0.0)[1:], strict=True):
+        w, d, h = (*thing["size_m"], 0)[:3]
+        corners = pose.apply(np.array([(x, y, z) for x in (-w / 2, w / 2) for y in (-d / 2, d / 2) for z in (0, h)]))
+        hull = cv2.convexHull((corners - corners[:, 2:] / towards[2] * towards)[:, :2].astype(np.float32))
+        distance = [cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y in points.reshape(-1, 2)]
+        inside = np.maximum(inside, np.reshape(distance, owner.shape))
+    floor = owner == 1
+    dark, lit = floor & (inside > 1e-3), floor & (inside < -1e-3)
+    assert lit.sum() > 3000 and dark.sum() > (60 if elevation_deg < 90 else 0)
+    assert np.allclose(made[dark], 0.5 * 0.2) and np.allclose(made[lit], 0.5 * (0.2 + 0.6 * np.sin(e)))
+
+
 def test_penumbra_is_as_wide_as_the_lamp_and_the_height_make_it() -> None:
     """A straight edge at height H before a disc of angular size s, overhead: the penumbra reaches H·tan(s/2) either way."""
     size_deg, height = 12.0, 0.3
