@@ -47,13 +47,12 @@ class CutOut:
         if part.empty:
             return
         top, bottom = part.y0 - self.rect.y0, part.y1 - self.rect.y0
-        own, own_lo, own_hi = self.spread.rows(top, bottom, "own")
-        gap, gap_lo, gap_hi = self.gap.rows(top, bottom, "gap")
+        own, gap = self.spread.rows(top, bottom, "own"), self.gap.rows(top, bottom, "gap")
         at = slice(part.y0 - rows.y0, part.y1 - rows.y0)
         mine = slice(top, bottom)
         light.lay_cut(
             out[at], state[at], first + part.y0 - rows.y0, part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
-            own, own_lo, own_hi, gap, gap_lo, gap_hi,
+            top, *own.parts, *gap.parts,
             self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity, real.image, real.patch, real.box,
         )  # fmt: skip
 
@@ -112,12 +111,12 @@ def render(
     def finish(strip: tuple[int, int]) -> None:
         top, bottom = strip
         out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
-        spread, lo, hi = base.rows(top, bottom, "base") if largest > SHARP_PX else (DARK, 0, 0)
+        spread = base.rows(top, bottom, "base") if largest > SHARP_PX else DARK
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
-        if lo >= hi:
+        if spread.lo >= spread.hi:
             out[:] = image[top:bottom]
         else:
-            light.lay_real(out, state, image, top, spread, lo, hi, base.radius, sharp.patch, sharp.box, kept)
+            light.lay_real(out, state, image, top, *spread.parts, base.radius, sharp.patch, sharp.box, kept)
         active = EMPTY
         for cut in cuts:
             cut.lay(out, state, here, top, sharp)

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.ladder import SHARP_PX
+from arfx.stages.dof.spread import light_of_row
 
 _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; something sharp laid there; light spread there.
@@ -30,33 +31,27 @@ def behind(plate, shadow, opacity, bias):  # pragma: no cover - compiled
     return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _real(image, patch, box, y, x):  # pragma: no cover - compiled
-    """Red, green and blue of the real scene in one pixel: patch within box = (x0, y0, x1, y1), else image."""
-    if box[0] <= x < box[2] and box[1] <= y < box[3]:
-        j, i = y - box[1], x - box[0]
-        return patch[j, i, 0], patch[j, i, 1], patch[j, i, 2]
-    return image[y, x, 0], image[y, x, 1], image[y, x, 2]
-
-
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_real(
-    out, state, image, top, light, lo, hi, radius, patch, box, kept
+    out, state, image, top, values, table, lead_y, lead_x, lo, hi, radius, patch, box, kept
 ):  # fmt: skip  # pragma: no cover - compiled
     """out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w) = LAID; else the
     composite's own bits, image (h, w, 3) from its row `top`.
 
-    light : of `Spread.rows`, columns lo..hi;  patch, box : the real scene in place of image, as `deposit_real`
+    values … hi : of `Spread.rows`;  patch, box : the real scene in place of image, as `deposit_real`
     """
     whole = kept.shape[0] == 0
+    light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * out.shape[1], np.float32)
     for j in range(out.shape[0]):
         y = top + j
+        light_of_row(light, y, values, table, lead_y, lead_x, lo, hi, between)
+        from_x, until_x = (box[0], box[2]) if box[1] <= y < box[3] else (0, 0)  # columns of the patch
         for x in range(lo):
             out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
         for x in range(hi, out.shape[1]):
             out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
         for x in range(lo, hi):
-            w = light[j, x, 3]
+            w = light[4 * x + 3]
             if not w > 0:
                 out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
                 continue
@@ -64,38 +59,45 @@ def lay_real(
             if radius[y, x] > SHARP_PX:
                 inverse = np.float32(1) / w
                 for c in range(3):
-                    out[j, x, c] = light[j, x, c] * inverse
+                    out[j, x, c] = light[4 * x + c] * inverse
             else:
                 share = np.float32(1) if whole else kept[y, x]
                 inverse = np.float32(1) / (w + share)
-                red, green, blue = _real(image, patch, box, y, x)
-                out[j, x, 0] = (light[j, x, 0] + share * red) * inverse
-                out[j, x, 1] = (light[j, x, 1] + share * green) * inverse
-                out[j, x, 2] = (light[j, x, 2] + share * blue) * inverse
+                for c in range(3):
+                    own = patch[y - box[1], x - from_x, c] if from_x <= x < until_x else image[y, x, c]
+                    out[j, x, c] = (light[4 * x + c] + share * own) * inverse
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_cut(
-    out, state, top, begin, end, left, light, lo, hi, gap, gap_lo, gap_hi, radius, colour, coverage, opacity, image, patch, box
+    out, state, top, begin, end, left, first, values, table, lead_y, lead_x, lo, hi,
+    gap_values, gap_table, gap_lead_y, gap_lead_x, gap_lo, gap_hi, radius, colour, coverage, opacity, image, patch, box,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Put columns begin..end of a cut-out layer over out (rows, w, 3); its column 0 is `left` of out's.
 
-    light, gap : (rows, w', 4) of `Spread.rows`;  state : set LAID where any of it is spread, else TRIED
+    first : row of the layer that is out's first;  values … hi, gap_values … : of its light and its gap, `Spread.rows`
+    state : set LAID where any of it is spread, else TRIED
     image, patch, box : the real scene, from row `top`, for pixels that hold the composite's bits as yet
     """
+    width = radius.shape[1]
+    light, gap, between = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
     for y in range(out.shape[0]):
+        light_of_row(light, first + y, values, table, lead_y, lead_x, lo, hi, between)
+        light_of_row(gap, first + y, gap_values, gap_table, gap_lead_y, gap_lead_x, gap_lo, gap_hi, between)
+        from_x, until_x = (box[0], box[2]) if box[1] <= top + y < box[3] else (0, 0)  # columns of the patch
         for x in range(begin, end):
-            w = light[y, x, 3] if lo <= x < hi else np.float32(0)
+            w = light[4 * x + 3] if lo <= x < hi else np.float32(0)
             c = coverage[y, x] * opacity
             sharp = radius[y, x] <= SHARP_PX
             if not (w > 0 or (sharp and c > 0)):
                 continue
-            total = w + (gap[y, x, 3] if gap_lo <= x < gap_hi else np.float32(0))
+            total = w + (gap[4 * x + 3] if gap_lo <= x < gap_hi else np.float32(0))
             own = np.float32(1) if sharp else np.float32(0)
             total += own
             if state[y, left + x] == KEPT:
                 i = left + x
-                out[y, i, 0], out[y, i, 1], out[y, i, 2] = _real(image, patch, box, top + y, left + x)
+                for k in range(3):
+                    out[y, i, k] = patch[top + y - box[1], i - from_x, k] if from_x <= i < until_x else image[top + y, i, k]
                 state[y, left + x] = TRIED
             if w > 0:
                 state[y, left + x] = LAID
@@ -105,7 +107,7 @@ def lay_cut(
             for k in range(3):
                 v = own * colour[y, x, k] * opacity
                 if lo <= x < hi:
-                    v += light[y, x, k]
+                    v += light[4 * x + k]
                 out[y, left + x, k] = out[y, left + x, k] * through + v * inverse
 
 

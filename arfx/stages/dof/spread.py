@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.aperture import STEPS
-from arfx.stages.dof.four import add_between, mark_ends
+from arfx.stages.dof.four import add_between, add_two_between, mark_ends
 from arfx.stages.dof.ladder import SHARP_PX
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
@@ -295,32 +295,38 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def add_rung(
-    out, coarse, rung, first_row, height, width, top, lead_y, lead_x, lo, hi
-):  # fmt: skip  # pragma: no cover - compiled
-    """out (rows, w, 4) += the rung's light, bilinear, columns lo..hi.
+def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pragma: no cover - compiled
+    """line (4 w,) = light that reaches row y of the rectangle, columns lo..hi: all rungs, bilinear between their cells.
 
-    coarse : (n, width + 1, 4) rows from cell row `first_row`;  top : row of `out`'s first row in the rectangle
-    lead_y, lead_x : px by which the rectangle's corner lies in its first cell;  height, width : cells
+    values : flat, light of each rung's rows, (rows, width + 1, 4);  between : scratch, (4 w,)
+    table : (n, 7), of each: rung, first value, first row, height and width of the whole rung, columns of the rectangle
+    lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
-    step = np.float32(1) / np.float32(1 << rung)
-    half = np.float32(0.5)
-    line = np.empty(4 * width, np.float32)
-    stride = out.shape[1]
-    flat_out = out.reshape(-1)
-    flat = coarse.reshape(-1)
-    row = coarse.shape[1] * 4
-    for y in range(out.shape[0]):
-        v = (np.float32(top + y + lead_y) + half) * step - half
-        i = int(np.floor(v))
-        t = v - np.float32(i)
-        a, b = min(max(i, 0), height - 1) - first_row, min(max(i + 1, 0), height - 1) - first_row
-        c0 = max(((lo + lead_x) >> rung) - 1, 0)
-        c1 = min(((hi + lead_x) >> rung) + 2, width)
-        upper, lower = flat[a * row : (a + 1) * row], flat[b * row : (b + 1) * row]
-        for n in range(4 * c0, 4 * c1):
-            line[n] = upper[n] + (lower[n] - upper[n]) * t
-        for x in range(lo, hi):
-            u = (np.float32(x + lead_x) + half) * step - half
-            i = int(np.floor(u))
-            add_between(flat_out, y * stride + x, line, max(i, 0), min(i + 1, width - 1), u - np.float32(i))
+    line[4 * lo : 4 * hi] = 0
+    for k in range(table.shape[0]):
+        rung, first, first_row, height, width, left, right = table[k]
+        stride = 4 * (width + 1)
+        if rung == 0:
+            at = first + (y - first_row) * stride
+            own = values[at : at + stride]
+            for n in range(4 * left, 4 * right):
+                line[n] += own[n]
+            continue
+        side, half = 1 << rung, 1 << rung - 1
+        step = np.float32(1) / np.float32(side)
+        begin, end = left + lead_x - half, right + lead_x - half  # from the middle of the first cell, as x below
+        j = (y + lead_y - half) >> rung
+        t = (np.float32(y + lead_y - half - (j << rung)) + np.float32(0.5)) * step
+        a, b = min(max(j, 0), height - 1) - first_row, min(max(j + 1, 0), height - 1) - first_row
+        upper, lower = values[first + a * stride : first + (a + 1) * stride], values[first + b * stride : first + (b + 1) * stride]
+        for n in range(4 * max(begin >> rung, 0), 4 * min(((end - 1) >> rung) + 2, width)):
+            between[n] = upper[n] + (lower[n] - upper[n]) * t
+        for i in range(begin >> rung, ((end - 1) >> rung) + 1):
+            p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
+            to = x + half - lead_x
+            if x >= begin and x + side <= end:
+                for n in range(half):
+                    add_two_between(line, to + 2 * n, between, p, q, (np.float32(2 * n) + np.float32(0.5)) * step, step)
+                continue
+            for n in range(max(begin - x, 0), min(end - x, side)):
+                add_between(line, to + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
