@@ -91,3 +91,26 @@ def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, fir
         return context.get_dummy_value()
 
     return signature, codegen
+
+
+@intrinsic
+def put_colour(typingctx, out, at, light, x):
+    """out[at .. at + 2] = red, green, blue / weight of light's cell x; out[at + 3] is overwritten too.
+
+    out, light : flat float32, contiguous
+    """
+    signature = types.void(out, types.intp, light, types.intp)
+
+    def codegen(context, builder, signature, args):
+        data = context.make_array(signature.args[2])(context, builder, args[2]).data
+        where = builder.gep(data, [builder.shl(args[3], ir.Constant(args[3].type, 2))])
+        value = builder.load(builder.bitcast(where, _VECTOR.as_pointer()), align=4)
+        weight = builder.extract_element(value, ir.Constant(ir.IntType(32), 3))
+        inverse = builder.fdiv(ir.Constant(ir.FloatType(), 1.0), weight)
+        value = builder.fmul(value, _vector(builder, 4 * [inverse]))
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        to = builder.bitcast(builder.gep(data, [args[1]]), _VECTOR.as_pointer())
+        builder.store(value, to, align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen

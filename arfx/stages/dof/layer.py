@@ -71,6 +71,8 @@ class Spread:
             self.meta[k] = first, width, height
             first += width * height
         self.cells = np.zeros((first, 5), np.float32)
+        self.far = [self._far(k) for k in range(self.rungs)]
+        self.reach = max(far + 2 << k for k, far in enumerate(self.far))
 
     @property
     def sink(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int, np.ndarray, np.ndarray]:
@@ -84,8 +86,7 @@ class Spread:
 
     def rows(self, top: int, bottom: int, name: str) -> Light:
         """Light that reaches rows top..bottom; its values are this thread's, until it asks for the same name again."""
-        far = max(self._far(k) + 2 << k for k in range(self.rungs))
-        if not any(a < bottom + far and b > top - far for a, b in self.busy):
+        if not any(a < bottom + self.reach and b > top - self.reach for a, b in self.busy):
             return DARK
         parts = [(k, *self._cell_rows(k, top, bottom)) for k in range(0 if self._any_near(top, bottom) else 1, self.rungs)]
         sizes = [(high - low) * (width + 1) * 4 for _, low, high, _, width in parts]
@@ -107,13 +108,13 @@ class Spread:
         if rung == 0:
             until = np.float32(self.ladder.fade[0, 1] if self.rungs > 1 else np.inf)
             a, b = spread_pixels(
-                self.near, self.held, self.lead_y, self.lead_x, self.radius, until, low, high, self._far(0), marks, *table
+                self.near, self.held, self.lead_y, self.lead_x, self.radius, until, low, high, self.far[0], marks, *table
             )
             run_sums(marks, a, b)
             return a, b
         first, columns, height = (int(v) for v in self.meta[rung])
         cells, cut = self.cells[first : first + columns * height], self.ladder.cut_px2[rung]
-        a, b = spread_cells(cells, columns, height, rung, cut, low, high, self._far(rung), marks, *table)
+        a, b = spread_cells(cells, columns, height, rung, cut, low, high, self.far[rung], marks, *table)
         run_sums(marks, a, b)
         if a >= b:
             return 0, 0
@@ -128,7 +129,7 @@ class Spread:
         return max(low, 0), min(high, height), height, width
 
     def _any_near(self, top: int, bottom: int) -> bool:
-        lead, far = self.lead_y % TILE_PX, self._far(0)
+        lead, far = self.lead_y % TILE_PX, self.far[0]
         return bool(self.held[max(top - far + lead, 0) // TILE_PX : (bottom + far - 1 + lead) // TILE_PX + 1].any())
 
     def _far(self, rung: int) -> int:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.stages.dof.four import put_colour
 from arfx.stages.dof.ladder import SHARP_PX
 from arfx.stages.dof.spread import light_of_row
 
 _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; something sharp laid there; light spread there.
+SHARP_BITS = int(np.float32(SHARP_PX).view(np.int32))
 KEPT, TRIED, LAID = np.uint8(0), np.uint8(1), np.uint8(2)
 
 
@@ -32,6 +34,18 @@ def behind(plate, shadow, opacity, bias):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _all_blurred(light, radius, y, lo, hi):  # pragma: no cover - compiled
+    """Whether every pixel of row y, columns lo..hi, has a blur circle and got light."""
+    bits, faintest = radius[y, lo:hi].view(np.int32), np.float32(np.inf)
+    least = np.int32(0x7F800000)
+    for x in range(len(bits)):  # of floats >= 0, ordered as their values are
+        least = min(least, bits[x])
+    for x in range(lo, hi):
+        faintest = min(faintest, light[4 * x + 3])
+    return hi > lo and faintest > 0 and least > SHARP_BITS
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_real(
     out, state, image, top, values, table, lead_y, lead_x, lo, hi, radius, patch, box, kept
 ):  # fmt: skip  # pragma: no cover - compiled
@@ -46,10 +60,17 @@ def lay_real(
         y = top + j
         light_of_row(light, y, values, table, lead_y, lead_x, lo, hi, between)
         from_x, until_x = (box[0], box[2]) if box[1] <= y < box[3] else (0, 0)  # columns of the patch
-        for x in range(lo):
-            out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
-        for x in range(hi, out.shape[1]):
-            out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+        out[j, :lo] = image[y, :lo]
+        out[j, hi:] = image[y, hi:]
+        if _all_blurred(light, radius, y, lo, hi):
+            state[j, lo:hi] = LAID
+            flat = out[j].reshape(-1)
+            for x in range(lo, hi - 1):
+                put_colour(flat, 3 * x, light, x)
+            inverse = np.float32(1) / light[4 * hi - 1]
+            for c in range(3):
+                flat[3 * (hi - 1) + c] = light[4 * (hi - 1) + c] * inverse
+            continue
         for x in range(lo, hi):
             w = light[4 * x + 3]
             if not w > 0:

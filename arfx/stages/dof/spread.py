@@ -321,12 +321,15 @@ def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pr
         upper, lower = values[first + a * stride : first + (a + 1) * stride], values[first + b * stride : first + (b + 1) * stride]
         for n in range(4 * max(begin >> rung, 0), 4 * min(((end - 1) >> rung) + 2, width)):
             between[n] = upper[n] + (lower[n] - upper[n]) * t
+        # cells whose pixels, up to the next cell's middle, are all wanted and have a cell on both sides; then the rest
+        first_whole, after_whole = max((begin + side - 1) >> rung, 0), min(end >> rung, width - 1)
+        for n in range(half):
+            t = (np.float32(2 * n) + np.float32(0.5)) * step
+            for i in range(first_whole, after_whole):
+                add_two_between(line, (i << rung) + half - lead_x + 2 * n, between, i, i + 1, t, step)
         for i in range(begin >> rung, ((end - 1) >> rung) + 1):
-            p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
-            to = x + half - lead_x
-            if x >= begin and x + side <= end:
-                for n in range(half):
-                    add_two_between(line, to + 2 * n, between, p, q, (np.float32(2 * n) + np.float32(0.5)) * step, step)
+            if first_whole <= i < after_whole:
                 continue
+            p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
             for n in range(max(begin - x, 0), min(end - x, side)):
-                add_between(line, to + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
+                add_between(line, x + half - lead_x + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
