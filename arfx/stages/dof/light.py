@@ -23,13 +23,17 @@ KEPT, TRIED, LAID = np.uint8(0), np.uint8(1), np.uint8(2)
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def behind(plate, shadow, opacity, bias):  # pragma: no cover - compiled
     """(h, w, 3): the real scene with the shadow and without the object, as `composite` has it where nothing covers it."""
-    out = np.empty(plate.shape, np.float32)
-    one = np.float32(1)
+    out, width, one = np.empty(plate.shape, np.float32), 3 * plate.shape[1], np.float32(1)
+    line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    for n in range(width):
+        below[n] = bias[n % 3]
     for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
+        for x in range(plate.shape[1]):
             for c in range(3):
-                p, left = plate[y, x, c], shadow[y, x, c]
-                out[y, x, c] = p + opacity * (p * (left - one) + bias[c] * (one - left))
+                line[3 * x + c], left[3 * x + c] = plate[y, x, c], shadow[y, x, c]
+        to = out[y].reshape(-1)
+        for n in range(width):
+            to[n] = line[n] + opacity * (line[n] * (left[n] - one) + below[n] * (one - left[n]))
     return out
 
 
