@@ -31,6 +31,8 @@ from arfx.errors import ConfigError
 
 _PAD_PX = 2  # around the model's box: the raster may write there
 _WINDOW_SHARE = 1 / 160  # radius of the filter's window over the picture's width
+_PASSES = 2  # each draws the edge nearer to the picture's
+_FAINT = 0.06  # a share below this, and above 1 less this, is the filter's own spill
 _EPS = 0.05**2  # variance of the picture, coded 0..1, from which an edge counts as one
 
 
@@ -74,10 +76,10 @@ class Hide:
             rect = rect.union(Rect(*(TILE_PX * v for v in (tile.x0, tile.y0, tile.x1, tile.y1))).clip(box))
         if rect.empty:
             return Demand(EMPTY, f"nothing real is nearer than the object's {farthest:.2f} m")
-        return Demand(rect.pad(2 * window_px(scene)).clip(box), "something real may stand before the object")
+        return Demand(rect.pad(reach_px(scene)).clip(box), "something real may stand before the object")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
-        return out.pad(2 * window_px(scene)).clip(scene.camera.rect)
+        return out.pad(reach_px(scene)).clip(scene.camera.rect)
 
     def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
         return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 20)
@@ -100,6 +102,11 @@ class Hide:
 def window_px(scene: Scene) -> int:
     """Radius of the filter's window."""
     return max(round(scene.camera.width * _WINDOW_SHARE), 3)
+
+
+def reach_px(scene: Scene) -> int:
+    """How far a pixel of the mask is decided from."""
+    return 2 * _PASSES * window_px(scene)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -126,7 +133,7 @@ def coded_luma(plate: np.ndarray) -> np.ndarray:
 
 
 def refined(mask: np.ndarray, there: np.ndarray, guide: np.ndarray, radius_px: int) -> np.ndarray:
-    """mask (h, w), its edges moved to those of guide (h, w); the same bits where it is even within twice the radius.
+    """mask (h, w), its edges moved to those of guide (h, w); the same bits where it is even all around.
 
     there : (h, w) 1 where the mask means anything, else 0
     """
@@ -140,10 +147,15 @@ def refined(mask: np.ndarray, there: np.ndarray, guide: np.ndarray, radius_px: i
     def mean(a: np.ndarray) -> np.ndarray:
         return divide(sums(a * there), count).astype(np.float32)
 
-    mean_guide, mean_mask = mean(guide), mean(mask)
-    slope = (mean(guide * mask) - mean_guide * mean_mask) / (mean(guide * guide) - mean_guide**2 + _EPS)
-    moved = np.clip(mean(slope) * guide + mean(mean_mask - slope * mean_guide), 0, 1)
-    around = np.ones((2 * side - 1, 2 * side - 1), np.uint8)
+    mean_guide = mean(guide)
+    variance = mean(guide * guide) - mean_guide**2 + np.float32(_EPS)
+    moved = mask
+    for _ in range(_PASSES):
+        mean_mask = mean(moved)
+        slope = divide(mean(guide * moved) - mean_guide * mean_mask, variance).astype(np.float32)
+        moved = np.clip(mean(slope) * guide + mean(mean_mask - slope * mean_guide), 0, 1)
+    moved = np.clip((moved - _FAINT) / (1 - 2 * _FAINT), 0, 1)
+    around = np.ones((4 * _PASSES * radius_px + 1,) * 2, np.uint8)
     least = cv2.erode(np.where(there > 0, mask, 1).astype(np.float32), around)
     most = cv2.dilate(np.where(there > 0, mask, 0).astype(np.float32), around)
     return np.where((most > least) & (there > 0), moved, mask).astype(np.float32)

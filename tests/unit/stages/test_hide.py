@@ -43,7 +43,7 @@ def test_a_nearer_thing_hides_the_object_and_a_farther_one_does_not() -> None:
     assert before[:, BAR].max() == 1, "the bar crosses the object"
     assert coverage[:, BAR].max() < 0.03 and virtual[:, BAR].max() < 0.03
     away = np.ones(SIZE[0], bool)
-    away[BAR.start - 10 : BAR.stop + 10] = False
+    away[BAR.start - 13 : BAR.stop + 13] = False
     np.testing.assert_array_equal(coverage[:, away], before[:, away])
     assert Hide().demand(at.facts, at.scene, at.scene.camera.rect).rect.contains(
         Rect(BAR.start, 0, BAR.stop, SIZE[1]).clip(at.facts.model_box)
@@ -73,7 +73,6 @@ def test_the_edge_is_the_pictures_not_the_depth_maps() -> None:
     rows = (at.layers[Layer.COVERAGE][:, BAR.start - 8 : BAR.stop + 8] == 1).all(1)
     assert rows.sum() > 20
     profile = coverage[rows].mean(0)
-    print(profile[BAR.start-6:BAR.start+6].round(2), profile[BAR.stop-6:BAR.stop+6].round(2))
     assert profile[BAR.start - 2] > 0.6 > 0.4 > profile[BAR.start + 1], profile[BAR.start - 5 : BAR.start + 5]
     assert profile[BAR.stop - 2] < 0.4 < 0.6 < profile[BAR.stop + 1], profile[BAR.stop - 5 : BAR.stop + 5]
     assert ((coverage > 0.05) & (coverage < 0.95))[rows][:, BAR.start - 8 : BAR.stop + 8].any()
