@@ -32,7 +32,7 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
         raise ConfigError(
             f"effects run in the order {','.join(ordered)}, not {','.join(asked)}", "write them in that order, once each"
         )
-    return stages_with(asked)
+    return stages_with(asked, config.input.depth is not None)
 
 
 def _set(config: JobConfig, name: str) -> bool:

@@ -35,14 +35,17 @@ STAGES: Mapping[str, Any] = _Table(
         "contact": "arfx.stages.contact.Contact",
         "lightmap": "arfx.stages.lightmap.Lightmap",
         "gi": "arfx.stages.gi.Gi",
+        "hide": "arfx.stages.hide.Hide",
         "composite": "arfx.stages.composite.Composite",
         "dof": "arfx.stages.dof.Dof",
         "watercolor": "arfx.stages.watercolor.Watercolor",
     }
 )
 # Stages that every job has; the others are effects that a pipeline names.
-IMPLICIT = ("raster", "plain", "contact", "composite")
+IMPLICIT = ("raster", "plain", "contact", "hide", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
+# Those of them that only a job with measured depth of the real scene has.
+WITH_DEPTH = ("hide",)
 # Effects that `auto` takes only where a job sets something of theirs: they change the whole real picture, or are dear.
 ASKED_FOR = ("gi", "dof", "watercolor")
 # What an effect does itself and better: left out of a job that has it.
@@ -53,8 +56,9 @@ WITH: Mapping[str, tuple[str, ...]] = {"gi": ("lightmap",)}
 TAKES_OVER: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"gi": {"lightmap": {"ambient": False}}}
 
 
-def stages_with(effects: Collection[str]) -> tuple[str, ...]:
-    """Names of the stages of a job with these effects, in running order."""
+def stages_with(effects: Collection[str], depth: bool = False) -> tuple[str, ...]:
+    """Names of the stages of a job with these effects, in running order. depth : of the real scene is given"""
     effects = {*effects, *(name for effect in effects for name in WITH.get(effect, ()))}
-    replaced = {name for effect in effects for name in REPLACES.get(effect, ())}
+    left_out = set() if depth else set(WITH_DEPTH)
+    replaced = left_out | {name for effect in effects for name in REPLACES.get(effect, ())}
     return tuple(name for name in STAGES if (name in IMPLICIT and name not in replaced) or name in effects)

@@ -53,6 +53,31 @@ def test_the_blur_follows_the_depth(material: Material, arfx: Run, depth: Path, 
     assert away.mean() < 2.0, "the plane is where the marker says it is"
 
 
+def test_what_is_nearer_hides_the_object(material: Material, arfx: Run, tmp_path: Path) -> None:
+    """A strip of the depth maps, 20 cm away, crosses the object: there the clip is seen, elsewhere the object."""
+    (tmp_path / "maps").mkdir()
+    sharp_lens = ("--pipeline", "dof", "--set", "dof.fnumber=1000")
+    plain = arfx(*material.arguments("-o", "plain.mkv", "--codec", "ffv1", "--end", "0.2", "--json", *sharp_lens))
+    assert plain.code == 0, plain.err
+    sharp, seen = (frames(p)[5][1].astype(float) for p in (material.clip, tmp_path / "plain.mkv"))
+    drawn = (seen - sharp).max(-1) > 40  # brighter: its shadow, which stays, is darker
+    middle = int(np.median(np.nonzero(drawn)[1]))
+    for k in range(FRAMES):
+        z = depth_of(k, near=False)
+        z[:, middle - 12 : middle + 12] = 400
+        cv2.imwrite(str(tmp_path / "maps" / f"{k}.png"), z)
+    r = arfx(*material.arguments("-o", "out.mkv", "--codec", "ffv1", "--end", "0.2", "--json", "--depth", "maps", *sharp_lens))
+    assert r.code == 0, r.err
+    assert "hide" in [s["name"] for s in r.json["stages"]] and "hide" not in [s["name"] for s in plain.json["stages"]]
+    made = frames(tmp_path / "out.mkv")[5][1].astype(float)
+    strip, away = np.zeros_like(drawn), np.ones_like(drawn)
+    strip[:, middle - 5 : middle + 5] = True
+    away[:, middle - 25 : middle + 25] = False
+    assert (drawn & strip).sum() > 50 and (drawn & away).sum() > 50
+    assert ((made - sharp).max(-1)[drawn & strip] > 40).mean() < 0.02
+    assert np.abs(made - seen).max(-1)[drawn & away].max() <= 1
+
+
 def test_refused_depth_is_said(material: Material, arfx: Run, tmp_path: Path) -> None:
     unknown = np.full((SIZE[1], SIZE[0]), 1000, np.uint16)
     unknown[40:-40, 40:-40] = 0  # nothing on the print

@@ -10,30 +10,19 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import EMPTY, Rect
-from arfx.stages.dof import light
+from arfx.stages.dof import deposit, light
 from arfx.stages.dof.cutout import continue_outside, object_radius
 from arfx.stages.dof.depth_layers import DepthLayers, depth_layers, dioptre_of
 from arfx.stages.dof.ladder import SHARP_PX, Ladder
 from arfx.stages.dof.layer import DARK, Spread, strips
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
+from arfx.stages.dof.real_pixels import OBJECT_PAD_PX, RealPixels
 from arfx.stages.dof.surfaces import GRID_PX, Real, plane_radius, square_radius
 from arfx.stages.dof.work import on_all_cores
 
 Optics = tuple[np.float32, np.float32, np.float32]  # px per dioptre, focus dioptre, limit px
-OBJECT_PAD_PX = 2  # around the model's box: the raster may write there
 _NONE = np.empty((0, 0), np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class RealPixels:
-    """The sharp real scene without the object: plate (h, w, 3) under shadow. top : its first row in the frame"""
-
-    top: int
-    plate: np.ndarray
-    shadow: np.ndarray
-    opacity: np.float32
-    bias: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,24 +38,22 @@ class CutOut:
 
     def deposit(self, strip: tuple[int, int]) -> None:
         radius, coverage = self.spread.radius, self.coverage
-        self.spread.note(strip, light.deposit_cut(*strip, radius, self.colour, coverage, self.opacity, *self.spread.sink))
-        self.gap.note(strip, light.deposit_gap(*strip, radius, coverage, self.opacity, *self.gap.sink))
+        self.spread.note(strip, deposit.deposit_cut(*strip, radius, self.colour, coverage, self.opacity, *self.spread.sink))
+        self.gap.note(strip, deposit.deposit_gap(*strip, radius, coverage, self.opacity, *self.gap.sink))
 
-    def lay(self, out: np.ndarray, state: np.ndarray, rows: Rect, real: RealPixels) -> None:
-        """Put it over the rows `rows` (their rectangle) of out. real : from the layers' first row"""
+    def lay(self, out: np.ndarray, state: np.ndarray, rows: Rect, first: int, real: RealPixels) -> None:
+        """Put it over the rows `rows` (their rectangle in the frame) of out. first : of these rows in `real`"""
         part = self.rect.clip(rows)
         if part.empty:
             return
         top, bottom = part.y0 - self.rect.y0, part.y1 - self.rect.y0
-        own, own_lo, own_hi = self.spread.rows(top, bottom, "own")
-        gap, gap_lo, gap_hi = self.gap.rows(top, bottom, "gap")
+        own, gap = self.spread.rows(top, bottom, "own"), self.gap.rows(top, bottom, "gap")
         at = slice(part.y0 - rows.y0, part.y1 - rows.y0)
         mine = slice(top, bottom)
         light.lay_cut(
-            out[at], state[at], part.y0 - real.top, part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
-            own, own_lo, own_hi, gap, gap_lo, gap_hi,
-            self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity,
-            real.plate, real.shadow, real.opacity, real.bias,
+            out[at], state[at], first + part.y0 - rows.y0, part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
+            top, *own.parts, *gap.parts,
+            self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity, real.image, real.patch, real.box,
         )  # fmt: skip
 
 
@@ -87,30 +74,26 @@ def render(
     now: Layers, facts: FrameFacts, frame: Rect, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder, params: DofParams
 ) -> np.ndarray:
     """IMAGE (h, w, 3) of a frame with a pose. frame : the whole picture"""
-    image, rect = now[Layer.IMAGE], now.rect
+    sharp, rect = RealPixels.of(now, facts), now.rect
     optics = np.float32(at.px_per_dioptre), np.float32(at.focus), np.float32(at.limit_px)
-    opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-    plate, shadow = now[Layer.PLATE], now[Layer.SHADOW]
-    flat = [np.ascontiguousarray(a).reshape(rect.height, -1) for a in (plate, shadow)]
     real_blurs = params.scope == "all"
     largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if real_blurs else 0.0
-    measured = _measured(now, facts, real, at) if real_blurs else None
-    if measured is not None:
-        plate, shadow = measured.base, np.ones_like(shadow)
-        flat = [np.ascontiguousarray(a).reshape(rect.height, -1) for a in (plate, shadow)]
+    measured = _measured(now, sharp, real, at) if real_blurs else None
     base = Spread(rect, ladder, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
-    cuts, kept = _real_cut_outs(now, facts, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
+    cuts, kept = _real_cut_outs(now.rect, sharp, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
     if measured is not None:
+        sharp = sharp.with_all(measured.base)
         cuts = _fronts(measured, rect, at, ladder, params)
     boxed = _object(now, facts, frame, optics, ladder, params)
     cuts += [boxed] if boxed else []
-    sharp = RealPixels(rect.y0, plate, shadow, opacity, bias)
+    image = sharp.image
     nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
     background = np.float32(real.background)
+    on_nodes = at.radius_px(np.maximum(nodes, real.background))
     rows = strips(rect)
 
     def start(strip: tuple[int, int]) -> None:
-        if largest <= SHARP_PX or (measured is None and _sharp_strip(strip, rect, nodes, real.background, at)):
+        if largest <= SHARP_PX or (measured is None and _sharp_strip(strip, rect, on_nodes)):
             base.radius[slice(*strip)] = 0
             return
         if measured is not None:
@@ -118,7 +101,8 @@ def render(
         else:
             plane_radius(base.radius, *strip, rect.x0, rect.y0, nodes, background, *optics)
         boost = np.float32(params.highlight_boost)
-        base.note(strip, light.deposit_real(*strip, base.radius, flat[0], flat[1], opacity, bias, kept, boost, *base.sink))
+        flat = image.reshape(rect.height, -1), sharp.patch.reshape(len(sharp.patch), 3 * sharp.patch.shape[1])
+        base.note(strip, deposit.deposit_real(*strip, base.radius, *flat, sharp.box, kept, boost, *base.sink))
 
     on_all_cores(start, rows)
     on_all_cores(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
@@ -127,15 +111,15 @@ def render(
     def finish(strip: tuple[int, int]) -> None:
         top, bottom = strip
         out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
-        spread, lo, hi = base.rows(top, bottom, "base") if largest > SHARP_PX else (DARK, 0, 0)
+        spread = base.rows(top, bottom, "base") if largest > SHARP_PX else DARK
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
-        if lo >= hi:
+        if spread.lo >= spread.hi:
             out[:] = image[top:bottom]
         else:
-            light.lay_real(out, state, image, top, spread, lo, hi, base.radius, plate, shadow, opacity, bias, kept)
+            light.lay_real(out, state, image, top, *spread.parts, base.radius, sharp.patch, sharp.box, kept)
         active = EMPTY
         for cut in cuts:
-            cut.lay(out, state, here, sharp)
+            cut.lay(out, state, here, top, sharp)
             active = active.union(cut.rect.clip(here))
         if not active.empty:
             light.restore(out, state, image, top, active.x0 - rect.x0, active.x1 - rect.x0)
@@ -144,20 +128,20 @@ def render(
     return result
 
 
-def _sharp_strip(strip: tuple[int, int], rect: Rect, nodes: np.ndarray, background: float, at: Circles) -> bool:
-    """Whether no pixel of the endless plane is blurred in a strip: its dioptres lie between those of the nodes around."""
+def _sharp_strip(strip: tuple[int, int], rect: Rect, on_nodes: np.ndarray) -> bool:
+    """Whether no pixel of the endless plane is blurred in a strip: its dioptres lie between those of the nodes around.
+
+    on_nodes : (gh, gw) radius px on the direction grid
+    """
     y0, y1 = (rect.y0 + strip[0]) // GRID_PX, (rect.y0 + strip[1] - 1) // GRID_PX + 2
-    part = nodes[y0:y1, rect.x0 // GRID_PX : (rect.x1 - 1) // GRID_PX + 2]
-    return bool(at.radius_px(np.maximum(part, background)).max() <= SHARP_PX)
+    return bool(on_nodes[y0:y1, rect.x0 // GRID_PX : (rect.x1 - 1) // GRID_PX + 2].max() <= SHARP_PX)
 
 
-def _measured(now: Layers, facts: FrameFacts, real: Real, at: Circles) -> DepthLayers | None:
+def _measured(now: Layers, sharp: RealPixels, real: Real, at: Circles) -> DepthLayers | None:
     """The real scene by its measured depth; None where it has none."""
     if real.tiles is None:
         return None
-    bias, whole = np.array(facts.bias_rgb, np.float32), np.ones((now.rect.height, now.rect.width), np.float32)
-    colour = light.cut_from_real(now[Layer.PLATE], now[Layer.SHADOW], np.float32(facts.opacity), bias, whole)
-    return depth_layers(colour, dioptre_of(now[Layer.REAL_DEPTH]), at)
+    return depth_layers(sharp.crop(Rect.of(now.rect.width, now.rect.height)), dioptre_of(now[Layer.REAL_DEPTH]), at)
 
 
 def _fronts(measured: DepthLayers, rect: Rect, at: Circles, ladder: Ladder, params: DofParams) -> list[CutOut]:
@@ -221,27 +205,25 @@ def _spanning(now: Layers, layer: Layer, rect: Rect) -> np.ndarray:
 
 
 def _real_cut_outs(
-    now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray, optics: Optics, ladder: Ladder, params: DofParams
+    area: Rect, sharp: RealPixels, real: Real, grid: np.ndarray, optics: Optics, ladder: Ladder, params: DofParams
 ) -> tuple[list[CutOut], np.ndarray]:
     """Real planes of limited size, farthest first, and the share of every pixel that they leave to what is behind."""
     if not real.cut_outs:
         return [], _NONE
-    kept, cuts = np.ones((now.rect.height, now.rect.width), np.float32), []
+    kept, cuts = np.ones((area.height, area.width), np.float32), []
     for plane in reversed(real.cut_outs):  # the nearest hides the others
         radius, inside = np.empty(kept.shape, np.float32), np.empty(kept.shape, np.float32)
-        square_radius(radius, inside, now.rect.x0, now.rect.y0, plane.places(grid), np.float32(plane.half_m), *optics)
+        square_radius(radius, inside, area.x0, area.y0, plane.places(grid), np.float32(plane.half_m), *optics)
         inside *= kept
         radius[inside == 0] = -1
         kept -= inside
-        box = _box(inside, now.rect)
+        box = _box(inside, area)
         if box.empty:
             continue
         largest = max(float(radius.max()), SHARP_PX)
-        rect = box.pad(int(np.ceil(2 * largest)) + 1).clip(now.rect)
-        at, part = rect.slices_in(now.rect), now.crop(rect)
-        colour = light.cut_from_real(
-            part[Layer.PLATE], part[Layer.SHADOW], np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32), inside[at]
-        )
+        rect = box.pad(int(np.ceil(2 * largest)) + 1).clip(area)
+        at = rect.slices_in(area)
+        colour = sharp.crop(rect.shift(-area.x0, -area.y0)) * inside[at][..., None]
         cuts.append(_cut_out(rect, radius[at].copy(), colour, inside[at], np.float32(1), ladder, largest, params))
     return cuts[::-1], kept
 

@@ -39,6 +39,31 @@ def add_between(typingctx, out, at, line, p, q, t):
 
 
 @intrinsic
+def add_two_between(typingctx, out, at, line, p, q, t, step):
+    """`add_between` to cells `at` and at + 1, with t and t + step."""
+    signature = types.void(out, types.intp, line, types.intp, types.intp, types.float32, types.float32)
+
+    def codegen(context, builder, signature, args):
+        def place(k, cell):
+            data = context.make_array(signature.args[k])(context, builder, args[k]).data
+            where = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
+            return builder.bitcast(where, _VECTOR.as_pointer())
+
+        low, high = (builder.load(place(2, args[k]), align=4) for k in (3, 4))
+        slope = builder.fsub(high, low)
+        t = _vector(builder, 4 * [args[5]])
+        cell = args[1]
+        for k in range(2):
+            to = place(0, cell)
+            value = builder.fadd(low, builder.fmul(slope, t))
+            builder.store(builder.fadd(builder.load(to, align=4), value), to, align=4)
+            t, cell = builder.fadd(t, _vector(builder, 4 * [args[6]])), builder.add(cell, ir.Constant(cell.type, 1))
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
 def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, first, last):
     """Ends of one row of a disc, in cells of four floats: with v = (red, green, blue, weight) x share,
     marks[a] += v first, marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last.
@@ -63,6 +88,29 @@ def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, fir
             before = builder.load(place, align=4)
             after = builder.fadd(before, value) if add else builder.fsub(before, value)
             builder.store(after, place, align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def put_colour(typingctx, out, at, light, x):
+    """out[at .. at + 2] = red, green, blue / weight of light's cell x; out[at + 3] is overwritten too.
+
+    out, light : flat float32, contiguous
+    """
+    signature = types.void(out, types.intp, light, types.intp)
+
+    def codegen(context, builder, signature, args):
+        data = context.make_array(signature.args[2])(context, builder, args[2]).data
+        where = builder.gep(data, [builder.shl(args[3], ir.Constant(args[3].type, 2))])
+        value = builder.load(builder.bitcast(where, _VECTOR.as_pointer()), align=4)
+        weight = builder.extract_element(value, ir.Constant(ir.IntType(32), 3))
+        inverse = builder.fdiv(ir.Constant(ir.FloatType(), 1.0), weight)
+        value = builder.fmul(value, _vector(builder, 4 * [inverse]))
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        to = builder.bitcast(builder.gep(data, [args[1]]), _VECTOR.as_pointer())
+        builder.store(value, to, align=4)
         return context.get_dummy_value()
 
     return signature, codegen

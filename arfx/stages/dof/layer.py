@@ -6,6 +6,7 @@ to the caller: their light stays where it is.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,10 +14,9 @@ import numpy as np
 from arfx.core.rect import Rect
 from arfx.stages.dof.aperture import STEPS, Shape, shape
 from arfx.stages.dof.ladder import ALIGN_PX, Ladder
-from arfx.stages.dof.spread import TILE_PX, add_rung, run_sums, spread_cells, spread_pixels
+from arfx.stages.dof.spread import TILE_PX, run_sums, spread_cells, spread_pixels
 from arfx.stages.dof.work import zeros
 
-DARK = np.zeros((1, 1, 4), np.float32)
 STRIP_PX = ALIGN_PX  # rows worked on at once: cells of every rung lie in one strip only
 
 
@@ -24,6 +24,25 @@ def strips(rect: Rect) -> list[tuple[int, int]]:
     """Rows of `rect`, from its top, cut where the frame's rows are multiples of STRIP_PX."""
     cuts = [rect.y0, *range((rect.y0 // STRIP_PX + 1) * STRIP_PX, rect.y1, STRIP_PX), rect.y1]
     return [(a - rect.y0, b - rect.y0) for a, b in pairwise(cuts)]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Light:
+    """Light of some rows of a layer, columns lo..hi outside of which it is 0; the rest as `spread.light_of_row` takes it."""
+
+    values: np.ndarray
+    table: np.ndarray
+    lead_y: int
+    lead_x: int
+    lo: int
+    hi: int
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, int, int, int, int]:
+        return self.values, self.table, self.lead_y, self.lead_x, self.lo, self.hi
+
+
+DARK = Light(np.zeros(4, np.float32), np.zeros((0, 7), np.int64), 0, 0, 0, 0)
 
 
 class Spread:
@@ -52,6 +71,8 @@ class Spread:
             self.meta[k] = first, width, height
             first += width * height
         self.cells = np.zeros((first, 5), np.float32)
+        self.far = [self._far(k) for k in range(self.rungs)]
+        self.reach = max(far + 2 << k for k, far in enumerate(self.far))
 
     @property
     def sink(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int, np.ndarray, np.ndarray]:
@@ -63,36 +84,53 @@ class Spread:
         if any_light:
             self.busy.append(strip)
 
-    def rows(self, top: int, bottom: int, name: str) -> tuple[np.ndarray, int, int]:
-        """Light (rows, w, 4) that reaches rows top..bottom, and the columns lo..hi outside of which it is 0.
+    def rows(self, top: int, bottom: int, name: str) -> Light:
+        """Light that reaches rows top..bottom; its values are this thread's, until it asks for the same name again."""
+        if not any(a < bottom + self.reach and b > top - self.reach for a, b in self.busy):
+            return DARK
+        parts = [(k, *self._cell_rows(k, top, bottom)) for k in range(0 if self._any_near(top, bottom) else 1, self.rungs)]
+        sizes = [(high - low) * (width + 1) * 4 for _, low, high, _, width in parts]
+        values, first, table = zeros(name, (sum(sizes),)), 0, []
+        for (k, low, high, height, width), size in zip(parts, sizes, strict=True):
+            left, right = self._spread(k, low, high, values[first : first + size].reshape(high - low, width + 1, 4))
+            if left < right:
+                table.append((k, first, low, height, width, left, right))
+            first += size
+        if not table:
+            return DARK
+        lo, hi = min(row[5] for row in table), max(row[6] for row in table)
+        return Light(values, np.array(table, np.int64), self.lead_y, self.lead_x, lo, hi)
 
-        The array is this thread's, until it asks for the same name again."""
-        w = self.radius.shape[1]
-        s = self.shape
-        far = max(self._far(k) + 2 << k for k in range(self.rungs))
-        if not any(a < bottom + far and b > top - far for a, b in self.busy):
-            return DARK, 0, 0
+    def _spread(self, rung: int, low: int, high: int, marks: np.ndarray) -> tuple[int, int]:
+        """Light of one rung to its rows low..high, marks (rows, width + 1, 4). Returns the rectangle's columns it reaches."""
+        s, width = self.shape, self.radius.shape[1]
         table = s.ends, s.shares, s.unit, s.reach
-        until = float(self.ladder.fade[0, 1]) if self.rungs > 1 else np.inf
-        out = zeros(name, (bottom - top, w + 1, 4))
-        lo, hi = spread_pixels(
-            self.near, self.held, self.lead_y, self.lead_x, self.radius, np.float32(until), top, bottom, self._far(0), out, *table
-        )  # fmt: skip
-        run_sums(out, lo, hi)
-        for k in range(1, self.rungs):
-            first, width, height = (int(v) for v in self.meta[k])
-            low = max(((top + self.lead_y) >> k) - 1, 0)
-            high = min(((bottom - 1 + self.lead_y) >> k) + 2, height)
-            marks = zeros("rung", (high - low, width + 1, 4))
-            cells = self.cells[first : first + width * height]
-            a, b = spread_cells(cells, width, height, k, self.ladder.cut_px2[k], low, high, self._far(k), marks, *table)
-            if a >= b:
-                continue
+        if rung == 0:
+            until = np.float32(self.ladder.fade[0, 1] if self.rungs > 1 else np.inf)
+            a, b = spread_pixels(
+                self.near, self.held, self.lead_y, self.lead_x, self.radius, until, low, high, self.far[0], marks, *table
+            )
             run_sums(marks, a, b)
-            left, right = max(((a - 1) << k) - self.lead_x, 0), min(((b + 1) << k) - self.lead_x, w)
-            add_rung(out, marks, k, low, height, width, top, self.lead_y, self.lead_x, left, right)
-            lo, hi = min(lo, left), max(hi, right)
-        return out, lo, hi
+            return a, b
+        first, columns, height = (int(v) for v in self.meta[rung])
+        cells, cut = self.cells[first : first + columns * height], self.ladder.cut_px2[rung]
+        a, b = spread_cells(cells, columns, height, rung, cut, low, high, self.far[rung], marks, *table)
+        run_sums(marks, a, b)
+        if a >= b:
+            return 0, 0
+        return max(((a - 1) << rung) - self.lead_x, 0), min(((b + 1) << rung) - self.lead_x, width)
+
+    def _cell_rows(self, rung: int, top: int, bottom: int) -> tuple[int, int, int, int]:
+        """Of a rung: first and last row that rows top..bottom lie between, its height and width."""
+        if rung == 0:
+            return top, bottom, *self.radius.shape
+        _, width, height = (int(v) for v in self.meta[rung])
+        low, high = ((top + self.lead_y) >> rung) - 1, ((bottom - 1 + self.lead_y) >> rung) + 2
+        return max(low, 0), min(high, height), height, width
+
+    def _any_near(self, top: int, bottom: int) -> bool:
+        lead, far = self.lead_y % TILE_PX, self.far[0]
+        return bool(self.held[max(top - far + lead, 0) // TILE_PX : (bottom + far - 1 + lead) // TILE_PX + 1].any())
 
     def _far(self, rung: int) -> int:
         """Rows that a disc of this rung reaches at most, in its cells."""

@@ -11,12 +11,13 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.aperture import STEPS
-from arfx.stages.dof.four import add_between, mark_ends
+from arfx.stages.dof.four import add_between, add_two_between, mark_ends
 from arfx.stages.dof.ladder import SHARP_PX
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
 _SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
 TILE_PX = 16  # deposited at once; a power of two
+FEWEST_ALIKE = 4  # discs of one size side by side that are worth marking together
 
 
 @numba.njit(cache=True, nogil=True)
@@ -133,10 +134,12 @@ def deposit_tile(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _mark(marks, q, y, x, low, high, width, red, green, blue, weight, ends, shares, n):  # pragma: no cover - compiled
-    """Mark the row ends of one disc in rows low..high. marks : flat, (rows, width + 1, 4), from row low"""
-    red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
-    red, green, blue, weight = red - _SNAP, green - _SNAP, blue - _SNAP, weight - _SNAP
+def _mark(marks, q, y, x, low, high, width, line, ends, shares, n):  # pragma: no cover - compiled
+    """Mark the row ends of one disc in rows low..high. marks : flat, (rows, width + 1, 4), from row low
+
+    line : (4 width,) light of the disc's row of cells
+    """
+    red, green, blue, weight = line[4 * x], line[4 * x + 1], line[4 * x + 2], line[4 * x + 3]
     stride = width + 1
     inside = x >= n and x + n + 2 <= width
     for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
@@ -145,21 +148,66 @@ def _mark(marks, q, y, x, low, high, width, red, green, blue, weight, ends, shar
         a, b, c, d = first, first + 1, last, last + 1
         if not inside:
             a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
-        line = (y + j - low) * stride
-        mark_ends(
-            marks,
-            line + a,
-            line + b,
-            line + c,
-            line + d,
-            red,
-            green,
-            blue,
-            weight,
-            shares[q, i, 0],
-            shares[q, i, 1],
-            shares[q, i, 2],
-        )
+        row = (y + j - low) * stride
+        share, begin, end = shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
+        mark_ends(marks, row + a, row + b, row + c, row + d, red, green, blue, weight, share, begin, end)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _add_shifted(marks, cell, light, count, begin, end):  # pragma: no cover - compiled
+    """marks[cell + i] += light[i] begin + light[i - 1] end for i = 0..count. light : flat, a cell of zeros before and after"""
+    to = marks[4 * cell : 4 * (cell + count + 1)]
+    this, last = light[4 : 4 * (count + 2)], light[: 4 * (count + 1)]
+    for i in range(4 * (count + 1)):
+        to[i] += this[i] * begin + last[i] * end
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _mark_line(marks, y, low, high, width, size, line, alike, ends, shares, reach):  # pragma: no cover - compiled
+    """Mark the discs of one row of cells in rows low..high. Returns the columns marked (lo, hi).
+
+    size : (width,) row of the shape table, -1 = no light;  line : (4 width,) light, a multiple of 2^-17
+    alike : scratch, 4 (width + 2)
+    Neighbours of one size are marked together, row by row of their disc, which the compiler makes vectors of.
+    """
+    stride = width + 1
+    lo, hi = width, 0
+    x = 0
+    while x < width:
+        q = size[x]
+        first = x
+        x += 1
+        if q < 0:
+            continue
+        while x < width and size[x] == q:
+            x += 1
+        n = reach[q]
+        if y + n < low or y - n >= high:
+            continue
+        lo, hi = min(lo, first - n), max(hi, x + n + 1)  # the last mark of a row lies one beyond it
+        begin, end = max(first, n), min(x, width - n - 1)
+        if end - begin < FEWEST_ALIKE:
+            begin, end = x, x
+        for k in range(first, x):
+            if k == begin:
+                break
+            _mark(marks, q, y, k, low, high, width, line, ends, shares, n)
+        for k in range(end, x):
+            _mark(marks, q, y, k, low, high, width, line, ends, shares, n)
+        count = end - begin
+        if count <= 0:
+            continue
+        for k in range(4):
+            alike[k], alike[4 * (count + 1) + k] = 0, 0
+        for k in range(4 * count):
+            alike[4 + k] = line[4 * begin + k]
+        for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
+            i = np.uintp(j + n)
+            row, share = (y + j - low) * stride + begin, shares[q, i, 0]
+            before, after = shares[q, i, 1] * share, shares[q, i, 2] * share
+            _add_shifted(marks, row + ends[q, i, 0], alike, count, before, share - before)
+            _add_shifted(marks, row + ends[q, i, 1], alike, count, after - share, -after)
+    return lo, hi
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -171,24 +219,29 @@ def spread_pixels(
     h, w = radius.shape
     top = np.float32(unit.shape[0] - 1)
     flat = marks.reshape(-1)
+    size, line, alike = np.empty(w, np.int32), np.empty(4 * w, np.float32), np.empty(4 * (w + 2), np.float32)
     lo, hi = w, 0
     for y in range(max(low - far, 0), min(high + far, h)):
-        line = held[(y + lead_y) // TILE_PX - lead_y // TILE_PX]
-        for tile in range(len(line)):
-            if line[tile] == 0:
+        tiles = held[(y + lead_y) // TILE_PX - lead_y // TILE_PX]
+        any_light = False
+        for tile in range(len(tiles)):
+            a, b = max(first_x + tile * TILE_PX, 0), min(first_x + (tile + 1) * TILE_PX, w)
+            if tiles[tile] == 0:
+                size[a:b] = -1
                 continue
-            for x in range(max(first_x + tile * TILE_PX, 0), min(first_x + (tile + 1) * TILE_PX, w)):
+            any_light = True
+            for x in range(a, b):
                 r = radius[y, x]
+                size[x] = -1
                 if r <= SHARP_PX or r >= until or near[y, x, 3] <= 0:
                     continue
                 q = np.uintp(min(r * STEPS + np.float32(0.5), top))
-                n = reach[q]
-                if y + n < low or y - n >= high:
-                    continue
-                lo, hi = min(lo, x - n), max(hi, x + n + 2)  # the last mark of a row lies one beyond it
-                u = unit[q]
-                a, b, c, d = near[y, x, 0] * u, near[y, x, 1] * u, near[y, x, 2] * u, near[y, x, 3] * u
-                _mark(flat, q, y, x, low, high, w, a, b, c, d, ends, shares, n)
+                size[x] = q
+                for c in range(4):
+                    line[4 * x + c] = (near[y, x, c] * unit[q] + _SNAP) - _SNAP
+        if any_light:
+            a, b = _mark_line(flat, y, low, high, w, size, line, alike, ends, shares, reach)
+            lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, w)
 
 
@@ -201,22 +254,27 @@ def spread_cells(
     side = np.float32(1 << rung)
     area = np.float32(1) / (side * side)
     flat = marks.reshape(-1)
+    size, line = np.empty(width, np.int32), np.empty(4 * width, np.float32)
+    alike = np.empty(4 * (width + 2), np.float32)
     lo, hi = width, 0
     for y in range(max(low - far, 0), min(high + far, height)):
+        any_light = False
         for x in range(width):
             k = np.uintp(y * width + x)
+            size[x] = -1
             if cells[k, 3] <= 0:
                 continue
             r = cells[k, 4] / cells[k, 3]
             r = np.sqrt(max(r * r - cut_px2, np.float32(0))) / side
             q = np.uintp(min(r * STEPS + np.float32(0.5), top))
-            n = reach[q]
-            if y + n < low or y - n >= high:
-                continue
-            lo, hi = min(lo, x - n), max(hi, x + n + 2)  # the last mark of a row lies one beyond it
+            size[x] = q
+            any_light = True
             u = area * unit[q]
-            a, b, c, d = cells[k, 0] * u, cells[k, 1] * u, cells[k, 2] * u, cells[k, 3] * u
-            _mark(flat, q, y, x, low, high, width, a, b, c, d, ends, shares, n)
+            for c in range(4):
+                line[4 * x + c] = (cells[k, c] * u + _SNAP) - _SNAP
+        if any_light:
+            a, b = _mark_line(flat, y, low, high, width, size, line, alike, ends, shares, reach)
+            lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, width)
 
 
@@ -237,32 +295,41 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def add_rung(
-    out, coarse, rung, first_row, height, width, top, lead_y, lead_x, lo, hi
-):  # fmt: skip  # pragma: no cover - compiled
-    """out (rows, w, 4) += the rung's light, bilinear, columns lo..hi.
+def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pragma: no cover - compiled
+    """line (4 w,) = light that reaches row y of the rectangle, columns lo..hi: all rungs, bilinear between their cells.
 
-    coarse : (n, width + 1, 4) rows from cell row `first_row`;  top : row of `out`'s first row in the rectangle
-    lead_y, lead_x : px by which the rectangle's corner lies in its first cell;  height, width : cells
+    values : flat, light of each rung's rows, (rows, width + 1, 4);  between : scratch, (4 w,)
+    table : (n, 7), of each: rung, first value, first row, height and width of the whole rung, columns of the rectangle
+    lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
-    step = np.float32(1) / np.float32(1 << rung)
-    half = np.float32(0.5)
-    line = np.empty(4 * width, np.float32)
-    stride = out.shape[1]
-    flat_out = out.reshape(-1)
-    flat = coarse.reshape(-1)
-    row = coarse.shape[1] * 4
-    for y in range(out.shape[0]):
-        v = (np.float32(top + y + lead_y) + half) * step - half
-        i = int(np.floor(v))
-        t = v - np.float32(i)
-        a, b = min(max(i, 0), height - 1) - first_row, min(max(i + 1, 0), height - 1) - first_row
-        c0 = max(((lo + lead_x) >> rung) - 1, 0)
-        c1 = min(((hi + lead_x) >> rung) + 2, width)
-        upper, lower = flat[a * row : (a + 1) * row], flat[b * row : (b + 1) * row]
-        for n in range(4 * c0, 4 * c1):
-            line[n] = upper[n] + (lower[n] - upper[n]) * t
-        for x in range(lo, hi):
-            u = (np.float32(x + lead_x) + half) * step - half
-            i = int(np.floor(u))
-            add_between(flat_out, y * stride + x, line, max(i, 0), min(i + 1, width - 1), u - np.float32(i))
+    line[4 * lo : 4 * hi] = 0
+    for k in range(table.shape[0]):
+        rung, first, first_row, height, width, left, right = table[k]
+        stride = 4 * (width + 1)
+        if rung == 0:
+            at = first + (y - first_row) * stride
+            own = values[at : at + stride]
+            for n in range(4 * left, 4 * right):
+                line[n] += own[n]
+            continue
+        side, half = 1 << rung, 1 << rung - 1
+        step = np.float32(1) / np.float32(side)
+        begin, end = left + lead_x - half, right + lead_x - half  # from the middle of the first cell, as x below
+        j = (y + lead_y - half) >> rung
+        t = (np.float32(y + lead_y - half - (j << rung)) + np.float32(0.5)) * step
+        a, b = min(max(j, 0), height - 1) - first_row, min(max(j + 1, 0), height - 1) - first_row
+        upper, lower = values[first + a * stride : first + (a + 1) * stride], values[first + b * stride : first + (b + 1) * stride]
+        for n in range(4 * max(begin >> rung, 0), 4 * min(((end - 1) >> rung) + 2, width)):
+            between[n] = upper[n] + (lower[n] - upper[n]) * t
+        # cells whose pixels, up to the next cell's middle, are all wanted and have a cell on both sides; then the rest
+        first_whole, after_whole = max((begin + side - 1) >> rung, 0), min(end >> rung, width - 1)
+        for n in range(half):
+            t = (np.float32(2 * n) + np.float32(0.5)) * step
+            for i in range(first_whole, after_whole):
+                add_two_between(line, (i << rung) + half - lead_x + 2 * n, between, i, i + 1, t, step)
+        for i in range(begin >> rung, ((end - 1) >> rung) + 1):
+            if first_whole <= i < after_whole:
+                continue
+            p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
+            for n in range(max(begin - x, 0), min(end - x, side)):
+                add_between(line, x + half - lead_x + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)

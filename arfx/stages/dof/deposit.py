@@ -1,0 +1,258 @@
+"""Compiled: light of the layers onto the ladder, tile by tile."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.stages.dof.ladder import SHARP_PX
+from arfx.stages.dof.spread import TILE_PX, deposit_tile, extremes, highlight, to_cell
+
+_FLAGS = {"contract", "nsz", "arcp"}
+CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
+    most = max(red, max(green, blue))
+    return np.float32(1) + boost * min(max((most - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _extremes(bits, y0, x0, y1, x1):  # pragma: no cover - compiled
+    """Least and greatest of a tile, of the bits of float32 >= 0, which are ordered as their values are."""
+    least, most = bits[y0, x0], bits[y0, x0]
+    for y in range(y0, y1):
+        line = bits[y, x0:x1]
+        for x in range(len(line)):
+            least, most = min(least, line[x]), max(most, line[x])
+    return least, most
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def deposit_real(
+    top, bottom, radius, image, patch, box, kept, boost, fade, cells, meta, lead_y, lead_x, near, held
+):  # fmt: skip  # pragma: no cover - compiled
+    """Rows top..bottom of the real scene; returns whether any of it is blurred.
+
+    image : (h, 3 w);  patch : in place of it within box = (x0, y0, x1, y1), whose borders are those of tiles
+    radius : (h, w) px, >= 0;  kept : (h, w) share that is not cut out, (0, 0) = all
+    """
+    whole = kept.shape[0] == 0
+    plain = whole and boost <= 0
+    width, bits = radius.shape[1], radius.view(np.int32)
+    source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
+    extreme = ends.view(np.float32)
+    work = np.empty((10, width), np.float32)
+    left = -(lead_x & (TILE_PX - 1))
+    blurred = False
+    tiles = (width - left + TILE_PX - 1) // TILE_PX
+    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # rungs of each tile; -1 = nothing blurred
+    patched = np.empty(tiles, np.bool_)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
+        for i in range(tiles):
+            xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
+            ends[0], ends[1] = _extremes(bits, ya, xa, yb, xb)
+            patched[i] = box[0] <= xa and xb <= box[2] and box[1] <= ya and yb <= box[3]
+            lowest[i], highest[i] = -1, -1
+            if extreme[1] <= SHARP_PX:
+                continue
+            blurred = True
+            lowest[i], highest[i] = 0, 0
+            while lowest[i] < meta.shape[0] - 1 and extreme[0] >= fade[lowest[i], 1]:
+                lowest[i] += 1
+            while highest[i] < meta.shape[0] - 1 and extreme[1] > fade[highest[i], 0]:
+                highest[i] += 1
+        after = 0
+        for i in range(tiles):
+            if i < after or highest[i] < 0:
+                continue
+            xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
+            light, up, along = (patch, box[1], box[0]) if patched[i] else (image, 0, 0)
+            if plain and lowest[i] > 0 and highest[i] <= lowest[i] + 1:
+                after = i + 1  # as many tiles as there are alike: memory is read along the rows
+                while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]) and patched[after] == patched[i]:
+                    after += 1
+                xb = min(left + after * TILE_PX, width)
+                part = light[ya - up : yb - up, 3 * (xa - along) : 3 * (xb - along)]
+                if highest[i] == lowest[i]:
+                    _sum_cells(lowest[i], ya, xa, radius, part, work, cells, meta, lead_y, lead_x)
+                else:
+                    _share_cells(lowest[i], ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x)
+                continue
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    weight, k = np.float32(1), np.float32(1)
+                    first = 3 * (x - along)
+                    red, green, blue = light[y - up, first], light[y - up, first + 1], light[y - up, first + 2]
+                    if not plain:
+                        if not whole:
+                            weight = kept[y, x]
+                            k = weight
+                        if boost > 0:
+                            k *= _boosted(red, green, blue, boost)
+                    to = source[y - ya, x - xa]
+                    to[0], to[1], to[2], to[3] = red * k, green * k, blue * k, weight
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+    return blurred
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _sum_cells(k, ya, xa, radius, part, work, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+    """Tiles of the real scene that all go to rung k: summed by columns first, which the compiler makes vectors of.
+
+    part : (rows, 3 columns) light from row ya, column xa;  work : (10, w) scratch
+    """
+    side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
+    bright = highlight(k) if k > 1 else np.float32(np.inf)
+    flat = work.reshape(-1)
+    line, sums, weight = flat[: 3 * count], flat[3 * count : 4 * count], flat[4 * count : 5 * count]
+    for cy in range((ya + lead_y) >> k, ((end - 1 + lead_y) >> k) + 1):
+        top, bottom = max(cy * side - lead_y, ya), min((cy + 1) * side - lead_y, end)
+        line[:] = 0
+        sums[:] = 0
+        weight[:] = np.float32(bottom - top)
+        for y in range(top, bottom):
+            p, r = part[y - ya], radius[y, xa : xa + count]
+            for n in range(3 * count):
+                line[n] += p[n]
+            for n in range(count):
+                sums[n] += r[n]
+        most = np.float32(0)
+        for n in range(3 * count):
+            most = max(most, line[n])
+        if most > bright:  # take the highlights out again, and to the rung below
+            for y in range(top, bottom):
+                for n in range(count):
+                    red, green, blue = part[y - ya, 3 * n], part[y - ya, 3 * n + 1], part[y - ya, 3 * n + 2]
+                    if max(red, max(green, blue)) > bright:
+                        r = radius[y, xa + n]
+                        to_cell(cells, meta, k - 1, y, xa + n, lead_y, lead_x, red, green, blue, np.float32(1), r)
+                        line[3 * n] -= red
+                        line[3 * n + 1] -= green
+                        line[3 * n + 2] -= blue
+                        sums[n] -= r
+                        weight[n] -= np.float32(1)
+        _columns_to_cells(k, cy, xa, line, weight, sums, cells, meta, lead_x)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _share_cells(k, ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+    """As `_sum_cells`, of tiles that rungs k and k + 1 share by their radii."""
+    side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
+    bright, one = highlight(k + 1), np.float32(1)
+    start, scale = fade[k, 0], np.float32(1) / (fade[k, 1] - fade[k, 0])
+    low, high, shares = work[0:3].reshape(-1), work[3:6].reshape(-1), work[6:9].reshape(-1)
+    sums = np.empty((5, count), np.float32)
+    weight_low, sum_low, weight_high, sum_high, share = sums[0], sums[1], sums[2], sums[3], sums[4]
+    for cy in range((ya + lead_y) >> k, ((end - 1 + lead_y) >> k) + 1):
+        top, bottom = max(cy * side - lead_y, ya), min((cy + 1) * side - lead_y, end)
+        low[: 3 * count] = 0
+        high[: 3 * count] = 0
+        sums[:] = 0
+        most = np.float32(0)
+        for y in range(top, bottom):
+            p, r = part[y - ya], radius[y, xa : xa + count]
+            for n in range(count):
+                t = min(max((r[n] - start) * scale, np.float32(0)), one)
+                share[n] = t
+                weight_low[n] += one - t
+                weight_high[n] += t
+                sum_low[n] += (one - t) * r[n]
+                sum_high[n] += t * r[n]
+            for n in range(count):
+                shares[3 * n], shares[3 * n + 1], shares[3 * n + 2] = share[n], share[n], share[n]
+            for n in range(3 * count):
+                onward = p[n] * shares[n]
+                high[n] += onward
+                low[n] += p[n] - onward
+        for n in range(3 * count):
+            most = max(most, low[n] + high[n])
+        if most > bright:  # take the highlights out again, and to the rungs below
+            below = max(k - 1, 1)
+            for y in range(top, bottom):
+                for n in range(count):
+                    red, green, blue = part[y - ya, 3 * n], part[y - ya, 3 * n + 1], part[y - ya, 3 * n + 2]
+                    if max(red, max(green, blue)) <= bright:
+                        continue
+                    r = radius[y, xa + n]
+                    t = min(max((r - start) * scale, np.float32(0)), one)
+                    weight_low[n] -= one - t
+                    weight_high[n] -= t
+                    sum_low[n] -= (one - t) * r
+                    sum_high[n] -= t * r
+                    for c in range(3):
+                        onward = part[y - ya, 3 * n + c] * t
+                        high[3 * n + c] -= onward
+                        low[3 * n + c] -= part[y - ya, 3 * n + c] - onward
+                    if k == 1:
+                        t = np.float32(0)
+                    s = one - t
+                    to_cell(cells, meta, below, y, xa + n, lead_y, lead_x, red * s, green * s, blue * s, s, r)
+                    to_cell(cells, meta, below + 1, y, xa + n, lead_y, lead_x, red * t, green * t, blue * t, t, r)
+        _columns_to_cells(k, cy, xa, low, weight_low, sum_low, cells, meta, lead_x)
+        _columns_to_cells(k + 1, cy >> 1, xa, high, weight_high, sum_high, cells, meta, lead_x)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _columns_to_cells(k, cy, xa, line, weight, sums, cells, meta, lead_x):  # pragma: no cover - compiled
+    """Add columns, light line (3 n,), weight and weight x radius (n,), the first at xa, to row cy of rung k."""
+    side, end = 1 << k, xa + len(weight)
+    for cx in range((xa + lead_x) >> k, ((end - 1 + lead_x) >> k) + 1):
+        a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+        for n in range(max(cx * side - lead_x, xa) - xa, min((cx + 1) * side - lead_x, end) - xa):
+            a += line[3 * n]
+            b += line[3 * n + 1]
+            c += line[3 * n + 2]
+            d += weight[n]
+            e += sums[n]
+        at = np.uintp(meta[k, 0] + cy * meta[k, 1] + cx)
+        cells[at, 0] += a
+        cells[at, 1] += b
+        cells[at, 2] += c
+        cells[at, 3] += d
+        cells[at, 4] += e
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def deposit_cut(
+    top, bottom, radius, colour, coverage, opacity, fade, cells, meta, lead_y, lead_x, near, held
+):  # fmt: skip  # pragma: no cover - compiled
+    """Rows top..bottom of a layer of premultiplied colour (h, w, 3), coverage (h, w). Returns whether there is any light."""
+    width, found = radius.shape[1], False
+    source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            if extremes(coverage, ya, xa, yb, xb)[1] * opacity <= 0:
+                continue
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    for c in range(3):
+                        source[y - ya, x - xa, c] = colour[y, x, c] * opacity
+                    source[y - ya, x - xa, 3] = coverage[y, x] * opacity
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+            found = True
+    return found
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def deposit_gap(
+    top, bottom, radius, coverage, opacity, fade, cells, meta, lead_y, lead_x, near, held
+):  # fmt: skip  # pragma: no cover - compiled
+    """Rows top..bottom of what a layer lets through: weight only, in the last channel. Returns whether there is any."""
+    width, found = radius.shape[1], False
+    source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)
+    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            if extremes(coverage, ya, xa, yb, xb)[0] * opacity >= 1:
+                continue
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    source[y - ya, x - xa, 3] = np.float32(1) - coverage[y, x] * opacity
+            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+            found = True
+    return found

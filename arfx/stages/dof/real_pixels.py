@@ -1,0 +1,57 @@
+"""The sharp real scene of a frame without the object, under its shadow: the composite's own pixels but for a part of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.rect import Rect
+from arfx.stages.dof.light import behind
+from arfx.stages.dof.spread import TILE_PX
+
+OBJECT_PAD_PX = 2  # around the model's box: the raster may write there
+
+
+@dataclass(frozen=True, eq=False)
+class RealPixels:
+    """image : (h, w, 3) of the composite;  patch : (bh, bw, 3), the real scene within `box` = x0, y0, x1, y1, px from the
+    picture's corner, whose borders are those of tiles (TILE_PX). All read-only, so that one kernel fits every frame.
+    """
+
+    image: np.ndarray
+    patch: np.ndarray
+    box: tuple[int, int, int, int]
+
+    @staticmethod
+    def of(now: Layers, facts: FrameFacts) -> RealPixels:
+        """Of a frame with a pose. Within the object's box what is behind it is made anew."""
+        box = facts.model_box.pad(OBJECT_PAD_PX).align(TILE_PX, TILE_PX).clip(now.rect)
+        part, bias = now.crop(box), np.array(facts.bias_rgb, np.float32)
+        patch = np.empty((0, 0, 3), np.float32)
+        if not box.empty:
+            patch = behind(part[Layer.PLATE], part[Layer.SHADOW], np.float32(facts.opacity), bias)
+            box = box.shift(-now.rect.x0, -now.rect.y0)
+        return RealPixels(_frozen(now[Layer.IMAGE]), _frozen(patch), (box.x0, box.y0, box.x1, box.y1))
+
+    def with_all(self, real: np.ndarray) -> RealPixels:
+        """Another real scene (h, w, 3) in every pixel."""
+        return RealPixels(self.image, _frozen(real), (0, 0, real.shape[1], real.shape[0]))
+
+    def crop(self, part: Rect) -> np.ndarray:
+        """A copy of the real scene in a part, px from the picture's corner."""
+        out, box = self.image[part.slices].copy(), Rect(*self.box)
+        both = box.clip(part)
+        if not both.empty:
+            out[both.slices_in(part)] = self.patch[both.slices_in(box)]
+        return out
+
+
+def _frozen(a: np.ndarray) -> np.ndarray:
+    a = np.ascontiguousarray(a)
+    a.setflags(write=False)
+    return a
+
+
