@@ -188,7 +188,7 @@ class Watercolor:
         if p.lines > 0:
             line = line_strength(
                 small, p.alpha, p.beta, p.line_low, p.line_high, p.line_width_px, p.line_smooth_px,
-                self._virtual_edges(now, box, facts), p.yuv,
+                *self._virtual_edges(now, box, facts),
             )  # fmt: skip
         root = washed(colours[:, :3], cells.near, cells.share, colours[:, 3], 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
@@ -198,18 +198,15 @@ class Watercolor:
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
         return paint(picture, cover, colours, root, cells.flow, prepared.grain, line, strengths, ink, rect.x0, rect.y0)
 
-    def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
+    def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> tuple[np.ndarray | None, str, tuple[int, int]]:
+        """(edges of the object or None, matrix of YUV, where they lie on the half-size grid of the whole picture)."""
         if box.empty:
-            return None
+            return None, self.params.yuv, (0, 0)
         rect = now.rect
-        # on the half-size grid of the whole picture
-        even = Rect((box.x0 - rect.x0) // 2 * 2 + rect.x0, (box.y0 - rect.y0) // 2 * 2 + rect.y0, box.x1, box.y1)
-        part = now.crop(even)
+        y, x = (box.y0 - rect.y0) // 2, (box.x0 - rect.x0) // 2
+        part = now.crop(Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1))
         made = virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity)
-        out = np.zeros(((rect.height + 1) // 2, (rect.width + 1) // 2), np.float32)
-        y, x = (even.y0 - rect.y0) // 2, (even.x0 - rect.x0) // 2
-        out[y : y + made.shape[0], x : x + made.shape[1]] = made
-        return out
+        return made, self.params.yuv, (y, x)
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area
