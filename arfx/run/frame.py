@@ -27,11 +27,15 @@ from arfx.errors import RenderError
 
 @dataclass
 class Canvas:
-    """The layers of one frame while its plan runs: name -> (rectangle, array)."""
+    """The layers of one frame while its plan runs: name -> (rectangle, array).
+
+    read : what stages saw that look at earlier frames: they see that again, not what came of it
+    """
 
     plate: np.ndarray
     rect: Rect
     stored: dict[Layer, tuple[Rect, np.ndarray]] = field(default_factory=dict)
+    read: dict[str, Layers] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.stored = {Layer.PLATE: (self.rect, self.plate), Layer.IMAGE: (self.rect, self.plate)}
@@ -106,8 +110,11 @@ def run_frame(
         stage = stages[step.stage]
         start = time.perf_counter()
         earlier = past[len(past) - stage.reach :] if stage.reach else ()
+        seen = canvas.view(stage.reads, step.need)
+        if stage.reach:
+            canvas.read[stage.name] = seen
         window = Window(
-            (*(c.view(stage.reads, step.need) for c, _ in earlier), canvas.view(stage.reads, step.need)),
+            (*(c.read.get(stage.name) or c.view(stage.reads, step.need) for c, _ in earlier), seen),
             (*(f for _, f in earlier), facts),
             step.out,
         )

@@ -56,10 +56,14 @@ def line_strength(
     high fades out;  width_px, smooth_px : of the full picture;  virtual : of `virtual_edges`, on the same grid, its
     first pixel at (row, column) `at`
     """
+    return lines_of(measured(small, alpha, beta, smooth_px, matrix), low, high, width_px, virtual, at)
+
+
+def measured(small: np.ndarray, alpha: float, beta: float, smooth_px: float, matrix: str = "bt601") -> np.ndarray:
+    """(3, h, w) float32: the printed measure of the smoothed picture, and the direction across the edge (x, y)."""
     sigma = max(smooth_px / 2, 0.3)
     h, w = small.shape[1:]
     made = np.empty((3, h, w), np.float32)
-    measure, dx, dy = made
     luma = yuv_matrix(matrix).astype(np.float32)
     around = int(np.ceil(4 * sigma)) + 2  # rows that the smoothing may reach, and one for the slopes
 
@@ -72,6 +76,15 @@ def line_strength(
         _measure(smooth, luma, np.float32(alpha), np.float32(beta), first, a, b, made)
 
     by_bands(one, h)
+    return made
+
+
+def lines_of(
+    made: np.ndarray, low: float, high: float, width_px: float, virtual: np.ndarray | None = None, at: tuple[int, int] = (0, 0)
+) -> np.ndarray:
+    """`line_strength` of what was `measured`, which is changed where the object's own edges are."""
+    measure, dx, dy = made
+    h, w = measure.shape
     if virtual is not None and virtual.size:
         y, x = at
         part = made[:, y : y + virtual.shape[0], x : x + virtual.shape[1]]
