@@ -111,9 +111,9 @@ def _halve(top, bottom, apart, small, y):  # pragma: no cover - compiled
         r[x], g[x], b[x] = top[i] + bottom[i], top[j] + bottom[j], top[k] + bottom[k]
     for c in range(3):
         s, out = apart[c], small[c, y]
-        for i in range(w // 2):
-            a = _U(2) * _U(i)
-            out[i] = np.sqrt(min(max((s[a] + s[a + _U(1)]) * quarter, zero), one))
+        for m in range(w // 2):
+            a = _U(2) * _U(m)
+            out[m] = np.sqrt(min(max((s[a] + s[a + _U(1)]) * quarter, zero), one))
         if w % 2:
             out[w // 2] = np.sqrt(min(max(s[w - 1] * np.float32(0.5), zero), one))
 
@@ -151,8 +151,8 @@ def _near(place, left, top, side, order, start, gh, gw, a, b, near, share):  # p
         y0, y1 = max(np.int64((y - own - top) / side), 0), min(np.int64((y + own - top) / side), gh - 1)
         n = _U(0)
         for i in range(y0, y1 + 1):
-            m, end = start[i * gw + x0], start[i * gw + x1 + 1]
-            for c in range(m, end, _STEP):
+            begin, end = start[i * gw + x0], start[i * gw + x1 + 1]
+            for c in range(begin, end, _STEP):  # type: ignore[call-overload]
                 for q in range(_STEP):  # of fixed length; what is too much is overwritten by the next row
                     j, to = _U(c) + _U(q), n + _U(q)
                     ex, ey = px[j] - x, py[j] - y

@@ -88,7 +88,7 @@ def lines_of(
     if virtual is not None and virtual.size:
         y, x = at
         part = made[:, y : y + virtual.shape[0], x : x + virtual.shape[1]]
-        _add_virtual(*part, virtual, np.float32(high))
+        _add_virtual(part[0], part[1], part[2], virtual, np.float32(high))
     line = np.zeros((h, w), np.float32)
     weak = np.zeros((h, w), np.uint8)
     offset = np.float32(max(width_px / 2, 0.75))
