@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import itertools
+import tracemalloc
 import zlib
 from typing import Any
 
@@ -116,6 +117,32 @@ def test_nothing_is_painted_twice_and_what_is_kept_gives_the_same_bits() -> None
     prepared.forget()
     assert np.array_equal(painted(image, prepared=prepared, f=SEEN), first)
     assert np.array_equal(painted(image, f=SEEN), first)
+
+
+@pytest.mark.parametrize("hold", [False, True])
+def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
+    """Beyond the layers that are read (68 bytes a pixel): 29 to 60 measured from 8K down. Eight frames keep no more than five."""
+    size = (800, 600)
+    s, stage = scene(camera(*size)), Watercolor(WatercolorParams(line_hold=hold))
+    prepared, nodes = stage.prepare(s, stage.levels[1]), still_field(*size, 8, 96)
+    image = picture(600, 800)
+    held: list[int] = []
+    for k in range(9):
+        fact = fact_of(nodes, nodes.u + 3 * k, nodes.v)
+        frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.reach)]
+        seen = [FrameFacts(j, j / 30, extra={"watercolor": fact}) for j in range(len(frames))]
+        window = Window(tuple(frames), tuple(seen))
+        if k == 1:
+            tracemalloc.start()  # what was compiled or loaded is not counted
+        before, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        stage.run(window, s, prepared, stage.levels[1], np.random.default_rng(0))
+        del frames, window
+        now, peak = tracemalloc.get_traced_memory()
+        held.append(now)
+        assert peak - before < 60 * 800 * 600
+    tracemalloc.stop()
+    assert max(held[6:]) < held[5] * 1.1
 
 
 def test_the_whole_picture_is_asked_for_with_and_without_a_marker() -> None:
