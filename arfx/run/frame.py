@@ -28,11 +28,15 @@ from arfx.media.frame import Frame
 
 @dataclass
 class Canvas:
-    """The layers of one frame while its plan runs: name -> (rectangle, array)."""
+    """The layers of one frame while its plan runs: name -> (rectangle, array).
+
+    read : what stages saw that look at earlier frames: they see that again, not what came of it
+    """
 
     plate: np.ndarray | Deferred
     rect: Rect
     stored: dict[Layer, tuple[Rect, Any]] = field(default_factory=dict)
+    read: dict[str, Layers] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.stored = {Layer.PLATE: (self.rect, self.plate), Layer.IMAGE: (self.rect, self.plate)}
@@ -145,8 +149,11 @@ def run_frame(
         stage = stages[step.stage]
         start, reading = time.perf_counter(), plate.seconds if isinstance(plate, Plate) else 0.0
         earlier = past[len(past) - stage.reach :] if stage.reach else ()
+        seen = canvas.view(stage.reads, step.need)
+        if stage.reach:
+            canvas.read[stage.name] = seen
         window = Window(
-            (*(c.view(stage.reads, step.need) for c, _ in earlier), canvas.view(stage.reads, step.need)),
+            (*(c.read.get(stage.name) or c.view(stage.reads, step.need) for c, _ in earlier), seen),
             (*(f for _, f in earlier), facts),
             step.out,
             may_dim and step is plan.steps[-1],

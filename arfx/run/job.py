@@ -306,7 +306,7 @@ def _chunks(planned: Planned) -> list[Chunk]:
     plans = planned.folder.plan.read_text(encoding="utf-8").splitlines()
     out = []
     for first, last in borders(len(planned.facts)):
-        part = slice(first, last + 1)
+        part = slice(max(first - 1, 0), last + 1)  # a stage may look at the frame before
         parts = [facts[part], plans[part], planned.meta["pts"][part]]
         out.append(Chunk(first, last, digest(planned.key, parts, planned.meta["world_from_marker"], planned.meta["static"])))
     return out

@@ -14,14 +14,15 @@ import numpy as np
 
 from arfx.stages.watercolor.bands import BANDS, by_bands
 from arfx.stages.watercolor.labels import Labels, bucketed
-from arfx.stages.watercolor.rows import Cover, Picture, labels_of, row_of
+from arfx.stages.watercolor.rows import Cover, Picture, line_of, numbers_of
 from arfx.stages.watercolor.sites import STEPS
 
-ROWS = 4  # at a time in `means`
 NEIGHBOURS = 8  # of a cell that are kept; a Voronoi cell has 6 on average
 REACH = 1.4  # sizes of a cell: sites that far apart have nothing to do with each other
+_STEP = 16  # sites in `neighbours`
 _MANY = 8  # below this many pixels per cell, sums over bands would cost more than they save
 _FAST = {"contract", "nsz", "arcp"}
+_U = np.uint64  # an index of that type is not looked at for a minus: loops stay simple
 
 
 def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
@@ -45,7 +46,7 @@ def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[n
         _sum(*picture.parts, *cover.parts, y0, y1, total, small)  # type: ignore[call-arg]
         return total
 
-    parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, ROWS)
+    parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, 2)
     out = np.empty((count, 4), np.float32)
     if len(parts) == BANDS:
         _mean_of_four(parts[0], parts[1], parts[2], parts[3], out)
@@ -69,49 +70,52 @@ def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
 def _sum(
     image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, y0, y1, total, small
 ):  # pragma: no cover
-    """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1; ROWS rows in turns, so that the sums of
-    one cell are not always waited for."""
+    """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1. Both halves of a row in turns: the sums of one
+    cell are not always waited for."""
     w = first.shape[1]
-    r, g, b = np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32), np.empty((ROWS, w), np.float32)
-    pixel, a = np.empty((ROWS, w, 4)), np.empty((ROWS, w), np.int32)
-    sums, one, two, three = total.reshape(-1), np.uint64(1), np.uint64(2), np.uint64(3)
-    for y in range(y0, y1, ROWS):
-        rows = min(ROWS, y1 - y)
-        for j in range(rows):
-            row_of(image, patch, py, px, y + j, r[j], g[j], b[j])
-            labels_of(first, own_first, mask, start, ly, lx, y + j, a[j])
-            for x in range(w):
-                pixel[j, x, 0], pixel[j, x, 1], pixel[j, x, 2], pixel[j, x, 3] = r[j, x], g[j, x], b[j, x], 1.0
-        if rows == ROWS:
-            for x in range(w):
-                for j in range(ROWS):
-                    # all four at once: nothing is written between what is read
-                    i = np.uint64(4) * np.uint64(a[j, x])
-                    p0, p1, p2, p3 = pixel[j, x, 0], pixel[j, x, 1], pixel[j, x, 2], pixel[j, x, 3]
-                    t0, t1, t2, t3 = sums[i], sums[i + one], sums[i + two], sums[i + three]
-                    sums[i], sums[i + one], sums[i + two], sums[i + three] = t0 + p0, t1 + p1, t2 + p2, t3 + p3
-        else:
-            for j in range(rows):
-                for x in range(w):
-                    for c in range(4):
-                        total[a[j, x], c] += pixel[j, x, c]
+    half = _U(w // 2)
+    above, colours, numbers = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32), np.empty(w, np.int32)
+    apart = np.empty((3, w), np.float32)
+    sums, one, two, three = total.reshape(-1), _U(1), _U(2), _U(3)
+    for y in range(y0, y1):
+        line = line_of(image, patch, py, px, y, colours)
+        a = numbers_of(first, own_first, mask, start, ly, lx, y, numbers)
+        for x in range(w // 2):
+            for side in range(2):
+                q = _U(x) + _U(side) * half
+                i, p = _U(4) * _U(a[q]), _U(3) * q
+                p0, p1, p2 = np.float64(line[p]), np.float64(line[p + one]), np.float64(line[p + two])
+                # nothing is written between what is read
+                t0, t1, t2, t3 = sums[i], sums[i + one], sums[i + two], sums[i + three]
+                sums[i], sums[i + one], sums[i + two], sums[i + three] = t0 + p0, t1 + p1, t2 + p2, t3 + 1.0
+        if w % 2:
+            for c in range(3):
+                total[a[w - 1], c] += line[3 * (w - 1) + c]
+            total[a[w - 1], 3] += 1.0
         if small.shape[1] > 0:
-            for j in range(0, rows, 2):
-                other = min(j + 1, rows - 1)
-                for c, p in enumerate((r, g, b)):
-                    _halve(p[j], p[other], small[c, (y + j) // 2])
+            if y % 2 or y == y1 - 1:
+                _halve(above if y % 2 else line, line, apart, small, y // 2)
+            else:
+                above[:] = line
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _halve(top, bottom, out):  # pragma: no cover - compiled
-    w = top.shape[0]
+def _halve(top, bottom, apart, small, y):  # pragma: no cover - compiled
+    """Row y of small, from two rows of the picture. apart (3, w) is written."""
+    w = apart.shape[1]
     zero, one, quarter = np.float32(0), np.float32(1), np.float32(0.25)
-    for i in range(w // 2):
-        a, b = np.uint64(2) * np.uint64(i), np.uint64(2) * np.uint64(i) + np.uint64(1)
-        s = (top[a] + top[b] + bottom[a] + bottom[b]) * quarter
-        out[i] = np.sqrt(min(max(s, zero), one))
-    if w % 2:
-        out[w // 2] = np.sqrt(min(max((top[w - 1] + bottom[w - 1]) * np.float32(0.5), zero), one))
+    r, g, b = apart[0], apart[1], apart[2]
+    for x in range(w):
+        i = _U(3) * _U(x)
+        j, k = i + _U(1), i + _U(2)
+        r[x], g[x], b[x] = top[i] + bottom[i], top[j] + bottom[j], top[k] + bottom[k]
+    for c in range(3):
+        s, out = apart[c], small[c, y]
+        for m in range(w // 2):
+            a = _U(2) * _U(m)
+            out[m] = np.sqrt(min(max((s[a] + s[a + _U(1)]) * quarter, zero), one))
+        if w % 2:
+            out[w // 2] = np.sqrt(min(max(s[w - 1] * np.float32(0.5), zero), one))
 
 
 def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -126,39 +130,50 @@ def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarr
     if n < 2:
         return near, share
     left, right, top, bottom = float(x.min()), float(x.max()), float(y.min()), float(y.max())
-    side = max(float(size.max()) * REACH, np.sqrt((right - left) * (bottom - top) / n), STEPS)
+    side = max(REACH * np.sqrt((right - left) * (bottom - top) / n), (right - left) / 8192, (bottom - top) / 8192, STEPS)
     gw, gh = int((right - left) // side) + 1, int((bottom - top) // side) + 1
     start, order = bucketed(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
-    by_bands(lambda a, b: _near(x, y, size, left, top, side, order, start, gh, gw, a, b, near, share), n)
+    place = np.zeros((3, n + _STEP), np.float32)
+    place[0, :n], place[1, :n], place[2, :n] = x[order], y[order], np.float32(1 / REACH**2) / (size[order] ** 2)
+    by_bands(lambda a, b: _near(place, left, top, side, order, start, gh, gw, a, b, near, share), n)
     return near, share
 
 
-@numba.njit(cache=True, nogil=True)
-def _near(x, y, size, left, top, side, order, start, gh, gw, a, b, near, share):  # pragma: no cover - compiled
-    """Of the sites a ... b - 1."""
-    one, reach = np.float32(1), np.float32(REACH)
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _near(place, left, top, side, order, start, gh, gw, a, b, near, share):  # pragma: no cover - compiled
+    """Of the sites a ... b - 1 of the buckets' order. place (3, n) : x, y, 1 / reach^2, in that order"""
+    one, room = np.float32(1), start[gh * gw] + 2 * _STEP
+    s, found = np.empty(room, np.float32), np.empty(room, np.int32)
+    px, py, ps = place[0], place[1], place[2]
     for k in range(a, b):
-        near[k] = k
-        gy, gx = min(np.int64((y[k] - top) / side), gh - 1), min(np.int64((x[k] - left) / side), gw - 1)
-        n, last, least = 0, 0, np.float32(0)
-        for i in range(max(gy - 1, 0), min(gy + 1, gh - 1) + 1):
-            for m in range(start[i * gw + max(gx - 1, 0)], start[i * gw + min(gx + 1, gw - 1) + 1]):
-                j = order[m]
-                ex, ey, r = x[j] - x[k], y[j] - y[k], min(size[j], size[k]) * reach
-                s = one - (ex * ex + ey * ey) / (r * r)
-                if s <= 0 or j == k:
-                    continue
-                s *= s
-                if n < NEIGHBOURS:
-                    near[k, n], share[k, n] = j, s
-                    n += 1
-                elif s > least:  # in place of the farthest
-                    near[k, last], share[k, last] = j, s
-                if n == NEIGHBOURS:
-                    last = 0
-                    for q in range(1, NEIGHBOURS):
-                        last = q if share[k, q] < share[k, last] else last
-                    least = share[k, last]
+        x, y, sharp, own = px[k], py[k], ps[k], one / np.sqrt(ps[k])
+        x0, x1 = max(np.int64((x - own - left) / side), 0), min(np.int64((x + own - left) / side), gw - 1)
+        y0, y1 = max(np.int64((y - own - top) / side), 0), min(np.int64((y + own - top) / side), gh - 1)
+        n = _U(0)
+        for i in range(y0, y1 + 1):
+            begin, end = start[i * gw + x0], start[i * gw + x1 + 1]
+            for c in range(begin, end, _STEP):  # type: ignore[call-overload]
+                for q in range(_STEP):  # of fixed length; what is too much is overwritten by the next row
+                    j, to = _U(c) + _U(q), n + _U(q)
+                    ex, ey = px[j] - x, py[j] - y
+                    # a pair reaches as far as the smaller of both
+                    s[to], found[to] = one - (ex * ex + ey * ey) * max(ps[j], sharp), c + q
+                n += _U(min(_STEP, end - c))
+        within = _U(0)
+        for q in range(np.int64(n)):
+            v, m = s[_U(q)], found[_U(q)]
+            s[within], found[within] = v, m
+            within += _U(v > 0) & _U(m != k)
+        site, count = order[k], np.int64(within)
+        while count > NEIGHBOURS:  # without the farthest
+            last = 0
+            for q in range(1, count):
+                last = q if s[q] < s[last] else last
+            count -= 1
+            s[last], found[last] = s[count], found[count]
+        near[site] = site
+        for q in range(count):
+            near[site, q], share[site, q] = order[found[q]], s[q] * s[q]
 
 
 def washed(

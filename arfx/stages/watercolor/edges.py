@@ -47,25 +47,48 @@ def _difference(a: np.ndarray) -> np.ndarray:
 
 def line_strength(
     small: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
-    virtual: np.ndarray | None = None, matrix: str = "bt601",
+    virtual: np.ndarray | None = None, matrix: str = "bt601", at: tuple[int, int] = (0, 0),
 ) -> np.ndarray:  # fmt: skip
     """(h, w) float32 strength of lines, 0..1.
 
     small (3, h, w) : square roots of the picture at half size (cells.means_and_half)
     low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches
-    high fades out;  width_px, smooth_px : of the full picture;  virtual : of `virtual_edges`, on the same grid
+    high fades out;  width_px, smooth_px : of the full picture;  virtual : of `virtual_edges`, on the same grid, its
+    first pixel at (row, column) `at`
     """
+    return lines_of(measured(small, alpha, beta, smooth_px, matrix), low, high, width_px, virtual, at)
+
+
+def measured(small: np.ndarray, alpha: float, beta: float, smooth_px: float, matrix: str = "bt601") -> np.ndarray:
+    """(3, h, w) float32: the printed measure of the smoothed picture, and the direction across the edge (x, y)."""
     sigma = max(smooth_px / 2, 0.3)
     h, w = small.shape[1:]
-    smooth = np.empty_like(small)
-    for c in range(3):
-        cv2.GaussianBlur(small[c], (0, 0), sigma, dst=smooth[c], borderType=cv2.BORDER_REPLICATE)
     made = np.empty((3, h, w), np.float32)
-    measure, dx, dy = made
     luma = yuv_matrix(matrix).astype(np.float32)
-    by_bands(lambda a, b: _measure(smooth, luma, np.float32(alpha), np.float32(beta), a, b, made), h)
+    around = int(np.ceil(4 * sigma)) + 2  # rows that the smoothing may reach, and one for the slopes
+
+    def one(a: int, b: int) -> None:
+        """Smoothed by bands, with the rows around: what is measured is still in the cache."""
+        first, last = max(a - around, 0), min(b + around, h)
+        smooth = np.empty((3, last - first, w), np.float32)
+        for c in range(3):
+            cv2.GaussianBlur(small[c, first:last], (0, 0), sigma, dst=smooth[c], borderType=cv2.BORDER_REPLICATE)
+        _measure(smooth, luma, np.float32(alpha), np.float32(beta), first, a, b, made)
+
+    by_bands(one, h)
+    return made
+
+
+def lines_of(
+    made: np.ndarray, low: float, high: float, width_px: float, virtual: np.ndarray | None = None, at: tuple[int, int] = (0, 0)
+) -> np.ndarray:
+    """`line_strength` of what was `measured`, which is changed where the object's own edges are."""
+    measure, dx, dy = made
+    h, w = measure.shape
     if virtual is not None and virtual.size:
-        _add_virtual(measure, dx, dy, virtual, np.float32(high))
+        y, x = at
+        part = made[:, y : y + virtual.shape[0], x : x + virtual.shape[1]]
+        _add_virtual(part[0], part[1], part[2], virtual, np.float32(high))
     line = np.zeros((h, w), np.float32)
     weak = np.zeros((h, w), np.uint8)
     offset = np.float32(max(width_px / 2, 0.75))
@@ -81,8 +104,9 @@ def line_strength(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _measure(small, luma, alpha, beta, ya, yb, out):  # pragma: no cover - compiled
-    """out (3, h, w) : the printed measure from central differences, per px of this grid, and the direction across the edge."""
+def _measure(small, luma, alpha, beta, first, ya, yb, out):  # pragma: no cover - compiled
+    """out (3, h, w) : in rows ya ... yb - 1 the printed measure from central differences, per px of this grid, and the direction
+    across the edge. small (3, ...) : its first row is `first`"""
     h, w = small.shape[1:]
     half, third, one = np.float32(0.5), np.float32(1.0 / 3.0), np.float32(1)
     y0, y1, y2 = luma[0]
@@ -90,9 +114,10 @@ def _measure(small, luma, alpha, beta, ya, yb, out):  # pragma: no cover - compi
     v0, v1, v2 = luma[2]
     slope = np.empty((6, w), np.float32)  # along x and y, of each colour
     for y in range(ya, yb):
-        up, down = max(y - 1, 0), min(y + 1, h - 1)
+        m = y - first
+        up, down = max(m - 1, 0), min(m + 1, h - 1)
         for c in range(3):
-            _slopes(small[c, up], small[c, y], small[c, down], slope[2 * c], slope[2 * c + 1])
+            _slopes(small[c, up], small[c, m], small[c, down], slope[2 * c], slope[2 * c + 1])
         for x in range(w):
             ax, ay, bx, by, cx, cy = slope[0, x], slope[1, x], slope[2, x], slope[3, x], slope[4, x], slope[5, x]
             a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)

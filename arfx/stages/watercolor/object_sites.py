@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
+from arfx.core.numerics import EPS_DEPTH_M, normalise
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import FADE, STEPS, Sites
@@ -78,16 +79,11 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
 def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell_px: float, flow_px: float) -> Sites:
     """Sites of the points that face the camera, at about one per cell_px^2. Places u, v are in px at which the model is
     four wavelengths of the flow wide, whatever its size in the picture."""
-    depth = surface.points @ camera_from_world.rotation[2] + camera_from_world.translation_m[2]
+    row, at = camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
     eye = camera_from_world.inverse().translation_m
-    towards = eye - surface.points
-    facing = (towards * surface.normals).sum(1)
-    wanted = np.log2(np.maximum(depth, EPS_DEPTH_M) * (cell_px / camera.fx))
-    keep = np.flatnonzero((depth > EPS_DEPTH_M) & (facing > 0) & (surface.importance > wanted - FADE))
+    keep, share = _seen(surface.points, surface.normals, surface.importance, eye, row, at, cell_px / camera.fx)
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
-    cosine = divide(facing[keep], np.linalg.norm(towards[keep], axis=1))
-    share = np.clip((surface.importance[keep] - wanted[keep]) / FADE + 0.5, 0, 1) * np.clip(cosine / _GRAZING, 0, 1)
-    seen = (share > 0) & np.isfinite(pixel).all(1)
+    seen = np.isfinite(pixel).all(1)
     keep, share, pixel = keep[seen], share[seen], pixel[seen]
     place = np.round(np.clip(pixel, -1e5, 1e5) * STEPS).astype(np.float32)
     weight = -np.round((1 - share) * (1.2 * cell_px * STEPS) ** 2).astype(np.float32)
@@ -96,3 +92,25 @@ def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell
     return Sites(
         np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1]), weight, keep.astype(np.int64), u, v
     )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def _seen(points, normals, importance, eye, row, at, size):  # pragma: no cover - compiled
+    """(which points face the camera and count at this density (k,), how far each has appeared (k,), 0..1].
+
+    row . point + at : depth, metres;  size : of a cell at depth 1 m, metres
+    """
+    which, share = np.empty(points.shape[0], np.int64), np.empty(points.shape[0])
+    k = 0
+    for m in range(points.shape[0]):
+        depth = points[m, 0] * row[0] + points[m, 1] * row[1] + points[m, 2] * row[2] + at
+        x, y, z = eye[0] - points[m, 0], eye[1] - points[m, 1], eye[2] - points[m, 2]
+        facing = x * normals[m, 0] + y * normals[m, 1] + z * normals[m, 2]
+        if not (depth > EPS_DEPTH_M and facing > 0):
+            continue
+        grown = (importance[m] - np.log2(depth * size)) / FADE + 0.5
+        turned = facing / np.sqrt(x * x + y * y + z * z) / _GRAZING  # facing > 0: the distance is not 0
+        if grown > 0:
+            which[k], share[k] = m, min(grown, 1.0) * min(turned, 1.0)
+            k += 1
+    return which[:k].copy(), share[:k].copy()

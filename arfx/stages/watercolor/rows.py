@@ -115,3 +115,23 @@ def borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k
                 to = _U(lx) + _U(x)
                 k[to] = own_second[y - ly, x] + start
                 near[to] = own_inside[y - ly, x]
+
+
+@numba.njit(cache=True, nogil=True)
+def line_of(image, patch, py, px, y, buffer):  # pragma: no cover - compiled
+    """(3 w,) float32 : row y of the picture, in `buffer` where the patch has a part in it."""
+    line = image[y].reshape(-1)
+    if py <= y < py + patch.shape[0]:
+        buffer[:] = line
+        buffer[3 * px : 3 * (px + patch.shape[1])] = patch[y - py].reshape(-1)
+        return buffer
+    return line
+
+
+@numba.njit(cache=True, nogil=True)
+def numbers_of(first, own_first, mask, start, ly, lx, y, buffer):  # pragma: no cover - compiled
+    """(w,) int32 : row y of the labels, in `buffer` where the object has a part in it."""
+    if ly <= y < ly + mask.shape[0]:
+        labels_of(first, own_first, mask, start, ly, lx, y, buffer)
+        return buffer
+    return first[y]

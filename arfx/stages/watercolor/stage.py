@@ -32,9 +32,10 @@ from arfx.stages.lightmap.stage import Kept
 from arfx.stages.watercolor.cells import means_and_half, neighbours, toned, washed
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.digest import digest
-from arfx.stages.watercolor.edges import line_strength, virtual_edges
+from arfx.stages.watercolor.edges import lines_of, measured, virtual_edges
 from arfx.stages.watercolor.field import FACT, frame_field, ways
-from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, wobble_of
+from arfx.stages.watercolor.hold import held, steps_back
+from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, unlabelled, wobble_of
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
@@ -46,7 +47,8 @@ from arfx.stages.watercolor.toon import EVEN, toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
-_KEPT_SETS, _KEPT_PICTURES = 4, 2
+_KEPT_SETS, _KEPT_PICTURES, _KEPT_MEASURES = 4, 2, 3
+Key = tuple[Any, ...]
 _LARGEST_KEPT_PX = 16_000_000
 _VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBEDO, Layer.EMISSIVE)
 
@@ -71,12 +73,14 @@ class Prepared:
     cells: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
     pictures: Kept = field(default_factory=lambda: Kept(_KEPT_PICTURES))
     fields: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
+    measures: Kept = field(default_factory=lambda: Kept(_KEPT_MEASURES))
 
     def forget(self) -> None:
         """Drop what was kept between frames, so that the next one costs what a new frame costs."""
         self.cells.clear()
         self.pictures.clear()
         self.fields.clear()
+        self.measures.clear()
 
 
 class Watercolor:
@@ -89,7 +93,8 @@ class Watercolor:
     Params = WatercolorParams
 
     def __init__(self, params: WatercolorParams | None = None) -> None:
-        self.params = params or WatercolorParams()
+        self.params = p = params or WatercolorParams()
+        self.reach = int(p.line_hold and p.lines > 0 and p.formula == "corrected")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         return Demand(frame, "the whole picture is painted")
@@ -111,9 +116,7 @@ class Watercolor:
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         now, facts, p = window.now, window.facts[-1], self.params
-        box = EMPTY
-        if facts.camera_from_world is not None and facts.opacity > 0:
-            box = facts.model_box.pad(PAD_PX).clip(now.rect)
+        box = _box(facts, now.rect)
         if p.formula == "paper":
             image = self._with_toon(now, box, facts, scene).whole()
             return {Layer.IMAGE: printed(image, now.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, rng)}
@@ -122,8 +125,15 @@ class Watercolor:
             for way, share in ways(facts, p.anchored, level.name == "high")
         ]
 
+        before = self._before(window)
+        content = _content(now, box, facts, scene)
+        earlier = None if before is None else _content(before[0], _box(before[1], before[0].rect), before[1], scene)
+
         def make() -> np.ndarray:
-            painted = [self._painted(now, box, facts, scene, prepared, level, *field) for field, _ in fields]
+            lines = None
+            if before is not None and earlier is not None:
+                lines = self._held_lines((now, facts, content), (*before, earlier), scene, prepared, level)
+            painted = [self._painted(now, box, facts, scene, prepared, level, *field, lines) for field, _ in fields]
             if len(painted) == 1:
                 return painted[0]
             (_, first), (_, second) = fields
@@ -132,8 +142,7 @@ class Watercolor:
         if now.rect.area > _LARGEST_KEPT_PX:
             return {Layer.IMAGE: make()}
         key = (
-            tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, _content(now, box), box, facts.opacity,
-            repr(facts.light or scene.light),
+            tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, content, earlier,
             tuple(_pose_key(pose) for (_, pose, _), _ in fields),
         )  # fmt: skip
         return {Layer.IMAGE: prepared.pictures.get(key, make)}
@@ -175,21 +184,21 @@ class Watercolor:
 
     def _painted(
         self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, where: Field,
-        pose: Any, sites_key: bytes,
+        pose: Any, sites_key: bytes, line: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
+        """line : strength of lines where it is known already"""
         p, rect = self.params, now.rect
         picture = self._with_toon(now, box, facts, scene)
         cells = prepared.cells.get((sites_key, rect), lambda: self._cells(where, rect, scene, prepared, level))
         cover = Cover(cells.labels)
         if not box.empty and pose is not None:
             cover, cells = self._with_object(now, box, cells, scene, prepared, level, pose)
-        colours, small = means_and_half(picture, cover, p.lines > 0)
-        line = np.zeros((0, 0), np.float32)
-        if p.lines > 0:
-            line = line_strength(
-                small, p.alpha, p.beta, p.line_low, p.line_high, p.line_width_px, p.line_smooth_px,
-                self._virtual_edges(now, box, facts), p.yuv,
-            )  # fmt: skip
+        colours, small = means_and_half(picture, cover, p.lines > 0 and line is None)
+        if line is None:
+            line = np.zeros((0, 0), np.float32)
+            if p.lines > 0:
+                made = measured(small, p.alpha, p.beta, p.line_smooth_px, p.yuv)
+                line = lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(now, box, facts))
         root = washed(colours[:, :3], cells.near, cells.share, colours[:, 3], 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
         ink = np.array(p.ink_rgb, np.float32)
@@ -198,18 +207,46 @@ class Watercolor:
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
         return paint(picture, cover, colours, root, cells.flow, prepared.grain, line, strengths, ink, rect.x0, rect.y0)
 
-    def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray | None:
-        if box.empty:
+    def _before(self, window: Window) -> tuple[Layers, FrameFacts] | None:
+        """The frame before, where lines are held and it shows the same things."""
+        if not self.reach or len(window.layers) < 2:
             return None
+        then, now = window.facts[-2:]
+        same = then.index == now.index - 1 and then.shot == now.shot and window.layers[-2].rect == window.now.rect
+        return (window.layers[-2], then) if same else None
+
+    def _held_lines(
+        self, now: tuple[Layers, FrameFacts, Key], before: tuple[Layers, FrameFacts, Key], scene: Scene, prepared: Prepared,
+        level: Level,
+    ) -> np.ndarray:  # fmt: skip
+        """Strength of lines, from the measures of both frames: each is made once."""
+        p = self.params
+
+        def made(layers: Layers, facts: FrameFacts, key: Key) -> np.ndarray:
+            def make() -> np.ndarray:
+                picture = self._with_toon(layers, _box(facts, layers.rect), facts, scene)
+                one = Cover(unlabelled(layers.rect.height, layers.rect.width, 1, False))
+                return measured(means_and_half(picture, one)[1], p.alpha, p.beta, p.line_smooth_px, p.yuv)
+
+            found: np.ndarray = prepared.measures.get(key, make)
+            return found
+
+        layers, facts, _ = now
+        (own, *_), (then, *_) = (self._field(f, scene, prepared, level, "nodes") for f in (facts, before[1]))
+        back, out = steps_back(own, then), made(*now).copy()
+        if back is not None:
+            out[0] = held(out[0], made(*before)[0], back, own.x0 - layers.rect.x0, own.y0 - layers.rect.y0)
+        drawn = self._virtual_edges(layers, _box(facts, layers.rect), facts)
+        return lines_of(out, p.line_low, p.line_high, p.line_width_px, *drawn)
+
+    def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> tuple[np.ndarray | None, tuple[int, int]]:
+        """(edges of the object or None, where they lie on the half-size grid of the whole picture)."""
+        if box.empty:
+            return None, (0, 0)
         rect = now.rect
-        # on the half-size grid of the whole picture
-        even = Rect((box.x0 - rect.x0) // 2 * 2 + rect.x0, (box.y0 - rect.y0) // 2 * 2 + rect.y0, box.x1, box.y1)
-        part = now.crop(even)
-        made = virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity)
-        out = np.zeros(((rect.height + 1) // 2, (rect.width + 1) // 2), np.float32)
-        y, x = (even.y0 - rect.y0) // 2, (even.x0 - rect.x0) // 2
-        out[y : y + made.shape[0], x : x + made.shape[1]] = made
-        return out
+        y, x = (box.y0 - rect.y0) // 2, (box.x0 - rect.x0) // 2
+        part = now.crop(Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1))
+        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity), (y, x)
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area
@@ -293,10 +330,18 @@ def _field_key(where: Field) -> bytes:
     return h.digest()
 
 
-def _content(now: Layers, box: Rect) -> tuple[int, ...]:
+def _box(facts: FrameFacts, rect: Rect) -> Rect:
+    """What the object may touch."""
+    if facts.camera_from_world is None or facts.opacity <= 0:
+        return EMPTY
+    return facts.model_box.pad(PAD_PX).clip(rect)
+
+
+def _content(now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> Key:
+    """What a frame shows."""
     out = [digest(now[Layer.IMAGE])]
     if not box.empty:
         part = now.crop(box)
         # an eighth of the rows tells one state of the object from another: its colours are in the picture, its pose is known
         out += [digest(part[name][::8]) for name in (Layer.COVERAGE, Layer.NORMAL)]
-    return tuple(out)
+    return (*out, box, facts.opacity, repr(facts.light or scene.light))

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from arfx.core.light import Light
+from arfx.stages.watercolor.bands import by_bands
 
 EVEN = 0.8  # share of the ambient light that is the same in all tones
 RAMP = 0.06  # of n . l over which a step is spread
@@ -46,20 +47,21 @@ def toon(
     radiance, even : (3,) of a white surface that faces the light, and the part of it that every tone has
     """
     f32 = np.float32
-    out: np.ndarray = _toon(
-        image, virtual, coverage, normal, albedo, emissive, direction.astype(f32), (radiance - even).astype(f32),
-        even.astype(f32), np.array(thresholds, f32), np.array(factors, f32), f32(opacity), f32(0.0 if hard else RAMP),
+    out: np.ndarray = image.copy()
+    light = (
+        direction.astype(f32), (radiance - even).astype(f32), even.astype(f32), np.array(thresholds, f32),
+        np.array(factors, f32), f32(opacity), f32(0.0 if hard else RAMP),
     )  # fmt: skip
+    by_bands(lambda a, b: _toon(virtual, coverage, normal, albedo, emissive, *light, a, b, out), len(out))
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _toon(
-    image, virtual, coverage, normal, albedo, emissive, light, direct, even, at, factors, opacity, ramp
+    virtual, coverage, normal, albedo, emissive, light, direct, even, at, factors, opacity, ramp, ya, yb, out
 ):  # pragma: no cover
-    out = image.copy()
     zero, one = np.float32(0), np.float32(1)
-    for y in range(coverage.shape[0]):
+    for y in range(ya, yb):
         for x in range(coverage.shape[1]):
             cov = coverage[y, x]
             if cov <= zero:

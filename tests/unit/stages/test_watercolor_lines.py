@@ -12,9 +12,11 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.stages.watercolor import edges
 from arfx.stages.watercolor.cells import means_and_half
 from arfx.stages.watercolor.edges import printed_edges, virtual_edges, yuv_matrix
+from arfx.stages.watercolor.hold import held, steps_back
 from arfx.stages.watercolor.labels import unlabelled
 from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
 from arfx.stages.watercolor.rows import Cover, Picture
+from arfx.stages.watercolor.sites import Field, still_field
 from arfx.stages.watercolor.toon import toon, toon_light
 
 BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
@@ -89,6 +91,23 @@ def test_lines_hold_still_in_noise_where_printed_edges_flip() -> None:
     ours = flips([line_strength(f**2, 0.5, 0.5, 0.02, 0.06, 2, 2) for f in frames])
     printed = flips([(printed_edges(f, 0.5, 0.5) > 0.04).astype(float) for f in frames])
     assert ours <= 0.02 < 0.1 < printed
+
+
+def test_what_is_held_is_taken_from_where_it_lay_and_only_where_it_is_alike() -> None:
+    nodes = still_field(200, 160, 8, 32)
+    c, s = 1.1 * np.cos(0.2), 1.1 * np.sin(0.2)
+    turned = Field(nodes.x0, nodes.y0, c * nodes.u - s * nodes.v + 7, s * nodes.u + c * nodes.v - 4, nodes.size)
+    back = steps_back(turned, nodes)
+    assert back is not None
+    np.testing.assert_allclose(back, [turned.u - nodes.u, turned.v - nodes.v], atol=1e-3)
+    y, x = np.mgrid[0:80, 0:100].astype(np.float32)
+    wave = lambda x, y: (0.3 + 0.1 * np.sin(0.08 * x) + 0.1 * np.cos(0.07 * y)).astype(np.float32)  # noqa: E731
+    now = wave(c * (2 * x + 0.5) - s * (2 * y + 0.5) + 7, s * (2 * x + 0.5) + c * (2 * y + 0.5) - 4)
+    before = wave(2 * x + 0.5, 2 * y + 0.5)
+    out = held(np.float32(1.02) * now, before, back, nodes.x0, nodes.y0)
+    away = np.abs(out / now - 1.01)
+    assert np.median(away) < 1e-3  # half of each; what comes into view is as it is
+    assert np.array_equal(held(4 * now, before, back, nodes.x0, nodes.y0), 4 * now)
 
 
 def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases() -> None:
