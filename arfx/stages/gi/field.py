@@ -16,6 +16,7 @@ from arfx.core.light import Light
 from arfx.core.numerics import divide
 from arfx.core.scene import Scene
 from arfx.stages.gi.cones import START, even_cones, six_cones, steps_of, trace_many, turned
+from arfx.stages.gi.form_factors import Factors, factors_of, solid
 from arfx.stages.gi.pyramid import Atlas, Structure, atlas_of, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texture_places
 from arfx.stages.gi.surroundings import Planes, behind_many
@@ -42,7 +43,7 @@ class Cones:
 @dataclass(frozen=True, eq=False)
 class Body:
     """What does not change with the light. directions (v, 6, 3), left (v, 6) : of each voxel's cones
-    places : of the planes' texels;  cones : by plane;  tan_half, steps : of those
+    places : of the planes' texels;  cones : by plane;  tan_half, steps : of those;  factors : by plane, none where cones tell
     open (p, side, side) float32 : 0 where a texel lies under the object and nothing sees it, else 1"""
 
     voxels: Voxels
@@ -55,6 +56,7 @@ class Body:
     tan_half: float
     steps: np.ndarray
     open: np.ndarray
+    factors: tuple[Factors, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +99,8 @@ class Field:
         return -self.gain
 
 
-def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool) -> Body:
-    """n : voxels a side;  side : texels of a plane;  cones : of each of them."""
+def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool, rays: int = 0) -> Body:
+    """n : voxels a side;  side : texels of a plane;  cones : of each of them;  rays : of each, 0 = the cones tell alone"""
     voxels = voxelise(scene, n)
     structure = structure_of(voxels.cells, n)
     values = np.zeros((len(voxels.cells), 4), np.float32)
@@ -110,15 +112,25 @@ def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper
     places = texture_places(planes, side)
     set_, weights, tan_half = six_cones() if cones == 6 else even_cones(cones)
     steps = steps_of(tan_half, n, start=0.0)
-    found, open_ = [], []
+    found, open_, factors = [], [], []
+    exact = rays > 0 and not paper and solid(scene)
     for k, axes in enumerate(planes.axes):
         points = places[k].reshape(-1, 3).astype(np.float32)
         around = turned(axes[3][None], set_)[0]
+        if exact:
+            told = factors_of(scene, voxels, places[k], axes, set_, rays)
+            texel, cone = np.nonzero(told.covered > 0)
+            found.append(Cones(texel, points[texel], around[cone], told.covered[texel, cone], np.zeros(len(texel), np.float32)))
+            open_.append(np.clip((1 - told.covered.sum(1)) / _HIDDEN, 0, 1).reshape(side, side))
+            factors.append(told)
+            continue
         seen = _traced(opaque, steps, in_voxels(points, voxels.volume), np.tile(around, (len(points), 1, 1)), None, 0.0)[..., 3]
         texel, cone = np.nonzero(seen < 1)
         found.append(Cones(texel, points[texel], around[cone], weights[cone], seen[texel, cone]))
         open_.append(np.clip(seen @ weights / _HIDDEN, 0, 1).reshape(side, side))
-    return Body(voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps, np.array(open_, np.float32))
+    return Body(
+        voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps, np.array(open_, np.float32), tuple(factors)
+    )  # fmt: skip
 
 
 def in_voxels(points_m: np.ndarray, volume: Volume) -> np.ndarray:
@@ -148,12 +160,11 @@ def make_field(
     lights = [(rotation @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
     whole = [light.radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
     side = body.places.shape[1]
-    seen, lost = [], []
+    lost = []
     for k, cones in enumerate(body.cones):
         behind = _behind(cones.points, cones.directions, k, body.tan_half, back)
-        seen.append(behind)
-        lost.append(_summed(cones, -(1 - cones.left)[:, None] * behind, side))
-    shaded = np.stack([1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(seen))])
+        lost.append(_summed(cones, -(1 - cones.left)[:, None] * behind, side, body.factors[k] if body.factors else None))
+    shaded = np.stack([1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(lost))])
     without = shaded.copy()
     values = np.zeros((len(body.voxels.cells), 4), np.float32)
     values[:, 3] = body.voxels.opacity
@@ -163,14 +174,13 @@ def make_field(
     for _ in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
         dark = back.with_textures((darkened * body.open[..., None] * mean).astype(np.float32), body.open, mean)
-        values[:, :3] = _voxel_radiance(body, lights, dark) * body.voxels.opacity[:, None]
+        radiance = _voxel_radiance(body, lights, dark)
+        values[:, :3] = radiance * body.voxels.opacity[:, None]
         atlas = atlas_of(body.structure, values, paper)
         for k, cones in enumerate(body.cones):
-            got = _traced(atlas, body.steps, in_voxels(cones.points, body.voxels.volume), cones.directions[:, None], None, 0.0)[
-                :, 0, :3
-            ]
-            gain[k] = _summed(cones, got, side) + (0.0 if paper else occluded[k])
-            shaded[k] = without[k] + divide(_summed(cones, got, side), whole[k])
+            got = _sent(body, k, radiance, side) if body.factors else _gathered(body, cones, atlas, side)
+            gain[k] = got + (0.0 if paper else occluded[k])
+            shaded[k] = without[k] + divide(got, whole[k])
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
     return Field(atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), body.open)
 
@@ -184,10 +194,25 @@ def _behind(points: np.ndarray, directions: np.ndarray, skip: int, tan_half: flo
     )  # fmt: skip
 
 
-def _summed(cones: Cones, light: np.ndarray, side: int) -> np.ndarray:
+def _gathered(body: Body, cones: Cones, atlas: Atlas, side: int) -> np.ndarray:
+    """(side, side, 3) light that the cones of a plane bring from the voxels."""
+    starts = in_voxels(cones.points, body.voxels.volume)
+    return _summed(cones, _traced(atlas, body.steps, starts, cones.directions[:, None], None, 0.0)[:, 0, :3], side)
+
+
+def _sent(body: Body, k: int, radiance: np.ndarray, side: int) -> np.ndarray:
+    """(side, side, 3) light that the voxels send to plane k. radiance (v, 3)"""
+    f = body.factors[k]
+    sent = radiance[f.voxel] * f.share
+    out = np.stack([np.bincount(f.texel, sent[:, c], side * side) for c in range(3)], -1)
+    return out[f.source].reshape(side, side, 3)
+
+
+def _summed(cones: Cones, light: np.ndarray, side: int, factors: Factors | None = None) -> np.ndarray:
     """(side, side, 3) float64: the cones' light (m, 3) times their weights, by texel."""
     weighted = light * cones.weight[:, None]
-    return np.stack([np.bincount(cones.texel, weighted[:, c], side * side) for c in range(3)], -1).reshape(side, side, 3)
+    out = np.stack([np.bincount(cones.texel, weighted[:, c], side * side) for c in range(3)], -1)
+    return (out if factors is None else out[factors.source]).reshape(side, side, 3)
 
 
 def _direct_lost(

@@ -31,6 +31,7 @@ _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %:
 class LevelSettings:
     """voxels a side;  plane_side : texels of a plane's change, a power of two, plane_cones each
     texture_side : texels of the picture on it, a power of two
+    plane_rays : of each texel towards the object, 0 = its cones tell alone
     block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels
     """
 
@@ -42,6 +43,7 @@ class LevelSettings:
     bounce: bool
     sharp: float
     gloss_floor: float
+    plane_rays: int = 0
 
 
 @dataclass(frozen=True, eq=False)
