@@ -192,7 +192,7 @@ def make_field(
         values[:, :3] = radiance * body.voxels.opacity[:, None]
         atlas = atlas_of(body.structure, values, paper)
         for k, cones in enumerate(body.cones):
-            got = _sent(body, k, radiance, side) if body.factors else _gathered(body, cones, atlas, side)
+            got = _sent(body, k, radiance, dark, side) if body.factors else _gathered(body, cones, atlas, side)
             gain[k] = got + (0.0 if paper else occluded[k])
             shaded[k] = without[k] + divide(got, whole[k])
     if len(planes.axes) > 1 and not paper:
@@ -224,10 +224,13 @@ def _gathered(body: Body, cones: Cones, atlas: Atlas, side: int) -> np.ndarray:
     return _summed(cones, _traced(atlas, body.steps, starts, cones.directions[:, None], None, 0.0)[:, 0, :3], side)
 
 
-def _sent(body: Body, k: int, radiance: np.ndarray, side: int) -> np.ndarray:
-    """(side, side, 3) light that the voxels send to plane k. radiance (v, 3)"""
-    f = body.factors[k]
+def _sent(body: Body, k: int, radiance: np.ndarray, back: Behind, side: int) -> np.ndarray:
+    """(side, side, 3) light that the voxels send to plane k. radiance (v, 3);  back : what metal mirrors"""
+    f, v = body.factors[k], body.voxels
     sent = radiance[f.voxel] * f.share
+    for m in f.mirrored:
+        at = f.voxel[m.rows]
+        sent[m.rows] = f.share * (v.albedo[at] * _behind(m.place, m.direction, -1, m.tangent, back) + v.emission[at])
     out = np.stack([np.bincount(f.texel, sent[:, c], side * side) for c in range(3)], -1)
     return out[f.source].reshape(side, side, 3)
 

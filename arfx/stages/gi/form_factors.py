@@ -3,9 +3,9 @@
 Voxels are a bad judge of it: a wall one voxel thick lets 5 to 15 % of a narrow cone through, a curved one is fatter by up to
 a voxel than the surface is; on a plane beside the object these are up to 4 % of the light too much, or 10 % too little, and
 finer voxels exchange one for the other. Rays are exact, and say which voxel's light arrives, so that a new light is a
-weighted sum. Directions are a Fibonacci lattice, cosine-weighted, shifted from texel to texel.
+weighted sum. Metal sends on what lies in the mirrored direction. Directions are a Fibonacci lattice, cosine-weighted, shifted from texel to texel.
 Source: form factors of radiosity (Goral et al. 1984), Monte Carlo. Cost: O(rays that meet the object's box), none per frame.
-Leaves out: parts that can be seen through (those keep their cones).
+Leaves out: parts that can be seen through (those keep their cones); lamps mirrored by metal (caustics).
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -20,26 +20,41 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from arfx.core.model import OPAQUE
+from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.cones import turned
+from arfx.stages.gi.cones import mirror_tangent, turned
 from arfx.stages.gi.voxelise import Voxels
 
+METAL = 0.5  # metalness from which a part mirrors instead of scattering
 _BATCH = 1 << 20  # rays at once: bounds memory
 _LIFT = 1e-4  # of the object's size: rays start off the plane by this
 _INSIDE = 0.5  # share of rays that leave the object from within: such a texel lies under it, in its solid
 
 
 @dataclass(frozen=True, eq=False)
+class Mirrored:
+    """Rays that meet one metal part. rows (k,) of Factors;  place, direction (k, 3) float32 : mirrored there, metres, anchor
+    axes;  tangent : of its lobe's half-angle"""
+
+    rows: np.ndarray
+    place: np.ndarray
+    direction: np.ndarray
+    tangent: float
+
+
+@dataclass(frozen=True, eq=False)
 class Factors:
     """Of one plane. texel, voxel (m,) int32, one entry per ray that meets the object: the voxel it meets;  share : of each ray
     covered (texels, cones) float32 : share of a texel's hemisphere in which a cone is blocked
-    source (texels,) int32 : texel whose values count, another where one lies in the object itself"""
+    source (texels,) int32 : texel whose values count, another where one lies in the object itself
+    mirrored : those on metal"""
 
     texel: np.ndarray
     voxel: np.ndarray
     share: float
     covered: np.ndarray
     source: np.ndarray
+    mirrored: tuple[Mirrored, ...]
 
 
 class _Mesh:
@@ -65,7 +80,7 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
     """places (side, side, 3) : of a plane's texels, anchor axes;  axes (4, 3) : of the plane;  cones (k, 3) : directions about
     its normal, each ray counts for the nearest;  rays : of each texel"""
     side = places.shape[0]
-    corners = _triangles(scene)
+    corners, normals, part_of = _triangles(scene)
     low, high = corners.reshape(-1, 3).min(0), corners.reshape(-1, 3).max(0)
     lift = _LIFT * max(float((high - low).max()), 1e-9)
     points = (places.reshape(-1, 3) + lift * axes[3]).astype(np.float32)
@@ -73,7 +88,8 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float32)
     frame = turned(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
     covered, inside = np.zeros((side * side, len(cones)), np.float32), np.zeros(side * side, np.float32)
-    texels, hits = [], []
+    metal = np.array([m.metallic >= METAL for m in (p.material for p in scene.model.parts)])
+    texels, hits, turned_to, metals = [], [], [], []
     step = max(_BATCH // rays, 1)
     box = np.stack([low, high]).astype(np.float32)
     for first in range(0, side * side, step):
@@ -89,9 +105,25 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
         inside += np.bincount(texel[leaving], minlength=side * side).astype(np.float32) / rays
         texels.append(texel.astype(np.int32))
         hits.append(points[texel] + np.asarray(found["tfar"], np.float32)[met, None] * direction)
+        shines = np.flatnonzero(metal[part_of[prim]] & ~leaving)
+        u, v = (np.asarray(found[name], np.float32)[met][shines, None] for name in "uv")
+        n = normals[prim[shines]]
+        n = normalise(n[:, 0] * (1 - u - v) + n[:, 1] * u + n[:, 2] * v)
+        d = direction[shines]
+        turned_to.append(d - 2 * (d * n).sum(1, keepdims=True) * n)
+        metals.append(np.stack([shines + sum(map(len, texels[:-1])), part_of[prim[shines]]], -1))
     texel = np.concatenate(texels) if texels else np.zeros(0, np.int32)
     place = np.concatenate(hits) if hits else np.zeros((0, 3), np.float32)
-    return Factors(texel, voxel_at(voxels, place), 1 / rays, covered, _sources(inside.reshape(side, side) > _INSIDE))
+    mirrored = []
+    if metals:
+        rows, part = np.concatenate(metals).T
+        directions = np.concatenate(turned_to).astype(np.float32)
+        for k in np.unique(part):
+            of = part == k
+            tangent = float(mirror_tangent(scene.model.parts[k].material.roughness))
+            mirrored.append(Mirrored(rows[of], place[rows[of]], directions[of], tangent))
+    source = _sources(inside.reshape(side, side) > _INSIDE)
+    return Factors(texel, voxel_at(voxels, place), 1 / rays, covered, source, tuple(mirrored))
 
 
 def voxel_at(voxels: Voxels, places: np.ndarray) -> np.ndarray:
@@ -113,11 +145,15 @@ def _keys(cells: np.ndarray, n: int) -> np.ndarray:
     return np.asarray((cells[:, 2] * n + cells[:, 1]) * n + cells[:, 0])
 
 
-def _triangles(scene: Scene) -> np.ndarray:
-    """(f, 3, 3) float32 metres, anchor axes; those that are not finite left out."""
+def _triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(corners (f, 3, 3) float32 metres, normals of the corners (f, 3, 3), part (f,)), anchor axes; those not finite left out."""
     anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
-    every = np.concatenate([(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in scene.model.parts])
-    return np.ascontiguousarray(every[np.isfinite(every).all((1, 2))], np.float32)
+    parts = scene.model.parts
+    corners = np.concatenate([(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts])
+    normals = np.concatenate([(p.normals @ anchor[:3, :3].T)[p.faces] for p in parts])
+    part = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
+    good = np.isfinite(corners).all((1, 2))
+    return np.ascontiguousarray(corners[good], np.float32), normals[good].astype(np.float32), part[good]
 
 
 def _sources(inside: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.core.cube import face_directions, solid_angles
+from arfx.core.cube import solid_angles
 from arfx.core.numerics import divide
 from arfx.stages.gi.reference_draw import Draw
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings

@@ -84,7 +84,8 @@ class RayScene:
         met = (prim >= 0) & (np.asarray(found["geomID"]).astype(np.int64) >= 0)
         n = len(o)
         distance = np.where(met, np.asarray(found["tfar"], float), np.inf)
-        hit = Hit(met, distance, *(np.zeros((n, 3)) for _ in range(6)), np.zeros(n))
+        a, b, c, d, e, f = (np.zeros((n, 3)) for _ in range(6))
+        hit = Hit(met, distance, a, b, c, d, e, f, np.zeros(n))
         hit.face_normal[met], hit.chosen[met] = self._face_normal[prim[met]], self._chosen[prim[met]]
         hit.place[met] = origins[met] + distance[met, None] * directions[met]
         u, v = np.asarray(found["u"], float), np.asarray(found["v"], float)
