@@ -16,6 +16,7 @@ from arfx.analyse.surroundings import Look
 from arfx.core.facts import FrameFacts
 
 KEY = "environment"
+PLANE = "plane"  # beside a folded cube: radiance of the plane as seen, with which what is next to its horizon agrees
 PANORAMA_PX = 16  # side of a face
 
 
@@ -36,7 +37,11 @@ def with_environment(
         cube = np.clip(look.cube - bias, 0, None)
         by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
     mean = {shot: np.mean(cubes, 0) for shot, cubes in by_shot.items()}
-    whole = {shot: told(cube) for shot, cube in mean.items()}
+    plane = {
+        shot: np.clip(np.mean([s.plane for s in looks if facts[s.frame].shot == shot], 0) - bias, 0, None) for shot in by_shot
+    }
+    beside = {shot: {PLANE: [float(v) for v in colour]} for shot, colour in plane.items()}
+    whole = {shot: told(cube) | beside[shot] for shot, cube in mean.items()}
     out = []
     for f in facts:
         pose = f.camera_from_world
@@ -45,7 +50,7 @@ def with_environment(
         elif given is not None:
             out.append(f.with_(extra={**f.extra, KEY: told(given)}))
         elif still_camera:
-            out.append(f.with_(extra={**f.extra, KEY: told(turned(mean[f.shot], pose.rotation))}))
+            out.append(f.with_(extra={**f.extra, KEY: told(turned(mean[f.shot], pose.rotation)) | beside[f.shot]}))
         else:
             out.append(f.with_(extra={**f.extra, KEY: whole[f.shot]}))
     return tuple(out)

@@ -7,7 +7,7 @@ leaves diffusely. Then planes gain what the object sends. Source: SYSTEMS.md S4 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,9 @@ import numpy as np
 from arfx.core.light import Light
 from arfx.core.numerics import divide
 from arfx.core.scene import Scene
+from arfx.stages.gi.between_planes import coarse_places, light_between
 from arfx.stages.gi.cones import START, even_cones, six_cones, steps_of, trace_many, turned
+from arfx.stages.gi.form_factors import Factors, factors_of, solid
 from arfx.stages.gi.pyramid import Atlas, Structure, atlas_of, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texture_places
 from arfx.stages.gi.surroundings import Planes, behind_many
@@ -42,7 +44,8 @@ class Cones:
 @dataclass(frozen=True, eq=False)
 class Body:
     """What does not change with the light. directions (v, 6, 3), left (v, 6) : of each voxel's cones
-    places : of the planes' texels;  cones : by plane;  tan_half, steps : of those
+    places : of the planes' texels;  cones : by plane;  tan_half, steps : of those;  factors : by plane, none where cones tell
+    around (p, k, 3), weights (k,) : of each plane's cones;  coarse (p, c, c, k) : what the object leaves of them, sparsely
     open (p, side, side) float32 : 0 where a texel lies under the object and nothing sees it, else 1"""
 
     voxels: Voxels
@@ -55,6 +58,10 @@ class Body:
     tan_half: float
     steps: np.ndarray
     open: np.ndarray
+    factors: tuple[Factors, ...] = ()
+    around: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
+    weights: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    coarse: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0, 0), np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +104,8 @@ class Field:
         return -self.gain
 
 
-def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool) -> Body:
-    """n : voxels a side;  side : texels of a plane;  cones : of each of them."""
+def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool, rays: int = 0) -> Body:
+    """n : voxels a side;  side : texels of a plane;  cones : of each of them;  rays : of each, 0 = the cones tell alone"""
     voxels = voxelise(scene, n)
     structure = structure_of(voxels.cells, n)
     values = np.zeros((len(voxels.cells), 4), np.float32)
@@ -110,15 +117,34 @@ def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper
     places = texture_places(planes, side)
     set_, weights, tan_half = six_cones() if cones == 6 else even_cones(cones)
     steps = steps_of(tan_half, n, start=0.0)
-    found, open_ = [], []
+    found, open_, factors, turns, coarse = [], [], [], [], []
+    exact = rays > 0 and not paper and solid(scene)
     for k, axes in enumerate(planes.axes):
         points = places[k].reshape(-1, 3).astype(np.float32)
         around = turned(axes[3][None], set_)[0]
+        turns.append(around)
+        if exact:
+            told = factors_of(scene, voxels, places[k], axes, set_, rays)
+            texel, cone = np.nonzero(told.covered > 0)
+            found.append(Cones(texel, points[texel], around[cone], told.covered[texel, cone], np.zeros(len(texel), np.float32)))
+            open_.append(np.clip((1 - told.covered.sum(1)) / _HIDDEN, 0, 1).reshape(side, side))
+            factors.append(told)
+            coarse.append(_coarse(1 - told.covered / weights, side))
+            continue
         seen = _traced(opaque, steps, in_voxels(points, voxels.volume), np.tile(around, (len(points), 1, 1)), None, 0.0)[..., 3]
         texel, cone = np.nonzero(seen < 1)
         found.append(Cones(texel, points[texel], around[cone], weights[cone], seen[texel, cone]))
         open_.append(np.clip(seen @ weights / _HIDDEN, 0, 1).reshape(side, side))
-    return Body(voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps, np.array(open_, np.float32))
+        coarse.append(_coarse(seen, side))
+    return Body(
+        voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps, np.array(open_, np.float32),
+        tuple(factors), np.array(turns, np.float32), weights, np.array(coarse, np.float32),
+    )  # fmt: skip
+
+
+def _coarse(left: np.ndarray, side: int) -> np.ndarray:
+    """(c, c, k) of shares (side * side, k) 0..1 of texels, those of coarse_places."""
+    return np.clip(coarse_places(left.reshape(side, side, -1)), 0, 1)
 
 
 def in_voxels(points_m: np.ndarray, volume: Volume) -> np.ndarray:
@@ -148,12 +174,11 @@ def make_field(
     lights = [(rotation @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
     whole = [light.radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
     side = body.places.shape[1]
-    seen, lost = [], []
+    lost = []
     for k, cones in enumerate(body.cones):
         behind = _behind(cones.points, cones.directions, k, body.tan_half, back)
-        seen.append(behind)
-        lost.append(_summed(cones, -(1 - cones.left)[:, None] * behind, side))
-    shaded = np.stack([1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(seen))])
+        lost.append(_summed(cones, -(1 - cones.left)[:, None] * behind, side, body.factors[k] if body.factors else None))
+    shaded = np.stack([1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(lost))])
     without = shaded.copy()
     values = np.zeros((len(body.voxels.cells), 4), np.float32)
     values[:, 3] = body.voxels.opacity
@@ -163,14 +188,23 @@ def make_field(
     for _ in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
         dark = back.with_textures((darkened * body.open[..., None] * mean).astype(np.float32), body.open, mean)
-        values[:, :3] = _voxel_radiance(body, lights, dark) * body.voxels.opacity[:, None]
+        radiance = _voxel_radiance(body, lights, dark)
+        values[:, :3] = radiance * body.voxels.opacity[:, None]
         atlas = atlas_of(body.structure, values, paper)
         for k, cones in enumerate(body.cones):
-            got = _traced(atlas, body.steps, in_voxels(cones.points, body.voxels.volume), cones.directions[:, None], None, 0.0)[
-                :, 0, :3
-            ]
-            gain[k] = _summed(cones, got, side) + (0.0 if paper else occluded[k])
-            shaded[k] = without[k] + divide(_summed(cones, got, side), whole[k])
+            got = _sent(body, k, radiance, dark, side) if body.factors else _gathered(body, cones, atlas, side)
+            gain[k] = got + (0.0 if paper else occluded[k])
+            shaded[k] = without[k] + divide(got, whole[k])
+    if len(planes.axes) > 1 and not paper:
+        darkened = np.clip(shaded, 0, None) * body.open[..., None]
+        ends = [back.with_textures((t * mean).astype(np.float32), body.open, mean) for t in (darkened, np.ones_like(shaded))]
+        between, share = light_between(
+            planes, body.places, body.around, body.weights, body.coarse, body.tan_half, ends[0].arguments, ends[1].arguments
+        )
+        gain = gain + between
+        shaded = shaded + np.stack([divide(b, w) for b, w in zip(between, whole, strict=True)])
+        soft = [light.soft_radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
+        whole = [w + s * (k - 1) for w, s, k in zip(whole, soft, share, strict=True)]
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
     return Field(atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), body.open)
 
@@ -184,10 +218,28 @@ def _behind(points: np.ndarray, directions: np.ndarray, skip: int, tan_half: flo
     )  # fmt: skip
 
 
-def _summed(cones: Cones, light: np.ndarray, side: int) -> np.ndarray:
+def _gathered(body: Body, cones: Cones, atlas: Atlas, side: int) -> np.ndarray:
+    """(side, side, 3) light that the cones of a plane bring from the voxels."""
+    starts = in_voxels(cones.points, body.voxels.volume)
+    return _summed(cones, _traced(atlas, body.steps, starts, cones.directions[:, None], None, 0.0)[:, 0, :3], side)
+
+
+def _sent(body: Body, k: int, radiance: np.ndarray, back: Behind, side: int) -> np.ndarray:
+    """(side, side, 3) light that the voxels send to plane k. radiance (v, 3);  back : what metal mirrors"""
+    f, v = body.factors[k], body.voxels
+    sent = radiance[f.voxel] * f.share
+    for m in f.mirrored:
+        at = f.voxel[m.rows]
+        sent[m.rows] = f.share * (v.albedo[at] * _behind(m.place, m.direction, -1, m.tangent, back) + v.emission[at])
+    out = np.stack([np.bincount(f.texel, sent[:, c], side * side) for c in range(3)], -1)
+    return out[f.source].reshape(side, side, 3)
+
+
+def _summed(cones: Cones, light: np.ndarray, side: int, factors: Factors | None = None) -> np.ndarray:
     """(side, side, 3) float64: the cones' light (m, 3) times their weights, by texel."""
     weighted = light * cones.weight[:, None]
-    return np.stack([np.bincount(cones.texel, weighted[:, c], side * side) for c in range(3)], -1).reshape(side, side, 3)
+    out = np.stack([np.bincount(cones.texel, weighted[:, c], side * side) for c in range(3)], -1)
+    return (out if factors is None else out[factors.source]).reshape(side, side, 3)
 
 
 def _direct_lost(

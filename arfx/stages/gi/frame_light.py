@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.cube import unpacked
+from arfx.core.cube import face_directions, unpacked
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
@@ -23,6 +23,8 @@ from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irr
 from arfx.stages.lightmap.stage import Kept
 
 KEY = "environment"  # in FrameFacts.extra: a cube as core.cube packs it, WORLD axes
+PLANE = "plane"  # in that: radiance of the plane, where the cube is a guess
+SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03
 _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %: of the planes' change that is 1 %
 
@@ -31,6 +33,7 @@ _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %:
 class LevelSettings:
     """voxels a side;  plane_side : texels of a plane's change, a power of two, plane_cones each
     texture_side : texels of the picture on it, a power of two
+    plane_rays : of each texel towards the object, 0 = its cones tell alone
     block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels
     """
 
@@ -42,6 +45,7 @@ class LevelSettings:
     bounce: bool
     sharp: float
     gloss_floor: float
+    plane_rays: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +90,38 @@ def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.
     want = light.soft_radiance(up)
     if told is not None:
         cube = decoded(told)
+        softened = at_horizon(cube, up, told.get(PLANE), want)
+        if softened is not None:
+            return softened
         factor = divide(want, irradiance(cube, up), where_zero=-1.0)
         # not a black picture, nor one that lacks a colour that the plane shows
         if (factor >= 0).all() and (factor < 1e3).all():
             return cube, factor
     cube = from_light(light)
     return cube, divide(want, irradiance(cube, up))
+
+
+def at_horizon(cube: np.ndarray, up: np.ndarray, plane: Any, want: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """(cube, factor) of a guessed environment that begins at the plane's horizon with the plane's own radiance.
+
+    A mirror would show a hard ring there, between a picture and a guess; so the lowest SOFT_DEG go over from one to the other,
+    and the rest is scaled so that the light on the plane stays. None where that cannot be, or nothing is guessed.
+    up (3,), cube : WORLD axes;  plane (3,) or None;  want (3,) : radiance of a white surface in the plane
+    """
+    try:
+        colour = np.asarray(plane, float).reshape(3)
+    except (TypeError, ValueError):
+        return None
+    if not np.isfinite(colour).all():
+        return None
+    t = np.clip((face_directions(cube.shape[1]) @ up) / np.sin(np.radians(SOFT_DEG)), 0, 1)
+    sky = (t * t * (3 - 2 * t))[..., None]
+    colour = np.clip(colour, 0, None)
+    left = want - irradiance((1 - sky) * np.ones(3), up) * colour
+    factor = divide(left, irradiance(sky * cube, up))
+    if not ((factor > 1e-3) & (factor < 1e3)).all() or not (left > 0.3 * want).all():
+        return None
+    return sky * cube + (1 - sky) * colour / factor, factor
 
 
 def rounded(light: Light) -> Light:

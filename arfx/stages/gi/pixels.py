@@ -17,6 +17,7 @@ from arfx.stages.gi.surroundings import behind
 _FAST = {"contract", "nsz", "arcp"}
 LOBES = 12  # widths of mirror cones
 _AGREE = np.float32(0.02)  # least sum of weights with which neighbours stand for a pixel
+_BEND = np.float32(0.5)  # normals of neighbours that differ by more lie on two sides of an edge
 DIFFUSE, GLOSS = 1, 2  # what is gathered at a point
 
 
@@ -27,7 +28,7 @@ def light_points(
 ):  # pragma: no cover - compiled  # fmt: skip
     """(m, 6) float32: radiance of a white diffuse surface, and what comes from about the mirrored direction.
 
-    points (m, 7) : unit normal, place (metres), anchor axes, roughness;  wanted (m,) : DIFFUSE and GLOSS, added
+    points (m, 7) : unit normal, place (metres), anchor axes, roughness (of `blurred`);  wanted (m,) : DIFFUSE and GLOSS, added
     """
     out = np.zeros((points.shape[0], 6), np.float32)
     cones = directions.shape[0]
@@ -99,7 +100,7 @@ def chosen(
             if at_y < 0 or not _place(normal, position, at_y, at_x, rotation, offset, points[m]):
                 continue
             rough = material[at_y, at_x, 1]
-            points[m, 6] = rough
+            points[m, 6] = blurred(rough, coverage, normal, at_y, at_x)
             shines = rough >= sharp and mirrors(material, albedo, at_y, at_x, points[m], eye, gloss_floor, shows)
             wanted[m] = DIFFUSE + GLOSS if shines else DIFFUSE
             index[j, i] = m
@@ -159,7 +160,7 @@ def spread(
                     need = GLOSS
             if need:
                 left[m] = here
-                left[m, 6] = material[y, x, 1]
+                left[m, 6] = blurred(material[y, x, 1], coverage, normal, y, x)
                 wanted[m] = need
                 pixels[m, 0], pixels[m, 1] = y, x
                 m += 1
@@ -218,6 +219,28 @@ def mirrors(material, albedo, y, x, here, eye, gloss_floor, shows):  # pragma: n
     s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
     ga, gb = gloss_weights(material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
     return f0 * ga + gb > max(gloss_floor, shows * most)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def blurred(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
+    """Roughness whose lobe is as wide as what one pixel of the curved surface mirrors, if that is more than its own.
+
+    Neighbours whose normals differ by d mirror directions 2 d apart: half of that is the half-angle. Without it a mirror's rim
+    shows every n-th pixel of what it squeezes together.
+    """
+    rows, columns = coverage.shape
+    most = np.float32(0)
+    for k in range(4):
+        j, i = y + (k == 0) - (k == 1), x + (k == 2) - (k == 3)
+        if j < 0 or i < 0 or j >= rows or i >= columns or coverage[j, i] <= 0:
+            continue
+        apart = np.float32(0)
+        for c in range(3):
+            apart += (normal[y, x, c] - normal[j, i, c]) ** 2
+        if apart < _BEND * _BEND:  # else an edge
+            most = max(most, apart)
+    # mirror_tangent: about 2 roughness^2
+    return max(roughness, np.sqrt(np.float32(0.5) * np.sqrt(most)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)

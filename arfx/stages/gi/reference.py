@@ -1,14 +1,15 @@
 """Level `reference`: Monte Carlo rays (embree) on the same scenes, two bounces; shares no kernel with the cones.
 
 Object pixels: cosine-weighted rays for what is matt, microfacet normals (GGX) for gloss. Plane pixels: cosine-weighted
-rays; only those that meet the object count, as what it sends less what it hides. Random numbers are keyed by pixel, sample
-and dimension, so that a part of the picture gets the same as the whole. Not denoised: the error of a plane pixel falls with
-the root of the samples. Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators); Heitz 2018 (Smith's G).
+rays; only those that meet the object count, as what it sends less what it hides. Bright parts of the environment and what
+glows are looked for as well (reference_lights.py). Random numbers are keyed by pixel, sample and dimension, so that a part of
+the picture gets the same as the whole. Not denoised: the error of a plane pixel falls with the root of the samples.
+Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from arfx.core.scene import Scene
 from arfx.stages.gi.frame_light import environment_cube
 from arfx.stages.gi.plane_pixels import DARKEST, agrees, measured
 from arfx.stages.gi.real_planes import ball_of
+from arfx.stages.gi.reference_draw import Draw, Gloss, about, cosine_directions
+from arfx.stages.gi.reference_lights import Lights, shared
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
 from arfx.stages.gi.surroundings import Planes
 
@@ -28,92 +31,92 @@ BOUNCES = 2
 _BATCH = 1 << 17  # pixels at once: bounds memory
 
 
-def uniform(pixel: np.ndarray, sample: int, dimension: int, seed: int) -> np.ndarray:
-    """Numbers in [0, 1) from pixels (n,) uint32: a hash (PCG output permutation of O'Neill 2014) of all arguments."""
-    with np.errstate(over="ignore"):
-        mix = np.uint32((sample * 0x9E3779B1 + dimension * 0x85EBCA77 + seed * 0xC2B2AE3D) & 0xFFFFFFFF)
-        s = (pixel.astype(np.uint32) ^ mix) * np.uint32(747796405) + np.uint32(2891336453)
-        s = ((s >> ((s >> np.uint32(28)) + np.uint32(4))) ^ s) * np.uint32(277803737)
-        s = (s >> np.uint32(22)) ^ s
-        s = (s ^ mix) * np.uint32(747796405) + np.uint32(2891336453)
-        s = ((s >> ((s >> np.uint32(28)) + np.uint32(4))) ^ s) * np.uint32(277803737)
-        s = (s >> np.uint32(22)) ^ s
-    return np.asarray(s / 4294967296.0)
-
-
-class Draw:
-    """Random numbers of some pixels for one sample; every call takes new dimensions. strata : of the first pair"""
-
-    def __init__(self, pixel: np.ndarray, sample: int, samples: int, seed: int, dimension: int = 0) -> None:
-        self.pixel, self.sample, self.samples, self.seed, self.dimension = pixel, sample, samples, seed, dimension
-
-    def pair(self) -> tuple[np.ndarray, np.ndarray]:
-        d = self.dimension
-        self.dimension += 2
-        if d:
-            return uniform(self.pixel, self.sample, d, self.seed), uniform(self.pixel, self.sample, d + 1, self.seed)
-        # Fibonacci lattice, shifted by a number of the pixel's own (Cranley and Patterson)
-        u = (self.sample + 0.5) / self.samples + uniform(self.pixel, 0, 1000, self.seed)
-        v = self.sample * 0.6180339887498949 + uniform(self.pixel, 0, 1001, self.seed)
-        return u % 1, v % 1
-
-    def of(self, rows: np.ndarray) -> Draw:
-        return Draw(self.pixel[rows], self.sample, self.samples, self.seed, self.dimension + 100)
-
-
-def about(normals: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """(n, 3) x, y, z (n,) in a frame whose z is the unit normal (n, 3)."""
-    side = np.where(np.abs(normals[:, :1]) > 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
-    u = normalise(np.cross(side, normals))
-    v = np.cross(normals, u)
-    return np.asarray(x[:, None] * u + y[:, None] * v + z[:, None] * normals)
-
-
-def cosine_directions(normals: np.ndarray, draw: Draw) -> np.ndarray:
-    """(n, 3) unit, with a density as their cosine to the normals (n, 3)."""
-    u, v = draw.pair()
-    r, phi = np.sqrt(u), 2 * np.pi * v
-    return about(normals, r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u))
-
-
 class Tracer:
     """Radiance along rays. light : WORLD axes, taken into the anchor's"""
 
     def __init__(self, rays: RayScene, around: Surroundings, light: Light, scene: Scene) -> None:
-        self.rays, self.around = rays, around
+        self.rays, self.around, self.sampled = rays, around, Lights(rays, around)
         turn = scene.world_from_anchor.rotation
         self.lights = [(turn.T @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
         self.whole = [light.radiance(turn @ axes[3]) for axes in around.axes]
 
-    def along(self, origins: np.ndarray, directions: np.ndarray, draw: Draw, bounces: int) -> np.ndarray:
-        """(n, 3) radiance that comes from `directions`."""
+    def along(
+        self, origins: np.ndarray, directions: np.ndarray, draw: Draw, bounces: int, density: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(n, 3) radiance that comes from `directions`. density (n,) : with which they were drawn by one who looks for lights
+        as well; None = nobody does"""
         hit = self.rays.first(origins, directions)
         plane, distance = self.around.first_plane(origins, directions)
         on_object = hit.met & (hit.distance < distance)
         on_plane = (plane >= 0) & ~on_object
         out = np.zeros((len(origins), 3))
         sky = ~on_object & ~on_plane
-        out[sky] = self.around.environment(directions[sky])
+        out[sky] = self.around.environment(directions[sky]) * self._weights(density, sky, directions)
         rows = np.flatnonzero(on_object)
         if len(rows):
-            out[rows] = self.leaves(hit.of(rows), -directions[rows], draw.of(rows), bounces)
+            met = hit.of(rows)
+            out[rows] = self.leaves(met, -directions[rows], draw.of(rows), bounces, self._weights(density, rows, directions, met))
         rows = np.flatnonzero(on_plane)
         if len(rows):
             places = origins[rows] + distance[rows, None] * directions[rows]
             out[rows] = self.around.picture(places, plane[rows]) * self.left(places, plane[rows], draw.of(rows), bounces)
         return out
 
-    def leaves(self, hit: Hit, towards: np.ndarray, draw: Draw, bounces: int) -> np.ndarray:
-        """(n, 3) that the object's surface sends `towards` a direction: emission, direct light, and one more bounce."""
+    def _weights(
+        self, density: np.ndarray | None, rows: np.ndarray, directions: np.ndarray, met: Hit | None = None
+    ) -> np.ndarray:
+        """(m, 1) weights of rays that reach the environment, or `met` what may glow."""
+        own = None if density is None else density[rows]
+        if met is None:
+            return shared(own, self.sampled.environment_density(directions[rows]))
+        return shared(own, self.sampled.emitter_density(met, directions[rows]))
+
+    def found(
+        self, start: np.ndarray, draw: Draw, value: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], change: bool = False
+    ) -> np.ndarray:
+        """(n, 3) light that samples of lights bring to places (n, 3), weighed against the surface's own directions.
+
+        value : share reflected times cosine (n, 3) or (n, 1), and the surface's density (n,), of unit directions (n, 3)
+        change : with the object less without it, instead of with it
+        """
+        out = np.zeros((len(start), 3))
+        if self.sampled.bright:
+            d, density = self.sampled.to_environment(len(start), draw)
+            reflected, own = value(d)
+            rows = np.flatnonzero(own > 0)
+            plane, _ = self.around.first_plane(start[rows], d[rows])
+            hidden = self.rays.blocked(start[rows], d[rows])
+            rows = rows[(plane < 0) & (hidden == change)]
+            light = self.around.environment(d[rows]) * (-1.0 if change else 1.0)
+            out[rows] += light * reflected[rows] / (density + own)[rows, None]
+        if self.sampled.glows:
+            d, distance = self.sampled.to_emitters(start, draw)
+            reflected, own = value(d)
+            rows = np.flatnonzero(own > 0)
+            plane, beyond = self.around.first_plane(start[rows], d[rows])
+            hit = self.rays.first(start[rows], d[rows])
+            ok = (hit.distance > distance[rows] * (1 - 1e-3)) & hit.met & (beyond > distance[rows])
+            rows, hit = rows[ok], hit.of(np.flatnonzero(ok))
+            density = self.sampled.emitter_density(hit, d[rows])
+            rows, hit, density = rows[density > 0], hit.of(np.flatnonzero(density > 0)), density[density > 0]
+            out[rows] += hit.emission * reflected[rows] / (density + own[rows])[:, None]
+        return out
+
+    def leaves(self, hit: Hit, towards: np.ndarray, draw: Draw, bounces: int, glow: np.ndarray | float = 1.0) -> np.ndarray:
+        """(n, 3) that the object's surface sends `towards` a direction: emission, direct light, and one more bounce.
+
+        glow : share (n, 1) of its emission that counts
+        """
         normal = np.where(((hit.normal * towards).sum(1) < 0)[:, None], -hit.normal, hit.normal)
         start = hit.place + self.rays.lift * normal
         arriving = self.direct(start, normal, draw)
         if bounces > 0:
             d = cosine_directions(normal, draw)
-            arriving = arriving + self.along(start, d, draw, bounces - 1)
+            arriving = arriving + self.along(start, d, draw, bounces - 1, matt_density(normal, d))
+            arriving = arriving + self.found(start, draw, matt(normal))
         else:
             arriving = arriving + self.around.even(normal)
-        out = hit.emission + hit.matt * arriving
+        out = glow * hit.emission + hit.matt * arriving
         if bounces > 0 and hit.mirrors.any():
             d = 2 * (normal * towards).sum(1, keepdims=True) * normal - towards
             out = out + hit.mirrors * self.along(start, d, draw, bounces - 1)
@@ -153,10 +156,14 @@ class Tracer:
 
     def change(self, start: np.ndarray, normals: np.ndarray, draw: Draw, bounces: int) -> np.ndarray:
         """(n, 3) indirect light of a white plane with the object less without it, by one ray."""
-        return self.change_along(start, cosine_directions(normals, draw), draw, bounces)
+        d = cosine_directions(normals, draw)
+        found = self.found(start, draw, matt(normals), change=True)
+        return found + self.change_along(start, d, draw, bounces, matt_density(normals, d))
 
-    def change_along(self, start: np.ndarray, d: np.ndarray, draw: Draw, bounces: int) -> np.ndarray:
-        """(n, 3) radiance from directions d with the object less without it."""
+    def change_along(
+        self, start: np.ndarray, d: np.ndarray, draw: Draw, bounces: int, density: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(n, 3) radiance from directions d with the object less without it. density : as for `along`"""
         hit = self.rays.first(start, d)
         out = np.zeros((len(start), 3))
         rows = np.flatnonzero(hit.met)
@@ -165,12 +172,27 @@ class Tracer:
             nearer = hit.distance[rows] < distance
             rows, plane, distance = rows[nearer], plane[nearer], distance[nearer]
         if len(rows):
-            behind = self.around.environment(d[rows])
+            behind = self.around.environment(d[rows]) * self._weights(density, rows, d)
             other = np.flatnonzero(plane >= 0)
             behind[other] = self.around.picture(start[rows[other]] + distance[other, None] * d[rows[other]], plane[other])
             # the last bounce takes the light that nothing hides, instead of none: nearer the truth than a black object
-            sent = self.leaves(hit.of(rows), -d[rows], draw.of(rows), max(bounces - 1, 0))
+            met = hit.of(rows)
+            glow = self._weights(density, rows, d, met)
+            sent = self.leaves(met, -d[rows], draw.of(rows), max(bounces - 1, 0), glow)
             out[rows] = sent - behind
+        if bounces > 0 and len(self.around.axes) > 1:
+            out += self._by_other_planes(start, d, hit, draw, bounces)
+        return out
+
+    def _by_other_planes(self, start: np.ndarray, d: np.ndarray, hit: Hit, draw: Draw, bounces: int) -> np.ndarray:
+        """(n, 3) change of what rays that pass the object bring from another plane, which it shades or lights."""
+        out = np.zeros((len(start), 3))
+        plane, distance = self.around.first_plane(start, d)
+        rows = np.flatnonzero((plane >= 0) & ~(hit.distance < distance))
+        if len(rows):
+            places = start[rows] + distance[rows, None] * d[rows]
+            left = self.left(places, plane[rows], draw.of(rows), min(bounces - 1, 0))
+            out[rows] = self.around.picture(places, plane[rows]) * (left - 1)
         return out
 
 
@@ -230,7 +252,8 @@ def trace_frame(
                 if len(shiny):
                     draw = Draw(key[at][shiny], s, samples, seed ^ 0x27D4EB2F)
                     towards = -d[keep][shiny]
-                    rows, lobe, weight = gloss_directions(n[shiny], towards, np.full((len(shiny), 3), gloss[0]), gloss[1], draw)
+                    lobes = Gloss(n[shiny], towards, np.full((len(shiny), 3), gloss[0]), gloss[1])
+                    rows, lobe, weight, _ = lobes.directions(draw)
                     some = shiny[rows]
                     mirrored[some] += weight * tracer.change_along(start[some], lobe, draw.of(rows), BOUNCES)
             change = divide(total / samples, np.array(tracer.whole)[plane[keep]])
@@ -243,28 +266,19 @@ def trace_frame(
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.clip(shadow, 0, None)}
 
 
-def gloss_directions(
-    n: np.ndarray, v: np.ndarray, f0: np.ndarray, roughness: np.ndarray | float, draw: Draw
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(rows (m,), unit directions (m, 3), weights (m, 3)) of GGX microfacets about normals n, seen along v: rows (k, 3).
+def matt_density(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(n,) per steradian of `cosine_directions`."""
+    return np.asarray(np.clip((normals * directions).sum(1), 0, None) / np.pi)
 
-    Smith's height-correlated masking over that of the density n.h D / (4 v.h).
-    """
-    alpha = np.broadcast_to(np.clip(roughness, 0.02, 1) ** 2, len(n))
-    u, w = draw.pair()
-    tangent2 = alpha**2 * u / np.maximum(1 - u, 1e-9)
-    cosine = 1 / np.sqrt(1 + tangent2)
-    sine = np.sqrt(np.clip(1 - cosine**2, 0, None))
-    half = about(n, sine * np.cos(2 * np.pi * w), sine * np.sin(2 * np.pi * w), cosine)
-    vh = (v * half).sum(1)
-    d = 2 * vh[:, None] * half - v
-    nl, nv = (n * d).sum(1), np.clip((n * v).sum(1), 1e-4, None)
-    rows = np.flatnonzero((nl > 1e-5) & (vh > 1e-5))
-    a2, l_, e = alpha[rows] ** 2, nl[rows], nv[rows]
-    root = l_ * np.sqrt(a2 + (1 - a2) * e**2) + e * np.sqrt(a2 + (1 - a2) * l_**2)
-    weight = divide(2 * l_ * vh[rows], root * cosine[rows])
-    f = f0[rows] + (1 - f0[rows]) * ((1 - np.clip(vh[rows], 0, 1)) ** 5)[:, None]
-    return rows, d[rows], f * weight[:, None]
+
+def matt(normals: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """What `Tracer.found` asks of a white diffuse surface: cosine over pi, both times."""
+
+    def value(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        density = matt_density(normals, directions)
+        return density[:, None], density
+
+    return value
 
 
 def _object_light(
@@ -273,25 +287,38 @@ def _object_light(
 ) -> np.ndarray:  # fmt: skip
     """(k, 3) indirect light that surfaces send along v (k, 3)."""
     start = places + tracer.rays.lift * n
-    metal, rough = material[:, :1], np.clip(material[:, 1], 0.02, 1)
+    metal = material[:, :1]
     f0 = 0.08 * material[:, 2:3] * (1 - metal) + albedo * metal
     shiny = f0.max(1) > 0
+    body = albedo * (1 - metal)
+    dull, lobes = np.flatnonzero(body.max(1) > 0), np.flatnonzero(shiny)
+    gloss = Gloss(n[lobes], v[lobes], f0[lobes], material[lobes, 1])
     total = np.zeros_like(places)
+
+    def body_share(d: np.ndarray) -> np.ndarray:
+        """Of what arrives along d, reflected by what lies under the gloss."""
+        half = normalise(d + v[dull])
+        fresnel = f0[dull] + (1 - f0[dull]) * (1 - np.clip((half * v[dull]).sum(1, keepdims=True), 0, 1)) ** 5
+        return np.asarray(body[dull] * (1 - np.where(shiny[dull][:, None], fresnel, 0)))
+
+    def dull_value(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        density = matt_density(n[dull], d)
+        return body_share(d) * density[:, None], density
+
+    def gloss_value(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return gloss.at(np.arange(len(lobes)), d)
+
     for s in range(samples):
-        draw = Draw(key, s, samples, seed)
-        d = cosine_directions(n, draw)
-        half = normalise(d + v)
-        fresnel = np.where(shiny[:, None], f0 + (1 - f0) * (1 - np.clip((half * v).sum(1, keepdims=True), 0, 1)) ** 5, 0)
-        matt = np.flatnonzero((albedo * (1 - metal)).max(1) > 0)
-        if len(matt):
-            got = tracer.along(start[matt], d[matt], draw.of(matt), BOUNCES)
-            total[matt] += (albedo * (1 - metal) * (1 - fresnel))[matt] * got
-        lobes = np.flatnonzero(shiny)
-        draw = Draw(key[lobes], s, samples, seed ^ 0x5BD1E995)
-        some, d, weight = gloss_directions(n[lobes], v[lobes], f0[lobes], rough[lobes], draw)
-        rows = lobes[some]
-        if len(rows):
-            total[rows] += weight * tracer.along(start[rows], d, draw.of(some), BOUNCES)
+        if len(dull):
+            draw = Draw(key[dull], s, samples, seed)
+            d = cosine_directions(n[dull], draw)
+            got = tracer.along(start[dull], d, draw.of(np.arange(len(dull))), BOUNCES, matt_density(n[dull], d))
+            total[dull] += body_share(d) * got + tracer.found(start[dull], draw, dull_value)
+        if len(lobes):
+            draw = Draw(key[lobes], s, samples, seed ^ 0x5BD1E995)
+            some, d, weight, density = gloss.directions(draw)
+            total[lobes[some]] += weight * tracer.along(start[lobes[some]], d, draw.of(some), BOUNCES, density)
+            total[lobes] += tracer.found(start[lobes], draw, gloss_value)
     return total / samples
 
 

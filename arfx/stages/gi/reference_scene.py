@@ -19,7 +19,9 @@ from arfx.stages.gi.surroundings import Planes
 
 @dataclass(frozen=True, eq=False)
 class Hit:
-    """met (n,);  distance (n,) inf where nothing is;  place, normal (n, 3);  matt, mirrors, emission (n, 3) of the surface"""
+    """met (n,);  distance (n,) inf where nothing is;  place, normal (n, 3);  matt, mirrors, emission (n, 3) of the surface
+    face_normal (n, 3) : of the flat triangle, unit;  chosen (n,) : density per square metre of samples on what glows
+    """
 
     met: np.ndarray
     distance: np.ndarray
@@ -28,13 +30,16 @@ class Hit:
     matt: np.ndarray
     mirrors: np.ndarray
     emission: np.ndarray
+    face_normal: np.ndarray
+    chosen: np.ndarray
 
     def of(self, rows: np.ndarray) -> Hit:
         return Hit(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 class RayScene:
-    """The model in anchor axes. lift : metres by which rays start off a surface"""
+    """The model in anchor axes. lift : metres by which rays start off a surface;  emits : sum of what glows, times its area;
+    emitting (triangles,) : each one's share of that"""
 
     def __init__(self, scene: Scene) -> None:
         from embreex import rtcore_scene
@@ -53,8 +58,20 @@ class RayScene:
         every = np.concatenate(triangles)
         self.part_of, self.face_of = np.concatenate(part_of), np.concatenate(face_of)
         self.lift = 1e-4 * max(float(np.ptp(every.reshape(-1, 3), axis=0).max()), 1e-9)
+        self._corners = every
+        across = np.cross(every[:, 1] - every[:, 0], every[:, 2] - every[:, 0])
+        self._face_normal = normalise(across)
+        strength = np.array([max(p.material.emissive) for p in self.parts], float)[self.part_of]
+        weight = strength * np.linalg.norm(across, axis=1) / 2
+        self.emits = float(weight.sum())
+        self.emitting = divide(weight, self.emits)
+        self._chosen = divide(strength, self.emits)
         self._scene = rtcore_scene.EmbreeScene()
         self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(every, np.float32))
+
+    def corners_of(self, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        c = self._corners[triangle]
+        return c[:, 0], c[:, 1], c[:, 2]
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
@@ -67,7 +84,9 @@ class RayScene:
         met = (prim >= 0) & (np.asarray(found["geomID"]).astype(np.int64) >= 0)
         n = len(o)
         distance = np.where(met, np.asarray(found["tfar"], float), np.inf)
-        hit = Hit(met, distance, np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)))
+        a, b, c, d, e, f = (np.zeros((n, 3)) for _ in range(6))
+        hit = Hit(met, distance, a, b, c, d, e, f, np.zeros(n))
+        hit.face_normal[met], hit.chosen[met] = self._face_normal[prim[met]], self._chosen[prim[met]]
         hit.place[met] = origins[met] + distance[met, None] * directions[met]
         u, v = np.asarray(found["u"], float), np.asarray(found["v"], float)
         for k, part in enumerate(self.parts):
@@ -110,7 +129,7 @@ class Surroundings:
         pose = facts.camera_from_world
         assert pose is not None
         self.axes = planes.axes.astype(float)
-        self._cube, self._turn = cube, scene.world_from_anchor.rotation
+        self.cube, self.turn = cube, scene.world_from_anchor.rotation
         self._camera, self._pose = scene.camera, pose @ scene.world_from_anchor
         self._eye = self._pose.inverse().translation_m
         inside = seen.clip(now.rect)
@@ -118,14 +137,14 @@ class Surroundings:
         self._plate = np.clip(plate[inside.slices_in(now.rect)] - np.array(facts.bias_rgb, np.float32), 0, None)
         grid = np.linspace(-3, 3, 25) * radius_m
         u, v = (a.ravel()[:, None] for a in np.meshgrid(grid, grid))
-        self._means = np.tile(0.4 * irradiance(cube, self._turn[:, 2]), (len(self.axes), 1))
+        self._means = np.tile(0.4 * irradiance(cube, self.turn[:, 2]), (len(self.axes), 1))
         for k, axes in enumerate(self.axes):
             sampled, known = self._look(axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k))
             self._means[k] = sampled[known].mean(0) if known.any() else self._means[0]
         d, solid = face_directions(cube.shape[1]).reshape(-1, 3), np.tile(solid_angles(cube.shape[1]).ravel(), 6)
-        below = (d @ self._turn[:, 2] < 0)[:, None]
+        below = (d @ self.turn[:, 2] < 0)[:, None]
         flat = np.where(below, self._means[0], cube.reshape(-1, 3))
-        self._flat = flat * solid[:, None], d @ self._turn, solid
+        self._flat = flat * solid[:, None], d @ self.turn, solid
 
     def first_plane(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(plane (n,), -1 = none; distance (n,), inf) of the nearest plane met from its front."""
@@ -159,25 +178,27 @@ class Surroundings:
             out[known] = (p[j, i] * (1 - fx) + p[j, i1] * fx) * (1 - fy) + (p[j1, i] * (1 - fx) + p[j1, i1] * fx) * fy
         return out, known
 
-    def environment(self, directions: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the cube, linear between a face's texels."""
-        d = directions @ self._turn.T
-        size = self._cube.shape[1]
+    def on_cube(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(face (n,), u, v (n,) in -1..1, as core.cube.face_directions) of directions (n, 3), anchor axes."""
+        d = directions @ self.turn.T
         axis = np.abs(d).argmax(1)
         major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
         q = divide(d, np.abs(major)[:, None])
         x, y, z = q[:, 0], q[:, 1], q[:, 2]
-        # as core.cube.face_directions: rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
-        u = np.choose(axis, [-z, x, x])
-        v = np.choose(axis, [y, -z, y])
-        face = 2 * axis + (major < 0)
+        # rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
+        return 2 * axis + (major < 0), np.choose(axis, [-z, x, x]), np.choose(axis, [y, -z, y])
+
+    def environment(self, directions: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance of the cube, linear between a face's texels."""
+        face, u, v = self.on_cube(directions)
+        size = self.cube.shape[1]
         s, t = (u + 1) / 2 * size - 0.5, (v + 1) / 2 * size - 0.5
-        out = np.zeros((len(d), 3), np.float32)
+        out = np.zeros((len(directions), 3), np.float32)
         for k in range(6):
             rows = np.flatnonzero(face == k)
             if len(rows):
                 out[rows] = cv2.remap(
-                    self._cube[k].astype(np.float32), s[rows, None].astype(np.float32), t[rows, None].astype(np.float32),
+                    self.cube[k].astype(np.float32), s[rows, None].astype(np.float32), t[rows, None].astype(np.float32),
                     cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
                 ).reshape(-1, 3)  # fmt: skip
         return out.astype(float)

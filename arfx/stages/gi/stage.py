@@ -40,8 +40,8 @@ SMALL_PX = 6  # a grey matt object that changes no more than this lies within ed
 PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {
     "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
-    "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.0),
-    "high": LevelSettings(128, 256, 16, 512, 1, True, 1.1, 0.0),
+    "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.0, 256),
+    "high": LevelSettings(128, 256, 16, 512, 1, True, 1.1, 0.0, 384),
 }
 
 
@@ -135,7 +135,7 @@ class Gi:
         if level.name == "reference":
             return Prepared(planes, grid, None, empty, empty, empty, empty, empty)
         at = LEVELS[level.name]
-        body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, self._paper)
+        body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, self._paper, at.plane_rays)
         tangents = mirror_tangent(np.linspace(0, 1, LOBES))
         rows = [steps_of(float(t), at.voxels) for t in tangents]
         lobes = np.zeros((LOBES, max(len(r) for r in rows), 3), np.float32)

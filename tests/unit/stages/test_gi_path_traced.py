@@ -16,13 +16,18 @@ def without(name: str) -> dict[str, tuple[float, float]]:
     return errors(name, NO_GI)
 
 
+@cache
+def standard(name: str) -> dict[str, tuple[float, float]]:
+    return errors(name, "standard")
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_standard_halves_the_error_of_no_indirect_light(name: str) -> None:
-    found = errors(name, "standard")
+    found = standard(name)
     for region in REGIONS:
         psnr_db, grey = found[region]
         assert psnr_db >= 36, (region, psnr_db)
-        assert grey <= max(0.5 * without(name)[region][1], UNSEEN_GREY), (region, grey, without(name)[region])
+        assert grey <= 0.5 * without(name)[region][1] + 0.01, (region, grey, without(name)[region])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -32,10 +37,17 @@ def test_draft_is_nearer_than_nothing(name: str) -> None:
         assert found[region][1] <= max(0.9 * without(name)[region][1], UNSEEN_GREY)
 
 
-@pytest.mark.parametrize("name", ["coloured-box"])
-def test_high(name: str) -> None:
-    for psnr_db, _ in errors(name, "high").values():
-        assert psnr_db >= 36
+@pytest.mark.parametrize("name", ["coloured-box", "mirror-ball", "glowing-ball"])
+def test_high_is_nearer_than_standard_at_the_contact(name: str) -> None:
+    """With voxels alone both were 4 to 8 times as far off, and `high` no nearer: thin walls leak more the finer they are."""
+    high, contact = errors(name, "high"), standard(name)["contact"][1]
+    assert all(psnr_db >= 36 for psnr_db, _ in high.values())
+    assert high["contact"][1] < 0.95 * contact and high["contact"][1] < 0.25
+
+
+def test_planes_take_each_others_change() -> None:
+    """The floor's shadow is missing from the wall: twice the error where each plane is on its own."""
+    assert standard("box-in-a-corner")["plane"][1] < 0.35
 
 
 @pytest.mark.parametrize(("name", "samples"), [("coloured-box", 24), ("mirror-ball", 8), ("box-in-a-corner", 16)])

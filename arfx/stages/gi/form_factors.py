@@ -1,0 +1,204 @@
+"""What each texel of the real planes sees of the object, by rays (embree), once per clip: form factors.
+
+Voxels are a bad judge of it: a wall one voxel thick lets 5 to 15 % of a narrow cone through, a curved one is fatter by up to
+a voxel than the surface is; on a plane beside the object these are up to 4 % of the light too much, or 10 % too little, and
+finer voxels exchange one for the other. Rays are exact, and say which voxel's light arrives, so that a new light is a
+weighted sum. Metal sends on what lies in the mirrored direction. Directions are a Fibonacci lattice, cosine-weighted, shifted from texel to texel.
+Source: form factors of radiosity (Goral et al. 1984), Monte Carlo. Cost: O(rays that meet the object's box), none per frame.
+Leaves out: parts that can be seen through (those keep their cones); lamps mirrored by metal (caustics).
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from arfx.core.model import OPAQUE
+from arfx.core.numerics import normalise
+from arfx.core.scene import Scene
+from arfx.stages.gi.cones import mirror_tangent, turned
+from arfx.stages.gi.voxelise import Voxels
+
+METAL = 0.5  # metalness from which a part mirrors instead of scattering
+_BATCH = 1 << 20  # rays at once: bounds memory
+_LIFT = 1e-4  # of the object's size: rays start off the plane by this
+_INSIDE = 0.5  # share of rays that leave the object from within: such a texel lies under it, in its solid
+
+
+@dataclass(frozen=True, eq=False)
+class Mirrored:
+    """Rays that meet one metal part. rows (k,) of Factors;  place, direction (k, 3) float32 : mirrored there, metres, anchor
+    axes;  tangent : of its lobe's half-angle"""
+
+    rows: np.ndarray
+    place: np.ndarray
+    direction: np.ndarray
+    tangent: float
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Of one plane. texel, voxel (m,) int32, one entry per ray that meets the object: the voxel it meets;  share : of each ray
+    covered (texels, cones) float32 : share of a texel's hemisphere in which a cone is blocked
+    source (texels,) int32 : texel whose values count, another where one lies in the object itself
+    mirrored : those on metal"""
+
+    texel: np.ndarray
+    voxel: np.ndarray
+    share: float
+    covered: np.ndarray
+    source: np.ndarray
+    mirrored: tuple[Mirrored, ...]
+
+
+class _Mesh:
+    """Triangles (f, 3, 3) float32 in an embree scene, robust: no ray slips between neighbours."""
+
+    def __init__(self, corners: np.ndarray) -> None:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+
+        self._scene = rtcore_scene.EmbreeScene(robust=True)
+        self._triangles = TriangleMesh(self._scene, corners)
+
+    def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Mapping[str, np.ndarray]:
+        return self._scene.run(origins, directions, query="INTERSECT", output=True)
+
+
+def solid(scene: Scene) -> bool:
+    """Whether rays tell all: no part can be seen through."""
+    return all(p.material.alpha_mode == OPAQUE for p in scene.model.parts)
+
+
+def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarray, cones: np.ndarray, rays: int) -> Factors:
+    """places (side, side, 3) : of a plane's texels, anchor axes;  axes (4, 3) : of the plane;  cones (k, 3) : directions about
+    its normal, each ray counts for the nearest;  rays : of each texel"""
+    side = places.shape[0]
+    corners, normals, part_of = _triangles(scene)
+    low, high = corners.reshape(-1, 3).min(0), corners.reshape(-1, 3).max(0)
+    lift = _LIFT * max(float((high - low).max()), 1e-9)
+    points = (places.reshape(-1, 3) + lift * axes[3]).astype(np.float32)
+    mesh = _Mesh(corners)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float32)
+    frame = turned(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
+    covered, inside = np.zeros((side * side, len(cones)), np.float32), np.zeros(side * side, np.float32)
+    metal = np.array([m.metallic >= METAL for m in (p.material for p in scene.model.parts)])
+    texels, hits, turned_to, metals = [], [], [], []
+    step = max(_BATCH // rays, 1)
+    box = np.stack([low, high]).astype(np.float32)
+    for first in range(0, side * side, step):
+        texel, cone, direction = aimed(points[first : first + step], first, side, rays, frame, cones.astype(np.float32), box)
+        if not len(texel):
+            continue
+        found = mesh.first_hits(points[texel], direction)
+        prim = np.asarray(found["primID"]).astype(np.int64)
+        met = np.flatnonzero(prim >= 0)
+        texel, cone, direction, prim = texel[met], cone[met], direction[met], prim[met]
+        np.add.at(covered, (texel, cone), np.float32(1 / rays))
+        leaving = (normal[prim] * direction).sum(1) > 0
+        inside += np.bincount(texel[leaving], minlength=side * side).astype(np.float32) / rays
+        texels.append(texel.astype(np.int32))
+        hits.append(points[texel] + np.asarray(found["tfar"], np.float32)[met, None] * direction)
+        shines = np.flatnonzero(metal[part_of[prim]] & ~leaving)
+        u, v = (np.asarray(found[name], np.float32)[met][shines, None] for name in "uv")
+        n = normals[prim[shines]]
+        n = normalise(n[:, 0] * (1 - u - v) + n[:, 1] * u + n[:, 2] * v)
+        d = direction[shines]
+        turned_to.append(d - 2 * (d * n).sum(1, keepdims=True) * n)
+        metals.append(np.stack([shines + sum(map(len, texels[:-1])), part_of[prim[shines]]], -1))
+    texel = np.concatenate(texels) if texels else np.zeros(0, np.int32)
+    place = np.concatenate(hits) if hits else np.zeros((0, 3), np.float32)
+    mirrored = []
+    if metals:
+        rows, part = np.concatenate(metals).T
+        directions = np.concatenate(turned_to).astype(np.float32)
+        for k in np.unique(part):
+            of = part == k
+            tangent = float(mirror_tangent(scene.model.parts[k].material.roughness))
+            mirrored.append(Mirrored(rows[of], place[rows[of]], directions[of], tangent))
+    source = _sources(inside.reshape(side, side) > _INSIDE)
+    return Factors(texel, voxel_at(voxels, place), 1 / rays, covered, source, tuple(mirrored))
+
+
+def voxel_at(voxels: Voxels, places: np.ndarray) -> np.ndarray:
+    """(m,) int32 row of the voxel that holds each place (m, 3), metres, anchor axes; of the nearest where none does."""
+    n = voxels.volume.n
+    key = _keys(voxels.cells.astype(np.int64), n)
+    order = np.argsort(key)
+    cell = np.floor((places - np.asarray(voxels.volume.low_m)) / voxels.volume.voxel_m).astype(np.int64)
+    wanted = _keys(np.clip(cell, 0, n - 1), n)
+    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
+    out = order[at].astype(np.int32)
+    lost = np.flatnonzero(key[out] != wanted)
+    if len(lost):
+        out[lost] = cKDTree(voxels.centres_m).query(places[lost])[1]
+    return out
+
+
+def _keys(cells: np.ndarray, n: int) -> np.ndarray:
+    return np.asarray((cells[:, 2] * n + cells[:, 1]) * n + cells[:, 0])
+
+
+def _triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(corners (f, 3, 3) float32 metres, normals of the corners (f, 3, 3), part (f,)), anchor axes; those not finite left out."""
+    anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
+    parts = scene.model.parts
+    corners = np.concatenate([(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts])
+    normals = np.concatenate([(p.normals @ anchor[:3, :3].T)[p.faces] for p in parts])
+    part = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
+    good = np.isfinite(corners).all((1, 2))
+    return np.ascontiguousarray(corners[good], np.float32), normals[good].astype(np.float32), part[good]
+
+
+def _sources(inside: np.ndarray) -> np.ndarray:
+    """(texels,) int32 : of the nearest texel that is not inside; every texel itself where all are."""
+    own = np.arange(inside.size, dtype=np.int32)
+    if not inside.any() or inside.all():
+        return own
+    row, column = distance_transform_edt(inside, return_distances=False, return_indices=True)
+    return np.asarray(row.ravel() * inside.shape[1] + column.ravel(), np.int32)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def aimed(points, first, side, rays, frame, cones, box):  # pragma: no cover - compiled
+    """Rays from texels that can meet the object: (texel (m,), cone (m,), unit direction (m, 3)).
+
+    points (t, 3) float32 : of texels `first` and on, of a plane `side` texels wide;  frame (3, 3) : rows are the plane's x, y
+    and normal;  cones (k, 3) : unit, about the normal z;  box (2, 3) : lowest and highest corner of the object
+    """
+    most = points.shape[0] * rays
+    texel, cone, direction = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.float32)
+    m = 0
+    for t in range(points.shape[0]):
+        column, row = (first + t) % side, (first + t) // side
+        # interleaved gradient noise (Jimenez 2014): neighbours differ as much as they can
+        shift = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1.0)) % 1.0
+        for i in range(rays):
+            u = ((i + 0.5) / rays + shift) % 1.0
+            phi = 2 * np.pi * ((i * 0.6180339887498949 + shift * 7.0) % 1.0)
+            r = np.sqrt(u)
+            a, b, c = np.float32(r * np.cos(phi)), np.float32(r * np.sin(phi)), np.float32(np.sqrt(1 - u))
+            near, far = np.float32(0), np.float32(np.inf)
+            for k in range(3):
+                d = a * frame[0, k] + b * frame[1, k] + c * frame[2, k]
+                direction[m, k] = d
+                if abs(d) < np.float32(1e-9):
+                    d = np.float32(1e-9)
+                lower, upper = (box[0, k] - points[t, k]) / d, (box[1, k] - points[t, k]) / d
+                near, far = max(near, min(lower, upper)), min(far, max(lower, upper))
+            if near > far * np.float32(1.0001):
+                continue
+            best, which = np.float32(-2), 0
+            for k in range(cones.shape[0]):
+                along = a * cones[k, 0] + b * cones[k, 1] + c * cones[k, 2]
+                if along > best:
+                    best, which = along, k
+            texel[m], cone[m] = first + t, which
+            m += 1
+    return texel[:m], cone[:m], direction[:m]
