@@ -1,0 +1,235 @@
+"""What each level of each stage costs per frame, as a job would spend it.
+
+Fast levels are run over all that the plan asks of them. A reference would take minutes, so it is run on tiles spread over the
+step, in the object's box and outside, and on one of a few pixels, which tells what a run costs by itself:
+seconds = run + rate(box) x pixels of the box + rate(rest) x pixels of the rest, with the interval that the tiles' spread gives
+(stratified ratio estimate, Cochran, "Sampling Techniques", ch. 6). Times are of the processor, all threads together, which
+other programs on the machine disturb least.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from arfx.core.cost import Prediction, exactly, together, with_spread
+from arfx.core.facts import FrameFacts
+from arfx.core.plan import FramePlan, Step
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Level, Stage, Window
+from arfx.run.frame import Canvas, rng_for
+
+At = tuple[str, str]  # stage, level
+TILES, TILE_S, TINY_PX = 4, 0.25, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
+FEWEST_PX, MOST_PX = 8, 64  # side of a tile
+LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
+OFTEN = 0.02  # share of frames under a new light from which on its cost is one of every frame
+ONCE_S = 3.0  # a run that took longer is not made again
+# Student's t, nine in ten two-sided, for 1, 2, ... degrees of freedom; 1.7 beyond
+_T = (6.3, 2.9, 2.4, 2.1, 2.0, 1.9, 1.9, 1.9, 1.8)
+
+
+@dataclass
+class Tiles:
+    """Runs of a level on parts of a step. empty_s : of runs on next to nothing;  by_part : (pixels, seconds) of each tile"""
+
+    empty_s: list[float] = field(default_factory=list)
+    by_part: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+
+    def over(self, areas: Mapping[str, int]) -> Prediction:
+        """Of one run over `areas`, pixels of each part. A part without tiles costs what the others do."""
+        alone = float(np.median(self.empty_s))
+        every = [t for tiles in self.by_part.values() for t in tiles]
+        total, variance, fewest = alone, 0.0, 99
+        for part, area in areas.items():
+            tiles = self.by_part.get(part) or every
+            px, s = np.array(tiles, float).T
+            above = np.maximum(s - alone, 0.0)
+            rate = above.sum() / px.sum()
+            total += rate * area
+            if len(tiles) > 1:
+                left = above - rate * px
+                error = math.sqrt((left**2).sum() / (len(tiles) - 1) / len(tiles)) / px.mean()
+                variance += (error * area) ** 2
+                fewest = min(fewest, len(tiles) - 1)
+        if fewest == 99:
+            return with_spread(total, 1.0)
+        wide = (_T[fewest - 1] if fewest <= len(_T) else 1.7) * math.sqrt(variance)
+        least = with_spread(total, LEAST_SPREAD)
+        return Prediction(total, max(min(total - wide, least.low_s), alone), max(total + wide, least.high_s))
+
+
+@dataclass
+class Times:
+    """Seconds per frame of every (stage, level) that was timed.
+
+    whole : of runs over all of a step, frame by frame;  tiles, areas : of the levels that are too slow for that
+    new_s : what a light that was not met before adds;  clock : of the processor, all threads
+    """
+
+    clock: Callable[[], float] = time.process_time
+    whole: dict[At, list[float]] = field(default_factory=dict)
+    tiles: dict[At, Tiles] = field(default_factory=dict)
+    areas: dict[At, list[dict[str, int]]] = field(default_factory=dict)
+    new_s: dict[At, list[float]] = field(default_factory=dict)
+    spent_s: float = 0.0
+
+    def of(self, at: At) -> Prediction | None:
+        """Mean over the frames; None = not timed."""
+        if at in self.tiles:
+            each = [self.tiles[at].over(areas) for areas in self.areas[at]]
+            n = len(each)
+            mean = Prediction(*(sum(getattr(p, k) for p in each) / n for k in ("seconds", "low_s", "high_s")))
+        elif at in self.whole:
+            mean = with_spread(float(np.mean(self.whole[at])), LEAST_SPREAD)
+        else:
+            return None
+        added = float(np.mean(self.new_s.get(at, [0.0])))
+        return together([mean, with_spread(added, LEAST_SPREAD)]) if added > 0 else mean
+
+    def of_chain(self, chain: Iterable[At]) -> Prediction:
+        """Of all steps of a frame; what was not timed counts as nothing."""
+        return together([self.of(at) or exactly(0.0) for at in chain])
+
+
+def areas_of(out: Rect, box: Rect) -> dict[str, int]:
+    """Pixels of a step's parts: in the object's box, and outside."""
+    inside = box.clip(out).area
+    return {"box": inside, "rest": out.area - inside}
+
+
+def time_frame(
+    times: Times,
+    facts: FrameFacts,
+    canvas: Canvas,
+    plan: FramePlan,
+    scene: Scene,
+    stages: Mapping[str, Stage],
+    prepared: Callable[[str, Level], Any],
+    usual: Mapping[str, str],
+    wanted: Collection[At],
+    slow: Collection[At],
+    new: Mapping[str, float],
+) -> None:
+    """Time `wanted` on one frame, each upon what the steps before it make at their `usual` level.
+
+    canvas : the plate, whole frame (and what was measured of it);  slow : those to be timed on tiles
+    new : by stage, share of the clip's frames under a light that was not met before
+    """
+    began = times.clock()
+    for at, step in enumerate(plan.steps):
+        stage = stages[step.stage]
+        later = any((s.stage, le.name) in wanted for s in plan.steps[at + 1 :] for le in stages[s.stage].levels)
+        for level in stage.levels:
+            key = (step.stage, level.name)
+            if key not in wanted and not (later and level.name == usual[step.stage]):
+                continue
+            runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
+            if key in wanted and key in slow:
+                _on_tiles(runner, step, facts.model_box, key, new.get(step.stage, 0.0))
+            elif key in wanted:
+                _whole(runner, step, key, new.get(step.stage, 0.0))
+        if later:
+            level = next(le for le in stage.levels if le.name == usual[step.stage])
+            runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
+            runner.run(step.out)
+            for layer, array in runner.made.items():
+                canvas.take(layer, array, runner.need, step.out)
+    times.spent_s += times.clock() - began
+
+
+@dataclass
+class _Runner:
+    """One level of one stage on one frame."""
+
+    times: Times
+    stage: Stage
+    level: Level
+    prepared: Any
+    facts: FrameFacts
+    canvas: Canvas
+    scene: Scene
+    made: Mapping[Any, Any] = field(default_factory=dict)
+    need: Rect = field(default_factory=lambda: Rect(0, 0, 0, 0))
+
+    def run(self, out: Rect) -> float:
+        """Seconds of one run that makes `out`, with nothing kept of this picture from a run before."""
+        if hasattr(self.prepared, "forget"):
+            self.prepared.forget()
+        frame = self.scene.camera.rect
+        self.need = self.stage.needs(out, self.facts, self.scene, self.level).union(out).clip(frame)
+        window = Window((self.canvas.view(self.stage.reads, self.need),), (self.facts,), out)
+        rng = rng_for(self.scene.seed, self.facts.index, self.stage.name)
+        start = self.times.clock()
+        self.made = self.stage.run(window, self.scene, self.prepared, self.level, rng)
+        return self.times.clock() - start
+
+    def anew(self, out: Rect) -> float:
+        """The same under a light that was not met before."""
+        kept = getattr(self.prepared, "kept", None)
+        if kept is not None:
+            kept.clear()
+        return self.run(out)
+
+
+def _whole(runner: _Runner, step: Step, key: At, new: float) -> None:
+    first = runner.run(step.out)  # the first loads code, and makes what is kept for this light
+    seconds = first if first > ONCE_S else runner.run(step.out)
+    runner.times.whole.setdefault(key, []).append(seconds)
+    if new > OFTEN and first <= ONCE_S:
+        runner.times.new_s.setdefault(key, []).append(new * max(runner.anew(step.out) - seconds, 0.0))
+
+
+def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> None:
+    times, out = runner.times, step.out
+    inside, areas = box.clip(out), areas_of(out, box)
+    tiles = times.tiles.setdefault(key, Tiles())
+    times.areas.setdefault(key, []).append(areas)
+    tiny = _tile(inside if not inside.empty else out, 0.5, 0.5, TINY_PX)
+    runner.run(tiny)  # loads code, and makes what is kept for this light
+    alone = min(runner.run(tiny) for _ in range(2))
+    tiles.empty_s.append(alone)
+    if new > OFTEN:
+        times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
+    rng = np.random.default_rng(runner.facts.index)
+    for part, where, other in (("box", inside, None), ("rest", out, inside)):
+        if not areas[part]:
+            continue
+        side = FEWEST_PX
+        for k, (u, v) in enumerate(_places(rng, where, other)):
+            tile = _tile(where, u, v, side)
+            seconds = runner.run(tile)
+            if k == 0 and side < MOST_PX:  # how large they may be; the first one only tells this
+                rate = max(seconds - alone, 1e-6) / tile.area
+                side = int(np.clip(math.sqrt(TILE_S / TILES / rate), FEWEST_PX, MOST_PX))
+                continue
+            tiles.by_part.setdefault(part, []).append((tile.area, seconds))
+
+
+def _places(rng: np.random.Generator, where: Rect, other: Rect | None) -> list[tuple[float, float]]:
+    """TILES + 1 places in `where`, as shares of its sides, each in a cell of its own of a grid; few of them within `other`."""
+    grid = max(math.ceil(math.sqrt(TILES + 1)), 2)
+    found: list[tuple[float, float]] = []
+    for _ in range(8):
+        for cell in rng.permutation(grid * grid):
+            u, v = (cell % grid + rng.random()) / grid, (cell // grid + rng.random()) / grid
+            x, y = where.x0 + u * where.width, where.y0 + v * where.height
+            if other is None or not (other.x0 <= x < other.x1 and other.y0 <= y < other.y1):
+                found.append((u, v))
+            if len(found) > TILES:
+                return found
+    return found
+
+
+def _tile(where: Rect, u: float, v: float, side: int) -> Rect:
+    """A square (less where the rectangle is less) about the point (u, v) of a rectangle, within it."""
+    width, height = min(side, where.width), min(side, where.height)
+    x0 = where.x0 + round(min(max(u * where.width - width / 2, 0), where.width - width))
+    y0 = where.y0 + round(min(max(v * where.height - height / 2, 0), where.height - height))
+    return Rect(x0, y0, x0 + width, y0 + height)
