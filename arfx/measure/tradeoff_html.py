@@ -61,8 +61,8 @@ METHOD = (
     "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP is the mean over the "
     "same pixels. An effect is compared with its own reference while all others stay at the job's quality; a pipeline with all "
     "at reference. Pictures are rendered in a window around the object, so that the references take a minute together; errors "
-    "are those of that window. Times are of whole frames: fast levels were run over all that the plan asks of them, references on tiles "
-    "spread over it, and their time told for the whole with the interval that the tiles' spread gives. "
+    "are those of that window. Times are of whole frames: fast levels were run over all that the plan asks of them, references "
+    "on tiles spread over it, and their time told for the whole with the interval that the tiles' spread gives. "
     "Unrest: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
     "Times are of the processor, all threads together, without what is prepared once per clip."
 )

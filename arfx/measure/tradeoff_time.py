@@ -188,9 +188,9 @@ def _whole(runner: _Runner, step: Step, key: At, new: float) -> None:
 
 def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> None:
     times, out = runner.times, step.out
-    inside, areas = box.clip(out), areas_of(out, box)
+    inside = box.clip(out)
     tiles = times.tiles.setdefault(key, Tiles())
-    times.areas.setdefault(key, []).append(areas)
+    times.areas.setdefault(key, []).append(areas_of(out, box))
     tiny = _tile(inside if not inside.empty else out, 0.5, 0.5, TINY_PX)
     runner.run(tiny)  # loads code, and makes what is kept for this light
     alone = min(runner.run(tiny) for _ in range(2))
@@ -198,33 +198,43 @@ def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> No
     if new > OFTEN:
         times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
     rng = np.random.default_rng(runner.facts.index)
-    for part, where, other in (("box", inside, None), ("rest", out, inside)):
-        if not areas[part]:
+    for part, rects in (("box", [inside]), ("rest", without(out, inside))):
+        places = _places(rng, rects)
+        if not places:
             continue
-        side = FEWEST_PX
-        for k, (u, v) in enumerate(_places(rng, where, other)):
-            tile = _tile(where, u, v, side)
-            seconds = runner.run(tile)
-            if k == 0 and side < MOST_PX:  # how large they may be; the first one only tells this
-                rate = max(seconds - alone, 1e-6) / tile.area
-                side = int(np.clip(math.sqrt(TILE_S / TILES / rate), FEWEST_PX, MOST_PX))
-                continue
-            tiles.by_part.setdefault(part, []).append((tile.area, seconds))
+        probe = _tile(*places[0], FEWEST_PX)  # tells only how large tiles may be
+        rate = max(runner.run(probe) - alone, 1e-6) / probe.area
+        side = int(np.clip(math.sqrt(TILE_S / TILES / rate), FEWEST_PX, MOST_PX))
+        for place in places:
+            tile = _tile(*place, side)
+            tiles.by_part.setdefault(part, []).append((tile.area, runner.run(tile)))
 
 
-def _places(rng: np.random.Generator, where: Rect, other: Rect | None) -> list[tuple[float, float]]:
-    """TILES + 1 places in `where`, as shares of its sides, each in a cell of its own of a grid; few of them within `other`."""
-    grid = max(math.ceil(math.sqrt(TILES + 1)), 2)
-    found: list[tuple[float, float]] = []
-    for _ in range(8):
-        for cell in rng.permutation(grid * grid):
-            u, v = (cell % grid + rng.random()) / grid, (cell // grid + rng.random()) / grid
-            x, y = where.x0 + u * where.width, where.y0 + v * where.height
-            if other is None or not (other.x0 <= x < other.x1 and other.y0 <= y < other.y1):
-                found.append((u, v))
-            if len(found) > TILES:
-                return found
-    return found
+def without(whole: Rect, hole: Rect) -> list[Rect]:
+    """The rectangle without another one, as at most four that do not overlap."""
+    if hole.empty:
+        return [whole]
+    parts = (
+        Rect(whole.x0, whole.y0, whole.x1, hole.y0), Rect(whole.x0, hole.y1, whole.x1, whole.y1),
+        Rect(whole.x0, hole.y0, hole.x0, hole.y1), Rect(hole.x1, hole.y0, whole.x1, hole.y1),
+    )  # fmt: skip
+    return [p for p in parts if not p.empty]
+
+
+def _places(rng: np.random.Generator, rects: list[Rect]) -> list[tuple[Rect, float, float]]:
+    """TILES points spread evenly over rectangles: the rectangle, and the point as shares of its sides."""
+    areas = np.array([r.area for r in rects], float)
+    if not areas.sum():
+        return []
+    ends = np.cumsum(areas) / areas.sum()
+    across = (rng.permutation(TILES) + rng.random(TILES)) / TILES
+    out = []
+    for k in range(TILES):
+        at = (k + rng.random()) / TILES
+        i = min(int(np.searchsorted(ends, at, side="right")), len(rects) - 1)
+        along = (at - (ends[i - 1] if i else 0.0)) / (areas[i] / areas.sum())
+        out.append((rects[i], along, across[k]) if rects[i].width >= rects[i].height else (rects[i], across[k], along))
+    return out
 
 
 def _tile(where: Rect, u: float, v: float, side: int) -> Rect:
