@@ -149,7 +149,11 @@ def measure(planned: Planned, frames: int, progress: Progress) -> Found:
     found.pipelines = _whole(work)
     found.pipelines += _other_pipeline(work, other)
     found.prepare_s = work.shop.prepare_s
-    found.spent_s = {**work.shop.spent_s, "timing": work.times.spent_s, "all": time.process_time() - began}
+    found.spent_s = {
+        "all": time.process_time() - began,
+        **{f"picture {k}": s for k, s in work.shop.spent_s.items()},
+        **{f"time {k}": s for k, s in work.times.spent_s.items()},
+    }
     progress("pipelines", total, total)
     return found
 
@@ -287,7 +291,8 @@ def _of_other_formula(work: _Work, name: str, changed: Any) -> list[Row]:
         row.by_frame[sample.index] = difference(reference, image, where)
         row.pictures[sample.index] = image
     row.time = times.of((name, usual[name])) or exactly(0.0)
-    work.times.spent_s += times.spent_s
+    for told, s in times.spent_s.items():
+        work.times.spent_s[told] = work.times.spent_s.get(told, 0.0) + s
     work.other_s[name] = row.time
     return [row] if row.by_frame else []
 

@@ -27,7 +27,8 @@ from arfx.run.frame import Canvas, rng_for
 
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = 4, 0.25, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
-FEWEST_PX, MOST_PX = 8, 64  # side of a tile
+FEWEST_PX, MOST_PX = 16, 64  # side of a tile
+DEAR_S = 1.0  # a level that takes this for next to nothing is timed on one frame alone
 LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
 OFTEN = 0.02  # share of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
@@ -78,7 +79,7 @@ class Times:
     tiles: dict[At, Tiles] = field(default_factory=dict)
     areas: dict[At, list[dict[str, int]]] = field(default_factory=dict)
     new_s: dict[At, list[float]] = field(default_factory=dict)
-    spent_s: float = 0.0
+    spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the timing took
 
     def of(self, at: At) -> Prediction | None:
         """Mean over the frames; None = not timed."""
@@ -122,7 +123,6 @@ def time_frame(
     canvas : the plate, whole frame (and what was measured of it);  slow : those to be timed on tiles
     new : by stage, share of the clip's frames under a light that was not met before
     """
-    began = times.clock()
     for at, step in enumerate(plan.steps):
         stage = stages[step.stage]
         later = any((s.stage, le.name) in wanted for s in plan.steps[at + 1 :] for le in stages[s.stage].levels)
@@ -130,18 +130,21 @@ def time_frame(
             key = (step.stage, level.name)
             if key not in wanted and not (later and level.name == usual[step.stage]):
                 continue
+            began = times.clock()
             runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
             if key in wanted and key in slow:
                 _on_tiles(runner, step, facts.model_box, key, new.get(step.stage, 0.0))
             elif key in wanted:
                 _whole(runner, step, key, new.get(step.stage, 0.0))
+            told = "/".join(key)
+            times.spent_s[told] = times.spent_s.get(told, 0.0) + times.clock() - began
+            import sys; print("DBG", told, round(times.spent_s[told],2), file=sys.stderr, flush=True)
         if later:
             level = next(le for le in stage.levels if le.name == usual[step.stage])
             runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
             runner.run(step.out)
             for layer, array in runner.made.items():
                 canvas.take(layer, array, runner.need, step.out)
-    times.spent_s += times.clock() - began
 
 
 @dataclass
@@ -189,25 +192,25 @@ def _whole(runner: _Runner, step: Step, key: At, new: float) -> None:
 def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> None:
     times, out = runner.times, step.out
     inside = box.clip(out)
-    tiles = times.tiles.setdefault(key, Tiles())
     times.areas.setdefault(key, []).append(areas_of(out, box))
+    tiles = times.tiles.setdefault(key, Tiles())
+    if tiles.empty_s and tiles.empty_s[0] > DEAR_S:
+        return  # nothing but one frame's tiles: their interval is all that is told
     tiny = _tile(inside if not inside.empty else out, 0.5, 0.5, TINY_PX)
     runner.run(tiny)  # loads code, and makes what is kept for this light
-    alone = min(runner.run(tiny) for _ in range(2))
+    alone = runner.run(tiny)
     tiles.empty_s.append(alone)
     if new > OFTEN:
         times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
     rng = np.random.default_rng(runner.facts.index)
     for part, rects in (("box", [inside]), ("rest", without(out, inside))):
-        places = _places(rng, rects)
-        if not places:
-            continue
-        probe = _tile(*places[0], FEWEST_PX)  # tells only how large tiles may be
-        rate = max(runner.run(probe) - alone, 1e-6) / probe.area
-        side = int(np.clip(math.sqrt(TILE_S / TILES / rate), FEWEST_PX, MOST_PX))
-        for place in places:
+        side = FEWEST_PX
+        for place in _places(rng, rects):
             tile = _tile(*place, side)
-            tiles.by_part.setdefault(part, []).append((tile.area, runner.run(tile)))
+            seconds = runner.run(tile)
+            tiles.by_part.setdefault(part, []).append((tile.area, seconds))
+            rate = max(seconds - alone, 1e-6) / tile.area
+            side = int(np.clip(math.sqrt(max(TILE_S / TILES, 0.5 * alone) / rate), FEWEST_PX, MOST_PX))
 
 
 def without(whole: Rect, hole: Rect) -> list[Rect]:

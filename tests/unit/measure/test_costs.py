@@ -44,7 +44,7 @@ def test_few_runs_are_priced_by_pixels_with_a_wide_interval() -> None:
 def test_calibration_times_what_it_prices(tmp_path) -> None:
     from tests.unit.measure.test_bench import STAGES
 
-    prices = calibrate(stages=STAGES, jobs=False, limit_s=2.0)
+    prices = calibrate(stages=STAGES, output=False, limit_s=2.0)
     at = {k: prices.predict(f"sleeper/{k}", {"frames": 1.0, "mpx": 0.05, "object_mpx": 0.03}) for k in ("draft", "standard")}
     assert at["draft"].seconds < at["standard"].seconds < 0.2
     assert "encode h264" not in prices.prices
