@@ -99,9 +99,8 @@ def one(asked: Mapping[str, Any]) -> dict[str, Any]:
             marks.append(time.process_time())
 
     output = Path(asked["output"])
-    config = load(
-        Path(asked["job"]), {"output": {"path": str(output), "codec": asked["codec"]}, "pipeline": asked["pipeline"]}, parameters()
-    )
+    more = {"output": {"path": str(output), "codec": asked["codec"]}, "pipeline": asked["pipeline"]}
+    config = load(Path(asked["job"]), more, parameters())
     output.unlink(missing_ok=True)
     folder = JobFolder(output.with_name(output.name + ".job"))
     options = Options(folder.path, overwrite=True, workers=None, progress=progress, notice=lambda _: None)
@@ -170,7 +169,8 @@ def errors(folder: Path, job: Path, pipeline: str, tradeoff: Path | None, count:
         ran = run(folder, f"error-{k}", job, {**base, "max_error": float(limit)})
         error = mean_error(wanted, pictures(ran.output), plain)
         bad += error > limit
-        print(f"| {limit:.2f} | {error:.2f} | {_told(ran)} | {ran.levels} | {'holds' if error <= limit else 'BROKEN'} |", flush=True)
+        verdict = "holds" if error <= limit else "BROKEN"
+        print(f"| {limit:.2f} | {error:.2f} | {_told(ran)} | {ran.levels} | {verdict} |", flush=True)
     return bad
 
 
@@ -234,7 +234,7 @@ def main() -> int:
     parser.add_argument("asked", nargs="?", help=argparse.SUPPRESS)
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)
-    os.environ["XDG_CACHE_HOME"] = str(given.output.absolute() / "cache")  # the price list; numba keeps its kernels beside the code
+    os.environ["XDG_CACHE_HOME"] = str(given.output.absolute() / "cache")  # where the price list lies
     if given.what == "one":
         print(json.dumps(one(json.loads(given.asked)), default=float))
         return 0

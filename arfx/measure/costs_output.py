@@ -51,7 +51,7 @@ def time_output(
             for n, codec in enumerate(CODECS):
                 progress(k * len(CODECS) + n, total)
                 # a machine without this encoder has no price for it, and a plan says so
-                with contextlib.suppress(ArfxError, av.error.FFmpegError):
+                with contextlib.suppress(ArfxError, av.error.FFmpegError, ValueError):
                     _encode(timed, Path(folder), info, frames, codec, pool, crowd, watch)
         progress(total, total)
 

@@ -138,7 +138,6 @@ def time_frame(
                 _whole(runner, step, key, new.get(step.stage, 0.0))
             told = "/".join(key)
             times.spent_s[told] = times.spent_s.get(told, 0.0) + times.clock() - began
-            import sys; print("DBG", told, round(times.spent_s[told],2), file=sys.stderr, flush=True)
         if later:
             level = next(le for le in stage.levels if le.name == usual[step.stage])
             runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
@@ -197,15 +196,17 @@ def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> No
     if tiles.empty_s and tiles.empty_s[0] > DEAR_S:
         return  # nothing but one frame's tiles: their interval is all that is told
     tiny = _tile(inside if not inside.empty else out, 0.5, 0.5, TINY_PX)
-    runner.run(tiny)  # loads code, and makes what is kept for this light
-    alone = runner.run(tiny)
+    alone = runner.run(tiny)  # loads code, and makes what is kept for this light
+    dear = alone > DEAR_S
+    if not dear:
+        alone = runner.run(tiny)
     tiles.empty_s.append(alone)
     if new > OFTEN:
         times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
     rng = np.random.default_rng(runner.facts.index)
-    for part, rects in (("box", [inside]), ("rest", without(out, inside))):
+    for part, rects, count in (("box", [inside], 3), ("rest", without(out, inside), 2)):
         side = FEWEST_PX
-        for place in _places(rng, rects):
+        for place in _places(rng, rects, count if dear else TILES):
             tile = _tile(*place, side)
             seconds = runner.run(tile)
             tiles.by_part.setdefault(part, []).append((tile.area, seconds))
@@ -224,16 +225,16 @@ def without(whole: Rect, hole: Rect) -> list[Rect]:
     return [p for p in parts if not p.empty]
 
 
-def _places(rng: np.random.Generator, rects: list[Rect]) -> list[tuple[Rect, float, float]]:
-    """TILES points spread evenly over rectangles: the rectangle, and the point as shares of its sides."""
+def _places(rng: np.random.Generator, rects: list[Rect], count: int) -> list[tuple[Rect, float, float]]:
+    """`count` points spread evenly over rectangles: the rectangle, and the point as shares of its sides."""
     areas = np.array([r.area for r in rects], float)
     if not areas.sum():
         return []
     ends = np.cumsum(areas) / areas.sum()
-    across = (rng.permutation(TILES) + rng.random(TILES)) / TILES
+    across = (rng.permutation(count) + rng.random(count)) / count
     out = []
-    for k in range(TILES):
-        at = (k + rng.random()) / TILES
+    for k in range(count):
+        at = (k + rng.random()) / count
         i = min(int(np.searchsorted(ends, at, side="right")), len(rects) - 1)
         along = (at - (ends[i - 1] if i else 0.0)) / (areas[i] / areas.sum())
         out.append((rects[i], along, across[k]) if rects[i].width >= rects[i].height else (rects[i], across[k], along))
