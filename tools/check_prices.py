@@ -65,9 +65,9 @@ def clip(folder: Path, scene: str, width: int, frames: int) -> Path:
         described = load_scene(SCENES / scene / "scene.toml")
         height = 2 * round(described.clip.height * width / described.clip.width / 2)
         size = described.clip.model_copy(update={"width": width, "height": height})
-        (first, *_) = described.shots
+        (first, *_) = described.shot
         shot = first.model_copy(update={"frames": frames})
-        described = described.model_copy(update={"clip": size, "shots": [shot]})
+        described = described.model_copy(update={"clip": size, "shot": (shot,)})
         make_clip(described, made, SCENES / scene, truth_pictures=False)
     return made / "job.toml"
 
