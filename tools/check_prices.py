@@ -44,13 +44,14 @@ JOBS = (
 @dataclass(frozen=True)
 class Ran:
     """One job. predicted, processor : {s, low_s, high_s} of the wall and of the processor from the plan on, None = not known
-    wall_s : of the job;  processor_s : from the plan on;  levels : of every shot and stage, as text
+    wall_s : of the job;  after_s, processor_s : from the plan on;  levels : of every shot and stage, as text
     """
 
     output: Path
     predicted: Mapping[str, float] | None
     processor: Mapping[str, float] | None
     wall_s: float
+    after_s: float
     processor_s: float
     levels: str
 
@@ -81,7 +82,7 @@ def run(folder: Path, name: str, job: Path, pipeline: Mapping[str, Any], codec: 
     if done.returncode:
         raise SystemExit(f"{name}: {done.stderr.strip().splitlines()[-1:]}")
     told = json.loads(done.stdout.splitlines()[-1])
-    return Ran(Path(asked["output"]), told["predicted"], told["processor"], told["wall_s"], told["processor_s"], told["levels"])
+    return Ran(Path(asked["output"]), **told)
 
 
 def one(asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -92,11 +93,11 @@ def one(asked: Mapping[str, Any]) -> dict[str, Any]:
     from arfx.run.job import Options, process
     from arfx.run.parameters import parameters
 
-    marks: list[float] = []
+    marks: list[tuple[float, float]] = []
 
     def progress(phase: str, *_: object) -> None:
         if phase == "render" and not marks:
-            marks.append(time.process_time())
+            marks.append((time.process_time(), time.perf_counter()))
 
     output = Path(asked["output"])
     more = {"output": {"path": str(output), "codec": asked["codec"]}, "pipeline": asked["pipeline"]}
@@ -105,15 +106,15 @@ def one(asked: Mapping[str, Any]) -> dict[str, Any]:
     folder = JobFolder(output.with_name(output.name + ".job"))
     options = Options(folder.path, overwrite=True, workers=None, progress=progress, notice=lambda _: None)
     report = process(config, options)
-    spent = time.process_time() - marks[0]
+    spent, after = time.process_time() - marks[0][0], time.perf_counter() - marks[0][1]
     predicted = report["predicted"]
     phases = [p for name, p in predicted["phases"].items() if name != "before"]
     known = None if None in phases else together(Prediction(p["s"], p["low_s"], p["high_s"]) for p in phases).to_json()
     summary = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     levels = {f"{row['stage']} {row['level']}" for row in summary["levels"]["chosen"]}
     return {
-        "predicted": predicted["wall"], "processor": known, "wall_s": report["timing"]["wall_s"], "processor_s": spent,
-        "levels": ", ".join(sorted(levels)),
+        "predicted": predicted["wall"], "processor": known, "wall_s": report["timing"]["wall_s"], "after_s": after,
+        "processor_s": spent, "levels": ", ".join(sorted(levels)),
     }  # fmt: skip
 
 
@@ -142,13 +143,13 @@ def budgets(folder: Path, job: Path, pipeline: str, processor: bool, count: int 
     if best.predicted is None or least.predicted is None:
         raise SystemExit("no price is known for a level: --calibrate")
     wanted, plain = pictures(best.output), pictures(job.with_name("clip.mp4"))
-    ends = (least.predicted["high_s"], best.predicted["high_s"])
-    known: dict[str, tuple[Ran, float]] = {}
+    # spaced by what is left after the analysis, which a budget cannot change
+    before = max(r.wall_s - r.after_s for r in (least, best))
+    ends = (max(least.predicted["high_s"] - before, 0.1), max(best.predicted["high_s"] - before, 0.2))
     rows, bad, last = [], 0, np.inf
-    for k, budget in enumerate(np.geomspace(1.02 * ends[0], 1.1 * ends[1], count)):
+    for k, budget in enumerate(before + np.geomspace(1.02 * ends[0], 1.1 * ends[1], count)):
         ran = run(folder, f"budget-{k}", job, {**base, "budget": f"{budget:.3f}s"})
         error = mean_error(wanted, pictures(ran.output), plain)
-        known[ran.levels] = (ran, error)
         late = ran.wall_s > 1.1 * budget if not processor else ran.processor_s > (ran.processor or {}).get("high_s", 0.0)
         bad += late or error > last + 0.02
         last = min(last, error)

@@ -182,9 +182,10 @@ class _Runner:
 
 def _whole(runner: _Runner, step: Step, key: At, new: float) -> None:
     first = runner.run(step.out)  # the first loads code, and makes what is kept for this light
-    seconds = first if first > ONCE_S else runner.run(step.out)
-    runner.times.whole.setdefault(key, []).append(seconds)
-    if new > OFTEN and first <= ONCE_S:
+    known = runner.times.whole.setdefault(key, [])
+    seconds = first if known and first > ONCE_S else runner.run(step.out)  # code that is compiled may take longer than ONCE_S
+    known.append(seconds)
+    if new > OFTEN and seconds <= ONCE_S:
         runner.times.new_s.setdefault(key, []).append(new * max(runner.anew(step.out) - seconds, 0.0))
 
 
