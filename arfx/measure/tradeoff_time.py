@@ -3,8 +3,9 @@
 Fast levels are run over all that the plan asks of them. A reference would take minutes, so it is run on tiles spread over the
 step, in the object's box and outside, and on one of a few pixels, which tells what a run costs by itself:
 seconds = run + rate(box) x pixels of the box + rate(rest) x pixels of the rest, with the interval that the tiles' spread gives
-(stratified ratio estimate, Cochran, "Sampling Techniques", ch. 6). Times are of the processor, all threads together, which
-other programs on the machine disturb least.
+(stratified ratio estimate, Cochran, "Sampling Techniques", ch. 6). A tile has more rim for its size than the whole: whether a
+stage's work goes by the pixels that it makes or by those that it reads is not known, so the interval holds both.
+Times are of the processor, all threads together, which other programs on the machine disturb least.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from arfx.core.stage import Level, Stage, Window
 from arfx.run.frame import Canvas, rng_for
 
 At = tuple[str, str]  # stage, level
-TILES, TILE_S, TINY_PX = 4, 0.25, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
+TILES, TILE_S, TINY_PX = 4, 0.6, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
 FEWEST_PX, MOST_PX = 16, 64  # side of a tile
 DEAR_S = 1.0  # a level that takes this for next to nothing is timed on one frame alone
 LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
@@ -38,16 +39,21 @@ _T = (6.3, 2.9, 2.4, 2.1, 2.0, 1.9, 1.9, 1.9, 1.8)
 
 @dataclass
 class Tiles:
-    """Runs of a level on parts of a step. empty_s : of runs on next to nothing;  by_part : (pixels, seconds) of each tile"""
+    """Runs of a level on parts of a step.
+
+    empty_s : of runs on next to nothing;  by_part : (pixels, seconds) of each tile
+    rims : of each frame, pixels read for a pixel made by the whole step, as a share of the tiles'
+    """
 
     empty_s: list[float] = field(default_factory=list)
     by_part: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    rims: list[float] = field(default_factory=list)
 
     def over(self, areas: Mapping[str, int]) -> Prediction:
         """Of one run over `areas`, pixels of each part. A part without tiles costs what the others do."""
         alone = float(np.median(self.empty_s))
         every = [t for tiles in self.by_part.values() for t in tiles]
-        total, variance, fewest = alone, 0.0, 99
+        total, variance, fewest = 0.0, 0.0, 99
         for part, area in areas.items():
             tiles = self.by_part.get(part) or every
             px, s = np.array(tiles, float).T
@@ -59,11 +65,14 @@ class Tiles:
                 error = math.sqrt((left**2).sum() / (len(tiles) - 1) / len(tiles)) / px.mean()
                 variance += (error * area) ** 2
                 fewest = min(fewest, len(tiles) - 1)
+        rim = float(np.median(self.rims)) if self.rims else 1.0
+        middle = alone + total * math.sqrt(rim)
         if fewest == 99:
-            return with_spread(total, 1.0)
+            return with_spread(middle, 1.0)
         wide = (_T[fewest - 1] if fewest <= len(_T) else 1.7) * math.sqrt(variance)
-        least = with_spread(total, LEAST_SPREAD)
-        return Prediction(total, max(min(total - wide, least.low_s), alone), max(total + wide, least.high_s))
+        ends = sorted((alone + total, alone + total * rim))
+        least = with_spread(middle, LEAST_SPREAD)
+        return Prediction(middle, max(min(ends[0] - wide, least.low_s), alone), max(ends[1] + wide, least.high_s))
 
 
 @dataclass
@@ -164,13 +173,15 @@ class _Runner:
         """Seconds of one run that makes `out`, with nothing kept of this picture from a run before."""
         if hasattr(self.prepared, "forget"):
             self.prepared.forget()
-        frame = self.scene.camera.rect
-        self.need = self.stage.needs(out, self.facts, self.scene, self.level).union(out).clip(frame)
+        self.need = self.needed(out)
         window = Window((self.canvas.view(self.stage.reads, self.need),), (self.facts,), out)
         rng = rng_for(self.scene.seed, self.facts.index, self.stage.name)
         start = self.times.clock()
         self.made = self.stage.run(window, self.scene, self.prepared, self.level, rng)
         return self.times.clock() - start
+
+    def needed(self, out: Rect) -> Rect:
+        return self.stage.needs(out, self.facts, self.scene, self.level).union(out).clip(self.scene.camera.rect)
 
     def anew(self, out: Rect) -> float:
         """The same under a light that was not met before."""
@@ -202,6 +213,7 @@ def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> No
     if not dear:
         alone = runner.run(tiny)
     tiles.empty_s.append(alone)
+    least_px, made_px, read_px = runner.need.area, 0, 0
     if new > OFTEN:
         times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
     rng = np.random.default_rng(runner.facts.index)
@@ -211,8 +223,13 @@ def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> No
             tile = _tile(*place, side)
             seconds = runner.run(tile)
             tiles.by_part.setdefault(part, []).append((tile.area, seconds))
+            made_px, read_px = made_px + tile.area, read_px + runner.need.area - least_px
             rate = max(seconds - alone, 1e-6) / tile.area
             side = int(np.clip(math.sqrt(max(TILE_S / TILES, 0.5 * alone) / rate), FEWEST_PX, MOST_PX))
+
+    if read_px > 0:
+        whole_px = runner.needed(out).area - least_px
+        tiles.rims.append(float(np.clip(whole_px / out.area * made_px / read_px, 0.1, 1.0)))
 
 
 def without(whole: Rect, hole: Rect) -> list[Rect]:
