@@ -13,6 +13,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from arfx.core.cost import Price, Prices, prices_file
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
-from arfx.measure.bench import Cell, make_cells
+from arfx.measure.bench import make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.run.folder import write_text
 from arfx.run.job import MOST_THREADS, default_workers
@@ -59,6 +60,30 @@ class Runs:
         self.seconds.append(max(seconds, 1e-7))
 
 
+@dataclass(frozen=True)
+class Watch:
+    """Seconds of work. processor : count those of the processor, which other programs disturb least, not those of the wall;
+    shared by the threads that work at once both are the same on a machine that does nothing else
+    """
+
+    processor: bool = False
+
+    def of(self, work: Callable[[], Any]) -> float:
+        clock = time.process_time if self.processor else time.perf_counter
+        start = clock()
+        work()
+        return clock() - start
+
+    def of_each(self, work: Callable[[], Any], pool: ThreadPoolExecutor, crowd: int) -> float:
+        """Of one run, while `crowd` threads do the same."""
+        if self.processor:
+            return self.of(lambda: list(pool.map(lambda _: work(), range(crowd)))) / crowd
+        return float(np.mean(list(pool.map(lambda _: self.of(work), range(crowd)))))
+
+
+WALL = Watch()
+
+
 def fit(runs: Runs, terms: Iterable[str]) -> Price:
     """Coefficients >= 0 of the terms that make the relative errors smallest.
 
@@ -85,29 +110,33 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
 
 
 def calibrate(
-    progress: Progress = lambda *_: None, stages: Mapping[str, type] = STAGES, limit_s: float = LIMIT_S, jobs: bool = True
+    progress: Progress = lambda *_: None,
+    stages: Mapping[str, type] = STAGES,
+    limit_s: float = LIMIT_S,
+    output: bool = True,
+    watch: Watch = WALL,
 ) -> Prices:
     """Time, fit, and return the price list; nothing is written.
 
-    limit_s : after this the scenes that are left are passed over (what has runs is fitted);  jobs : time whole small jobs too,
-    for what is not a stage's: editing planes, encoding, joining
+    limit_s : after this the scenes that are left are passed over (what has runs is fitted)
+    output : time what is not a stage's too: editing planes, encoding, joining
     """
     workers, threads = default_workers(1, True)
     crowd = min(workers, MOST_THREADS) if threads else 1
     began = time.perf_counter()
     timed: dict[str, Runs] = defaultdict(Runs)
-    if jobs:
-        from arfx.measure.costs_jobs import time_jobs
-
-        time_jobs(timed, lambda done, total: progress("calibrate jobs", done, total))
     plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
     with ThreadPoolExecutor(crowd) as pool:
+        if output:
+            from arfx.measure.costs_output import time_output
+
+            time_output(timed, pool, crowd, watch, lambda done, total: progress("calibrate output", done, total))
         for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:
                 break
             model = ball(longitudes, latitudes) if k % 2 else pile(longitudes, latitudes)
             at = bench_scene(width, height, covered, model)
-            _time_scene(at, slow, stages, timed, pool, crowd)
+            _time_scene(at, slow, stages, timed, pool, crowd, watch)
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
     for key, runs in timed.items():
@@ -126,40 +155,32 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 
 
 def _time_scene(
-    at: BenchScene, slow: bool, stages: Mapping[str, type], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int
-) -> None:
+    at: BenchScene, slow: bool, stages: Mapping[str, type], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int,
+    watch: Watch,
+) -> None:  # fmt: skip
     """slow : the levels `reference` alone, once;  otherwise all others, more than once, and under a light that changes"""
     every = make_cells(at, None, None, stages)
     best = {name: cls.levels[-1].name for name, cls in stages.items() if len(cls.levels) > 1}  # type: ignore[attr-defined]
     for cell in (c for c in every if (best.get(c.stage) == c.level) == slow):
-        start = time.perf_counter()
-        stage = stages[cell.stage]()
-        level = next(le for le in stage.levels if le.name == cell.level)
-        cell.prepare()
-        made_s = time.perf_counter() - start
-        timed[f"prepare {cell.stage}/{cell.level}"].add({**cell.terms, "frames": 1.0}, made_s)
-        key = f"{cell.stage}/{level.name}"
+        timed[f"prepare {cell.stage}/{cell.level}"].add({**cell.terms, "frames": 1.0}, watch.of(cell.prepare))
+        key = f"{cell.stage}/{cell.level}"
         if slow:  # seconds long: what loading it takes hardly shows
             once: dict[str, float] = {t: 1.0 for t in ("new_directions", "new_lights") if t in TERMS_OF.get(cell.stage, ())}
             for new in [once, {}] if once else [{}]:
-                start = time.perf_counter()
-                cell.go()
-                timed[key].add({**cell.terms, **new}, time.perf_counter() - start)
+                timed[key].add({**cell.terms, **new}, watch.of(cell.go))
             continue
         cell.go()  # compiles, loads, makes what is kept for this light
         for _ in range(2):
-            timed[key].add(cell.terms, _seconds(cell, pool, crowd))
+            timed[key].add(cell.terms, watch.of_each(cell.go, pool, crowd))
         if "lamps" in TERMS_OF.get(cell.stage, ()):
             dull = replace(at.facts, light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
             cell.go(dull)
-            start = time.perf_counter()
-            cell.go(dull)
-            timed[key].add({**cell.terms, "lamps": 0.0, "lamp_mpx": 0.0}, time.perf_counter() - start)
+            seconds = watch.of(partial(cell.go, dull))
+            timed[key].add({**cell.terms, "lamps": 0.0, "lamp_mpx": 0.0}, seconds)
         for term in ("new_directions", "new_lights"):
             if term in TERMS_OF.get(cell.stage, ()):
-                start = time.perf_counter()
-                cell.go(_under_another_light(at, timed[key]))
-                timed[key].add({**cell.terms, term: 1.0}, time.perf_counter() - start)
+                seconds = watch.of(partial(cell.go, _under_another_light(at, timed[key])))
+                timed[key].add({**cell.terms, term: 1.0}, seconds)
 
 
 def pile(longitudes: int, latitudes: int) -> Model:
@@ -176,17 +197,6 @@ def _under_another_light(at: BenchScene, runs: Runs) -> FrameFacts:
     turn = 0.3 + 0.17 * len(runs.seconds)
     lamp = DirectionalLight((float(np.cos(turn)), float(np.sin(turn)), 1.3), (0.6 + turn / 50, 0.6, 0.5), 4.0)
     return replace(at.facts, light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)))
-
-
-def _seconds(cell: Cell, pool: ThreadPoolExecutor, crowd: int) -> float:
-    """Of one run, while the other threads do the same."""
-
-    def one(_: int) -> float:
-        start = time.perf_counter()
-        cell.go()
-        return time.perf_counter() - start
-
-    return float(np.mean(list(pool.map(one, range(crowd)))))
 
 
 def as_table(prices: Prices) -> list[dict[str, Any]]:

@@ -2,38 +2,45 @@
 
 Frames that stand for the clip are rendered: each effect at each of its levels while the others stay at their usual one, and
 whole pipelines on the way from the reference down to the cheapest. Errors are grey levels and FLIP over the pixels that the
-effect touches; the clip's light, poses and plan are those of the job. Cost: the references; their window is made so small
-that they take about REFERENCE_S together.
+effect touches; the clip's light, poses and plan are those of the job. Times are of whole steps (tradeoff_time.py).
+Cost: the references; the window of the pictures is made so small that they take about REFERENCE_S together.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from arfx.core.cost import Prediction, exactly, together
 from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Stage, level_named
 from arfx.errors import NothingToDoError
+from arfx.measure.costs import TERMS_OF
 from arfx.measure.difference import Difference, difference, touched, unrest
 from arfx.measure.tradeoff_frames import Sample, pick_frames
-from arfx.measure.tradeoff_render import Chain, FrameBench, Shop, chain_of, window_of
+from arfx.measure.tradeoff_render import FrameBench, Shop, chain_of, window_of
+from arfx.measure.tradeoff_time import Times, time_frame
 from arfx.media.frames import ClipReader
+from arfx.plan.work import what_is_new
+from arfx.run.depth import real_depth_layer
 from arfx.run.job import Planned
 from arfx.run.parameters import make_stages
 
 QUALITIES = ("draft", "standard", "high", "reference")
-REFERENCE_S, PROBE_PX = 25.0, 1500
+REFERENCE_S, LEAST_PX = 60.0, 600
 Progress = Callable[[str, int, int | None], None]
 
 
 @dataclass
 class Row:
-    """One level of one effect, or one whole pipeline. seconds : per frame, median;  by_frame : what was found in each
+    """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what was found in each
 
     formula : which the stage ran under;  unrest : of this and of the reference, grey levels from a frame to the next
     """
@@ -41,11 +48,15 @@ class Row:
     name: str
     level: str
     formula: str
-    seconds: float = 0.0
+    time: Prediction = field(default_factory=lambda: exactly(0.0))
     by_frame: dict[int, Difference] = field(default_factory=dict)
     unrest: tuple[float, float] | None = None
     pictures: dict[int, np.ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        return self.time.seconds
 
     def worst(self, what: str) -> float:
         return max((getattr(d, what) for d in self.by_frame.values()), default=0.0)
@@ -63,7 +74,9 @@ class Row:
 
 @dataclass
 class Found:
-    """samples : the frames;  effects, pipelines : rows;  windows : where the references were rendered, by frame"""
+    """samples : the frames;  effects, pipelines : rows;  windows : what the pictures show, by frame
+    spent_s : processor time of the measuring, by what for
+    """
 
     samples: list[Sample]
     effects: list[Row]
@@ -74,43 +87,73 @@ class Found:
     spent_s: dict[str, float] = field(default_factory=dict)
 
 
+@dataclass
+class _Work:
+    """What the rows are made from. ground : levels below whatever is timed;  best : everything at its reference"""
+
+    planned: Planned
+    stages: Mapping[str, Stage]
+    samples: Sequence[Sample]
+    benches: dict[int, FrameBench]
+    usual: Mapping[str, str]
+    ground: Mapping[str, str]
+    best: Mapping[str, str]
+    slow: frozenset[tuple[str, str]]
+    new: Mapping[str, float]
+    times: Times
+    found: Found
+    other_s: dict[str, Prediction] = field(default_factory=dict)  # by stage: its usual level under the other formula
+
+    @property
+    def shop(self) -> Shop:
+        return next(iter(self.benches.values())).shop
+
+    def has(self, sample: Sample, name: str) -> bool:
+        return name in (s.stage for s in self.benches[sample.index].plan.steps)
+
+
 def measure(planned: Planned, frames: int, progress: Progress) -> Found:
     """planned : the job, up to its plan. Raises NothingToDoError where no frame shows the object."""
+    began = time.process_time()
     stages = make_stages(planned.inputs.config)
-    camera = planned.inputs.camera.rect
-    samples = pick_frames(planned.facts, camera, frames)
     plans = {p.index: p for p in planned.plans}
-    samples = [s for s in samples if plans[s.index].steps]
+    samples = [s for s in pick_frames(planned.facts, planned.inputs.camera.rect, frames) if plans[s.index].steps]
     if not samples:
         raise NothingToDoError("no frame of the clip shows the object: there is nothing to measure", "see `arfx plan`")
     first = samples[0].index
     following = first + 1 if first + 1 in plans and _same_steps(plans, first) else None
-    wanted = [s.index for s in samples] + ([] if following is None else [following])
-    plates = _plates(planned, wanted)
-    facts = {f.index: f for f in planned.facts}
-    shop = Shop(planned.scene, stages)
-    slow = frozenset((n, s.levels[-1].name) for n, s in stages.items() if s.levels[-1].name == "reference" and _dear(s))
-    probe = FrameBench(facts[first], plates[first], plans[first], EMPTY, shop, slow)
-    area = _window_px(probe, len(wanted), camera)
-    benches = {
-        i: FrameBench(facts[i], plates[i], plans[i], window_of(plans[i], facts[i], camera, area), shop, slow) for i in wanted
-    }
-    if following is not None:
-        benches[following].window = benches[first].window
     names = [s.stage for s in plans[first].steps]
-    usual = {n: level_named(stages[n].levels, planned.inputs.config.pipeline.quality).name for n in names}
-    best = {n: stages[n].levels[-1].name for n in names}
-    found = Found(samples, [], [], {i: b.window for i, b in benches.items()})
+    slow = frozenset((n, s.levels[-1].name) for n, s in stages.items() if s.levels[-1].name == "reference" and _dear(s))
+    quality = planned.inputs.config.pipeline.quality
+    usual = {n: level_named(stages[n].levels, quality).name for n in names}
+    work = _Work(
+        planned, stages, samples, {}, usual,
+        {n: usual[n] if (n, usual[n]) not in slow else stages[n].levels[-2].name for n in names},
+        {n: stages[n].levels[-1].name for n in names}, slow, _shares(planned, names), Times(), Found(samples, [], [], {}),
+    )  # fmt: skip
+    _open_benches(work, [s.index for s in samples] + ([] if following is None else [following]), plans)
     effects = [n for n in names if len(stages[n].levels) > 1]
-    total = len(effects) + len(QUALITIES) + 2
+    total = len(samples) + len(effects) + len(QUALITIES) + 2
+    for k, sample in enumerate(samples):
+        progress("times", k, total)
+        _time(work, work.times, sample, work.shop, [(n, le.name) for n in names for le in stages[n].levels])
+    _choose_windows(work, effects, following)
+    found = work.found
     for k, name in enumerate(effects):
-        progress("effects", k, total)
-        found.effects += _of_stage(name, stages[name], usual, benches, samples, following, found)
-    found.effects += _other_formulas(planned, effects, usual, benches, samples, shop)
-    progress("pipelines", len(effects), total)
-    found.pipelines = _whole(stages, usual, best, benches, samples, found)
-    found.pipelines += _other_pipeline(planned, usual, best, benches, samples)
-    found.prepare_s, found.spent_s = shop.prepare_s, shop.spent_s
+        progress("effects", len(samples) + k, total)
+        found.effects += _of_stage(work, name, following)
+    other = _other_stages(work)
+    if other:
+        found.effects += [row for name in effects if name in other for row in _of_other_formula(work, name, other[name])]
+    progress("pipelines", len(samples) + len(effects), total)
+    found.pipelines = _whole(work)
+    found.pipelines += _other_pipeline(work, other)
+    found.prepare_s = work.shop.prepare_s
+    found.spent_s = {
+        "all": time.process_time() - began,
+        **{f"picture {k}": s for k, s in work.shop.spent_s.items()},
+        **{f"time {k}": s for k, s in work.times.spent_s.items()},
+    }
     progress("pipelines", total, total)
     return found
 
@@ -123,43 +166,68 @@ def _dear(stage: Stage) -> bool:
     return stage.levels[-1].seconds_per_mpx > 2.0
 
 
-def _window_px(probe: FrameBench, frames: int, camera: Rect) -> float:
-    """Pixels in which all references of all frames take about REFERENCE_S, each run twice; from a few pixels of one frame."""
-    probe.window = window_of(probe.plan, probe.facts, camera, PROBE_PX)
-    best = {n: s.levels[-1].name for n, s in probe.shop.stages.items()}
-    probe.image(chain_of(probe.plan, best))
-    areas = {s.stage: s.out.area for s in probe.plan.steps}
-    price = sum(s / areas[name] for (name, level), s in probe.seconds.items() if (name, level) in probe.slow)
-    return max(REFERENCE_S / max(2 * frames * price, 1e-9), PROBE_PX)
-
-
-def _plates(planned: Planned, wanted: Sequence[int]) -> dict[int, np.ndarray]:
-    """Linear light of whole frames, by frame."""
-    pts = [planned.meta["pts"][i] for i in wanted]
+def _shares(planned: Planned, names: Sequence[str]) -> dict[str, float]:
+    """By stage: the share of the frames it runs in whose light was not met before."""
+    new = dict(zip((f.index for f in planned.facts), what_is_new(planned.facts), strict=True))
     out = {}
-    with ClipReader(planned.inputs.info) as reader:
-        for frame in reader.frames(min(pts), max(pts)):
-            if frame.pts in pts:
-                out[wanted[pts.index(frame.pts)]] = frame.linear(planned.inputs.camera.rect)
+    for name in names:
+        terms = set(TERMS_OF.get(name, ())) & {"new_lights", "new_directions"}
+        runs = [bool(new[p.index] & terms) for p in planned.plans if any(s.stage == name for s in p.steps)]
+        out[name] = float(np.mean(runs)) if runs else 0.0
     return out
 
 
-def _of_stage(
-    name: str,
-    stage: Stage,
-    usual: Mapping[str, str],
-    benches: Mapping[int, FrameBench],
-    samples: Sequence[Sample],
-    following: int | None,
-    found: Found,
-) -> list[Row]:
+def _open_benches(work: _Work, wanted: Sequence[int], plans: Mapping[int, FramePlan]) -> None:
+    planned = work.planned
+    pts = {planned.meta["pts"][i]: i for i in wanted}
+    facts = {f.index: f for f in planned.facts}
+    shop, camera, maps = Shop(planned.scene, work.stages), planned.inputs.camera, planned.inputs.depth
+    deep = maps is not None and any(Layer.REAL_DEPTH in work.stages[s.stage].reads for i in wanted for s in plans[i].steps)
+    with ClipReader(planned.inputs.info) as reader:
+        for frame in reader.frames(min(pts), max(pts)):
+            if frame.pts in pts:
+                i = pts[frame.pts]
+                depth = real_depth_layer(maps, facts[i], frame, camera, camera.rect) if deep and maps is not None else None
+                plate = frame.linear(camera.rect)
+                work.benches[i] = FrameBench(facts[i], plate, plans[i], EMPTY, shop, work.slow, depth)
+
+
+def _time(work: _Work, times: Times, sample: Sample, shop: Shop, wanted: Sequence[tuple[str, str]]) -> None:
+    b = work.benches[sample.index]
+    time_frame(
+        times, b.facts, b.canvas(), b.plan, shop.scene, shop.stages, shop.at, work.ground, frozenset(wanted), work.slow, work.new
+    )
+
+
+def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) -> None:
+    """As large as lets all references of all pictures take REFERENCE_S."""
+    chains = [work.best, *({**work.usual, n: work.best[n]} for n in effects)]
+    camera: Rect = work.planned.inputs.camera.rect
+    area = float(max(b.plan.changed.area for b in work.benches.values()))
+    while True:
+        for b in work.benches.values():
+            b.window = window_of(b.plan, b.facts, camera, area)
+        if following is not None:
+            work.benches[following].window = work.benches[following - 1].window
+        cost = sum(b.predicted_s([chain_of(b.plan, c) for c in chains], work.times) for b in work.benches.values())
+        if cost <= REFERENCE_S or area <= LEAST_PX:
+            break
+        area = max(area * 0.8, LEAST_PX)
+    work.found.windows = {i: b.window for i, b in work.benches.items()}
+
+
+def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other stages at their usual level."""
-    best = stage.levels[-1].name
-    rows = [Row(name, le.name, getattr(stage.params, "formula", ""), levels={**usual, name: le.name}) for le in stage.levels]
-    for sample in samples:
-        b = benches[sample.index]
-        if name not in [s.stage for s in b.plan.steps]:
+    stage, usual, benches, found = work.stages[name], work.usual, work.benches, work.found
+    best, formula = work.best[name], getattr(stage.params, "formula", "")
+    rows = [
+        Row(name, le.name, formula, work.times.of((name, le.name)) or exactly(0.0), levels={**usual, name: le.name})
+        for le in stage.levels
+    ]
+    for sample in work.samples:
+        if not work.has(sample, name):
             continue
+        b = benches[sample.index]
         chains = {r.level: chain_of(b.plan, r.levels) for r in rows}
         images = {level: b.image(chain) for level, chain in chains.items()}
         without = b.image(chain_of(b.plan, usual, (name,)))
@@ -170,9 +238,6 @@ def _of_stage(
         worst = max((r for r in rows if r.level != best), key=lambda r: r.by_frame[sample.index].p99, default=None)
         if worst is not None:
             found.places.setdefault((name, worst.level), _place(worst.by_frame[sample.index], b.coverage(chains[best])))
-    for r in rows:
-        timed = [b.seconds[name, r.level] for b in benches.values() if (name, r.level) in b.seconds]
-        r.seconds = float(np.median(timed)) if timed else 0.0
     if following is not None:
         _unrest(rows, best, benches[following - 1], benches[following])
     return rows
@@ -200,98 +265,69 @@ def _place(d: Difference, coverage: np.ndarray) -> str:
     return "on the object" if coverage[y, x] > 0.5 else "beside the object"
 
 
-def _other_formulas(
-    planned: Planned,
-    effects: Sequence[str],
-    usual: Mapping[str, str],
-    benches: Mapping[int, FrameBench],
-    samples: Sequence[Sample],
-    shop: Shop,
-) -> list[Row]:
-    """Each effect under the formula that the job does not use, at its usual level, against the job's own reference."""
-    rows = []
-    for name in effects:
-        stage = shop.stages[name]
-        if not hasattr(stage.params, "formula"):
-            continue
-        row = _formula_row(name, stage, usual, benches, samples)
-        if row.by_frame:
-            rows.append(row)
-    return rows
+def _other_stages(work: _Work) -> dict[str, Stage]:
+    """The stages that have formulas, each under the one that the job does not use."""
+    out: dict[str, Stage] = {}
+    for name in work.usual:
+        params: Any = work.stages[name].params
+        if hasattr(params, "formula"):
+            other = "paper" if params.formula == "corrected" else "corrected"
+            out[name] = type(work.stages[name])(replace(params, formula=other))  # type: ignore[call-arg]
+    return out
 
 
-def _formula_row(
-    name: str, stage: Any, usual: Mapping[str, str], benches: Mapping[int, FrameBench], samples: Sequence[Sample]
-) -> Row:
-    other = "paper" if stage.params.formula == "corrected" else "corrected"
-    best, row = stage.levels[-1].name, Row(name, usual[name], other, levels=usual)
-    changed = type(stage)(replace(stage.params, formula=other))
-    shop: Shop | None = None
-    seconds = []
-    for sample in samples:
-        b = benches[sample.index]
-        if name not in [s.stage for s in b.plan.steps]:
+def _of_other_formula(work: _Work, name: str, changed: Any) -> list[Row]:
+    """An effect under the other formula, at its usual level, against the job's own reference."""
+    usual, best = work.usual, work.best[name]
+    row = Row(name, usual[name], changed.params.formula, levels=usual)
+    shop, times = Shop(work.shop.scene, {**work.stages, name: changed}), Times()
+    for sample in work.samples:
+        if not work.has(sample, name):
             continue
-        if shop is None:
-            shop = Shop(b.shop.scene, {**b.shop.stages, name: changed})
-        there = FrameBench(b.facts, b.plate, b.plan, b.window, shop, b.slow)
-        reference = b.image(chain_of(b.plan, {**usual, name: best}))
-        image = there.image(chain_of(b.plan, usual))
+        b = work.benches[sample.index]
+        _time(work, times, sample, shop, [(name, usual[name])])
+        reference, image = b.image(chain_of(b.plan, {**usual, name: best})), b.under(shop).image(chain_of(b.plan, usual))
         where = touched((reference, b.image(chain_of(b.plan, usual, (name,)))), (reference, image))
         row.by_frame[sample.index] = difference(reference, image, where)
         row.pictures[sample.index] = image
-        seconds.append(there.seconds[name, usual[name]])
-    row.seconds = float(np.median(seconds)) if seconds else 0.0
-    return row
+    row.time = times.of((name, usual[name])) or exactly(0.0)
+    for told, s in times.spent_s.items():
+        work.times.spent_s[told] = work.times.spent_s.get(told, 0.0) + s
+    work.other_s[name] = row.time
+    return [row] if row.by_frame else []
 
 
-def _whole(
-    stages: Mapping[str, Stage],
-    usual: Mapping[str, str],
-    best: Mapping[str, str],
-    benches: Mapping[int, FrameBench],
-    samples: Sequence[Sample],
-    found: Found,
-) -> list[Row]:
+def _whole(work: _Work) -> list[Row]:
     """Pipelines by quality, and those in between that give the least error for each second saved."""
     wanted: dict[tuple[str, ...], tuple[str, Mapping[str, str]]] = {}
     for quality in QUALITIES:
-        levels = {n: level_named(stages[n].levels, quality).name for n in usual}
+        levels = {n: level_named(work.stages[n].levels, quality).name for n in work.usual}
         wanted.setdefault(tuple(levels.values()), (quality, levels))
-    for levels in _between(usual, found.effects, best):
+    for levels in _between(work):
         wanted.setdefault(tuple(levels.values()), ("mixed", levels))
     rows = [Row("pipeline", quality, "", levels=levels) for quality, levels in wanted.values()]
-    for sample in samples:
-        b = benches[sample.index]
+    for sample in work.samples:
+        b = work.benches[sample.index]
         images = {id(r): b.image(chain_of(b.plan, r.levels)) for r in rows}
-        reference = b.image(chain_of(b.plan, best))
+        reference = b.image(chain_of(b.plan, work.best))
         where = touched((reference, b.original()), *((reference, i) for i in images.values()))
         for r in rows:
             r.by_frame[sample.index] = difference(reference, images[id(r)], where)
             r.pictures[sample.index] = images[id(r)]
     for r in rows:
-        r.seconds = _chain_seconds(r.levels, benches, samples)
+        r.time = work.times.of_chain(r.levels.items())
     return rows
 
 
-def _chain_seconds(levels: Mapping[str, str], benches: Mapping[int, FrameBench], samples: Sequence[Sample]) -> float:
-    per_frame = []
-    for sample in samples:
-        b = benches[sample.index]
-        chain: Chain = chain_of(b.plan, levels)
-        per_frame.append(sum(b.seconds.get(step, 0.0) for step in chain))
-    return float(np.median(per_frame))
-
-
-def _between(usual: Mapping[str, str], effects: Sequence[Row], best: Mapping[str, str]) -> list[dict[str, str]]:
+def _between(work: _Work) -> list[dict[str, str]]:
     """Level sets on the way down from everything at its best but the references, by error lost per second saved."""
-    from arfx.core.cost import exactly
     from arfx.plan.levels import Option, ladder
 
-    state, moves = dict(usual), []
-    for name in usual:
-        options = [Option(r.level, exactly(r.seconds), r.average("mean"), 1) for r in effects if r.name == name]
-        worth = ladder(options[:-1] or options) if options else []
+    state, moves = dict(work.usual), []
+    for name in work.usual:
+        own = [r for r in work.found.effects if r.name == name and r.formula == getattr(work.stages[name].params, "formula", "")]
+        options = [Option(r.level, exactly(r.seconds), r.average("mean"), 1) for r in own if r.level != work.best[name]]
+        worth = ladder(options)
         if not worth:
             continue
         state[name] = worth[0].level
@@ -304,33 +340,19 @@ def _between(usual: Mapping[str, str], effects: Sequence[Row], best: Mapping[str
     return out
 
 
-def _other_pipeline(
-    planned: Planned,
-    usual: Mapping[str, str],
-    best: Mapping[str, str],
-    benches: Mapping[int, FrameBench],
-    samples: Sequence[Sample],
-) -> list[Row]:
+def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     """The whole pipeline with every stage under the other formula."""
-    shop = next(iter(benches.values())).shop
-    swapped: dict[str, Stage] = dict(shop.stages)
-    other = ""
-    for name, stage in shop.stages.items():
-        if hasattr(stage.params, "formula"):
-            other = "paper" if stage.params.formula == "corrected" else "corrected"
-            swapped[name] = type(stage)(replace(stage.params, formula=other))  # type: ignore[call-arg]
     if not other:
         return []
-    row, there = Row("pipeline", "usual", other, levels=usual), Shop(shop.scene, swapped)
-    seconds = []
-    for sample in samples:
-        b = benches[sample.index]
-        bench = FrameBench(b.facts, b.plate, b.plan, b.window, there, b.slow)
-        image, reference = bench.image(chain_of(b.plan, usual)), b.image(chain_of(b.plan, best))
+    row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=work.usual)
+    there = Shop(work.shop.scene, {**work.stages, **other})
+    for sample in work.samples:
+        b = work.benches[sample.index]
+        image, reference = b.under(there).image(chain_of(b.plan, work.usual)), b.image(chain_of(b.plan, work.best))
         row.by_frame[sample.index] = difference(reference, image, touched((reference, b.original()), (reference, image)))
         row.pictures[sample.index] = image
-        seconds.append(sum(bench.seconds.get(step, 0.0) for step in chain_of(b.plan, usual)))
-    row.seconds = float(np.median(seconds))
+    timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
+    row.time = together(p for p in timed if p is not None)
     return [row]
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+from arfx.core.cost import Prediction
 from arfx.measure.tradeoff import QUALITIES, Found, Row, facts_of
 from arfx.run.job import Planned
 
@@ -33,7 +35,8 @@ def document(found: Found, planned: Planned, seconds: float) -> dict[str, Any]:
 def _row(r: Row, found: Found) -> dict[str, Any]:
     return {
         "name": r.name, "level": r.level, "formula": r.formula, "levels": dict(r.levels) if r.name == "pipeline" else None,
-        "seconds_per_frame": r.seconds, "prepare_s": found.prepare_s.get((r.name, r.level)),
+        "seconds_per_frame": r.seconds, "between_s": [r.time.low_s, r.time.high_s],
+        "prepare_s": found.prepare_s.get((r.name, r.level)),
         "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
         "worst_frame": r.worst_frame(), "touched_px": sum(d.pixels for d in r.by_frame.values()),
         "unrest": None if r.unrest is None else {"level": r.unrest[0], "reference": r.unrest[1]},
@@ -67,7 +70,7 @@ def recommendation(found: Found) -> str:
     chosen = good or min(others, key=lambda r: r.average("mean"))
     words = (
         f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference (99 % of the pixels within "
-        f"{chosen.worst('p99'):.0f}) at {_share(chosen.seconds, reference.seconds)} of its time"
+        f"{chosen.worst('p99'):.0f}) at {_share(chosen.time, reference.time)} of its time"
     )
     if good is None:
         words += f", and its difference would show in frame {chosen.worst_frame()}"
@@ -86,8 +89,20 @@ def _is_other(r: Row, found: Found) -> bool:
     return r.formula != first.formula
 
 
-def _share(seconds: float, whole: float) -> str:
-    if seconds <= 0 or whole <= 0:
+def _share(part: Prediction, whole: Prediction) -> str:
+    """ "1/40", with where it lies nine times in ten if that is told apart in two figures."""
+    if part.seconds <= 0 or whole.seconds <= 0:
         return "a part"
-    ratio = whole / seconds
-    return f"1/{ratio:.0f}" if ratio >= 1.5 else f"{100 / ratio:.0f} %"
+    ratio = whole.seconds / part.seconds
+    if ratio < 1.5:
+        return f"{100 / ratio:.0f} %"
+    # parts of one machine that is slower or faster are so alike: what is left is each one's own error
+    apart = math.hypot(math.log(part.high_s / part.seconds), math.log(whole.high_s / whole.seconds))
+    low, high = _two(ratio * math.exp(-apart)), _two(ratio * math.exp(apart))
+    return f"1/{_two(ratio)}" + ("" if low == high else f" (1/{low} to 1/{high})")
+
+
+def _two(value: float) -> str:
+    """Two figures."""
+    digits = max(math.floor(math.log10(value)) - 1, 0)
+    return f"{round(value / 10**digits) * 10**digits:.0f}"

@@ -60,9 +60,11 @@ def page(found: Found, document: Mapping[str, Any], quality: int = 90) -> str:
 METHOD = (
     "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP is the mean over the "
     "same pixels. An effect is compared with its own reference while all others stay at the job's quality; a pipeline with all "
-    "at reference. References are rendered in a window around the object; their time is told for the whole frame, by pixels. "
+    "at reference. Pictures are rendered in a window around the object, so that the references take a minute together; errors "
+    "are those of that window. Times are of whole frames: fast levels were run over all that the plan asks of them, references "
+    "on tiles spread over it, and their time told for the whole with the interval that the tiles' spread gives. "
     "Unrest: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
-    "Times are of this machine while it was measured, without what is prepared once per clip."
+    "Times are of the processor, all threads together, without what is prepared once per clip."
 )
 
 
@@ -72,12 +74,18 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
         calm = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
         levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items())
         body.append([
-            escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), number(1e3 * r["seconds_per_frame"]),
+            escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), _milliseconds(r),
             number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]), escape(calm),
             escape(number(r["worst_frame"])), escape(levels),
         ])  # fmt: skip
     head = ("level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "unrest / reference's", "worst frame", "levels")
     return _table(head, body, frozenset(range(1, 7)))
+
+
+def _milliseconds(row: Mapping[str, Any]) -> str:
+    """With its interval where that is wide."""
+    ms, (low, high) = 1e3 * row["seconds_per_frame"], (1e3 * v for v in row["between_s"])
+    return number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
 
 
 def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:

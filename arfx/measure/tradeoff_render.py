@@ -1,13 +1,13 @@
-"""One frame rendered again and again with other levels; what steps have in common is rendered once.
+"""One frame rendered again and again with other levels, in a window; what steps have in common is rendered once.
 
-A reference costs minutes over a whole picture, so the slow levels are rendered in a window only: what a stage computes on a
-crop is what it computes on the whole (tests/contract, the ROI law). Their time is told for the whole step, by its pixels.
+A reference costs minutes over a whole picture, so all is rendered in a window only: what a stage computes on a crop is what it
+computes on the whole (tests/contract, the ROI law). What it costs is measured elsewhere (tradeoff_time.py).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,11 +20,11 @@ from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, Window
+from arfx.measure.tradeoff_time import Times, areas_of
 from arfx.run.frame import Canvas, rng_for
 
 NEAR_PX = 16
-AGAIN_S = 1.0
-KEPT = 5
+KEPT = 40
 SRGB = Transfer("srgb")
 Chain = tuple[tuple[str, str], ...]  # (stage, level) in running order; a stage left out is absent
 
@@ -37,14 +37,14 @@ class Shop:
     stages: Mapping[str, Stage]
     prepared: dict[tuple[str, str], Any] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
-    spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the measuring itself took
+    spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the pictures took, processor time
 
     def at(self, stage: str, level: Level) -> Any:
         key = (stage, level.name)
         if key not in self.prepared:
-            start = time.perf_counter()
+            start = time.process_time()
             self.prepared[key] = self.stages[stage].prepare(self.scene, level)
-            self.prepare_s[key] = time.perf_counter() - start
+            self.prepare_s[key] = time.process_time() - start
         return self.prepared[key]
 
 
@@ -52,9 +52,8 @@ class Shop:
 class FrameBench:
     """A frame and all that was rendered of it.
 
-    plate : (h, w, 3) linear, whole frame;  plan : at the job's own levels;  window : where references are rendered
-    slow : (stage, level) that are rendered for the window alone
-    seconds : of one run of a stage at a level over all that the plan asks of it, the last one measured
+    plate : (h, w, 3) linear, whole frame;  plan : at the job's own levels;  window : what is rendered
+    slow : (stage, level) whose pictures are dear, and kept;  real_depth_m : (h, w) whole frame, None = not measured
     """
 
     facts: FrameFacts
@@ -63,18 +62,26 @@ class FrameBench:
     window: Rect
     shop: Shop
     slow: frozenset[tuple[str, str]]
-    made: dict[tuple[Chain, bool], Canvas] = field(default_factory=dict)
+    real_depth_m: np.ndarray | None = None
+    made: dict[Chain, Canvas] = field(default_factory=dict)
     shown: dict[Chain, np.ndarray] = field(default_factory=dict)
-    seconds: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    def under(self, shop: Shop) -> FrameBench:
+        """The same frame with other stages."""
+        return FrameBench(self.facts, self.plate, self.plan, self.window, shop, self.slow, self.real_depth_m)
+
+    def canvas(self) -> Canvas:
+        """The frame as it was, before any step."""
+        canvas = Canvas(self.plate, self.shop.scene.camera.rect)
+        if self.real_depth_m is not None:
+            canvas.put(Layer.REAL_DEPTH, canvas.rect, self.real_depth_m)
+        return canvas
 
     def image(self, chain: Chain) -> np.ndarray:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
         if chain not in self.shown:
-            canvas = self._run(chain, any(step in self.slow for step in chain))
-            if Layer.IMAGE in canvas.stored:
-                self.shown[chain] = _srgb8(canvas.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE])
-            else:
-                self.shown[chain] = self.original()
+            canvas = self._run(chain)
+            self.shown[chain] = _srgb8(canvas.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE])
         return self.shown[chain]
 
     def original(self) -> np.ndarray:
@@ -83,74 +90,70 @@ class FrameBench:
 
     def coverage(self, chain: Chain) -> np.ndarray:
         """(h, w) of the window."""
-        canvas = self._run(chain, any(step in self.slow for step in chain))
-        return np.asarray(canvas.view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE])
+        return np.asarray(self._run(chain).view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE])
 
-    def _run(self, chain: Chain, narrow: bool) -> Canvas:
-        """narrow : only what the window needs. The steps before the last are looked up, or made and kept."""
-        key = (chain, narrow)
-        if key in self.made:
-            self.made[key] = self.made.pop(key)  # used last
-            return self.made[key]
+    def predicted_s(self, chains: Iterable[Chain], times: Times) -> float:
+        """What the slow steps of these chains' pictures will take."""
+        steps = {chain[: k + 1] for chain in chains for k, at in enumerate(chain) if at in self.slow}
+        total = 0.0
+        for chain in steps:
+            step = self._step(chain)
+            if step is not None and chain[-1] in times.tiles:
+                total += times.tiles[chain[-1]].over(areas_of(step.out, self.facts.model_box)).seconds
+        return total
+
+    def _run(self, chain: Chain) -> Canvas:
+        """The steps before the last are looked up, or made and kept."""
+        if chain in self.made:
+            self.made[chain] = self.made.pop(chain)  # used last
+            return self.made[chain]
         if not chain:
-            frame = self.shop.scene.camera.rect
-            canvas = Canvas(self.plate, frame)
+            canvas = self.canvas()
         else:
-            before = self._run(chain[:-1], narrow)
+            before = self._run(chain[:-1])
             canvas = Canvas(before.plate, before.rect)
             canvas.stored = dict(before.stored)
-            name, level_name = chain[-1]
-            stage = self.shop.stages[name]
-            level = next(le for le in stage.levels if le.name == level_name)
-            step = self._step(chain, name, level, narrow)
+            step = self._step(chain)
             if step is not None:
-                self._do(canvas, stage, level, step)
-        self.made[key] = canvas
-        whole = [k for k in self.made if k[0] and not k[1]]
-        if len(whole) > KEPT:  # a whole picture's layers are some 100 MB
-            del self.made[whole[0]]
+                self._do(canvas, step)
+        self.made[chain] = canvas
+        cheap = [c for c in self.made if not self.slow.intersection(c)]
+        if len(cheap) > KEPT:
+            del self.made[cheap[0]]
         return canvas
 
-    def _do(self, canvas: Canvas, stage: Stage, level: Level, step: Step) -> None:
-        began = time.perf_counter()
+    def _do(self, canvas: Canvas, step: Step) -> None:
+        began = time.process_time()
+        stage = self.shop.stages[step.stage]
+        level = next(le for le in stage.levels if le.name == step.level)
         prepared = self.shop.at(stage.name, level)
-        need = step.need
-        window = Window((canvas.view(stage.reads, need),), (self.facts,), step.out)
-        start = time.perf_counter()
-        made = stage.run(window, self.shop.scene, prepared, level, rng_for(self.shop.scene.seed, self.facts.index, stage.name))
-        spent = time.perf_counter() - start
-        if spent < AGAIN_S:  # the first run loads code and makes what is kept for this light
-            start = time.perf_counter()
-            stage.run(window, self.shop.scene, prepared, level, rng_for(self.shop.scene.seed, self.facts.index, stage.name))
-            spent = min(time.perf_counter() - start, self.seconds.get((stage.name, level.name), spent))
+        window = Window((canvas.view(stage.reads, step.need),), (self.facts,), step.out)
+        rng = rng_for(self.shop.scene.seed, self.facts.index, stage.name)
+        for layer, array in stage.run(window, self.shop.scene, prepared, level, rng).items():
+            canvas.take(layer, array, step.need, step.out)
         told = f"{stage.name}/{level.name}"
-        self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.perf_counter() - began
-        for layer, array in made.items():
-            canvas.take(layer, array, need, step.out)
-        whole = next(s for s in self.plan.steps if s.stage == stage.name)
-        self.seconds[stage.name, level.name] = spent * max(whole.out.area / step.out.area, 1.0)
+        self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.process_time() - began
 
-    def _step(self, chain: Chain, name: str, level: Level, narrow: bool) -> Step | None:
-        """What the plan asks of the stage; with `narrow` only what the later stages need of it for the window."""
+    def _step(self, chain: Chain) -> Step | None:
+        """Of what the plan asks of the chain's last stage, that which the later stages need for the window."""
+        name, level_name = chain[-1]
         planned = {s.stage: s for s in self.plan.steps}
         if name not in planned:
             return None
         stage, facts, scene = self.shop.stages[name], self.facts, self.shop.scene
-        frame, out = scene.camera.rect, planned[name].out
-        if narrow:
-            want = self.window
-            order = list(planned)
-            for later in reversed(order[order.index(name) + 1 :]):
-                s = self.shop.stages[later]
-                reach = want.clip(planned[later].out)
-                if not reach.empty:
-                    need = s.needs(reach, facts, scene, s.levels[-1])
-                    # who does not read the composited picture takes the real frame alone from far away
-                    want = want.union(need if Layer.IMAGE in s.reads else need.clip(reach.pad(NEAR_PX)))
-            out = out.clip(want)
+        level = next(le for le in stage.levels if le.name == level_name)
+        want, order = self.window, list(planned)
+        for later in reversed(order[order.index(name) + 1 :]):
+            s = self.shop.stages[later]
+            reach = want.clip(planned[later].out)
+            if not reach.empty:
+                need = s.needs(reach, facts, scene, s.levels[-1])
+                # who does not read the composited picture takes the real frame alone from far away
+                want = want.union(need if Layer.IMAGE in s.reads else need.clip(reach.pad(NEAR_PX)))
+        out = planned[name].out.clip(want)
         if out.empty:
             return None
-        return Step(name, level.name, out, stage.needs(out, facts, scene, level).union(out).clip(frame), "", None)
+        return Step(name, level_name, out, stage.needs(out, facts, scene, level).union(out).clip(scene.camera.rect), "", None)
 
 
 def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -> Rect:

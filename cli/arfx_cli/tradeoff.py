@@ -60,7 +60,7 @@ def _show(told: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table(title=f"error against reference, grey levels; {len(told['frames'])} frames", title_justify="left")
-    for name in ("effect", "level", "ms a frame", "mean", "99 %", "FLIP", "unrest", "worst frame"):
+    for name in ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "unrest", "worst frame"):
         table.add_column(name, justify="left" if name in ("effect", "level") else "right")
     last = ""
     for r in [*told["effects"], *told["pipelines"]]:
@@ -70,8 +70,15 @@ def _show(told: dict[str, Any]) -> None:
         if r["level"] == "mixed":
             level = "mixed: " + ", ".join(f"{k} {v}" for k, v in r["levels"].items() if v != "standard")
         calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.2f} / {r['unrest']['reference']:.2f}"
-        numbers = (f"{1e3 * r['seconds_per_frame']:.1f}", f"{r['mean']:.2f}", f"{r['p99']:.1f}", f"{r['flip']:.4f}")
+        numbers = (_duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}", f"{r['p99']:.1f}", f"{r['flip']:.4f}")
         table.add_row("" if r["name"] == last else r["name"], level, *numbers, calm, str(r["worst_frame"]))
         last = r["name"]
     Console(highlight=False).print(table)
     click.echo(told["recommendation"])
+
+
+def _duration(seconds: float, low_s: float, high_s: float) -> str:
+    """In ms, s or min, with half the interval's width where that is more than a sixth."""
+    unit, factor = next((u for u in (("ms", 1e3), ("s", 1.0)) if seconds * u[1] < 600), ("min", 1 / 60))
+    wide = (high_s - low_s) / 2 / max(seconds, 1e-9)
+    return f"{seconds * factor:.3g} {unit}" + (f" ± {100 * wide:.0f} %" if wide > 1 / 6 else "")

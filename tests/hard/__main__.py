@@ -1,11 +1,13 @@
 """`make hard`: every hard scene, every stated hard case, every sweep towards a singularity; one table, one plot.
 
-Writes hard/table.md and hard/sweeps.png. Exit code 1 where something does not hold.
+Writes hard/table.md and hard/sweeps.png. Exit code 1 where something does not hold. The table grows row by row, and a part that
+is run alone (--only) keeps the rows of the others.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
@@ -90,30 +92,52 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "hard", help="folder for table.md and sweeps.png")
     parser.add_argument("--only", choices=("scenes", "cases", "sweeps"), help="one part of it")
+    parser.add_argument("--scenes", help="of the scenes only these: 0901,0904")
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)
-    rows: list[Row] = []
+    table = Table(given.output)
     if given.only in (None, "scenes"):
-        rows += [_said(scene_row(s)) for s in sorted((ROOT / "sample_scenes").glob("09*"))]
+        wanted = given.scenes.split(",") if given.scenes else [""]
+        for scene in sorted((ROOT / "sample_scenes").glob("09*")):
+            if scene.name.startswith(tuple(wanted)):
+                table.add("scenes", [scene_row(scene)])
     if given.only in (None, "cases"):
-        rows += [_said(r) for r in case_rows()]
+        table.add("cases", case_rows())
     if given.only in (None, "sweeps"):
-        start = time.perf_counter()
-        results = [r for sweep in SWEEPS for r in run(sweep)]
-        rows += [_said(r) for r in sweep_rows(results, time.perf_counter() - start)]
+        results = []
+        for sweep in SWEEPS:
+            start = time.perf_counter()
+            found = run(sweep)
+            table.add("sweeps", sweep_rows(found, time.perf_counter() - start))
+            results += found
         (given.output / "sweeps.png").write_bytes(plot(results))
-    head = ("case", "asked", "verdict", "largest deviation", "seconds")
-    lines = [f"| {' | '.join(head)} |", "|---|---|---|---|---|"]
-    lines += [f"| {r[0]} | {r[1]} | {r[2]} | {r[3]} | {r[4]:.1f} |" for r in rows]
-    (given.output / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    rows = table.rows()
     bad = [r for r in rows if not r[2].startswith("holds")]
     print(f"{len(rows) - len(bad)} of {len(rows)} hold; {given.output / 'table.md'}")
     return 1 if bad else 0
 
 
-def _said(row: Row) -> Row:
-    print(f"{row[0]}: {row[2]}; {row[3]}; {row[4]:.1f} s", flush=True)
-    return row
+class Table:
+    """Rows by part, kept in `folder` as rows.json, and as table.md for people. A row takes the place of one of the same case."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._kept, self._parts = folder / "rows.json", {}
+        if self._kept.is_file():
+            self._parts = json.loads(self._kept.read_text(encoding="utf-8"))
+
+    def rows(self) -> list[Row]:
+        return [tuple(row) for part in ("scenes", "cases", "sweeps") for row in self._parts.get(part, {}).values()]
+
+    def add(self, part: str, rows: list[Row]) -> None:
+        for row in rows:
+            print(f"{row[0]}: {row[2]}; {row[3]}; {row[4]:.1f} s", flush=True)
+            self._parts.setdefault(part, {})[f"{row[0]}, {row[1]}"] = row
+        self._kept.write_text(json.dumps(self._parts), encoding="utf-8")
+        head = ("case", "asked", "verdict", "largest deviation", "seconds")
+        lines = [f"| {' | '.join(head)} |", "|---|---|---|---|---|"]
+        lines += [f"| {r[0]} | {r[1]} | {r[2]} | {r[3]} | {r[4]:.1f} |" for r in self.rows()]
+        (self._folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

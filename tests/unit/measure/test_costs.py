@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import time
+from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from arfx.core.cost import load_prices
-from arfx.measure.costs import Runs, calibrate, fit, save_prices
+from arfx.measure import costs_output
+from arfx.measure.costs import Runs, Watch, calibrate, fit, save_prices
+from arfx.media.codecs import CODECS
 
 
 def runs(noise: float, count: int = 12, outliers: int = 0) -> Runs:
@@ -44,9 +51,26 @@ def test_few_runs_are_priced_by_pixels_with_a_wide_interval() -> None:
 def test_calibration_times_what_it_prices(tmp_path) -> None:
     from tests.unit.measure.test_bench import STAGES
 
-    prices = calibrate(stages=STAGES, jobs=False, limit_s=2.0)
+    prices = calibrate(stages=STAGES, output=False, limit_s=2.0)
     at = {k: prices.predict(f"sleeper/{k}", {"frames": 1.0, "mpx": 0.05, "object_mpx": 0.03}) for k in ("draft", "standard")}
     assert at["draft"].seconds < at["standard"].seconds < 0.2
     assert "encode h264" not in prices.prices
     back = load_prices(save_prices(prices, tmp_path / "cache" / "costs.json"))
     assert back.calibrated and set(back.prices) == set(prices.prices)
+
+
+def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(costs_output, "SIZES", ((160, 96, 3), (96, 64, 3)))
+    monkeypatch.setitem(CODECS, "prores", replace(CODECS["prores"], encoder="no_such_encoder"))
+    timed: dict[str, Runs] = defaultdict(Runs)
+    with ThreadPoolExecutor(2) as pool:
+        costs_output.time_output(timed, pool, 2, Watch(processor=True), lambda *_: None)
+    assert {f"encode {c}" for c in CODECS} - timed.keys() == {"encode prores"}
+    assert all(s > 0 for runs in timed.values() for s in runs.seconds)
+    assert len(timed["edit"].seconds) == 4 and len(timed["join"].seconds) == 2
+
+
+def test_the_processors_clock_counts_work_and_not_waiting() -> None:
+    with ThreadPoolExecutor(2) as pool:
+        asleep = Watch(processor=True).of_each(lambda: time.sleep(0.05), pool, 2)
+        assert Watch().of_each(lambda: time.sleep(0.05), pool, 2) > 0.04 > asleep

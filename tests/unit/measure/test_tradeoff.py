@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from arfx.core.cost import Prediction, exactly
+from arfx.core.layers import Layer
+from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.core.stage import level_named
+from arfx.core.stage import Level, level_named
 from arfx.measure.difference import Difference, difference, touched, unrest
 from arfx.measure.tradeoff import Found, Row
-from arfx.measure.tradeoff_document import front, recommendation
+from arfx.measure.tradeoff_document import _share, front, recommendation
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import MOST_BYTES, error_map, page
-from arfx.measure.tradeoff_render import FrameBench, Shop, chain_of, window_of
+from arfx.measure.tradeoff_render import SRGB, FrameBench, Shop, chain_of, window_of
 from arfx.plan.planner import plan_frame
 from arfx.stages import STAGES
 from tests.scenes import camera, facts, look_at, scene
@@ -22,7 +25,7 @@ NOISE = np.random.default_rng(0)
 
 
 def row(name: str, level: str, seconds: float, mean: float, p99: float, formula: str = "", frame: int = 3) -> Row:
-    r = Row(name, level, formula, seconds, levels={"dof": level})
+    r = Row(name, level, formula, exactly(seconds), levels={"dof": level})
     r.by_frame[frame] = Difference(mean, p99, mean / 100, (4, 5), 900)
     r.pictures[frame] = NOISE.integers(0, 255, (40, 50, 3)).astype(np.uint8)
     return r
@@ -41,6 +44,7 @@ def found() -> Found:
 def told(f: Found) -> dict[str, Any]:
     def line(r: Row) -> dict[str, Any]:
         return {"name": r.name, "level": r.level, "formula": r.formula, "levels": None, "seconds_per_frame": r.seconds,
+                "between_s": [r.seconds, 2 * r.seconds],
                 "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
                 "worst_frame": 3, "unrest": {"level": 1.0, "reference": 0.9}}  # fmt: skip
 
@@ -97,9 +101,46 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     for slow in (frozenset(), frozenset(chain)):
         bench = FrameBench(f, plate, plan, window, Shop(s, stages), slow)
         pictures.append(bench.image(chain))
-        assert set(bench.seconds) == set(chain) and all(v > 0 for v in bench.seconds.values())
         assert np.array_equal(bench.image(()), bench.original())
     assert np.array_equal(*pictures) and (pictures[0] != bench.original()).any()
+
+
+class Deep:
+    """Shows the real depth, 255 grey levels a metre."""
+
+    name, reads, writes = "deep", frozenset({Layer.IMAGE, Layer.REAL_DEPTH}), frozenset({Layer.IMAGE})
+    levels = (Level("standard", 0.1),)
+
+    def needs(self, out: Rect, *_: Any) -> Rect:
+        return out
+
+    def prepare(self, *_: Any) -> None:
+        return None
+
+    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
+        depth = window.now[Layer.REAL_DEPTH]
+        return {Layer.IMAGE: np.repeat(depth[..., None], 3, -1) if depth.size else 0 * window.now[Layer.IMAGE]}
+
+
+def test_stages_read_the_measured_depth_as_in_a_job() -> None:
+    s = scene(camera(160, 120))
+    f, whole = facts(s), s.camera.rect
+    plan = FramePlan(0, whole, whole, (Step("deep", "standard", whole, whole, "", None),), ())
+    depth = NOISE.uniform(0.2, 0.9, (120, 160)).astype(np.float32)
+    window = Rect(30, 20, 90, 70)
+    shop = Shop(s, {"deep": Deep()})  # type: ignore[dict-item]
+    pictures = [
+        FrameBench(f, np.zeros((120, 160, 3), np.float32), plan, window, shop, frozenset(), d).image((("deep", "standard"),))
+        for d in (depth, None)
+    ]
+    assert np.array_equal(pictures[0][..., 0], np.rint(255 * SRGB.encode(depth[window.slices])))
+    assert (pictures[1] == 255).all(), "unmeasured is far away"
+
+
+def test_the_ratio_of_two_times_is_told_with_its_interval() -> None:
+    assert _share(Prediction(0.1, 0.1, 0.1), Prediction(4.0, 4.0, 4.0)) == "1/40"
+    assert _share(Prediction(0.1, 0.09, 0.11), Prediction(41.7, 30.0, 60.0)) == "1/420 (1/290 to 1/610)"
+    assert _share(Prediction(1.0, 0.9, 1.1), Prediction(1.25, 1.0, 1.5)) == "80 %"
 
 
 def test_the_sentence_names_the_cheapest_that_does_not_show_and_what_would() -> None:

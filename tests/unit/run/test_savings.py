@@ -4,6 +4,8 @@ of scene 0050); and a budget is kept by the plan, which a resumed job reads back
 from __future__ import annotations
 
 import json
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -11,11 +13,17 @@ import numpy as np
 import pytest
 
 from arfx.config.load import load
+from arfx.core.light import DirectionalLight, Light
+from arfx.core.stage import level_named
 from arfx.errors import ConfigError
+from arfx.measure.bench_scene import ball, bench_scene
+from arfx.plan.planner import plan_frame
 from arfx.run.folder import JobFolder, read_lines
+from arfx.run.frame import run_frame
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
 from arfx.run.parameters import parameters
+from arfx.stages import STAGES
 from tests.clips import MARKER, write_camera, write_clip, write_model
 
 FRAMES = 24
@@ -59,6 +67,33 @@ def test_planned_is_forced_for_a_part_of_the_work(material: Path, tmp_path: Path
         with av.open(str(tmp_path / f"{name}.mkv")) as clip:
             pictures.append([f.to_ndarray(format="rgb24").astype(int) for f in clip.decode(video=0)])
     assert max(np.abs(a - b).max() for a, b in zip(*pictures, strict=True)) <= 1
+
+
+def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
+    """1280x720, where what a stage costs by itself no longer hides what it costs by the pixel; in focus and out of it."""
+    at = bench_scene(1280, 720, 0.01, ball(40, 31))
+    lamp = DirectionalLight((0.5, 0.3, 1.0), (0.6, 0.6, 0.5), 5.0)
+    facts = at.facts.with_(light=Light(ambient_rgb=(0.4, 0.4, 0.4), lights=(lamp,)))
+    spent = {True: 0.0, False: 0.0}
+    for focus, runs in (("object", 3), ("3m", 4)):
+        dof = STAGES["dof"](replace(STAGES["dof"]().params, scope="virtual", fnumber=4.0, focus=focus))  # type: ignore[call-arg]
+        stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite")} | {"dof": dof}
+        levels = {n: level_named(s.levels, "standard") for n, s in stages.items()}
+        prepared = {n: s.prepare(at.scene, levels[n]) for n, s in stages.items()}
+        pictures, times = {}, {True: [], False: []}
+        for skip in [True, False] * 3:
+            plan = plan_frame(list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip)
+            assert len(plan.steps) == (runs if skip else 4)
+            plate = at.plate[plan.rect.slices]
+            start = time.process_time()
+            made = run_frame(plate, facts, plan, at.scene, stages, levels, prepared)
+            times[skip].append(time.process_time() - start)
+            pictures[skip] = np.zeros((720, 1280, 3), np.float32) + at.plate
+            pictures[skip][plan.changed.slices] = made.image
+        for skip in times:
+            spent[skip] += min(times[skip])
+        assert np.abs(pictures[True] - pictures[False]).max() < 0.004
+    assert spent[False] >= 3 * spent[True], spent
 
 
 def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(material: Path, tmp_path: Path) -> None:

@@ -1,0 +1,139 @@
+"""What of a job is not a stage's: editing the planes, encoding with every codec that this machine has, joining chunks."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import av
+import cv2
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.rect import Rect
+from arfx.errors import ArfxError
+from arfx.media.clip import ClipInfo, probe
+from arfx.media.codecs import CODECS
+from arfx.media.frames import ClipReader, Frame
+from arfx.media.join import join_chunks
+from arfx.media.output import OutputPlan, OutputSettings, plan_output
+from arfx.media.writer import ChunkWriter, chunk_suffix
+
+if TYPE_CHECKING:
+    from arfx.measure.costs import Runs, Watch
+
+MARKER = MarkerSpec("36h11", 3, 0.15)
+SIZES = ((640, 360, 24), (1280, 720, 10))  # width, height, frames
+USUAL = ("h264", "ffv1")  # encoded twice
+JOINED = "h264"
+
+
+def time_output(
+    timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int, watch: Watch, progress: Callable[[int, int], None]
+) -> None:
+    """Add runs of "edit", "encode CODEC" and "join" to `timed`: `crowd` threads do the same at once, as in a job."""
+    total = len(SIZES) * len(CODECS)
+    with tempfile.TemporaryDirectory(prefix="arfx-calibrate-") as folder:
+        for k, (width, height, count) in enumerate(SIZES):
+            clip = write_clip(Path(folder) / f"{width}.mp4", width, height, count)
+            info = probe(clip)
+            with ClipReader(info) as reader:
+                frames = list(reader.frames())
+            _edit(timed, info, frames, pool, crowd, watch)
+            for n, codec in enumerate(CODECS):
+                progress(k * len(CODECS) + n, total)
+                # a machine without this encoder has no price for it, and a plan says so
+                with contextlib.suppress(ArfxError, av.error.FFmpegError, ValueError):
+                    _encode(timed, Path(folder), info, frames, codec, pool, crowd, watch)
+        progress(total, total)
+
+
+def _edit(
+    timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], pool: ThreadPoolExecutor, crowd: int, watch: Watch
+) -> None:
+    """As in a frame of a job: linear light of a rectangle, then the difference put back into the planes."""
+    width, height = info.width, info.height
+    whole = Rect(0, 0, width, height)
+    for rect in (Rect(width // 3, height // 3, 2 * width // 3, 2 * height // 3), whole):
+
+        def edit(rect: Rect = rect) -> None:
+            for frame in frames[:6]:
+                plate = frame.linear(rect)
+                frame.edited(rect, plate, np.clip(plate * np.float32(0.9), 0, 1))
+
+        edit()
+        seconds = watch.of_each(edit, pool, crowd)
+        timed["edit"].add({"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds / len(frames[:6]))
+
+
+def _encode(
+    timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[Frame], codec: str, pool: ThreadPoolExecutor, crowd: int,
+    watch: Watch,
+) -> None:  # fmt: skip
+    os.environ.setdefault("SVT_LOG", "1")  # errors only: the encoder prints its settings otherwise
+    out = folder / f"{codec}-%03d.{codec}" if CODECS[codec].sequence else folder / f"{codec}.mkv"
+    plan = plan_output(info, out, OutputSettings(codec))
+    paths: list[Path] = []
+    number = itertools.count()
+
+    def encode() -> None:
+        path = folder / f"{codec}-{info.width}-{next(number)}{chunk_suffix(plan)}"
+        paths.append(path)
+        with ChunkWriter(plan, info, path) as writer:
+            for frame in frames:
+                writer.write(frame)
+
+    mpx = info.width * info.height / 1e6
+    if codec in USUAL:
+        encode()  # loads it
+    for _ in range(2 if codec in USUAL else 1):
+        seconds = watch.of_each(encode, pool, crowd)
+        timed[f"encode {codec}"].add({"frames": 1.0, "mpx": mpx}, seconds / len(frames))
+    if codec == JOINED:
+        _join(timed, info, frames, plan, paths, watch)
+
+
+def _join(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], plan: OutputPlan, paths: list[Path], watch: Watch) -> None:
+    first = [f.pts for f in frames]
+    step = first[-1] - first[0] + max(first[1] - first[0], 1)
+    pts = [p + k * step for k in range(2) for p in first]
+    seconds = watch.of(lambda: join_chunks(paths[:2], pts, plan, info, paths[0].with_name("joined.mkv")))
+    timed["join"].add({"frames": float(len(pts)), "mpx": len(pts) * info.width * info.height / 1e6}, seconds)
+
+
+def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
+    """A marker on a textured table with camera noise, swaying as if hand-held. Returns `path`."""
+    g = np.random.default_rng(5)
+    focal, board, scale = 0.9 * width, 1200, 1500.0
+    camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))
+    table = cv2.resize(g.integers(70, 180, (board // 12, board // 12, 3)).astype(np.uint8), (board, board))
+    side = round(MARKER.size_m * scale)
+    code = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, side)
+    code = np.clip(cv2.copyMakeBorder(code, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255), 25, 225)
+    at = (board - code.shape[0]) // 2
+    table[at : at + code.shape[0], at : at + code.shape[0]] = code[..., None]
+    half = board / 2 / scale
+    plane = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+    corners = np.array([[0, 0], [board, 0], [board, board], [0, board]], np.float32) - 0.5
+    noise = g.normal(0, 2, (4, height, width, 3)).astype(np.float32)
+    with av.open(str(path), "w") as out:
+        stream: Any = out.add_stream("libx264", rate=30, options={"crf": "18", "preset": "veryfast"})
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        for i in range(frames):
+            t = i / 30
+            turn = rotation_from_euler_deg(145 + 2 * np.sin(1.1 * t), 0, 0) @ rotation_from_euler_deg(0, 0, 15 + 2 * np.sin(t))
+            pose = Pose(turn, np.array([0.01 * np.sin(0.9 * t), 0.04, 0.7]))
+            warp = cv2.getPerspectiveTransform(corners, camera.project(pose.apply(plane)).astype(np.float32))
+            picture = cv2.warpPerspective(table, warp, (width, height), flags=cv2.INTER_AREA, borderValue=(96, 100, 104))
+            picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        out.mux(stream.encode(None))
+    return path

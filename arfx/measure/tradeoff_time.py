@@ -1,0 +1,267 @@
+"""What each level of each stage costs per frame, as a job would spend it.
+
+Fast levels are run over all that the plan asks of them. A reference would take minutes, so it is run on tiles spread over the
+step, in the object's box and outside, and on one of a few pixels, which tells what a run costs by itself:
+seconds = run + rate(box) x pixels of the box + rate(rest) x pixels of the rest, with the interval that the tiles' spread gives
+(stratified ratio estimate, Cochran, "Sampling Techniques", ch. 6). A tile has more rim for its size than the whole: whether a
+stage's work goes by the pixels that it makes or by those that it reads is not known, so the interval holds both.
+Times are of the processor, all threads together, which other programs on the machine disturb least.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from arfx.core.cost import Prediction, exactly, together, with_spread
+from arfx.core.facts import FrameFacts
+from arfx.core.plan import FramePlan, Step
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Level, Stage, Window
+from arfx.run.frame import Canvas, rng_for
+
+At = tuple[str, str]  # stage, level
+TILES, TILE_S, TINY_PX = 4, 0.6, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
+FEWEST_PX, MOST_PX = 16, 64  # side of a tile
+DEAR_S = 1.0  # a level that takes this for next to nothing is timed on one frame alone
+LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
+OFTEN = 0.02  # share of frames under a new light from which on its cost is one of every frame
+ONCE_S = 3.0  # a run that took longer is not made again
+# Student's t, nine in ten two-sided, for 1, 2, ... degrees of freedom; 1.7 beyond
+_T = (6.3, 2.9, 2.4, 2.1, 2.0, 1.9, 1.9, 1.9, 1.8)
+
+
+@dataclass
+class Tiles:
+    """Runs of a level on parts of a step.
+
+    empty_s : of runs on next to nothing;  by_part : (pixels, seconds) of each tile
+    rims : of each frame, pixels read for a pixel made by the whole step, as a share of the tiles'
+    """
+
+    empty_s: list[float] = field(default_factory=list)
+    by_part: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    rims: list[float] = field(default_factory=list)
+
+    def over(self, areas: Mapping[str, int]) -> Prediction:
+        """Of one run over `areas`, pixels of each part. A part without tiles costs what the others do."""
+        alone = float(np.median(self.empty_s))
+        every = [t for tiles in self.by_part.values() for t in tiles]
+        total, variance, fewest = 0.0, 0.0, 99
+        for part, area in areas.items():
+            tiles = self.by_part.get(part) or every
+            px, s = np.array(tiles, float).T
+            above = np.maximum(s - alone, 0.0)
+            rate = above.sum() / px.sum()
+            total += rate * area
+            if len(tiles) > 1:
+                left = above - rate * px
+                error = math.sqrt((left**2).sum() / (len(tiles) - 1) / len(tiles)) / px.mean()
+                variance += (error * area) ** 2
+                fewest = min(fewest, len(tiles) - 1)
+        rim = float(np.median(self.rims)) if self.rims else 1.0
+        middle = alone + total * math.sqrt(rim)
+        if fewest == 99:
+            return with_spread(middle, 1.0)
+        wide = (_T[fewest - 1] if fewest <= len(_T) else 1.7) * math.sqrt(variance)
+        ends = sorted((alone + total, alone + total * rim))
+        least = with_spread(middle, LEAST_SPREAD)
+        return Prediction(middle, max(min(ends[0] - wide, least.low_s), alone), max(ends[1] + wide, least.high_s))
+
+
+@dataclass
+class Times:
+    """Seconds per frame of every (stage, level) that was timed.
+
+    whole : of runs over all of a step, frame by frame;  tiles, areas : of the levels that are too slow for that
+    new_s : what a light that was not met before adds;  clock : of the processor, all threads
+    """
+
+    clock: Callable[[], float] = time.process_time
+    whole: dict[At, list[float]] = field(default_factory=dict)
+    tiles: dict[At, Tiles] = field(default_factory=dict)
+    areas: dict[At, list[dict[str, int]]] = field(default_factory=dict)
+    new_s: dict[At, list[float]] = field(default_factory=dict)
+    spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the timing took
+
+    def of(self, at: At) -> Prediction | None:
+        """Mean over the frames; None = not timed."""
+        if at in self.tiles:
+            each = [self.tiles[at].over(areas) for areas in self.areas[at]]
+            n = len(each)
+            mean = Prediction(*(sum(getattr(p, k) for p in each) / n for k in ("seconds", "low_s", "high_s")))
+        elif at in self.whole:
+            mean = with_spread(float(np.mean(self.whole[at])), LEAST_SPREAD)
+        else:
+            return None
+        added = float(np.mean(self.new_s.get(at, [0.0])))
+        return together([mean, with_spread(added, LEAST_SPREAD)]) if added > 0 else mean
+
+    def of_chain(self, chain: Iterable[At]) -> Prediction:
+        """Of all steps of a frame; what was not timed counts as nothing."""
+        return together([self.of(at) or exactly(0.0) for at in chain])
+
+
+def areas_of(out: Rect, box: Rect) -> dict[str, int]:
+    """Pixels of a step's parts: in the object's box, and outside."""
+    inside = box.clip(out).area
+    return {"box": inside, "rest": out.area - inside}
+
+
+def time_frame(
+    times: Times,
+    facts: FrameFacts,
+    canvas: Canvas,
+    plan: FramePlan,
+    scene: Scene,
+    stages: Mapping[str, Stage],
+    prepared: Callable[[str, Level], Any],
+    usual: Mapping[str, str],
+    wanted: Collection[At],
+    slow: Collection[At],
+    new: Mapping[str, float],
+) -> None:
+    """Time `wanted` on one frame, each upon what the steps before it make at their `usual` level.
+
+    canvas : the plate, whole frame (and what was measured of it);  slow : those to be timed on tiles
+    new : by stage, share of the clip's frames under a light that was not met before
+    """
+    for at, step in enumerate(plan.steps):
+        stage = stages[step.stage]
+        later = any((s.stage, le.name) in wanted for s in plan.steps[at + 1 :] for le in stages[s.stage].levels)
+        for level in stage.levels:
+            key = (step.stage, level.name)
+            if key not in wanted and not (later and level.name == usual[step.stage]):
+                continue
+            began = times.clock()
+            runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
+            if key in wanted and key in slow:
+                _on_tiles(runner, step, facts.model_box, key, new.get(step.stage, 0.0))
+            elif key in wanted:
+                _whole(runner, step, key, new.get(step.stage, 0.0))
+            told = "/".join(key)
+            times.spent_s[told] = times.spent_s.get(told, 0.0) + times.clock() - began
+        if later:
+            level = next(le for le in stage.levels if le.name == usual[step.stage])
+            runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
+            runner.run(step.out)
+            for layer, array in runner.made.items():
+                canvas.take(layer, array, runner.need, step.out)
+
+
+@dataclass
+class _Runner:
+    """One level of one stage on one frame."""
+
+    times: Times
+    stage: Stage
+    level: Level
+    prepared: Any
+    facts: FrameFacts
+    canvas: Canvas
+    scene: Scene
+    made: Mapping[Any, Any] = field(default_factory=dict)
+    need: Rect = field(default_factory=lambda: Rect(0, 0, 0, 0))
+
+    def run(self, out: Rect) -> float:
+        """Seconds of one run that makes `out`, with nothing kept of this picture from a run before."""
+        if hasattr(self.prepared, "forget"):
+            self.prepared.forget()
+        self.need = self.needed(out)
+        window = Window((self.canvas.view(self.stage.reads, self.need),), (self.facts,), out)
+        rng = rng_for(self.scene.seed, self.facts.index, self.stage.name)
+        start = self.times.clock()
+        self.made = self.stage.run(window, self.scene, self.prepared, self.level, rng)
+        return self.times.clock() - start
+
+    def needed(self, out: Rect) -> Rect:
+        return self.stage.needs(out, self.facts, self.scene, self.level).union(out).clip(self.scene.camera.rect)
+
+    def anew(self, out: Rect) -> float:
+        """The same under a light that was not met before."""
+        kept = getattr(self.prepared, "kept", None)
+        if kept is not None:
+            kept.clear()
+        return self.run(out)
+
+
+def _whole(runner: _Runner, step: Step, key: At, new: float) -> None:
+    first = runner.run(step.out)  # the first loads code, and makes what is kept for this light
+    known = runner.times.whole.setdefault(key, [])
+    seconds = first if known and first > ONCE_S else runner.run(step.out)  # code that is compiled may take longer than ONCE_S
+    known.append(seconds)
+    if new > OFTEN and seconds <= ONCE_S:
+        runner.times.new_s.setdefault(key, []).append(new * max(runner.anew(step.out) - seconds, 0.0))
+
+
+def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> None:
+    times, out = runner.times, step.out
+    inside = box.clip(out)
+    times.areas.setdefault(key, []).append(areas_of(out, box))
+    tiles = times.tiles.setdefault(key, Tiles())
+    if tiles.empty_s and tiles.empty_s[0] > DEAR_S:
+        return  # nothing but one frame's tiles: their interval is all that is told
+    tiny = _tile(inside if not inside.empty else out, 0.5, 0.5, TINY_PX)
+    alone = runner.run(tiny)  # loads code, and makes what is kept for this light
+    dear = alone > DEAR_S
+    if not dear:
+        alone = runner.run(tiny)
+    tiles.empty_s.append(alone)
+    least_px, made_px, read_px = runner.need.area, 0, 0
+    if new > OFTEN:
+        times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
+    rng = np.random.default_rng(runner.facts.index)
+    for part, rects, count in (("box", [inside], 3), ("rest", without(out, inside), 2)):
+        side = FEWEST_PX
+        for place in _places(rng, rects, count if dear else TILES):
+            tile = _tile(*place, side)
+            seconds = runner.run(tile)
+            tiles.by_part.setdefault(part, []).append((tile.area, seconds))
+            made_px, read_px = made_px + tile.area, read_px + runner.need.area - least_px
+            rate = max(seconds - alone, 1e-6) / tile.area
+            side = int(np.clip(math.sqrt(max(TILE_S / TILES, 0.5 * alone) / rate), FEWEST_PX, MOST_PX))
+
+    if read_px > 0:
+        whole_px = runner.needed(out).area - least_px
+        tiles.rims.append(float(np.clip(whole_px / out.area * made_px / read_px, 0.1, 1.0)))
+
+
+def without(whole: Rect, hole: Rect) -> list[Rect]:
+    """The rectangle without another one, as at most four that do not overlap."""
+    if hole.empty:
+        return [whole]
+    parts = (
+        Rect(whole.x0, whole.y0, whole.x1, hole.y0), Rect(whole.x0, hole.y1, whole.x1, whole.y1),
+        Rect(whole.x0, hole.y0, hole.x0, hole.y1), Rect(hole.x1, hole.y0, whole.x1, hole.y1),
+    )  # fmt: skip
+    return [p for p in parts if not p.empty]
+
+
+def _places(rng: np.random.Generator, rects: list[Rect], count: int) -> list[tuple[Rect, float, float]]:
+    """`count` points spread evenly over rectangles: the rectangle, and the point as shares of its sides."""
+    areas = np.array([r.area for r in rects], float)
+    if not areas.sum():
+        return []
+    ends = np.cumsum(areas) / areas.sum()
+    across = (rng.permutation(count) + rng.random(count)) / count
+    out = []
+    for k in range(count):
+        at = (k + rng.random()) / count
+        i = min(int(np.searchsorted(ends, at, side="right")), len(rects) - 1)
+        along = (at - (ends[i - 1] if i else 0.0)) / (areas[i] / areas.sum())
+        out.append((rects[i], along, across[k]) if rects[i].width >= rects[i].height else (rects[i], across[k], along))
+    return out
+
+
+def _tile(where: Rect, u: float, v: float, side: int) -> Rect:
+    """A square (less where the rectangle is less) about the point (u, v) of a rectangle, within it."""
+    width, height = min(side, where.width), min(side, where.height)
+    x0 = where.x0 + round(min(max(u * where.width - width / 2, 0), where.width - width))
+    y0 = where.y0 + round(min(max(v * where.height - height / 2, 0), where.height - height))
+    return Rect(x0, y0, x0 + width, y0 + height)
