@@ -24,6 +24,7 @@ def light_left(
     """(h, w, 3) float32 ratio of the light that the object leaves the plane; 1 where it leaves all. Read-only, and one value
     for three channels where every light has one.
 
+    grid (gh, gw, 3) : float32 viewing directions as `direction_grid` makes them
     textures, shares (t, 3) : the ambient light first, then the directional ones; each one's part of the plane's light
     blocked : share of every directional light that something real takes already
     faint : darkening under it is left out, over 3 times as much kept whole, faded between;  strength : 0..1
@@ -34,8 +35,9 @@ def light_left(
     meta = np.column_stack([np.cumsum(sizes[:, 0]) - sizes[:, 0], sizes[:, 1:]])
     texels = every[0].dark.ravel() if len(every) == 1 else np.concatenate([t.dark.ravel() for t in every])
     grey = bool((shares == shares[:, :1]).all())
+    nodes = grid.reshape(-1, 3) @ anchor_from_camera.rotation.T.astype(np.float32)
     left = _look_up(
-        rect.x0, rect.y0, rect.width, rect.height, (grid @ anchor_from_camera.rotation.T).astype(np.float32),
+        rect.x0, rect.y0, rect.width, rect.height, nodes.reshape(grid.shape),
         anchor_from_camera.translation_m.astype(np.float32), texels, meta,
         np.array([t.texel_from_m for t in every], np.float32), shares[:, : 1 if grey else 3].astype(np.float32),
         blocked is not None, np.float32(faint), np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),

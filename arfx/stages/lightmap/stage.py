@@ -139,8 +139,9 @@ class Lightmap:
     def prepare(self, scene: Scene, level: Level) -> Prepared:
         ground = ground_of(scene)
         centre, half = ground.ambient_box_m(self.params.faint)
+        grid = direction_grid(scene.camera).astype(np.float32)
         ambient = ambient_texture(ground.caster, ground.rays, centre, half, PLANE_LEVELS[level.name])
-        return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), direction_grid(scene.camera))
+        return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), grid)
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
