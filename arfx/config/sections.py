@@ -63,7 +63,9 @@ class InputSection(Section):
     poses: Path | None = Field(
         default=None, description="camera poses, a line tx ty tz qx qy qz qw for each frame, or with times"
     )
-    depth: Path | None = Field(default=None, description="real depth: a folder of maps (16-bit PNG or PGM, EXR), or one map")
+    depth: Path | None = Field(
+        default=None, description="real depth: a folder of maps (16-bit PNG or PGM, TIFF, EXR), one map, or a file of many"
+    )
     depth_scale: float | None = Field(default=None, gt=0, description="stored values to a metre; default 1000, of EXR 1")
     depth_start: Time | None = Field(default=None, description="when the first map was taken, from the clip's first frame")
     depth_align: Literal["marker", "none"] = Field(

@@ -1,8 +1,9 @@
-"""Measured depth of the real scene: a folder of maps (16-bit PNG or PGM, EXR), or one map for a camera at rest.
+"""Measured depth of the real scene: a folder of maps (16-bit PNG or PGM, TIFF, EXR), a file that holds many (TIFF, video),
+or one map for a camera at rest.
 
 Depth runs along the optical axis, upright as the clip is shown. 0, negative, not finite and the largest value of 16 bits
 mean that nothing was measured there. Maps belong to frames by their order, or by the time in their names as TUM RGB-D
-writes them (1305031102.160407.png: seconds).
+writes them (1305031102.160407.png: seconds), or by the times of a video's frames.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from arfx.errors import InputError
+from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
 from arfx.media.images import load_image
 
-SUFFIXES = (".png", ".pgm", ".exr")
+SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
+_KINDS = "16-bit PNG or PGM, TIFF, EXR"
 _STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
 _ASPECT = 0.005
 _NEAR_SHARE = 0.75  # a frame takes a map that is at most this share of the maps' usual distance in time away
@@ -25,9 +28,10 @@ _NEAR_SHARE = 0.75  # a frame takes a map that is at most this share of the maps
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """files : in order;  steps_per_m : stored values to a metre, None = by kind (integers: millimetres, EXR: metres)
+    """files : in order;  steps_per_m : stored values to a metre, None = by kind (integers: millimetres, floats: metres)
 
-    times_s : of each map after the first one, where the names tell, else None;  start_s : of the first, after the clip's
+    times_s : of each map after the first one, where they are told, else None;  start_s : of the first, after the clip's
+    frames : the maps where one file holds them, else None: each file is one
     """
 
     path: Path
@@ -35,11 +39,20 @@ class DepthMaps:
     steps_per_m: float | None
     times_s: tuple[float, ...] | None
     start_s: float = 0.0
+    frames: DepthVideo | DepthPages | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.files) if self.frames is None else self.frames.count
 
     @property
     def still(self) -> bool:
         """One map for every frame."""
-        return len(self.files) == 1
+        return self.count == 1
+
+    def name(self, number: int) -> str:
+        """What messages call a map."""
+        return str(self.files[number]) if self.frames is None else f"{self.path}, map {number}"
 
     def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[int | None]:
         """Number of each frame's map, None where none was taken near its time.
@@ -51,7 +64,7 @@ class DepthMaps:
         if self.still:
             return [0] * len(times_s)
         if self.times_s is None:
-            wanted, held = before + len(times_s), len(self.files)
+            wanted, held = before + len(times_s), self.count
             if held < wanted or (whole and held > wanted):
                 count = f"{wanted} frames" if whole else f"at least {wanted} frames"
                 raise InputError(
@@ -71,12 +84,13 @@ class DepthMaps:
 
         width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
         """
-        path = self.files[number]
-        stored = _stored(path)
+        stored = (
+            _stored(self.files[number]) if self.frames is None else _depth_kind(self.frames.stored(number), self.name(number))
+        )
         h, w = stored.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
             raise InputError(
-                f"depth map {path} is {w}x{h}, the clip {width}x{height}: another shape",
+                f"depth map {self.name(number)} is {w}x{h}, the clip {width}x{height}: another shape",
                 "maps as the clip is shown, of its size or the same aspect ratio",
             )
         steps = self.steps_per_m or (_STEPS_A_METRE if stored.dtype.kind == "u" else 1.0)
@@ -88,7 +102,9 @@ class DepthMaps:
         return np.where(good, metres, np.float32(0))
 
     def digest(self, number: int) -> str:
-        """Of a map's file."""
+        """Of a map's file, or of its values."""
+        if self.frames is not None:
+            return hashlib.blake2b(self.frames.stored(number).tobytes(), digest_size=8).hexdigest()
         return hashlib.blake2b(self.files[number].read_bytes(), digest_size=8).hexdigest()
 
 
@@ -97,12 +113,15 @@ def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.
     if not path.exists():
         raise InputError(f"depth {path}: no such file or folder", "check the path")
     if path.is_file():
+        if path.suffix.lower() in (*TIFF, *VIDEO):
+            frames = open_frames(path)
+            return DepthMaps(path, (path,), steps_per_m, frames.times_s, start_s, frames)
         if path.suffix.lower() not in SUFFIXES:
-            raise InputError(f"depth {path} is not a depth map", "16-bit PNG or PGM, or EXR; or a folder of them")
+            raise InputError(f"depth {path} is not a depth map", f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)")
         return DepthMaps(path, (path,), steps_per_m, None)
     found = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     if not found:
-        raise InputError(f"depth folder {path} holds no depth map", "16-bit PNG or PGM, or EXR")
+        raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     kinds = sorted({p.suffix.lower() for p in found})
     if len(kinds) > 1:
         raise InputError(f"depth folder {path} holds {' and '.join(kinds)} files", "maps of one kind only")
@@ -139,10 +158,15 @@ def _stored(path: Path) -> np.ndarray:
         raise InputError(f"depth map {path} cannot be read: {e.strerror}") from None
     raw: np.ndarray | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if raw is None:
-        raise InputError(f"depth map {path} cannot be read as an image", "16-bit PNG or PGM, or EXR")
-    if raw.ndim != 2 or raw.dtype != np.uint16:
+        raise InputError(f"depth map {path} cannot be read as an image", _KINDS)
+    return _depth_kind(raw, str(path))
+
+
+def _depth_kind(raw: np.ndarray, name: str) -> np.ndarray:
+    """The same, if it is one channel of 16 bits or float32. Raises InputError."""
+    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
         kind = f"{raw.dtype} with {1 if raw.ndim == 2 else raw.shape[2]} channel{'s' if raw.ndim > 2 else ''}"
         raise InputError(
-            f"depth map {path} holds {kind}, not depth", "one channel of 16 bits: a PNG or PGM as RGB-D cameras give"
+            f"depth map {name} holds {kind}, not depth", "one channel of 16 bits: a PNG or PGM as RGB-D cameras give"
         )
     return raw

@@ -91,7 +91,7 @@ def with_depth(
             out[n] = replace(out[n], extra={**out[n].extra, KEY: depth.to_json()})
             got += 1
     summary = {
-        "path": str(maps.path), "maps": len(maps.files), "paired_by": _paired(maps), "frames_with": got,
+        "path": str(maps.path), "maps": maps.count, "paired_by": _paired(maps), "frames_with": got,
         "frames_without": len(facts) - got, "holes": float(np.mean([t.holes for t in told.values()])), **scale.to_json(),
     }  # fmt: skip
     return tuple(out), summary
@@ -114,6 +114,6 @@ def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: C
         return None
     depth = maps.load(told.map, camera.width, camera.height)
     if not depth.any():
-        raise InputError(f"depth map {maps.files[told.map]} has changed since the analysis", "start the job anew")
+        raise InputError(f"depth map {maps.name(told.map)} has changed since the analysis", "start the job anew")
     whole = filled(depth, np.ascontiguousarray(frame.luma()))
     return np.ascontiguousarray(whole[rect.slices]) * np.float32(told.scale)

@@ -2,7 +2,7 @@
 opacity. b is what the camera adds where no light falls (the facts' bias): a shadow takes light, not that.
 
 Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, SYSTEMS.md S1. Cost: O(pixels), memory bound.
-Leaves out: depth order against real objects (no depth of the real scene here).
+Leaves out: depth order against real objects (stage `hide`).
 """
 
 # mypy: disable-error-code="no-untyped-def"

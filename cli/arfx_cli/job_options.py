@@ -35,7 +35,7 @@ _OPTIONS = [
     click.option("--light", metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation; degrees."),
     click.option("--environment", type=FILE, help="A known light: HDR panorama, its top the marker's z, its middle x."),
     click.option("--formula", type=click.Choice(["paper", "corrected"]), help="As printed, or with its defects removed."),
-    click.option("--depth", type=click.Path(path_type=Path), help="Real depth: folder of maps (16-bit PNG, PGM, EXR) or one."),
+    click.option("--depth", type=click.Path(path_type=Path), help="Real depth: maps (16-bit PNG, PGM, EXR, TIFF), video (FFV1)."),
     click.option("--depth-scale", type=float, metavar="N", help="Stored depth values to a metre; default 1000 (mm), EXR 1."),
     click.option("--anchor", type=click.Choice(["marker", "plane"]), help="Stand on the marker, or on the depth's main plane."),
     click.option("--poses", type=FILE, help="Camera poses for --anchor plane: tx ty tz qx qy qz qw a frame."),

@@ -73,7 +73,9 @@ def deposit_real(
             light, up, along = (patch, box[1], box[0]) if patched[i] else (image, 0, 0)
             if plain and lowest[i] > 0 and highest[i] <= lowest[i] + 1:
                 after = i + 1  # as many tiles as there are alike: memory is read along the rows
-                while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]) and patched[after] == patched[i]:
+                while (
+                    after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]) and patched[after] == patched[i]
+                ):
                     after += 1
                 xb = min(left + after * TILE_PX, width)
                 part = light[ya - up : yb - up, 3 * (xa - along) : 3 * (xb - along)]

@@ -53,7 +53,7 @@ def add_two_between(typingctx, out, at, line, p, q, t, step):
         slope = builder.fsub(high, low)
         t = _vector(builder, 4 * [args[5]])
         cell = args[1]
-        for k in range(2):
+        for _ in range(2):
             to = place(0, cell)
             value = builder.fadd(low, builder.fmul(slope, t))
             builder.store(builder.fadd(builder.load(to, align=4), value), to, align=4)

@@ -4,7 +4,7 @@ Two layers make the silhouette of the virtual object exact: behind it is the cle
 has it, so what a blurred edge lets through is known.
 """
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, call-arg"
 from __future__ import annotations
 
 import numba

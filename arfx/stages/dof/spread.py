@@ -318,7 +318,8 @@ def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pr
         j = (y + lead_y - half) >> rung
         t = (np.float32(y + lead_y - half - (j << rung)) + np.float32(0.5)) * step
         a, b = min(max(j, 0), height - 1) - first_row, min(max(j + 1, 0), height - 1) - first_row
-        upper, lower = values[first + a * stride : first + (a + 1) * stride], values[first + b * stride : first + (b + 1) * stride]
+        up, down = first + a * stride, first + b * stride
+        upper, lower = values[up : up + stride], values[down : down + stride]
         for n in range(4 * max(begin >> rung, 0), 4 * min(((end - 1) >> rung) + 2, width)):
             between[n] = upper[n] + (lower[n] - upper[n]) * t
         # cells whose pixels, up to the next cell's middle, are all wanted and have a cell on both sides; then the rest

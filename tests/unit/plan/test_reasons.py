@@ -12,6 +12,7 @@ import pytest
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.pose import Pose
+from arfx.core.real_depth import KEY, RealDepth, tile_ranges
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import level_named
@@ -50,6 +51,12 @@ def tiny() -> Scene:
     return replace(s, world_from_model=lifted)
 
 
+def in_depth(f: FrameFacts, depth_m: float) -> FrameFacts:
+    """All of the real scene at one depth."""
+    told = RealDepth(0, 1.0, "", tile_ranges(np.full((240, 320), depth_m), (320, 240)))
+    return f.with_(extra={KEY: told.to_json()})
+
+
 FAINT_LAMP = 0.7 * STAGES["lightmap"].Params().faint  # of the plane's light; two of them show, one alone does not
 FOOTAGE = {"dof": {"lens": "footage", "scope": "virtual"}}
 UNKNOWN = {"known": False, "reason": "3 edges of known distance", "px_per_dioptre": 0.0, "focus": 0.0}
@@ -66,6 +73,10 @@ GIVEN = {
     ("contact", "contact shadow changes less than half a grey level"): (SCENE, SEEN, {"contact": {"strength": 0.001}}),
     ("contact", "plane seen from behind"): (SCENE, below(SCENE), {}),
     ("contact", "contact shadow out of view"): (SCENE, beside(SCENE), {}),
+    ("hide", "marker not visible"): (SCENE, ABSENT, {}),
+    ("hide", "model out of view"): (SCENE, in_depth(beside(SCENE), 0.1), {}),
+    ("hide", "the real scene's depth is not known"): (SCENE, SEEN, {}),
+    ("hide", "nothing real is nearer than the object's # m"): (SCENE, in_depth(SEEN, 50.0), {}),
     ("composite", "marker not visible"): (SCENE, ABSENT, {}),
     ("composite", NOTHING_BEFORE): (SCENE, beside(SCENE), {}),
     ("lightmap", "marker not visible"): (SCENE, ABSENT, {}),
@@ -92,7 +103,7 @@ def reason(name: str, s: Scene, f: FrameFacts, settings: dict) -> str | None:
     """Why the planner leaves the stage out in this frame, numbers as #."""
     lit = ("raster", "lightmap", "composite")
     effects = {"lightmap": lit, "gi": (*lit[:2], "gi", "composite"), "dof": (*lit, "dof")}.get(
-        name, ("raster", "plain", "contact", "composite")
+        name, ("raster", "plain", "contact", "hide", "composite")
     )
     stages = [STAGES[n](STAGES[n].Params(**settings.get(n, {}))) for n in effects]
     levels = {st.name: level_named(st.levels, "standard") for st in stages}

@@ -45,8 +45,10 @@ def test_a_nearer_thing_hides_the_object_and_a_farther_one_does_not() -> None:
     away = np.ones(SIZE[0], bool)
     away[BAR.start - 13 : BAR.stop + 13] = False
     np.testing.assert_array_equal(coverage[:, away], before[:, away])
-    assert Hide().demand(at.facts, at.scene, at.scene.camera.rect).rect.contains(
-        Rect(BAR.start, 0, BAR.stop, SIZE[1]).clip(at.facts.model_box)
+    assert (
+        Hide()
+        .demand(at.facts, at.scene, at.scene.camera.rect)
+        .rect.contains(Rect(BAR.start, 0, BAR.stop, SIZE[1]).clip(at.facts.model_box))
     )
     for far_m in (0.9, 1.0):
         behind = scene_with_bar(far_m)
