@@ -154,11 +154,11 @@ class Watercolor:
         p, cell_px = self.params, self._cell_px(level)
 
         def make() -> tuple[Field, Any, bytes]:
-            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored, way)
+            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored, way, p.detail)
             return where, pose, _field_key(where)
 
         found, pose = facts.extra.get(FACT, {}), facts.camera_from_world
-        key = (found.get(way), repr(found.get("pose")), None if found else _pose_key(pose))
+        key = (found.get(way), found.get("detail"), repr(found.get("pose")), None if found else _pose_key(pose))
         made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
         return made
 

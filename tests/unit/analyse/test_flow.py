@@ -151,7 +151,8 @@ def test_linear_fields_are_not_bent() -> None:
 def test_near_the_marker_the_pose_is_believed() -> None:
     """A blank picture shows no motion; the poses do, and the sites on the plane go with it."""
     nodes = node_places(W, H)[0].shape
-    steps = [MotionStep(0, None, True), MotionStep(1, np.zeros((*nodes, 2), np.float32), False)]
+    even = np.zeros(nodes, np.uint8)
+    steps = [MotionStep(0, None, True, even), MotionStep(1, np.zeros((*nodes, 2), np.float32), False, even)]
     s = scene(camera(W, H))
     poses = [look_at(0.5, 40, 20), look_at(0.5, 40, 26)]
     given = [FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0) for k, p in enumerate(poses)]
