@@ -67,6 +67,8 @@ def with_anchors(
                     seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(_sampled(detail, x, y, gx, gy), 0, 255)
                 detail = seen
                 last_back = np.zeros_like(last_back) if step.key or back is None else back
+            elif cut:  # unnoticed by the flow: there was nothing to see
+                detail, last_back = np.zeros(gx.shape), np.zeros_like(last_back)
             if step is not None and step.key:
                 key = u, v, f.camera_from_world
             elif back is None:
