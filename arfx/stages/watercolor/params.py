@@ -46,7 +46,7 @@ class WatercolorParams:
     formula: str = "corrected"
     cell_px: float = 7.0
     nearer_finer: float = 0.5
-    detail: float = 0.0
+    detail: float = 1.0
     anchored: bool = True
     wash: float = 0.6
     lightness: float = 0.25

@@ -250,7 +250,7 @@ class Watercolor:
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area
-        most = int(min(2 * area + 4096, 8 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
+        most = int(min(2 * area + 4096, 12 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
         wobble = prepared.wobble.at(*_shift(where))
         sites = in_order(sites_of(where, scene.seed, most, cell), rect, wobble)
