@@ -24,6 +24,7 @@ from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 
 FACT = "watercolor"
+_NEW_DETAIL = 0.1  # share of what is seen now in the detail of a set; the rest is what was there before
 _RELAX = 0.02  # share of the field's bend that is taken out per set
 _LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
 _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
@@ -43,6 +44,7 @@ def with_anchors(
     number, u, v = 0, gx, gy
     last: FrameFacts | None = None
     key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
+    detail, last_back = np.zeros(gx.shape), np.zeros((*gx.shape, 2))
     document: Mapping[str, Any] = {}
     out, sets, of_frame = [], [], []
     for f in facts:
@@ -58,6 +60,15 @@ def with_anchors(
                     back = _with_pose(back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m)
                 u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in key[:2])
                 u, v = relaxed(u, v)
+            if step is not None:
+                seen = step.detail.astype(float)
+                if back is not None:  # carried along with the things, a little of what is seen now each time
+                    x, y = gx + back[..., 0] - last_back[..., 0], gy + back[..., 1] - last_back[..., 1]
+                    seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(_sampled(detail, x, y, gx, gy), 0, 255)
+                detail = seen
+                last_back = np.zeros_like(last_back) if step.key or back is None else back
+            elif cut:  # unnoticed by the flow: there was nothing to see
+                detail, last_back = np.zeros(gx.shape), np.zeros_like(last_back)
             if step is not None and step.key:
                 key = u, v, f.camera_from_world
             elif back is None:
@@ -66,7 +77,7 @@ def with_anchors(
                     _sampled(u, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy),
                     _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
                 )  # fmt: skip
-            document = _document(number, gx, gy, u, v, f.camera_from_world)
+            document = _document(number, gx, gy, u, v, detail, f.camera_from_world)
             begins = back is None
             kept = back if back is not None else None if step is None or step.back is None else step.back.astype(float)
             sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
@@ -147,10 +158,12 @@ def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return a / GRID_PX**2, b / GRID_PX**2
 
 
-def _document(number: int, gx: np.ndarray, gy: np.ndarray, u: np.ndarray, v: np.ndarray, pose: Pose | None) -> Mapping[str, Any]:
+def _document(
+    number: int, gx: np.ndarray, gy: np.ndarray, u: np.ndarray, v: np.ndarray, detail: np.ndarray, pose: Pose | None
+) -> Mapping[str, Any]:
     return {
         "set": number, "pitch": GRID_PX, "origin": [int(gx[0, 0]), int(gy[0, 0])], "shape": list(u.shape),
-        "nodes": _nodes(u, v),
+        "nodes": _nodes(u, v), "detail": base64.b64encode(zlib.compress(np.round(detail).astype("u1").tobytes(), 6)).decode(),
         "pose": None if pose is None else pose.to_json(),
     }  # fmt: skip
 

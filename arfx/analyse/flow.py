@@ -26,6 +26,7 @@ HOLD_PX = 0.35
 _AGREE_PX, _AGREE_SHARE = 0.6, 0.05  # forward and backward flow agree to this, on the small frame
 _GRADIENT = 6.0  # grey levels per px at which a place is trusted half
 KEY_SHARE = 0.06  # of the picture's width
+_NOISE, _STEEP = 2.0, 20.0  # grey levels per px of the small frame: no detail, and as much as counts
 _CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
 _LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last set's
 _SPREAD_NODES = 1.5
@@ -35,11 +36,13 @@ _SPREAD_NODES = 1.5
 class MotionStep:
     """A frame at which a new set of sites begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
     frame, to lie where they lay in the last key frame; None : nothing is known (first frame, or all is new)
-    key : later steps are relative to this frame"""
+    key : later steps are relative to this frame
+    detail (gh, gw) uint8 : how much there is to see around the nodes, 0 = even, 255 = edges everywhere"""
 
     index: int
     back: np.ndarray | None
     key: bool
+    detail: np.ndarray
 
 
 def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +73,7 @@ class BackgroundMotion:
         self._size = (w, h)
         if found is None:
             self._reference, self._last = small, None
-            self.steps.append(MotionStep(index, None, True))
+            self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))
             return
         back, agreed = found
         back = np.round(back * 16) / 16
@@ -79,7 +82,7 @@ class BackgroundMotion:
         if float(np.quantile(moved, 0.9)) <= self.hold_px:
             return
         far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_SHARE * w or agreed < _CHANGED
-        self.steps.append(MotionStep(index, back, far))
+        self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
         self._last = None if far else back
         if far:
             self._reference = small
@@ -114,7 +117,8 @@ class BackgroundMotion:
         return {
             "hold_px": self.hold_px, "size": list(self._size),
             "reference": None if self._reference is None else [list(self._reference.shape), _packed(self._reference)],
-            "steps": [[s.index, s.key, _written(s.back)] for s in self.steps], "last": _written(self._last),
+            "steps": [[s.index, s.key, _written(s.back), list(s.detail.shape), _packed(s.detail)] for s in self.steps],
+            "last": _written(self._last),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -122,7 +126,9 @@ class BackgroundMotion:
         held = state["reference"]
         self._reference = None if held is None else _unpacked(held[1], "u1", held[0])
         self._last = _read(state["last"])
-        self.steps = [MotionStep(index, _read(back), key) for index, key, back in state["steps"]]
+        self.steps = [
+            MotionStep(i, _read(back), key, _unpacked(detail, "u1", shape)) for i, key, back, shape, detail in state["steps"]
+        ]
 
 
 def _shrunk(luma: np.ndarray) -> np.ndarray:
@@ -158,6 +164,19 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     whole = np.stack([np.ones(u.shape), (u / w), (v / h)], -1) @ motion
     out: np.ndarray = ((whole + rest) * [sx, sy]).astype(np.float32)
     return np.clip(out, -2000, 2000)
+
+
+def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP; slopes of noise count nothing."""
+    slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
+    much = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
+    h, w = small.shape
+    much = cv2.GaussianBlur(much, (0, 0), max(GRID_PX * w / width / 2, 0.5), borderType=cv2.BORDER_REPLICATE)
+    gx, gy = node_places(width, height)
+    column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
+    row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
+    out: np.ndarray = np.round(255 * much[np.ix_(row, column)]).astype(np.uint8)
+    return out
 
 
 def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 The facts hold it as {"set", "pitch", "origin", "shape", "nodes", "pose"} (written by arfx.analyse.flow): nodes is base64 of
 zlib of int32 [u, v] in 1/16 px, each the difference to the node before it in its row; pose is camera_from_world of the
 frame for which the set was made, null where there is none. {"forward", "backward"} are nodes of two more patterns that begin
-unbent at both ends of a stretch of the clip, "share" is that of the second in this frame.
+unbent at both ends of a stretch of the clip, "share" is that of the second in this frame. "detail" is base64 of zlib of uint8,
+how much there is to see around each node.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import GRID_PX, Field, still_field
 
 FACT = "watercolor"
+_MUCH = 0.35  # detail that counts as all
+_EVEN_LEVELS, _DETAIL_LEVELS = 0.3, 0.9  # by how many doublings cells grow and shrink with it
 _FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may give
 
 
@@ -40,7 +43,13 @@ def ways(facts: FrameFacts, anchored: bool, both: bool) -> tuple[tuple[str, floa
 
 
 def frame_field(
-    facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool, way: str = "nodes"
+    facts: FrameFacts,
+    scene: Scene,
+    cell_px: float,
+    nearer_finer: float,
+    anchored: bool,
+    way: str = "nodes",
+    detail: float = 0.0,
 ) -> tuple[Field, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the set of sites is. way : of `ways`"""
     camera, pose = scene.camera, facts.camera_from_world
@@ -51,7 +60,10 @@ def frame_field(
         x0, y0 = found["origin"]
         gh, gw = found["shape"]
         u, v = decoded(found[way], gh, gw)
-        field = Field(x0, y0, u, v, np.full((gh, gw), cell_px))
+        size = np.full((gh, gw), float(cell_px))
+        if detail > 0 and "detail" in found:
+            size *= detail_factor(np.frombuffer(zlib.decompress(base64.b64decode(found["detail"])), "u1").reshape(gh, gw), detail)
+        field = Field(x0, y0, u, v, size)
         pose = None if found["pose"] is None else Pose.from_json(found["pose"])
     if pose is not None and nearer_finer > 0:
         field = Field(field.x0, field.y0, field.u, field.v, field.size * depth_factor(field, camera, pose, scene, nearer_finer))
@@ -68,6 +80,13 @@ def decoded(text: str, gh: int, gw: int) -> tuple[np.ndarray, np.ndarray]:
     steps = np.frombuffer(zlib.decompress(base64.b64decode(text)), "<i4").reshape(2, gh, gw)
     u, v = np.cumsum(steps.astype(np.int64), axis=2) / 16.0
     return u, v
+
+
+def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
+    """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where there is much. detail : 0..255"""
+    share = np.minimum(detail / (255 * _MUCH), 1.0)
+    out: np.ndarray = 2.0 ** (strength * (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * share))
+    return out
 
 
 def depth_factor(field: Field, camera: Camera, pose: Pose, scene: Scene, strength: float) -> np.ndarray:

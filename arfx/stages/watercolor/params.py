@@ -11,7 +11,7 @@ from arfx.errors import ConfigError
 
 # (name, least, most) of every number
 _RANGES = (
-    ("cell_px", 0.5, 4096), ("nearer_finer", 0, 1), ("wash", 0, 1), ("lightness", 0, 2), ("deepest", 0, 0.5),
+    ("cell_px", 0.5, 4096), ("nearer_finer", 0, 1), ("detail", 0, 1), ("wash", 0, 1), ("lightness", 0, 2), ("deepest", 0, 0.5),
     ("saturation", 0, 3), ("lines", 0, 1),
     ("line_width_px", 0.5, 16), ("line_low", 0, 1), ("line_high", 0, 2), ("line_smooth_px", 0, 10), ("line_threshold", 0, 2),
     ("alpha", 0, 1), ("beta", 0, 1), ("edge_darkening", 0, 1), ("wobble_px", 0, 8), ("flow", 0, 1), ("flow_px", 8, 4096),
@@ -24,6 +24,7 @@ class WatercolorParams:
     """formula : corrected, or paper: as printed, new jitter every frame, cells told apart by colour, hard edges
     cell_px : size of a cell, px of the picture
     nearer_finer : how strongly cells shrink with nearness on the marker's plane; 0 = all alike, 1 = in proportion
+    detail : how strongly cells shrink where there is much to see, and grow where there is little
     anchored : cells follow what they lie on; false = they stay on the screen
     wash : how far alike neighbours run into one wash, 0 = plain cells, 1 = large washes
     lightness : thins the paint, so that the paper shows, 0 = the picture's own;  saturation : factor on colourfulness
@@ -45,6 +46,7 @@ class WatercolorParams:
     formula: str = "corrected"
     cell_px: float = 7.0
     nearer_finer: float = 0.5
+    detail: float = 1.0
     anchored: bool = True
     wash: float = 0.6
     lightness: float = 0.25

@@ -3,10 +3,11 @@
 1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact mean of its pixels;
 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour, silhouette or crease are strong.
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
-and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while a frame is painted, 68 of them the layers that
-it reads (3.5 GB at 8K), and 12 for each of two kept pictures (none above 16 Mpx).
+and gives the same bits. Cost: O(pixels). Memory: about 108 bytes a pixel while a frame is painted, 68 of them the layers that
+it reads (8K: 3.7 GB measured, with the program), and 12 for each of two kept pictures (none above 16 Mpx).
 Levels: draft has coarser cells by chamfer distance; high paints the patterns carried forward and backward and fades between
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
+line_hold looks at the frame before as well (hold.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
 Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
 """
@@ -154,11 +155,11 @@ class Watercolor:
         p, cell_px = self.params, self._cell_px(level)
 
         def make() -> tuple[Field, Any, bytes]:
-            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored, way)
+            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored, way, p.detail)
             return where, pose, _field_key(where)
 
         found, pose = facts.extra.get(FACT, {}), facts.camera_from_world
-        key = (found.get(way), repr(found.get("pose")), None if found else _pose_key(pose))
+        key = (found.get(way), found.get("detail"), repr(found.get("pose")), None if found else _pose_key(pose))
         made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
         return made
 
@@ -250,7 +251,7 @@ class Watercolor:
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area
-        most = int(min(2 * area + 4096, 8 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
+        most = int(min(2 * area + 4096, 12 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
         wobble = prepared.wobble.at(*_shift(where))
         sites = in_order(sites_of(where, scene.seed, most, cell), rect, wobble)

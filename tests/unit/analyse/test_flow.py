@@ -151,7 +151,8 @@ def test_linear_fields_are_not_bent() -> None:
 def test_near_the_marker_the_pose_is_believed() -> None:
     """A blank picture shows no motion; the poses do, and the sites on the plane go with it."""
     nodes = node_places(W, H)[0].shape
-    steps = [MotionStep(0, None, True), MotionStep(1, np.zeros((*nodes, 2), np.float32), False)]
+    even = np.zeros(nodes, np.uint8)
+    steps = [MotionStep(0, None, True, even), MotionStep(1, np.zeros((*nodes, 2), np.float32), False, even)]
     s = scene(camera(W, H))
     poses = [look_at(0.5, 40, 20), look_at(0.5, 40, 26)]
     given = [FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0) for k, p in enumerate(poses)]
@@ -248,3 +249,37 @@ def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(monkeypatch: p
         assert np.ptp(u[t] - gx) == 0
         near = np.abs(u[t] - before).max() < 100
         assert near == (t != 14)  # what faded in goes on; a cut shows nothing of it
+
+
+def test_detail_goes_with_the_things_and_holds_still() -> None:
+    """A patch of texture on an even ground in a noisy pan: cells are finer on it, coarser beside it, and the wanted sizes at a
+    place of the ground hardly change from frame to frame."""
+    world = np.full((700, 700), 120, np.uint8)
+    world[210:330, 260:330] = texture(3)[210:330, 260:330] // 2 + 40
+    world[210:330:12, 260:330] = 230
+    motion = folded([view(world, pan(t), t) for t in range(16)])
+    facts = with_anchors([FrameFacts(t, t / 30) for t in range(16)], motion.steps, camera(W, H), Pose.identity(), 0.0)
+    s, on, off = scene(camera(W, H)), [], []
+    for t, f in enumerate(facts):
+        field, _ = reader.frame_field(f, s, 8.0, 0.0, True, detail=1.0)
+        assert (field.size >= 8 * 2**-0.91).all() and (field.size <= 8 * 2**0.31).all()
+        x, y = (295 - 150 - 2.5 * t - field.x0) / GRID_PX, (270 - 150 + t - field.y0) / GRID_PX
+        grid = field.size.astype(np.float32)
+        on.append(float(cv2.remap(grid, np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR)[0, 0]))
+        off.append(float(field.size[-2, 4]))
+    assert max(on) < 0.8 * 8 < 8 < min(off)
+    assert np.abs(np.diff(np.log2(on))).max() < 0.08
+    plain, _ = reader.frame_field(facts[3], s, 8.0, 0.0, True)
+    assert np.ptp(plain.size) == 0
+
+
+def test_detail_goes_on_after_a_pause_and_begins_anew_at_a_cut() -> None:
+    a, b = np.full((H, W), 90, np.uint8), view(texture(1), pan(0), 1)
+    motion = folded([b, b, a, a])
+    facts = [FrameFacts(t, t / 30, shot=t // 2) for t in range(4)]
+    made = with_anchors(facts, motion.steps, camera(W, H), Pose.identity(), 0.0)
+    size = [reader.frame_field(f, scene(camera(W, H)), 8.0, 0.0, True, detail=1.0)[0].size for f in made]
+    assert np.array_equal(size[0], size[1]) and size[0].mean() < 7 and (size[2] > 8).all()
+    again = BackgroundMotion()
+    again.restore(json.loads(json.dumps(motion.state())))
+    assert [s.detail.tolist() for s in again.steps] == [s.detail.tolist() for s in motion.steps]
