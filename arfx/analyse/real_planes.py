@@ -32,7 +32,8 @@ LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 @dataclass(frozen=True, eq=False)
 class ScenePlane:
     """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on it, world;  up : world;
-    cut (n,) bool : points next to the border of their picture;  right : of the picture, world, for its x axis;  noise_m : of the points"""
+    cut (n,) bool : points next to the border of their picture;  right : of the picture, world, for its
+    x axis;  noise_m : of the points"""
 
     normal: np.ndarray
     points: np.ndarray
@@ -60,7 +61,6 @@ class ScenePlane:
         ends = self._ends(places[:, :2])
         plane = RealPlane(pose, moved.extent_m, moved.area_m2, residual, len(places), self.frames, ends)
         return plane, moved
-
 
     def _ends(self, places: np.ndarray) -> tuple[bool, bool, bool, bool]:
         """Of the sides x0, y0, x1, y1 of what was seen: whether the plane ends there. places (n, 2), plane axes"""
@@ -92,7 +92,8 @@ def _in_world(cloud: Cloud, found: FoundPlane, world_from_camera: Pose, size: tu
     cosine = np.abs(normalise(cloud.points[rows]) @ found.normal)
     return ScenePlane(
         world_from_camera.rotation @ found.normal, world_from_camera.apply(cloud.points[rows]),
-        spacing_on(cloud.spacing_m[rows], cosine), cut, world_from_camera.rotation[:, 0], float(np.median(cloud.noise_m[rows])), 1,
+        spacing_on(cloud.spacing_m[rows], cosine), cut, world_from_camera.rotation[:, 0],
+        float(np.median(cloud.noise_m[rows])), 1,
     )  # fmt: skip
 
 
@@ -107,7 +108,8 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
             share = len(old.points) / (len(old.points) + len(new.points))
             planes[k] = ScenePlane(
                 normalise(share * old.normal + (1 - share) * new.normal), np.concatenate([old.points, new.points]),
-                np.concatenate([old.spacing_m, new.spacing_m]), np.concatenate([old.cut, new.cut]), old.right, share * old.noise_m + (1 - share) * new.noise_m,
+                np.concatenate([old.spacing_m, new.spacing_m]), np.concatenate([old.cut, new.cut]), old.right,
+                share * old.noise_m + (1 - share) * new.noise_m,
                 old.frames + new.frames,
             )  # fmt: skip
             return

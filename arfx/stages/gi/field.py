@@ -66,7 +66,8 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Behind:
-    """Arguments of surroundings.behind: planes, their Planes.reach, textures and mips on them; maps, widths, turn of the environment."""
+    """Arguments of surroundings.behind: planes, their Planes.reach, textures and mips on them; maps, widths, turn of
+    the environment."""
 
     axes: np.ndarray
     reach: np.ndarray

@@ -199,7 +199,8 @@ def behind(
     """(r, g, b) of what lies behind the voxels from x, y, z (metres) along d: planes nearest first, then the environment.
 
     A cone that lies across a plane's horizon sees it with the part of its width that is under it.
-    Where a plane ends, what is behind it is seen. reach (p, 5) : half side of its texture, and bounds;  textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side;  skip : a plane not to be met
+    Where a plane ends, what is behind it is seen. reach (p, 5) : half side of its texture, and bounds
+    textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side;  skip : a plane not to be met
     """
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     wide = tan_half / np.sqrt(one + tan_half * tan_half)
