@@ -23,17 +23,22 @@ from arfx.core.real_plane import RealPlane
 SAME_DEG = 6.0  # planes of two maps are one if they lean less against each other
 SAME_NOISES, SAME_M = 3.0, 0.015  # and lie so near each other at their middles
 UPRIGHT = np.cos(np.radians(60))
+BORDER = 0.05  # of the picture's size: what lies so near its border may go on beyond
+RIM = 0.06  # of a plane's extent: points so near one of its sides tell whether it ends there
+CUT = 0.15  # share of those on the picture's border from which on it was the picture that ended
 LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 
 
 @dataclass(frozen=True, eq=False)
 class ScenePlane:
     """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on it, world;  up : world;
-    right : of the picture, world, for its x axis;  noise_m : of the points"""
+    cut (n,) bool : points next to the border of their picture;  right : of the picture, world, for its
+    x axis;  noise_m : of the points"""
 
     normal: np.ndarray
     points: np.ndarray
     spacing_m: np.ndarray
+    cut: np.ndarray
     right: np.ndarray
     noise_m: float
     frames: int
@@ -53,8 +58,18 @@ class ScenePlane:
         moved = PlaneMesh(mesh.mask, mesh.low_m - middle, mesh.cell_m)
         pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
         residual = 1e3 * float(np.sqrt(((places[:, 2] - height) ** 2).mean()))
-        plane = RealPlane(pose, moved.extent_m, moved.area_m2, residual, len(places), self.frames)
+        ends = self._ends(places[:, :2])
+        plane = RealPlane(pose, moved.extent_m, moved.area_m2, residual, len(places), self.frames, ends)
         return plane, moved
+
+    def _ends(self, places: np.ndarray) -> tuple[bool, bool, bool, bool]:
+        """Of the sides x0, y0, x1, y1 of what was seen: whether the plane ends there. places (n, 2), plane axes"""
+        low, high = np.quantile(places, 0.005, 0), np.quantile(places, 0.995, 0)
+        rim = RIM * (high - low)
+        near = [places[:, 0] < low[0] + rim[0], places[:, 1] < low[1] + rim[1]]
+        near += [places[:, 0] > high[0] - rim[0], places[:, 1] > high[1] - rim[1]]
+        a, b, c, d = (bool(n.any()) and float(self.cut[n].mean()) < CUT for n in near)
+        return a, b, c, d
 
 
 def scene_planes(maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera) -> list[ScenePlane]:
@@ -65,16 +80,20 @@ def scene_planes(maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera) -> lis
         if cloud is None:
             continue
         for found in find_planes(cloud):
-            _join(out, _in_world(cloud, found, pose.inverse()))
+            _join(out, _in_world(cloud, found, pose.inverse(), (depth.shape[1], depth.shape[0])))
     return sorted(out, key=lambda p: -len(p.points))
 
 
-def _in_world(cloud: Cloud, found: FoundPlane, world_from_camera: Pose) -> ScenePlane:
+def _in_world(cloud: Cloud, found: FoundPlane, world_from_camera: Pose, size: tuple[int, int]) -> ScenePlane:
     rows = found.inliers
+    margin = BORDER * max(size)
+    at = cloud.pixels[rows]
+    cut = ((at < margin) | (at > np.array(size) - 1 - margin)).any(1)
     cosine = np.abs(normalise(cloud.points[rows]) @ found.normal)
     return ScenePlane(
         world_from_camera.rotation @ found.normal, world_from_camera.apply(cloud.points[rows]),
-        spacing_on(cloud.spacing_m[rows], cosine), world_from_camera.rotation[:, 0], float(np.median(cloud.noise_m[rows])), 1,
+        spacing_on(cloud.spacing_m[rows], cosine), cut, world_from_camera.rotation[:, 0],
+        float(np.median(cloud.noise_m[rows])), 1,
     )  # fmt: skip
 
 
@@ -89,7 +108,8 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
             share = len(old.points) / (len(old.points) + len(new.points))
             planes[k] = ScenePlane(
                 normalise(share * old.normal + (1 - share) * new.normal), np.concatenate([old.points, new.points]),
-                np.concatenate([old.spacing_m, new.spacing_m]), old.right, share * old.noise_m + (1 - share) * new.noise_m,
+                np.concatenate([old.spacing_m, new.spacing_m]), np.concatenate([old.cut, new.cut]), old.right,
+                share * old.noise_m + (1 - share) * new.noise_m,
                 old.frames + new.frames,
             )  # fmt: skip
             return

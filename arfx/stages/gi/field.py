@@ -66,10 +66,11 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Behind:
-    """Arguments of surroundings.behind: planes, textures and mips on them; maps, widths, turn of the environment."""
+    """Arguments of surroundings.behind: planes, their Planes.reach, textures and mips on them; maps, widths, turn of
+    the environment."""
 
     axes: np.ndarray
-    half_m: np.float32
+    reach: np.ndarray
     textures: np.ndarray
     mips: np.ndarray
     maps: np.ndarray
@@ -78,7 +79,7 @@ class Behind:
 
     @property
     def arguments(self) -> tuple:
-        return self.axes, self.half_m, self.textures, self.mips, self.maps, self.widths, self.turn
+        return self.axes, self.reach, self.textures, self.mips, self.maps, self.widths, self.turn
 
     def with_textures(self, radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> Behind:
         textures, mips = mip_chain(radiance, known, otherwise)

@@ -3,9 +3,10 @@
 Voxels are a bad judge of it: a wall one voxel thick lets 5 to 15 % of a narrow cone through, a curved one is fatter by up to
 a voxel than the surface is; on a plane beside the object these are up to 4 % of the light too much, or 10 % too little, and
 finer voxels exchange one for the other. Rays are exact, and say which voxel's light arrives, so that a new light is a
-weighted sum. Metal sends on what lies in the mirrored direction. Directions are a Fibonacci lattice, cosine-weighted, shifted from texel to texel.
-Source: form factors of radiosity (Goral et al. 1984), Monte Carlo. Cost: O(rays that meet the object's box), none per frame.
-Leaves out: parts that can be seen through (those keep their cones); lamps mirrored by metal (caustics).
+weighted sum. Metal sends on what lies in the mirrored direction. Directions are a Fibonacci lattice, cosine-weighted, shifted
+from texel to texel. Source: form factors of radiosity (Goral et al. 1984), Monte Carlo.
+Cost: O(rays that meet the object's box), none per frame. Leaves out: parts that can be seen through (those keep their cones);
+lamps mirrored by metal (caustics).
 """
 
 # mypy: disable-error-code="no-untyped-def"

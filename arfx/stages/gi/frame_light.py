@@ -176,7 +176,7 @@ def around(
     turn = scene.world_from_anchor.rotation.astype(np.float32)
     maps = factor.astype(np.float32) * kept.get(cube.tobytes(), lambda: octahedral(cube))
     back = Behind(
-        planes.axes, np.float32(planes.half_m), textures, mips, maps,
+        planes.axes, planes.reach, textures, mips, maps,
         np.array(HALF_ANGLES_DEG, np.float32), turn,
     )  # fmt: skip
     return Around(cube, factor, picture, known, mean, back, float(light.soft_radiance(up).min()))

@@ -24,7 +24,7 @@ DIFFUSE, GLOSS = 1, 2  # what is gathered at a point
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def light_points(
     points, wanted, eye, values, brick_of, meta, low, size, directions, weights, tan_half, half_deg, steps, lobes, tangents,
-    counts, axes, half_m, textures, mips, maps, widths, turn,
+    counts, axes, reach, textures, mips, maps, widths, turn,
 ):  # pragma: no cover - compiled  # fmt: skip
     """(m, 6) float32: radiance of a white diffuse surface, and what comes from about the mirrored direction.
 
@@ -55,7 +55,7 @@ def light_points(
                 deg_here = np.float32(np.arctan(tan_here) * np.float32(57.29578))
             r, g, b, left = trace(values, brick_of, meta, walk, ox, oy, oz, dx, dy, dz, px, py, pz, nx, ny, nz, True)
             if left > 0:
-                er, eg, eb = behind(axes, half_m, textures, mips, maps, widths, turn, -1, x, y, z, dx, dy, dz, tan_here, deg_here)
+                er, eg, eb = behind(axes, reach, textures, mips, maps, widths, turn, -1, x, y, z, dx, dy, dz, tan_here, deg_here)
                 r += left * er
                 g += left * eg
                 b += left * eb

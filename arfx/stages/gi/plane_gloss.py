@@ -55,7 +55,7 @@ def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame:
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def mirror_in_planes(
     plate, x0, y0, within, directions, origin, bias, f0, roughness, walk, tangent, least, values, brick_of, meta, low, size,
-    axes, half_m, textures, mips, maps, widths, turn, real,
+    axes, reach, textures, mips, maps, widths, turn, real,
 ):  # pragma: no cover - compiled  # fmt: skip
     """(h, w, 3) float32: radiance that the planes' mirror image of the object adds to the picture, or takes from it.
 
@@ -92,7 +92,7 @@ def mirror_in_planes(
             )  # fmt: skip
             if left >= one:
                 continue
-            er, eg, eb = behind(axes, half_m, textures, mips, maps, widths, turn, p, px, py, pz, mx, my, mz, tangent, half_deg)
+            er, eg, eb = behind(axes, reach, textures, mips, maps, widths, turn, p, px, py, pz, mx, my, mz, tangent, half_deg)
             out[i, j, 0] = f * (r - (one - left) * er)
             out[i, j, 1] = f * (g - (one - left) * eg)
             out[i, j, 2] = f * (b - (one - left) * eb)

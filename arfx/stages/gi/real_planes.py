@@ -12,11 +12,12 @@ import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.numerics import HALF_GREY, divide
+from arfx.core.numerics import HALF_GREY, divide, normalise
 from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.surroundings import Planes, unwarped
+from arfx.stages.gi.surroundings import ENDLESS, Planes, unwarped
 
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
@@ -54,16 +55,33 @@ def _planes(scene: Scene) -> Planes:
     anchor_from_world = scene.world_from_anchor.inverse()
     centre, radius = ball_of(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
-    told = [(pose, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
-    told += [(p.world_from_plane, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
-    for pose, cosine, apart_m in told:
+    bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
+    told: list[tuple[Pose, RealPlane | None, float, float]]
+    told = [(pose, None, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
+    told += [(p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
+    for pose, measured, cosine, apart_m in told:
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
-        known = any(n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m for a in axes)
+        same = [k for k, a in enumerate(axes) if n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m]
         distance = float((centre - o) @ n)
-        if not known and -0.5 * radius < distance < FARTHEST * radius:
+        if same and measured is not None and np.abs(bounds[same[0]]).min() >= ENDLESS:
+            k = same[0]
+            x = normalise(m.rotation[:, 0] - (m.rotation[:, 0] @ axes[k][3]) * axes[k][3])
+            axes[k] = np.stack([axes[k][0], x, np.cross(axes[k][3], x), axes[k][3]])
+            bounds[k] = _bounds(measured, axes[k], o)
+        if not same and -0.5 * radius < distance < FARTHEST * radius:
             axes.append(np.stack([centre - distance * n, m.rotation[:, 0], m.rotation[:, 1], n]))
-    return Planes(np.array(axes, np.float32), FARTHEST * radius)
+            bounds.append(_bounds(measured, axes[-1], o))
+    return Planes(np.array(axes, np.float32), FARTHEST * radius, np.array(bounds, np.float32))
+
+
+def _bounds(measured: RealPlane | None, axes: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """(4,) x0, y0, x1, y1 from axes[0] along axes[1], axes[2] where the plane was seen to end. origin (3,) : of its extent"""
+    out = np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])
+    if measured is not None:
+        shift = np.tile([(origin - axes[0]) @ axes[1], (origin - axes[0]) @ axes[2]], 2)
+        out = np.where(measured.ends, np.asarray(measured.extent_m) + shift, out)
+    return out
 
 
 def disc_radius_m(scene: Scene, planes: Planes, share: float) -> float:

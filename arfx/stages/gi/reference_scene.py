@@ -14,7 +14,7 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.surroundings import Planes
+from arfx.stages.gi.surroundings import ENDLESS, Planes
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +84,8 @@ class RayScene:
         met = (prim >= 0) & (np.asarray(found["geomID"]).astype(np.int64) >= 0)
         n = len(o)
         distance = np.where(met, np.asarray(found["tfar"], float), np.inf)
-        a, b, c, d, e, f = (np.zeros((n, 3)) for _ in range(6))
-        hit = Hit(met, distance, a, b, c, d, e, f, np.zeros(n))
+        of: list[np.ndarray] = [np.zeros((n, 3)) for _ in range(6)]
+        hit = Hit(met, distance, of[0], of[1], of[2], of[3], of[4], of[5], np.zeros(n))
         hit.face_normal[met], hit.chosen[met] = self._face_normal[prim[met]], self._chosen[prim[met]]
         hit.place[met] = origins[met] + distance[met, None] * directions[met]
         u, v = np.asarray(found["u"], float), np.asarray(found["v"], float)
@@ -128,7 +128,7 @@ class Surroundings:
     ) -> None:
         pose = facts.camera_from_world
         assert pose is not None
-        self.axes = planes.axes.astype(float)
+        self.axes, self._bounds = planes.axes.astype(float), planes.bounds.astype(float)
         self.cube, self.turn = cube, scene.world_from_anchor.rotation
         self._camera, self._pose = scene.camera, pose @ scene.world_from_anchor
         self._eye = self._pose.inverse().translation_m
@@ -153,7 +153,11 @@ class Surroundings:
             falls = -(directions @ axes[3])
             height = np.clip((origins - axes[0]) @ axes[3], 0, None)
             t = np.where(falls > 1e-9, divide(height, falls, where_zero=np.inf), np.inf)
-            nearer = (t < distance) & (t > 0)
+            with np.errstate(invalid="ignore", over="ignore"):
+                at = origins + np.where(np.isfinite(t), t, 0.0)[:, None] * directions - axes[0]
+            on = np.stack([at @ axes[1], at @ axes[2]], -1)
+            ends = ((on > self._bounds[k, :2]) & (on < self._bounds[k, 2:])).all(-1)
+            nearer = (t < distance) & (t > 0) & (ends | (np.abs(self._bounds[k]).min() >= ENDLESS))
             plane, distance = np.where(nearer, k, plane), np.where(nearer, t, distance)
         return plane, distance
 

@@ -20,16 +20,26 @@ from arfx.core.numerics import divide, normalise
 
 SIDE = 32  # texels of an octahedral map: 5 degrees
 HALF_ANGLES_DEG = (0.0, 6.0, 12.0, 20.0, 30.0, 50.0)
+ENDLESS = 1e6  # metres
+EDGE = np.float32(0.03)  # of half_m: softness of a plane's end, at least
 WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
 _FAST = {"contract", "nsz", "arcp"}
 
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures"""
+    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures
+    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was seen to end; +-ENDLESS
+    """
 
     axes: np.ndarray
     half_m: float
+    bounds: np.ndarray
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(p, 5) float32, as `behind` takes them: half_m and bounds."""
+        return np.concatenate([np.full((len(self.axes), 1), self.half_m), self.bounds], 1).astype(np.float32)
 
 
 @lru_cache(maxsize=1)
@@ -184,11 +194,12 @@ def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def behind(
-    axes, half_m, textures, mips, maps, widths, turn, skip, x, y, z, dx, dy, dz, tan_half, half_deg
+    axes, reach, textures, mips, maps, widths, turn, skip, x, y, z, dx, dy, dz, tan_half, half_deg
 ):  # pragma: no cover - compiled
     """(r, g, b) of what lies behind the voxels from x, y, z (metres) along d: planes nearest first, then the environment.
 
     A cone that lies across a plane's horizon sees it with the part of its width that is under it.
+    Where a plane ends, what is behind it is seen. reach (p, 5) : half side of its texture, and bounds
     textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side;  skip : a plane not to be met
     """
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
@@ -210,12 +221,18 @@ def behind(
         if p < 0:
             break
         nearer_than = best
+        half_m = reach[p, 0]
         share = left * min(max(half + half * lies / wide, zero), one)
         sink = max(half * (lies + wide) - lies, zero)
         ex, ey, ez = dx - sink * axes[p, 3, 0], dy - sink * axes[p, 3, 1], dz - sink * axes[p, 3, 2]
         qx, qy, qz = x + best * ex - axes[p, 0, 0], y + best * ey - axes[p, 0, 1], z + best * ez - axes[p, 0, 2]
-        a = (qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]) / half_m
-        c = (qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]) / half_m
+        a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
+        c = qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]
+        inside = min(min(a - reach[p, 1], c - reach[p, 2]), min(reach[p, 3] - a, reach[p, 4] - c))
+        share *= min(max(half + inside / (one + one) / max(best * tan_half, EDGE * half_m), zero), one)
+        if share <= zero:
+            continue
+        a, c = a / half_m, c / half_m
         # of the texture's side: the warp's slope is WARP / (1 + (WARP - 1) |x|)^2
         slope = one + (WARP - one) * max(abs(a), abs(c))
         pr, pg, pb = on_plane(textures[p], mips, a, c, best * tan_half / half_m * WARP / (slope * slope))
@@ -235,13 +252,13 @@ def behind(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def behind_many(
-    points, directions, skip, tan_half, half_deg, axes, half_m, textures, mips, maps, widths, turn
+    points, directions, skip, tan_half, half_deg, axes, reach, textures, mips, maps, widths, turn
 ):  # pragma: no cover - compiled
     """(m, 3) of `behind` from points (m, 3), metres, along directions (m, 3)."""
     out = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
         out[i, 0], out[i, 1], out[i, 2] = behind(
-            axes, half_m, textures, mips, maps, widths, turn, skip, points[i, 0], points[i, 1], points[i, 2],
+            axes, reach, textures, mips, maps, widths, turn, skip, points[i, 0], points[i, 1], points[i, 2],
             directions[i, 0], directions[i, 1], directions[i, 2], tan_half, half_deg,
         )  # fmt: skip
     return out

@@ -12,6 +12,7 @@ from arfx.analyse.real_planes import facing_up, scene_planes
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.real_plane import RealPlane
 
 CAMERA = Camera(320, 240, np.array([[260.0, 0, 160], [0, 260, 120], [0, 0, 1]]))
 # camera_from_world of a camera 1.4 m over the floor z = 0 that looks along y, turned down by 25 degrees
@@ -125,3 +126,18 @@ def test_mesh_closes_holes_and_keeps_the_gap_of_a_corridor() -> None:
     mesh = mesh_of(places, np.full(len(places), 0.025))
     assert mesh.area_m2 == pytest.approx(4 - 0.5 * 1.5, rel=0.05)
     assert abs(mesh.middle_m[0]) > 0.25 or mesh.middle_m[1] < -0.5
+
+
+def test_a_table_ends_and_the_floor_goes_on_beyond_the_picture() -> None:
+    """The table's four sides are in the picture; the floor ends at the walls and is cut by the picture's lower border."""
+    planes = [p.meshed()[0] for p in scene_planes([(room(noise=0.001, table=True), POSE)], CAMERA)]
+    level = sorted(
+        (p for p in planes if p.world_from_plane.rotation[2, 2] > 0.95), key=lambda p: p.world_from_plane.translation_m[2]
+    )
+    floor, table = level
+    assert table.ends == (True,) * 4 and RealPlane.from_json(table.to_json()).ends == table.ends
+    x0, y0, x1, y1 = table.extent_m
+    assert x1 - x0 == pytest.approx(0.7, abs=0.1) and y1 - y0 == pytest.approx(0.6, abs=0.1)
+    assert not all(floor.ends)
+    old = {k: v for k, v in table.to_json().items() if k != "ends"}
+    assert RealPlane.from_json(old).ends == (False,) * 4

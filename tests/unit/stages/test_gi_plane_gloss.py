@@ -8,7 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from arfx.core.cube import packed
 from arfx.core.layers import Layer
+from arfx.core.model import Material
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
 from arfx.core.rect import Rect
@@ -17,7 +19,19 @@ from arfx.stages.gi import Gi, GiParams
 from arfx.stages.gi.real_planes import picture_on_planes, planes_of, texture_places
 from tests.contract.stage_laws import check_roi_law
 from tests.scenes import facts
-from tests.unit.stages.gi_scenes import BLACK, CAMERA, EVEN, LAMP, MATT_RED, box, from_above, ground_points, on_plane, run_gi
+from tests.unit.stages.gi_scenes import (
+    BLACK,
+    CAMERA,
+    EVEN,
+    LAMP,
+    MATT_RED,
+    ball,
+    box,
+    from_above,
+    ground_points,
+    on_plane,
+    run_gi,
+)
 
 SCENE = on_plane(box(MATT_RED), LAMP, CAMERA)
 POSE = from_above(55)
@@ -133,3 +147,20 @@ def test_measured_planes_are_real_planes_unless_they_are_the_anchors() -> None:
     scene = replace(SCENE, real_planes=(floor, *(RealPlane(p, (-1, -1, 1, 1), 4.0, 3.0, 900) for p in (wall, behind))))
     axes = planes_of(scene).axes
     assert len(axes) == 2 and np.allclose(axes[1, 3], [1, 0, 0]) and np.allclose(axes[1, 0, 0], -0.2, atol=1e-6)
+
+
+@pytest.mark.parametrize("level", ["standard", "reference"])
+def test_a_table_ends_for_what_mirrors_it(level: str) -> None:
+    """Beside the table's edge a mirror shows what is behind the table, not more table."""
+    cube = np.full((6, 8, 8, 3), 0.3)
+    cube[5] = (0.0, 0.0, 2.0)  # below the table: blue
+    mirror = Material(base_colour=(1.0, 1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
+    whole = on_plane(ball(mirror), EVEN, CAMERA)
+    table = RealPlane(Pose.identity(), (-1.0, -0.1, 1.0, 1.0), 2.0, 3.0, 900, 1, (False, True, False, False))
+    blue = []
+    for scene in (whole, replace(whole, real_planes=(table,))):
+        made = run_gi(scene, level, POSE, params=GiParams(samples=4), extra={"environment": packed(cube)})
+        low = (made[Layer.COVERAGE] > 0) & (made[Layer.NORMAL][..., 2] < 0.2)
+        blue.append(made[Layer.VIRTUAL][low][:, 2] - made[Layer.VIRTUAL][low][:, 0])
+    assert (blue[0] < 0.2).all() and (blue[1] > 0.5).mean() > 0.02
+    np.testing.assert_allclose(planes_of(replace(whole, real_planes=(table,))).bounds[0, 1], -0.1, atol=1e-6)
