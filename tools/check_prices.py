@@ -26,18 +26,19 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "sample_scenes"
-# scene, width, frames, pipeline, quality, codec: none of them is a scene or a size of the calibration
+# scene, width, frames, pipeline, quality, codec: none of them is a scene or a size of the calibration, and all are long enough
+# for what starting costs (loading kernels, about a second, which no price holds) to be small
 JOBS = (
-    ("0007-studio-shallow-focus", 400, 40, "lightmap,dof", "draft", "h264"),
-    ("0007-studio-shallow-focus", 560, 30, "lightmap,dof", "standard", "ffv1"),
-    ("0030-watercolor", 448, 40, "lightmap,watercolor", "standard", "h264"),
-    ("0041-indirect-light", 384, 30, "lightmap,gi", "standard", "h264"),
-    ("0041-indirect-light", 512, 40, "lightmap,gi", "draft", "h265"),
-    ("0050-only-what-is-called-for", 720, 40, "lightmap,dof", "high", "h264"),
-    ("0050-only-what-is-called-for", 840, 48, "auto", "standard", "prores"),
-    ("0001-orbit", 520, 48, "auto", "standard", "h264"),
-    ("0021-wall-out-of-focus", 640, 30, "lightmap,gi,dof", "draft", "h264"),
-    ("0030-watercolor", 320, 30, "lightmap,dof,watercolor", "high", "ffv1"),
+    ("0007-studio-shallow-focus", 400, 120, "lightmap,dof", "draft", "h264"),
+    ("0007-studio-shallow-focus", 560, 90, "lightmap,dof", "standard", "ffv1"),
+    ("0030-watercolor", 448, 120, "lightmap,watercolor", "standard", "h264"),
+    ("0041-indirect-light", 384, 90, "lightmap,gi", "standard", "h264"),
+    ("0041-indirect-light", 512, 120, "lightmap,gi", "draft", "h265"),
+    ("0050-only-what-is-called-for", 720, 120, "lightmap,dof", "high", "h264"),
+    ("0050-only-what-is-called-for", 840, 144, "auto", "standard", "prores"),
+    ("0001-orbit", 520, 144, "auto", "standard", "h264"),
+    ("0021-wall-out-of-focus", 640, 90, "lightmap,gi,dof", "draft", "h264"),
+    ("0030-watercolor", 320, 90, "lightmap,dof,watercolor", "high", "ffv1"),
 )
 
 

@@ -74,7 +74,8 @@ def recommendation(found: Found) -> str:
     )
     if good is None:
         words += f", and its difference would show in frame {chosen.worst_frame()}"
-    left = (r for r in found.effects if r.level not in ("reference", chosen.level) and not _is_other(r, found))
+    lower = QUALITIES[: QUALITIES.index(chosen.level)]
+    left = (r for r in found.effects if r.level in lower and not _is_other(r, found))
     shows = [r for r in left if visible(r)]
     if shows:
         worst = max(shows, key=lambda r: r.worst("p99"))

@@ -147,6 +147,9 @@ def test_the_sentence_names_the_cheapest_that_does_not_show_and_what_would() -> 
     text = recommendation(found())
     assert text.startswith("standard is within 0.8 grey levels of reference")
     assert "1/40 of its time" in text and "dof draft would show at the silhouette (frame 3)" in text
+    cheap = found()
+    cheap.pipelines = [row("pipeline", "draft", 0.02, 0.5, 5), row("pipeline", "reference", 2.0, 0, 0)]
+    assert "show" not in recommendation(cheap), "what is better than the advice is no warning"
     bad = found()
     bad.pipelines = [row("pipeline", "draft", 0.1, 5, 60), row("pipeline", "reference", 1, 0, 0)]
     assert "would show in frame 3" in recommendation(bad)
