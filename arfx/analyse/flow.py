@@ -171,11 +171,11 @@ def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
     much = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
     h, w = small.shape
-    much = cv2.GaussianBlur(much, (0, 0), max(GRID_PX * w / width / 2, 0.5), borderType=cv2.BORDER_REPLICATE)
+    around = cv2.GaussianBlur(much, (0, 0), max(GRID_PX * w / width / 2, 0.5), borderType=cv2.BORDER_REPLICATE)
     gx, gy = node_places(width, height)
     column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
     row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
-    out: np.ndarray = np.round(255 * much[np.ix_(row, column)]).astype(np.uint8)
+    out: np.ndarray = np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
     return out
 
 

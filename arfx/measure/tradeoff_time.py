@@ -29,7 +29,7 @@ from arfx.run.frame import Canvas, rng_for
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = 4, 0.6, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
 FEWEST_PX, MOST_PX = 16, 64  # side of a tile
-DEAR_S = 1.0  # a level that takes this for next to nothing is timed on one frame alone
+DEAR_S, FEW = 1.0, 2  # a level that takes so long for next to nothing is timed on one frame alone, on so few tiles a part
 LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
 OFTEN = 0.02  # share of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
@@ -53,7 +53,7 @@ class Tiles:
         """Of one run over `areas`, pixels of each part. A part without tiles costs what the others do."""
         alone = float(np.median(self.empty_s))
         every = [t for tiles in self.by_part.values() for t in tiles]
-        total, variance, fewest = 0.0, 0.0, 99
+        total, variance, free = 0.0, 0.0, 0
         for part, area in areas.items():
             tiles = self.by_part.get(part) or every
             px, s = np.array(tiles, float).T
@@ -64,12 +64,12 @@ class Tiles:
                 left = above - rate * px
                 error = math.sqrt((left**2).sum() / (len(tiles) - 1) / len(tiles)) / px.mean()
                 variance += (error * area) ** 2
-                fewest = min(fewest, len(tiles) - 1)
+                free += len(tiles) - 1
         rim = float(np.median(self.rims)) if self.rims else 1.0
         middle = alone + total * math.sqrt(rim)
-        if fewest == 99:
+        if not free:
             return with_spread(middle, 1.0)
-        wide = (_T[fewest - 1] if fewest <= len(_T) else 1.7) * math.sqrt(variance)
+        wide = (_T[free - 1] if free <= len(_T) else 1.7) * math.sqrt(variance)
         ends = sorted((alone + total, alone + total * rim))
         least = with_spread(middle, LEAST_SPREAD)
         return Prediction(middle, max(min(ends[0] - wide, least.low_s), alone), max(ends[1] + wide, least.high_s))
@@ -217,15 +217,15 @@ def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> No
     if new > OFTEN:
         times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
     rng = np.random.default_rng(runner.facts.index)
-    for part, rects, count in (("box", [inside], 3), ("rest", without(out, inside), 2)):
+    for part, rects in (("box", [inside]), ("rest", without(out, inside))):
         side = FEWEST_PX
-        for place in _places(rng, rects, count if dear else TILES):
+        for place in _places(rng, rects, FEW if dear else TILES):
             tile = _tile(*place, side)
             seconds = runner.run(tile)
             tiles.by_part.setdefault(part, []).append((tile.area, seconds))
             made_px, read_px = made_px + tile.area, read_px + runner.need.area - least_px
             rate = max(seconds - alone, 1e-6) / tile.area
-            side = int(np.clip(math.sqrt(max(TILE_S / TILES, 0.5 * alone) / rate), FEWEST_PX, MOST_PX))
+            side = int(np.clip(math.sqrt(max(TILE_S / TILES, 0.3 * alone) / rate), FEWEST_PX, MOST_PX))
 
     if read_px > 0:
         whole_px = runner.needed(out).area - least_px

@@ -134,12 +134,14 @@ def deposit_tile(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _mark(marks, q, y, x, low, high, width, line, ends, shares, n):  # pragma: no cover - compiled
+def _mark(marks, q, y, x, low, high, width, line, unit, ends, shares, n):  # pragma: no cover - compiled
     """Mark the row ends of one disc in rows low..high. marks : flat, (rows, width + 1, 4), from row low
 
-    line : (4 width,) light of the disc's row of cells
+    line : (4 width,) light of the disc's row of cells;  unit : share of it that a pixel gets
     """
-    red, green, blue, weight = line[4 * x], line[4 * x + 1], line[4 * x + 2], line[4 * x + 3]
+    red, green, blue, weight = line[4 * x] * unit, line[4 * x + 1] * unit, line[4 * x + 2] * unit, line[4 * x + 3] * unit
+    red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
+    red, green, blue, weight = red - _SNAP, green - _SNAP, blue - _SNAP, weight - _SNAP
     stride = width + 1
     inside = x >= n and x + n + 2 <= width
     for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
@@ -163,10 +165,10 @@ def _add_shifted(marks, cell, light, count, begin, end):  # pragma: no cover - c
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _mark_line(marks, y, low, high, width, size, line, alike, ends, shares, reach):  # pragma: no cover - compiled
+def _mark_line(marks, y, low, high, width, size, line, area, alike, ends, shares, unit, reach):  # pragma: no cover - compiled
     """Mark the discs of one row of cells in rows low..high. Returns the columns marked (lo, hi).
 
-    size : (width,) row of the shape table, -1 = no light;  line : (4 width,) light, a multiple of 2^-17
+    size : (width,) row of the shape table, -1 = no light;  line : (4 width,) light;  area : 1 / pixels of a cell
     alike : scratch, 4 (width + 2)
     Neighbours of one size are marked together, row by row of their disc, which the compiler makes vectors of.
     """
@@ -181,7 +183,7 @@ def _mark_line(marks, y, low, high, width, size, line, alike, ends, shares, reac
             continue
         while x < width and size[x] == q:
             x += 1
-        n = reach[q]
+        n, u = reach[q], area * unit[q]
         if y + n < low or y - n >= high:
             continue
         lo, hi = min(lo, first - n), max(hi, x + n + 1)  # the last mark of a row lies one beyond it
@@ -191,16 +193,16 @@ def _mark_line(marks, y, low, high, width, size, line, alike, ends, shares, reac
         for k in range(first, x):
             if k == begin:
                 break
-            _mark(marks, q, y, k, low, high, width, line, ends, shares, n)
+            _mark(marks, q, y, k, low, high, width, line, u, ends, shares, n)
         for k in range(end, x):
-            _mark(marks, q, y, k, low, high, width, line, ends, shares, n)
+            _mark(marks, q, y, k, low, high, width, line, u, ends, shares, n)
         count = end - begin
         if count <= 0:
             continue
         for k in range(4):
             alike[k], alike[4 * (count + 1) + k] = 0, 0
         for k in range(4 * count):
-            alike[4 + k] = line[4 * begin + k]
+            alike[4 + k] = (line[4 * begin + k] * u + _SNAP) - _SNAP
         for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
             i = np.uintp(j + n)
             row, share = (y + j - low) * stride + begin, shares[q, i, 0]
@@ -219,7 +221,7 @@ def spread_pixels(
     h, w = radius.shape
     top = np.float32(unit.shape[0] - 1)
     flat = marks.reshape(-1)
-    size, line, alike = np.empty(w, np.int32), np.empty(4 * w, np.float32), np.empty(4 * (w + 2), np.float32)
+    size, alike = np.empty(w, np.int32), np.empty(4 * (w + 2), np.float32)
     lo, hi = w, 0
     for y in range(max(low - far, 0), min(high + far, h)):
         tiles = held[(y + lead_y) // TILE_PX - lead_y // TILE_PX]
@@ -235,12 +237,9 @@ def spread_pixels(
                 size[x] = -1
                 if r <= SHARP_PX or r >= until or near[y, x, 3] <= 0:
                     continue
-                q = np.uintp(min(r * STEPS + np.float32(0.5), top))
-                size[x] = q
-                for c in range(4):
-                    line[4 * x + c] = (near[y, x, c] * unit[q] + _SNAP) - _SNAP
+                size[x] = int(min(r * STEPS + np.float32(0.5), top))
         if any_light:
-            a, b = _mark_line(flat, y, low, high, w, size, line, alike, ends, shares, reach)
+            a, b = _mark_line(flat, y, low, high, w, size, near[y].reshape(-1), np.float32(1), alike, ends, shares, unit, reach)
             lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, w)
 
@@ -266,14 +265,12 @@ def spread_cells(
                 continue
             r = cells[k, 4] / cells[k, 3]
             r = np.sqrt(max(r * r - cut_px2, np.float32(0))) / side
-            q = np.uintp(min(r * STEPS + np.float32(0.5), top))
-            size[x] = q
+            size[x] = int(min(r * STEPS + np.float32(0.5), top))
             any_light = True
-            u = area * unit[q]
             for c in range(4):
-                line[4 * x + c] = (cells[k, c] * u + _SNAP) - _SNAP
+                line[4 * x + c] = cells[k, c]
         if any_light:
-            a, b = _mark_line(flat, y, low, high, width, size, line, alike, ends, shares, reach)
+            a, b = _mark_line(flat, y, low, high, width, size, line, area, alike, ends, shares, unit, reach)
             lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, width)
 

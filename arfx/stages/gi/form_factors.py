@@ -27,6 +27,7 @@ from arfx.stages.gi.cones import mirror_tangent, turned
 from arfx.stages.gi.voxelise import Voxels
 
 METAL = 0.5  # metalness from which a part mirrors instead of scattering
+SHIFTS = 64  # different lattices
 _BATCH = 1 << 20  # rays at once: bounds memory
 _LIFT = 1e-4  # of the object's size: rays start off the plane by this
 _INSIDE = 0.5  # share of rays that leave the object from within: such a texel lies under it, in its solid
@@ -88,13 +89,14 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
     mesh = _Mesh(corners)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float32)
     frame = turned(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
+    lattice, nearest = lattices(rays, frame, cones)
     covered, inside = np.zeros((side * side, len(cones)), np.float32), np.zeros(side * side, np.float32)
     metal = np.array([m.metallic >= METAL for m in (p.material for p in scene.model.parts)])
     texels, hits, turned_to, metals = [], [], [], []
     step = max(_BATCH // rays, 1)
     box = np.stack([low, high]).astype(np.float32)
     for first in range(0, side * side, step):
-        texel, cone, direction = aimed(points[first : first + step], first, side, rays, frame, cones.astype(np.float32), box)
+        texel, cone, direction = aimed(points[first : first + step], first, side, lattice, nearest, box)
         if not len(texel):
             continue
         found = mesh.first_hits(points[texel], direction)
@@ -130,13 +132,11 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
 def voxel_at(voxels: Voxels, places: np.ndarray) -> np.ndarray:
     """(m,) int32 row of the voxel that holds each place (m, 3), metres, anchor axes; of the nearest where none does."""
     n = voxels.volume.n
-    key = _keys(voxels.cells.astype(np.int64), n)
-    order = np.argsort(key)
-    cell = np.floor((places - np.asarray(voxels.volume.low_m)) / voxels.volume.voxel_m).astype(np.int64)
-    wanted = _keys(np.clip(cell, 0, n - 1), n)
-    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
-    out = order[at].astype(np.int32)
-    lost = np.flatnonzero(key[out] != wanted)
+    row_of = np.full(n**3, -1, np.int32)  # for a moment: 8 MB at 128
+    row_of[_keys(voxels.cells, n)] = np.arange(len(voxels.cells), dtype=np.int32)
+    cell = ((places - np.asarray(voxels.volume.low_m, np.float32)) / np.float32(voxels.volume.voxel_m)).astype(np.int32)
+    out = row_of[_keys(np.clip(cell, 0, n - 1), n)]
+    lost = np.flatnonzero(out < 0)
     if len(lost):
         out[lost] = cKDTree(voxels.centres_m).query(places[lost])[1]
     return out
@@ -166,40 +166,46 @@ def _sources(inside: np.ndarray) -> np.ndarray:
     return np.asarray(row.ravel() * inside.shape[1] + column.ravel(), np.int32)
 
 
+def lattices(rays: int, frame: np.ndarray, cones: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cosine-weighted unit directions (SHIFTS, rays, 3) float32 about a plane's normal, and the nearest cone of each.
+
+    frame (3, 3) : rows are the plane's x, y and normal;  cones (k, 3) : unit, about the normal z
+    """
+    shift, i = np.arange(SHIFTS)[:, None] / SHIFTS, np.arange(rays)
+    u, phi = ((i + 0.5) / rays + shift) % 1, 2 * np.pi * ((i * 0.6180339887498949 + 7 * shift) % 1)
+    r = np.sqrt(u)
+    local = np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u)], -1)
+    return (local @ frame).astype(np.float32), np.asarray((local @ cones.T).argmax(-1))
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def aimed(points, first, side, rays, frame, cones, box):  # pragma: no cover - compiled
+def aimed(points, first, side, lattice, nearest, box):  # pragma: no cover - compiled
     """Rays from texels that can meet the object: (texel (m,), cone (m,), unit direction (m, 3)).
 
-    points (t, 3) float32 : of texels `first` and on, of a plane `side` texels wide;  frame (3, 3) : rows are the plane's x, y
-    and normal;  cones (k, 3) : unit, about the normal z;  box (2, 3) : lowest and highest corner of the object
+    points (t, 3) float32 : of texels `first` and on, of a plane `side` texels wide;  lattice, nearest : of `lattices`
+    box (2, 3) : lowest and highest corner of the object
     """
+    shifts, rays = lattice.shape[:2]
     most = points.shape[0] * rays
     texel, cone, direction = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.float32)
     m = 0
     for t in range(points.shape[0]):
         column, row = (first + t) % side, (first + t) // side
         # interleaved gradient noise (Jimenez 2014): neighbours differ as much as they can
-        shift = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1.0)) % 1.0
+        noise = (52.9829189 * ((0.06711056 * column + 0.00583715 * row) % 1.0)) % 1.0
+        which = min(int(noise * shifts), shifts - 1)
         for i in range(rays):
-            u = ((i + 0.5) / rays + shift) % 1.0
-            phi = 2 * np.pi * ((i * 0.6180339887498949 + shift * 7.0) % 1.0)
-            r = np.sqrt(u)
-            a, b, c = np.float32(r * np.cos(phi)), np.float32(r * np.sin(phi)), np.float32(np.sqrt(1 - u))
             near, far = np.float32(0), np.float32(np.inf)
             for k in range(3):
-                d = a * frame[0, k] + b * frame[1, k] + c * frame[2, k]
-                direction[m, k] = d
+                d = lattice[which, i, k]
                 if abs(d) < np.float32(1e-9):
                     d = np.float32(1e-9)
                 lower, upper = (box[0, k] - points[t, k]) / d, (box[1, k] - points[t, k]) / d
                 near, far = max(near, min(lower, upper)), min(far, max(lower, upper))
             if near > far * np.float32(1.0001):
                 continue
-            best, which = np.float32(-2), 0
-            for k in range(cones.shape[0]):
-                along = a * cones[k, 0] + b * cones[k, 1] + c * cones[k, 2]
-                if along > best:
-                    best, which = along, k
-            texel[m], cone[m] = first + t, which
+            for k in range(3):
+                direction[m, k] = lattice[which, i, k]
+            texel[m], cone[m] = first + t, nearest[which, i]
             m += 1
     return texel[:m], cone[:m], direction[:m]

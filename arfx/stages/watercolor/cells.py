@@ -150,9 +150,9 @@ def _near(place, left, top, side, order, start, gh, gw, a, b, near, share):  # p
         x0, x1 = max(np.int64((x - own - left) / side), 0), min(np.int64((x + own - left) / side), gw - 1)
         y0, y1 = max(np.int64((y - own - top) / side), 0), min(np.int64((y + own - top) / side), gh - 1)
         n = _U(0)
-        for i in range(y0, y1 + 1):
+        for i in range(y0, y1 + 1):  # type: ignore[call-overload]
             begin, end = start[i * gw + x0], start[i * gw + x1 + 1]
-            for c in range(begin, end, _STEP):  # type: ignore[call-overload]
+            for c in range(begin, end, _STEP):
                 for q in range(_STEP):  # of fixed length; what is too much is overwritten by the next row
                     j, to = _U(c) + _U(q), n + _U(q)
                     ex, ey = px[j] - x, py[j] - y
