@@ -77,7 +77,12 @@ def clip(folder: Path, scene: str, width: int, frames: int) -> Path:
 def run(folder: Path, name: str, job: Path, pipeline: Mapping[str, Any], codec: str = "ffv1") -> Ran:
     """One job in a process of its own."""
     suffix = ".mov" if codec == "prores" else ".mkv"
-    asked = {"job": str(job), "output": str(folder / f"{name}{suffix}"), "codec": codec, "pipeline": dict(pipeline)}
+    asked: dict[str, Any] = {
+        "job": str(job),
+        "output": str(folder / f"{name}{suffix}"),
+        "codec": codec,
+        "pipeline": dict(pipeline),
+    }
     command = [sys.executable, str(Path(__file__)), "-o", str(folder), "one", json.dumps(asked)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode:
