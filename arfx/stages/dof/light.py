@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.four import put_colour
-from arfx.stages.dof.ladder import SHARP_PX
+from arfx.stages.dof.ladder import ALIGN_PX, SHARP_PX
 from arfx.stages.dof.spread import light_of_row
 
 _FLAGS = {"contract", "nsz", "arcp"}
@@ -59,7 +59,7 @@ def lay_real(
     values … hi : of `Spread.rows`;  patch, box : the real scene in place of image, as `deposit_real`
     """
     whole = kept.shape[0] == 0
-    light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * out.shape[1], np.float32)
+    light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32)
     for j in range(out.shape[0]):
         y = top + j
         light_of_row(light, y, values, table, lead_y, lead_x, lo, hi, between)
@@ -105,7 +105,8 @@ def lay_cut(
     image, patch, box : the real scene, from row `top`, for pixels that hold the composite's bits as yet
     """
     width = radius.shape[1]
-    light, gap, between = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
+    light, gap = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
+    between = np.empty(4 * (width + ALIGN_PX), np.float32)
     for y in range(out.shape[0]):
         light_of_row(light, first + y, values, table, lead_y, lead_x, lo, hi, between)
         light_of_row(gap, first + y, gap_values, gap_table, gap_lead_y, gap_lead_x, gap_lo, gap_hi, between)

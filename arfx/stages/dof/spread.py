@@ -295,7 +295,8 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
 def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pragma: no cover - compiled
     """line (4 w,) = light that reaches row y of the rectangle, columns lo..hi: all rungs, bilinear between their cells.
 
-    values : flat, light of each rung's rows, (rows, width + 1, 4);  between : scratch, (4 w,)
+    values : flat, light of each rung's rows, (rows, width + 1, 4)
+    between : scratch, 4 (w + ALIGN_PX): cells count from lead_x on
     table : (n, 7), of each: rung, first value, first row, height and width of the whole rung, columns of the rectangle
     lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """

@@ -207,6 +207,20 @@ def test_a_blur_larger_than_the_picture_and_odd_sizes(width: int, height: int) -
         assert out.std(axis=(0, 1)).max() < 0.08, "all of the picture is in every pixel"
 
 
+def test_a_part_narrower_than_a_cell_of_the_ladder() -> None:
+    """Two columns at the end of a strip of cells; kernels do not check bounds, so that a scratch row too short would abort."""
+    plate = np.full((120, 160, 3), 0.3, np.float32)
+    at = flat(plate)
+    stage, le = (
+        Dof(DofParams(aperture_px=aperture_for(20.0), focus="2m", max_radius_px=80.0)),
+        level_named(Dof.levels, "standard"),
+    )
+    for x in (61, 63, 126):
+        part = at.layers.crop(Rect(x, 0, x + 2, 120))
+        out = laws.run(stage, part, at.facts, at.scene, stage.prepare(at.scene, le), le)[Layer.IMAGE]
+        np.testing.assert_allclose(out, 0.3, atol=2e-3)  # little light is rounded to 2^-17
+
+
 def test_a_black_frame_stays_black() -> None:
     black = np.zeros((120, 160, 3), np.float32)
     for level in LEVELS:
