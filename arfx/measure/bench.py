@@ -104,6 +104,9 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
     standard = {name: level_named(s.levels, "standard") for name, s in made.items()}
     plan = plan_frame(list(made.values()), standard, at.facts, at.scene, at.scene.camera.rect)
     steps = {s.stage: s for s in plan.steps}
+    if stage is not None and stage not in steps:
+        why = next((s.reason for s in plan.skipped if s.stage == stage), "")
+        raise ConfigError(f"the standard scene does not call for {stage!r}: {why}", f"one of {', '.join(steps)}")
     canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
     cells = []
     for name, step in steps.items():

@@ -265,8 +265,9 @@ def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
     from types import SimpleNamespace
 
     config = SimpleNamespace(
-        pipeline=SimpleNamespace(stages=("lightmap", "gi")), params={name: STAGES[name].Params() for name in STAGES}
-    )
+        pipeline=SimpleNamespace(stages=("lightmap", "gi")), input=SimpleNamespace(depth=None),
+        params={name: STAGES[name].Params() for name in STAGES},
+    )  # fmt: skip
     stages = make_stages(config)  # type: ignore[arg-type]
     assert stages["lightmap"].params.ambient is False
     config.pipeline.stages = ("lightmap",)
