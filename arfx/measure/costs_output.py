@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import queue
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +26,7 @@ from arfx.media.codecs import CODECS
 from arfx.media.frames import ClipReader, Frame
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
+from arfx.media.planes import copy_picture
 from arfx.media.writer import ChunkWriter, chunk_suffix
 
 if TYPE_CHECKING:
@@ -83,13 +85,19 @@ def _encode(
     plan = plan_output(info, out, OutputSettings(codec))
     paths: list[Path] = []
     number = itertools.count()
+    # a picture belongs to one thread: the library keeps with it what it converts it by
+    unused: queue.SimpleQueue[list[Frame]] = queue.SimpleQueue()
+    for _ in range(crowd):
+        unused.put([Frame(copy_picture(f.picture, f.format.layout), f.format, f.index, f.pts, f.key) for f in frames])
 
     def encode() -> None:
         path = folder / f"{codec}-{info.width}-{next(number)}{chunk_suffix(plan)}"
         paths.append(path)
+        own = unused.get()
         with ChunkWriter(plan, info, path) as writer:
-            for frame in frames:
+            for frame in own:
                 writer.write(frame)
+        unused.put(own)
 
     mpx = info.width * info.height / 1e6
     if codec in USUAL:
