@@ -247,7 +247,8 @@ def main() -> int:
         return 0
     processor = given.clock == "processor"
     if given.calibrate:
-        from arfx.measure.costs import Watch, calibrate, save_prices
+        from arfx.measure.costs import calibrate, save_prices
+        from arfx.measure.timed_runs import Watch
 
         print(save_prices(calibrate(watch=Watch(processor))), flush=True)
     if given.what == "predictions":

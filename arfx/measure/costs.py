@@ -12,7 +12,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,8 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.measure.bench import make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
+from arfx.measure.costs_output import time_output
+from arfx.measure.timed_runs import WALL, Runs, Watch
 from arfx.run.folder import write_text
 from arfx.run.job import MOST_THREADS, default_workers
 from arfx.stages import STAGES
@@ -46,42 +48,6 @@ TERMS_OF: Mapping[str, tuple[str, ...]] = {
     "watercolor": ("frames", "mpx", "object_mpx"),
 }  # fmt: skip
 USUAL_TERMS = ("frames", "mpx", "object_mpx")
-
-
-@dataclass
-class Runs:
-    """What was timed for one entry of the price list: terms and seconds, run by run."""
-
-    terms: list[Mapping[str, float]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-
-    def add(self, terms: Mapping[str, float], seconds: float) -> None:
-        self.terms.append(terms)
-        self.seconds.append(max(seconds, 1e-7))
-
-
-@dataclass(frozen=True)
-class Watch:
-    """Seconds of work. processor : count those of the processor, which other programs disturb least, not those of the wall;
-    shared by the threads that work at once both are the same on a machine that does nothing else
-    """
-
-    processor: bool = False
-
-    def of(self, work: Callable[[], Any]) -> float:
-        clock = time.process_time if self.processor else time.perf_counter
-        start = clock()
-        work()
-        return clock() - start
-
-    def of_each(self, work: Callable[[], Any], pool: ThreadPoolExecutor, crowd: int) -> float:
-        """Of one run, while `crowd` threads do the same."""
-        if self.processor:
-            return self.of(lambda: list(pool.map(lambda _: work(), range(crowd)))) / crowd
-        return float(np.mean(list(pool.map(lambda _: self.of(work), range(crowd)))))
-
-
-WALL = Watch()
 
 
 def fit(runs: Runs, terms: Iterable[str]) -> Price:
@@ -128,8 +94,6 @@ def calibrate(
     plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
     with ThreadPoolExecutor(crowd) as pool:
         if output:
-            from arfx.measure.costs_output import time_output
-
             time_output(timed, pool, crowd, watch, lambda done, total: progress("calibrate output", done, total))
         for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import av
 import cv2
@@ -21,6 +21,7 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.errors import ArfxError
+from arfx.measure.timed_runs import Runs, Watch
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.codecs import CODECS
 from arfx.media.frames import ClipReader, Frame
@@ -28,9 +29,6 @@ from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.planes import copy_picture
 from arfx.media.writer import ChunkWriter, chunk_suffix
-
-if TYPE_CHECKING:
-    from arfx.measure.costs import Runs, Watch
 
 MARKER = MarkerSpec("36h11", 3, 0.15)
 SIZES = ((640, 360, 24), (1280, 720, 10))  # width, height, frames

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from arfx.media.curves import FAST, apply_curve, power_of
-from arfx.media.lines import add_steps, between, reduce_line, taps, widen
+from arfx.media.lines import add_steps, chroma_span, clipped_differences, coded_line, reduce_line, taps
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -29,11 +29,9 @@ def dim_luma(
     to_yuv : (3, 3) from R'G'B';  factor : stored steps per unit of luma;  legal : lowest, highest stored luma
     """
     x0, y0, x1, y1 = rect
-    sx, sy = steps
-    cw, ch = chroma_size
-    co, cf = scale[2], scale[3]
+    sx = steps[0]
     w, n = x1 - x0, chroma.shape[2]
-    c0, c1 = max((x0 >> sx) - 1, 0), min(((x1 - 1) >> sx) + 2, cw)
+    c0, c1 = chroma_span(x0, x1, sx, chroma_size[0])
     few, cb, cr = np.empty(c1 - c0, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
     k, m, coded = np.empty((3, w), np.float32), np.empty((3, w), np.float32), np.empty((3, w), np.float32)
     room, room2, light = np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
@@ -50,15 +48,7 @@ def dim_luma(
         grey = _shares(left[j], opacity, k)
         if grey < 0:
             continue
-        c = np.float32(row / (1 << sy)) if cosited[1] else np.float32((row + 0.5) / (1 << sy) - 0.5)
-        c = min(max(c, np.float32(0)), np.float32(ch - 1))
-        r0 = np.int32(c)
-        r1 = min(r0 + 1, ch - 1)
-        between(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, few)
-        widen(few, c0, cw, sx, cosited[0], x0, cb)
-        between(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, few)
-        widen(few, c0, cw, sx, cosited[0], x0, cr)
-        _coded(y[row, x0:x1], cb, cr, scale[0], scale[1], matrix, coded)
+        coded_line(y, u, v, row, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded)
         for c in range(3):
             one = 0 if grey else c
             if bias is None:
@@ -69,8 +59,9 @@ def dim_luma(
                 apply_curve(coded[c], curves[0], room, room2, light)
                 _less(light, k[one], bias[c])
                 apply_curve(light, curves[1], room, room2, m[c])
-                _change(coded[c], m[c])
-        _to_yuv(coded[0], coded[1], coded[2], to_yuv, dy, d_cb, d_cr)
+                clipped_differences(coded[c], m[c])
+        diff = coded if bias is None else m
+        _to_yuv(diff[0], diff[1], diff[2], to_yuv, dy, d_cb, d_cr)
         h0 = h1 = w
         if hole[1] <= row < hole[3]:
             h0, h1 = min(max(hole[0] - x0, 0), w), min(max(hole[2] - x0, 0), w)
@@ -117,17 +108,6 @@ def _shares(left, opacity, k):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _coded(line, cb, cr, offset, factor, matrix, coded):
-    """R'G'B' (3, w) of one line."""
-    rv, gu, gv, bu = matrix
-    for i in range(line.shape[0]):
-        luma = (np.float32(line[i]) - offset) * factor
-        coded[0, i] = luma + rv * cr[i]
-        coded[1, i] = luma - gu * cb[i] - gv * cr[i]
-        coded[2, i] = luma + bu * cb[i]
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _dimmed(coded, k, m, a):
     """coded (w,) becomes its change.  k : share of light that is left;  m : its power"""
     zero, one = np.float32(0), np.float32(1)
@@ -144,15 +124,6 @@ def _less(light, k, bias):
     """light (w,) becomes what it is with a share k of it left."""
     for i in range(light.shape[0]):
         light[i] = bias + k[i] * (light[i] - bias)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _change(coded, new):
-    """coded (w,) becomes new - coded, `new` kept between black and white or where the old one lay beyond."""
-    zero, one = np.float32(0), np.float32(1)
-    for i in range(coded.shape[0]):
-        c = coded[i]
-        coded[i] = min(max(new[i], min(c, zero)), max(c, one)) - c
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)

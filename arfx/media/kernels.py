@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.media.curves import FAST, apply_curve
-from arfx.media.lines import add_steps, between, reduce_line, taps, to_luma_and_chroma, widen
+from arfx.media.lines import add_steps, chroma_span, clipped_differences, coded_line, reduce_line, taps, to_luma_and_chroma
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -23,32 +23,14 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, c
     Chroma is interpolated linearly between its true positions, from samples outside the rectangle too.
     """
     x0, y0, x1, y1 = rect
-    sx, sy = steps
-    cw, ch = chroma_size
-    yo, yf, co, cf = scale
-    rv, gu, gv, bu = matrix
     w = x1 - x0
-    c0, c1 = max((x0 >> sx) - 1, 0), min(((x1 - 1) >> sx) + 2, cw)  # chroma columns that the rectangle may ask for
     # a line at a time in steps without branches, of which the compiler makes vector code
     coded, light = np.empty((3, w), np.float32), np.empty((3, w), np.float32)
     base, mantissa = np.empty(w, np.float32), np.empty(w, np.float32)
+    c0, c1 = chroma_span(x0, x1, steps[0], chroma_size[0])
     few, cb, cr = np.empty(c1 - c0, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
     for j in range(y1 - y0):
-        yy = y0 + j
-        c = np.float32(yy / (1 << sy)) if cosited[1] else np.float32((yy + 0.5) / (1 << sy) - 0.5)
-        c = min(max(c, np.float32(0)), np.float32(ch - 1))
-        r0 = np.int32(c)
-        r1 = min(r0 + 1, ch - 1)
-        between(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, few)
-        widen(few, c0, cw, sx, cosited[0], x0, cb)
-        between(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, few)
-        widen(few, c0, cw, sx, cosited[0], x0, cr)
-        line = y[yy, x0:x1]
-        for k in range(w):
-            luma = (np.float32(line[k]) - yo) * yf
-            coded[0, k] = luma + rv * cr[k]
-            coded[1, k] = luma - gu * cb[k] - gv * cr[k]
-            coded[2, k] = luma + bu * cb[k]
+        coded_line(y, u, v, y0 + j, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded)
         for c in range(3):
             apply_curve(coded[c], curve, base, mantissa, light[c])
         for k in range(w):
@@ -114,15 +96,6 @@ def _blank_odd(before, after):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _clipped_differences(before, after):
-    """after = after - before (n,), coded, with `after` kept between black and white or where `before` already lay beyond."""
-    zero, one = np.float32(0), np.float32(1)
-    for k in range(before.shape[0]):
-        b = before[k]
-        after[k] = min(max(after[k], min(b, zero)), max(b, one)) - b
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach):
     """Adds the luma difference to plane y in place; leaves the chroma differences of each line, reduced to chroma columns.
 
@@ -162,7 +135,7 @@ def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high
             continue
         apply_curve(b[3 * first : 3 * last].view(np.float32), curve, base, mantissa, before)
         apply_curve(a[3 * first : 3 * last].view(np.float32), curve, base, mantissa, after)
-        _clipped_differences(before[: 3 * m], after)
+        clipped_differences(before[: 3 * m], after)
         wide[:] = 0
         at = x0 + first - start
         to_luma_and_chroma(after, to_yuv, dy[:m], wide[0, at : at + m], wide[1, at : at + m])

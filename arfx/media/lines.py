@@ -10,8 +10,46 @@ import numpy as np
 from arfx.media.curves import FAST
 
 
+@numba.njit(cache=True, nogil=True)
+def chroma_span(x0, x1, step, columns):
+    """First chroma column that luma columns x0 ... x1 - 1 may ask for, and the one behind the last."""
+    return max((x0 >> step) - 1, 0), min(((x1 - 1) >> step) + 2, columns)
+
+
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def between(above, below, part, offset, factor, out):
+def coded_line(y, u, v, row, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded):
+    """coded (3, w) = R'G'B' of one line from column x0 on; other arguments as in `linear_from_yuv`.
+
+    few (n,), cb, cr (w,) : room to work in, n of the columns' `chroma_span`
+    """
+    sx, sy = steps
+    cw, ch = chroma_size
+    yo, yf, co, cf = scale
+    w = coded.shape[1]
+    c0, c1 = chroma_span(x0, x0 + w, sx, cw)
+    c = np.float32(row / (1 << sy)) if cosited[1] else np.float32((row + 0.5) / (1 << sy) - 0.5)
+    c = min(max(c, np.float32(0)), np.float32(ch - 1))
+    r0 = np.int32(c)
+    r1 = min(r0 + 1, ch - 1)
+    _between(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, few)
+    _widen(few, c0, cw, sx, cosited[0], x0, cb)
+    _between(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, few)
+    _widen(few, c0, cw, sx, cosited[0], x0, cr)
+    _rgb(y[row, x0 : x0 + w], cb, cr, yo, yf, matrix, coded)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def _rgb(line, cb, cr, offset, factor, matrix, coded):
+    rv, gu, gv, bu = matrix
+    for k in range(line.shape[0]):
+        luma = (np.float32(line[k]) - offset) * factor
+        coded[0, k] = luma + rv * cr[k]
+        coded[1, k] = luma - gu * cb[k] - gv * cr[k]
+        coded[2, k] = luma + bu * cb[k]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def _between(above, below, part, offset, factor, out):
     """Chroma between two lines of samples, -0.5..0.5."""
     for i in range(out.shape[0]):
         a, b = np.float32(above[i]), np.float32(below[i])
@@ -19,7 +57,7 @@ def between(above, below, part, offset, factor, out):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def widen(few, c0, columns, step, cosited, x0, out):
+def _widen(few, c0, columns, step, cosited, x0, out):
     """Chroma at the luma columns x0 ... of one line, linear between samples. few : those of the chroma columns from c0 on"""
     n = out.shape[0]
     if step == 0:
@@ -95,3 +133,12 @@ def taps(step, tent):
     for k in range(low, n):
         weights[k - low] = (n - abs(k)) / (n * n) if tent else 1.0 / n
     return low, n, weights
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def clipped_differences(before, after):
+    """after = after - before (n,), coded, with `after` kept between black and white or where `before` already lay beyond."""
+    zero, one = np.float32(0), np.float32(1)
+    for k in range(before.shape[0]):
+        b = before[k]
+        after[k] = min(max(after[k], min(b, zero)), max(b, one)) - b

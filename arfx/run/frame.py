@@ -145,9 +145,14 @@ def run_frame(
     seconds: dict[str, float] = {}
     dimmed: Dimmed | None = None
     may_dim = isinstance(plate, Plate) and not any(s.reach for s in stages.values())
+
+    def spent() -> float:
+        """Seconds so far without those of converting the plate, which are no stage's."""
+        return time.perf_counter() - (plate.seconds if isinstance(plate, Plate) else 0.0)
+
     for step in plan.steps:
         stage = stages[step.stage]
-        start, reading = time.perf_counter(), plate.seconds if isinstance(plate, Plate) else 0.0
+        start = spent()
         earlier = past[len(past) - stage.reach :] if stage.reach else ()
         seen = canvas.view(stage.reads, step.need)
         if stage.reach:
@@ -165,8 +170,7 @@ def run_frame(
             where, pixels = canvas.take(name, array, step.need, step.out)
             if name is not Layer.DEPTH:  # infinite where nothing is
                 _require_finite(pixels, name, stage.name, facts.index, where)
-        spent = time.perf_counter() - start - (plate.seconds - reading if isinstance(plate, Plate) else 0.0)
-        seconds[stage.name] = seconds.get(stage.name, 0.0) + spent
+        seconds[stage.name] = seconds.get(stage.name, 0.0) + spent() - start
     if dimmed is None:
         rect = plan.changed
         image = canvas.view(frozenset({Layer.IMAGE}), rect)[Layer.IMAGE]

@@ -29,7 +29,6 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
 
-_PAD_PX = 2  # around the model's box: the raster may write there
 _WINDOW_SHARE = 1 / 160  # radius of the filter's window over the picture's width
 _PASSES = 2  # each draws the edge nearer to the picture's
 _FAINT = 0.06  # a share below this, and above 1 less this, is the filter's own spill
@@ -67,13 +66,13 @@ class Hide:
             return Demand(EMPTY, "the real scene's depth is not known")
         if facts.model_box.empty:
             return Demand(EMPTY, "model out of view")
-        box = facts.model_box.pad(_PAD_PX).clip(frame)
+        box = facts.drawn_box.clip(frame)
         farthest = facts.depth_range_m[1]
         nearer = told.tiles[1] * farthest > 1 + self.params.margin
         rect = EMPTY
         for y, x in np.argwhere(nearer):
-            tile = Rect(int(x), int(y), int(x) + 1, int(y) + 1)
-            rect = rect.union(Rect(*(TILE_PX * v for v in (tile.x0, tile.y0, tile.x1, tile.y1))).clip(box))
+            corners = (x, y, x + 1, y + 1)
+            rect = rect.union(Rect(*(TILE_PX * int(v) for v in corners)).clip(box))
         if rect.empty:
             return Demand(EMPTY, f"nothing real is nearer than the object's {farthest:.2f} m")
         return Demand(rect.pad(reach_px(scene)).clip(box), "something real may stand before the object")

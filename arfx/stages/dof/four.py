@@ -17,21 +17,29 @@ def _vector(builder, scalars):
     return out
 
 
+def _floats(context, builder, signature, args, k):
+    """Pointer to the numbers of argument k, a contiguous float32 array."""
+    return context.make_array(signature.args[k])(context, builder, args[k]).data
+
+
+def _cell(builder, data, cell):
+    """Pointer to the four floats of a cell."""
+    where = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
+    return builder.bitcast(where, _VECTOR.as_pointer())
+
+
 @intrinsic
 def add_between(typingctx, out, at, line, p, q, t):
     """out[at] += line[p] + (line[q] - line[p]) t, in cells of four floats. out, line : flat float32, contiguous"""
     signature = types.void(out, types.intp, line, types.intp, types.intp, types.float32)
 
     def codegen(context, builder, signature, args):
-        def place(k, cell):
-            data = context.make_array(signature.args[k])(context, builder, args[k]).data
-            where = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
-            return builder.bitcast(where, _VECTOR.as_pointer())
-
-        low, high = (builder.load(place(2, args[k]), align=4) for k in (3, 4))
+        low, high = (
+            builder.load(_cell(builder, _floats(context, builder, signature, args, 2), args[k]), align=4) for k in (3, 4)
+        )
         t = _vector(builder, 4 * [args[5]])
         value = builder.fadd(low, builder.fmul(builder.fsub(high, low), t))
-        to = place(0, args[1])
+        to = _cell(builder, _floats(context, builder, signature, args, 0), args[1])
         builder.store(builder.fadd(builder.load(to, align=4), value), to, align=4)
         return context.get_dummy_value()
 
@@ -44,17 +52,14 @@ def add_two_between(typingctx, out, at, line, p, q, t, step):
     signature = types.void(out, types.intp, line, types.intp, types.intp, types.float32, types.float32)
 
     def codegen(context, builder, signature, args):
-        def place(k, cell):
-            data = context.make_array(signature.args[k])(context, builder, args[k]).data
-            where = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
-            return builder.bitcast(where, _VECTOR.as_pointer())
-
-        low, high = (builder.load(place(2, args[k]), align=4) for k in (3, 4))
+        low, high = (
+            builder.load(_cell(builder, _floats(context, builder, signature, args, 2), args[k]), align=4) for k in (3, 4)
+        )
         slope = builder.fsub(high, low)
         t = _vector(builder, 4 * [args[5]])
         cell = args[1]
         for _ in range(2):
-            to = place(0, cell)
+            to = _cell(builder, _floats(context, builder, signature, args, 0), cell)
             value = builder.fadd(low, builder.fmul(slope, t))
             builder.store(builder.fadd(builder.load(to, align=4), value), to, align=4)
             t, cell = builder.fadd(t, _vector(builder, 4 * [args[6]])), builder.add(cell, ir.Constant(cell.type, 1))
@@ -73,7 +78,7 @@ def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, fir
     signature = types.void(marks, *(4 * [types.intp]), *(7 * [types.float32]))
 
     def codegen(context, builder, signature, args):
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        data = _floats(context, builder, signature, args, 0)
         light = builder.fmul(_vector(builder, args[5:9]), _vector(builder, 4 * [args[9]]))
         begin = builder.fmul(light, _vector(builder, 4 * [args[10]]))
         end = builder.fmul(light, _vector(builder, 4 * [args[11]]))
@@ -83,8 +88,7 @@ def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, fir
             (args[3], False, builder.fsub(light, end)),
             (args[4], False, end),
         ):
-            place = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
-            place = builder.bitcast(place, _VECTOR.as_pointer())
+            place = _cell(builder, data, cell)
             before = builder.load(place, align=4)
             after = builder.fadd(before, value) if add else builder.fsub(before, value)
             builder.store(after, place, align=4)
@@ -102,13 +106,11 @@ def put_colour(typingctx, out, at, light, x):
     signature = types.void(out, types.intp, light, types.intp)
 
     def codegen(context, builder, signature, args):
-        data = context.make_array(signature.args[2])(context, builder, args[2]).data
-        where = builder.gep(data, [builder.shl(args[3], ir.Constant(args[3].type, 2))])
-        value = builder.load(builder.bitcast(where, _VECTOR.as_pointer()), align=4)
+        value = builder.load(_cell(builder, _floats(context, builder, signature, args, 2), args[3]), align=4)
         weight = builder.extract_element(value, ir.Constant(ir.IntType(32), 3))
         inverse = builder.fdiv(ir.Constant(ir.FloatType(), 1.0), weight)
         value = builder.fmul(value, _vector(builder, 4 * [inverse]))
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        data = _floats(context, builder, signature, args, 0)
         to = builder.bitcast(builder.gep(data, [args[1]]), _VECTOR.as_pointer())
         builder.store(value, to, align=4)
         return context.get_dummy_value()

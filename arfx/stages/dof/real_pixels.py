@@ -12,8 +12,6 @@ from arfx.core.rect import Rect
 from arfx.stages.dof.light import behind
 from arfx.stages.dof.spread import TILE_PX
 
-OBJECT_PAD_PX = 2  # around the model's box: the raster may write there
-
 
 @dataclass(frozen=True, eq=False)
 class RealPixels:
@@ -28,7 +26,7 @@ class RealPixels:
     @staticmethod
     def of(now: Layers, facts: FrameFacts) -> RealPixels:
         """Of a frame with a pose. Within the object's box what is behind it is made anew."""
-        box = facts.model_box.pad(OBJECT_PAD_PX).align(TILE_PX, TILE_PX).clip(now.rect)
+        box = facts.drawn_box.align(TILE_PX, TILE_PX).clip(now.rect)
         part, bias = now.crop(box), np.array(facts.bias_rgb, np.float32)
         patch = np.empty((0, 0, 3), np.float32)
         if not box.empty:

@@ -22,7 +22,7 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.dof.corrected import OBJECT_PAD_PX, depth_range
+from arfx.stages.dof.corrected import depth_range
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
@@ -223,7 +223,7 @@ def _object(
     near, far = depth_range(facts)
     reach = float(at.radius_px(np.array([1 / near, 1 / far])).max())
     corner = 1.0 if params.blades < 3 else 1.3
-    box = facts.model_box.pad(OBJECT_PAD_PX + int(np.ceil(corner * reach)) + 1).clip(now.rect)
+    box = facts.drawn_box.pad(int(np.ceil(corner * reach)) + 1).clip(now.rect)
     if facts.model_box.empty or box.empty:
         return share, colour
     radius_m = at.px_per_dioptre / scene.camera.fx

@@ -181,17 +181,17 @@ class Tracer:
             sent = self.leaves(met, -d[rows], draw.of(rows), max(bounces - 1, 0), glow)
             out[rows] = sent - behind
         if bounces > 0 and len(self.around.axes) > 1:
-            out += self._by_other_planes(start, d, hit, draw, bounces)
+            out += self._by_other_planes(start, d, hit, draw)
         return out
 
-    def _by_other_planes(self, start: np.ndarray, d: np.ndarray, hit: Hit, draw: Draw, bounces: int) -> np.ndarray:
+    def _by_other_planes(self, start: np.ndarray, d: np.ndarray, hit: Hit, draw: Draw) -> np.ndarray:
         """(n, 3) change of what rays that pass the object bring from another plane, which it shades or lights."""
         out = np.zeros((len(start), 3))
         plane, distance = self.around.first_plane(start, d)
         rows = np.flatnonzero((plane >= 0) & ~(hit.distance < distance))
         if len(rows):
             places = start[rows] + distance[rows, None] * d[rows]
-            left = self.left(places, plane[rows], draw.of(rows), min(bounces - 1, 0))
+            left = self.left(places, plane[rows], draw.of(rows), 0)
             out[rows] = self.around.picture(places, plane[rows]) * (left - 1)
         return out
 

@@ -38,7 +38,6 @@ from arfx.stages.lightmap.stage import Kept
 from arfx.stages.viewing import direction_grid, viewing
 
 SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
-PAD_PX = 2  # around the model's box: the raster may write there
 LEVELS = {
     "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
     "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.0, 256),
@@ -108,7 +107,7 @@ class Gi:
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:
             return Demand(EMPTY, "marker not visible")
-        model = facts.model_box.pad(PAD_PX).clip(frame)
+        model = facts.drawn_box.clip(frame)
         if size_px := self._unseen_px(facts, scene):
             return Demand(model, f"no cones: model matt and grey, all that it changes is {size_px} px wide; even light")
         disc, why = self._disc(facts, scene, frame)
@@ -196,7 +195,7 @@ class Gi:
     ) -> np.ndarray:
         out = now[Layer.VIRTUAL].copy()
         block = at.block
-        box = facts.model_box.pad(PAD_PX).align(block, block).clip(now.rect)
+        box = facts.drawn_box.align(block, block).clip(now.rect)
         if box.empty:
             return out
         part, pose = now.crop(box), facts.camera_from_world

@@ -12,7 +12,8 @@ import pytest
 
 from arfx.core.cost import load_prices
 from arfx.measure import costs_output
-from arfx.measure.costs import Runs, Watch, calibrate, fit, save_prices
+from arfx.measure.costs import calibrate, fit, save_prices
+from arfx.measure.timed_runs import Runs, Watch
 from arfx.media.codecs import CODECS
 
 

@@ -1,0 +1,47 @@
+"""What the price list is fitted to: the clock, and the runs that it timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass
+class Runs:
+    """What was timed for one entry of the price list: terms and seconds, run by run."""
+
+    terms: list[Mapping[str, float]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def add(self, terms: Mapping[str, float], seconds: float) -> None:
+        self.terms.append(terms)
+        self.seconds.append(max(seconds, 1e-7))
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Seconds of work. processor : count those of the processor, which other programs disturb least, not those of the wall;
+    shared by the threads that work at once both are the same on a machine that does nothing else
+    """
+
+    processor: bool = False
+
+    def of(self, work: Callable[[], Any]) -> float:
+        clock = time.process_time if self.processor else time.perf_counter
+        start = clock()
+        work()
+        return clock() - start
+
+    def of_each(self, work: Callable[[], Any], pool: ThreadPoolExecutor, crowd: int) -> float:
+        """Of one run, while `crowd` threads do the same."""
+        if self.processor:
+            return self.of(lambda: list(pool.map(lambda _: work(), range(crowd)))) / crowd
+        return float(np.mean(list(pool.map(lambda _: self.of(work), range(crowd)))))
+
+
+WALL = Watch()
