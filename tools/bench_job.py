@@ -96,11 +96,11 @@ def write_model(path: Path) -> Path:
 
 
 def plain_command(clip: Path, out: Path) -> list[str]:
-    """Decode and encode with the codec, settings and threads that `arfx process` uses by default."""
+    """Decode and encode with the codec and settings that `arfx process` uses by default, and as many threads as cores."""
     plan = plan_output(probe(clip), out, OutputSettings())
     settings = {
         "encoder": CODECS[plan.codec].encoder, "options": dict(plan.options), "pixel_format": plan.pixel_format,
-        "threads": plan.encoder_threads, "rate": FPS,
+        "threads": os.cpu_count() or 1, "rate": FPS,
     }  # fmt: skip
     return [sys.executable, str(Path(__file__).with_name("plain_pass.py")), str(clip), str(out), json.dumps(settings)]
 
@@ -110,7 +110,9 @@ def timed(command: list[str]) -> tuple[float, float]:
     start = time.perf_counter()
     code = "import resource,subprocess,sys; r=subprocess.run(sys.argv[1:]).returncode; " \
            "print('peak', resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr); sys.exit(r)"  # fmt: skip
-    done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=False)
+    # as after any first run: Python's own bytecode is cached, whatever this environment says
+    known = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=False, env=known)
     seconds = time.perf_counter() - start
     if done.returncode:
         sys.exit(f"{' '.join(command)}\n{done.stderr}")

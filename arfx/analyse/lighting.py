@@ -35,6 +35,7 @@ from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec, anchor_marker
 
+THREE_ASKED = 1.221  # width of an interval for one of three questions at .95 of all (Bonferroni), over the width for one
 LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 
 
@@ -66,9 +67,7 @@ def lighted(
         if report["verdict"] == LIT:
             known |= set(lights)
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
-    # a bias that may be none is not added to what is drawn
-    certain = photometry.determined.all() and ((photometry.bias_95[:, 0] > 0) | (photometry.bias_95[:, 1] < 0))
-    bias = np.where(certain, photometry.bias, 0.0)
+    bias = _certain_bias(photometry)
     turns = analysis.static == "camera"
     lit = tuple(
         f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
@@ -103,6 +102,17 @@ def _ways(report: dict[str, Any]) -> str:
     """What a user can do about a light that is refused."""
     one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
     return f"--light AZ,EL or --environment FILE gives one{one}"
+
+
+def _certain_bias(photometry: Photometry) -> np.ndarray:
+    """(3,) bias of the channels that have one for certain, else 0: what may be none is not added to what is drawn.
+
+    Three channels are asked: a tint that one of them shows by chance is no haze.
+    """
+    away = np.abs(photometry.bias_95 - photometry.bias[:, None]) * THREE_ASKED
+    low, high = photometry.bias - away[:, 0], photometry.bias + away[:, 1]
+    certain = photometry.determined.all() and ((low > 0) | (high < 0))
+    return np.where(certain, photometry.bias, 0.0)
 
 
 def _rooms(analysis: Analysis) -> dict[int, np.ndarray]:

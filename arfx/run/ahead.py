@@ -1,6 +1,7 @@
-"""Read ahead: items of an iterator are made in a thread of their own, a few before they are asked for.
+"""Read ahead, write behind: items are made in a thread of their own, a few before they are asked for, or taken in one, a
+few after they were given.
 
-Right where making one waits for other threads (a decoder's) while whoever takes them computes.
+Right where making or taking one lets other threads run (a decoder, an encoder) while whoever is at the other end computes.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Generic, TypeVar
 
@@ -68,3 +69,47 @@ class Ahead(Generic[T]):
                 continue
             return True
         return False
+
+
+class Behind(Generic[T]):
+    """Context manager: calls `take` with what is put, in order, in a thread of its own, a few behind.
+
+    depth : items that wait at most;  seconds : spent in `take`, whole on leaving
+    Raises what `take` raises, at a later `put` or on leaving; nothing is taken after that, nor after an error inside.
+    """
+
+    def __init__(self, take: Callable[[T], None], depth: int = 2) -> None:
+        self.seconds = 0.0
+        self._take = take
+        self._error: BaseException | None = None
+        self._waiting: queue.Queue[tuple[T] | None] = queue.Queue(depth)
+        self._thread = threading.Thread(target=self._work, name="write-behind", daemon=True)
+        self._left = False
+
+    def __enter__(self) -> Behind[T]:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None) -> None:
+        self._left = kind is not None
+        self._waiting.put(None)
+        self._thread.join()
+        if kind is None and self._error is not None:
+            raise self._error
+
+    def put(self, item: T) -> None:
+        """Waits while `depth` items wait."""
+        if self._error is not None:
+            raise self._error
+        self._waiting.put((item,))
+
+    def _work(self) -> None:
+        while (entry := self._waiting.get()) is not None:
+            if self._error is not None or self._left:
+                continue  # so that nobody waits for a place
+            start = time.perf_counter()
+            try:
+                self._take(entry[0])
+            except BaseException as e:
+                self._error = e
+            self.seconds += time.perf_counter() - start

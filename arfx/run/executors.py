@@ -35,7 +35,7 @@ def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Iterat
 
     try:
         for task in tasks:
-            yield render_chunk(*task, tick)
+            yield render_chunk(*task, tick, alone=True)
     finally:
         release()
 

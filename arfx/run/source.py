@@ -13,11 +13,12 @@ from arfx.media.frames import ClipReader, Frame
 
 
 class Source:
-    """Frames of a clip from `index` on, in order. pts : presentation times of all of the job's frames."""
+    """Frames of a clip from `index` on, in order. pts : presentation times of all of the job's frames;  threads : to decode,
+    0 = as many as it likes"""
 
-    def __init__(self, info: ClipInfo, pts: list[int], index: int) -> None:
+    def __init__(self, info: ClipInfo, pts: list[int], index: int, threads: int = 0) -> None:
         self.info, self.pts, self.index = info, pts, index
-        self._reader = ClipReader(info)
+        self._reader = ClipReader(info, threads)
         self._frames: Iterator[Frame] = self._reader.frames(pts[index], first_index=index)
 
     def next(self) -> Frame | None:
@@ -44,13 +45,13 @@ class _Held(threading.local):
 _held = _Held()
 
 
-def source_at(info: ClipInfo, pts: list[int], index: int) -> Source:
+def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0) -> Source:
     """The source that this thread read from last, if it stands at `index` of the same job; else a new one."""
     held = _held.source
     if held is not None and held.info is info and held.pts is pts and held.index == index:
         return held
     release()
-    _held.source = Source(info, pts, index)
+    _held.source = Source(info, pts, index, threads)
     return _held.source
 
 

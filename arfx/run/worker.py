@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
@@ -29,6 +30,7 @@ from arfx.media.depth_maps import DepthMaps
 from arfx.media.frames import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter
+from arfx.run.ahead import Behind
 from arfx.run.depth import job_depth, real_depth_layer
 from arfx.run.folder import JobFolder, disk_error, read_lines
 from arfx.run.frame import Canvas, Plate, run_frame
@@ -104,9 +106,12 @@ def open_context(folder: str, job_key: str) -> Context:
     return Context(config, info, output, scene, stages, frames["pts"], frozenset(frames["previews"]), job_depth(config))
 
 
-def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, tick: Tick) -> dict[str, Any]:
+def render_chunk(
+    folder: str, job_key: str, first: int, last: int, target: str, tick: Tick, alone: bool = False
+) -> dict[str, Any]:
     """Render frames first … last into the file `target`, which appears when it is whole.
 
+    alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads of their own
     Returns seconds by stage, decode and encode seconds, and counts.
     Raises RenderError (frames missing in the source, a full disk, a stage that failed).
     """
@@ -129,8 +134,11 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
     final = Path(target)
     aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}")
     try:
-        source = source_at(context.info, context.pts, begin)
-        with ChunkWriter(context.output, context.info, aside) as writer:
+        source = source_at(context.info, context.pts, begin, threads=0 if alone else 1)
+        with (
+            ChunkWriter(context.output, context.info, aside) as writer,
+            Behind(writer.write) if alone else nullcontext() as later,
+        ):
             for index in range(begin, last + 1):
                 start = time.perf_counter()
                 frame = source.next()
@@ -143,11 +151,14 @@ def render_chunk(folder: str, job_key: str, first: int, last: int, target: str, 
                 if index in context.previews:
                     save_preview(place.previews, index, frame, out)
                 start = time.perf_counter()
-                writer.write(out)
-                seconds["encode"] += time.perf_counter() - start
+                if later is None:
+                    writer.write(out)
+                    seconds["encode"] += time.perf_counter() - start
+                else:
+                    later.put(out)
                 tick()
             start = time.perf_counter()
-        seconds["encode"] += time.perf_counter() - start
+        seconds["encode"] += time.perf_counter() - start + (0.0 if later is None else later.seconds)
         aside.replace(final)
     except OSError as e:
         raise disk_error(e, final) from None

@@ -1,6 +1,8 @@
 """SHADOW of every pixel: where its viewing ray meets the plane, each light's picture of the plane is looked up there.
 
-Cost: O(pixels x lights). The lens is followed by viewing directions at every GRID_PX-th pixel, linear between.
+Cost: O(pixels x lights), of each GRID_PX lines only from the first to the last pixels that something is taken from. The
+lens is followed by viewing directions at every GRID_PX-th pixel, linear between; places on the plane are linear there, too, where
+perspective bends them by less than .02 px.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -15,6 +17,10 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.lightmap.plane import PlaneTexture
 from arfx.stages.viewing import GRID_PX
+
+_NOWHERE = np.float32(1e9)  # on the plane, metres: as far from every picture as can be
+_BENT = np.float32(0.01)  # relative change of distance over a run: places are off by up to a quarter of it times the run
+_TOGETHER = 4  # runs that are tested at once
 
 
 def light_left(
@@ -35,9 +41,9 @@ def light_left(
     meta = np.column_stack([np.cumsum(sizes[:, 0]) - sizes[:, 0], sizes[:, 1:]])
     texels = every[0].dark.ravel() if len(every) == 1 else np.concatenate([t.dark.ravel() for t in every])
     grey = bool((shares == shares[:, :1]).all())
-    nodes = grid.reshape(-1, 3) @ anchor_from_camera.rotation.T.astype(np.float32)
+    nodes = anchor_from_camera.rotation.astype(np.float32) @ grid.reshape(-1, 3).T
     left = _look_up(
-        rect.x0, rect.y0, rect.width, rect.height, nodes.reshape(grid.shape),
+        rect.x0, rect.y0, rect.width, rect.height, nodes.reshape(3, *grid.shape[:2]),
         anchor_from_camera.translation_m.astype(np.float32), texels, meta,
         np.array([t.texel_from_m for t in every], np.float32), shares[:, : 1 if grey else 3].astype(np.float32),
         blocked is not None, np.float32(faint), np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
@@ -51,38 +57,44 @@ def _look_up(
 ):  # pragma: no cover - compiled
     """(h, w, c).  meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres;  shares (t, c)"""
     channels = shares.shape[1]
-    out = np.empty((height, width, channels), np.float32)
+    out = np.ones((height, width, channels), np.float32)
     zero, one = np.float32(0), np.float32(1)
-    step, nowhere = np.float32(1.0 / GRID_PX), np.float32(1e9)
+    step, count = np.float32(1.0 / GRID_PX), shares.shape[0]
     g0, g1 = x0 // GRID_PX, (x0 + width - 1) // GRID_PX + 1
-    span, lead = (g1 - g0) * GRID_PX, x0 - g0 * GRID_PX
-    px, py = np.empty(span, np.float32), np.empty(span, np.float32)
+    runs, lead = g1 - g0, x0 - g0 * GRID_PX
+    ends, above, below = (
+        np.empty((6, runs + 1), np.float32),
+        np.empty((6, runs + 1), np.float32),
+        np.empty((6, runs + 1), np.float32),
+    )
+    px, py = np.empty(runs * GRID_PX, np.float32), np.empty(runs * GRID_PX, np.float32)
     place, fu, fv = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
     dark, open_ = np.empty(width, np.float32), np.empty(width, np.float32)
     taken = np.empty((channels, width), np.float32)
-    count = shares.shape[0]
+    dark_columns = _dark_columns(
+        texels, meta, faint / max(shares.max(), np.float32(1e-6)) if count == 1 and not blocked else zero
+    )
+    spans = np.zeros((meta.shape[0], 2), np.int64)
+    first, last = runs, 0
     for j in range(height):
         iy = (y0 + j) // GRID_PX
-        fy = np.float32((y0 + j) % GRID_PX) * step
-        for ix in range(g0, g1):
-            # both ends of a run of GRID_PX pixels on this line
-            ax = nodes[iy, ix, 0] + fy * (nodes[iy + 1, ix, 0] - nodes[iy, ix, 0])
-            ay = nodes[iy, ix, 1] + fy * (nodes[iy + 1, ix, 1] - nodes[iy, ix, 1])
-            az = nodes[iy, ix, 2] + fy * (nodes[iy + 1, ix, 2] - nodes[iy, ix, 2])
-            bx = nodes[iy, ix + 1, 0] + fy * (nodes[iy + 1, ix + 1, 0] - nodes[iy, ix + 1, 0])
-            by = nodes[iy, ix + 1, 1] + fy * (nodes[iy + 1, ix + 1, 1] - nodes[iy, ix + 1, 1])
-            bz = nodes[iy, ix + 1, 2] + fy * (nodes[iy + 1, ix + 1, 2] - nodes[iy, ix + 1, 2])
-            dx, dy, dz = (bx - ax) * step, (by - ay) * step, (bz - az) * step
-            at = (ix - g0) * GRID_PX
-            for i in range(GRID_PX):
-                t = np.float32(i)
-                vz = az + t * dz
-                s = -origin[2] / vz
-                # away from the plane, or no direction maps here: as far from every picture as can be
-                px[at + i] = origin[0] + s * (ax + t * dx) if vz < 0 else nowhere
-                py[at + i] = origin[1] + s * (ay + t * dy) if vz < 0 else nowhere
-        taken[:] = zero
-        open_[:] = one
+        if j == 0 or (y0 + j) % GRID_PX == 0:  # the next GRID_PX lines
+            _ends(nodes, origin, iy, zero, g0, above)
+            _ends(nodes, origin, iy, one, g0, below)
+            first, last = runs, 0
+            for k in range(count):
+                spans[k] = _dark_runs(above[3:], below[3:], affine[k], dark_columns[k], meta[k, 2])
+                if spans[k, 0] < spans[k, 1]:
+                    first, last = min(first, spans[k, 0]), max(last, spans[k, 1])
+            if meta.shape[0] > count:
+                spans[count] = first, last
+        if first >= last:
+            continue
+        _ends(nodes, origin, iy, np.float32((y0 + j) % GRID_PX) * step, g0, ends)
+        _places(ends, origin, first, last, px, py)
+        start, stop = max(first * GRID_PX - lead, 0), min(last * GRID_PX - lead, width)
+        taken[:, start:stop] = zero
+        open_[start:stop] = one
         for m in range(meta.shape[0]):
             k = meta.shape[0] - 1 - m  # what is blocked comes last in the list and first here
             rows, columns = meta[k, 1], meta[k, 2]
@@ -90,18 +102,9 @@ def _look_up(
             last_u, last_v, across = np.float32(columns - 1.01), np.float32(rows - 1.01), np.int32(columns)
             ux, uy, u0 = affine[k, 0, 0], affine[k, 0, 1], affine[k, 0, 2]
             wx, wy, w0 = affine[k, 1, 0], affine[k, 1, 1], affine[k, 1, 2]
-            # from the first to the last run of which not both ends lie beyond the same side of the picture
-            i0, i1 = width, 0
-            for q in range(0, span, GRID_PX):
-                a, c = np.uintp(q), np.uintp(q + GRID_PX - 1)
-                au, av = ux * px[a] + uy * py[a] + u0, wx * px[a] + wy * py[a] + w0
-                cu, cv = ux * px[c] + uy * py[c] + u0, wx * px[c] + wy * py[c] + w0
-                off = (max(au, cu) < zero) | (min(au, cu) > last_u) | (max(av, cv) < zero) | (min(av, cv) > last_v)
-                if not off:
-                    i0, i1 = min(i0, q - lead), q + GRID_PX - lead
-            i0, i1 = max(i0, 0), min(i1, width)
+            i0, i1 = max(spans[k, 0] * GRID_PX - lead, 0), min(spans[k, 1] * GRID_PX - lead, width)
             n = max(i1 - i0, 0)
-            xs, ys = px[lead + i0 : lead + i1], py[lead + i0 : lead + i1]
+            xs, ys = px[lead + i0 : lead + i0 + n], py[lead + i0 : lead + i0 + n]
             for i in range(n):
                 u = min(max(ux * xs[i] + uy * ys[i] + u0, zero), last_u)
                 v = min(max(wx * xs[i] + wy * ys[i] + w0, zero), last_v)
@@ -114,7 +117,7 @@ def _look_up(
                 e = part[a] + fu[i] * (part[a + np.uintp(1)] - part[a])
                 f = part[c] + fu[i] * (part[c + np.uintp(1)] - part[c])
                 dark[i] = e + fv[i] * (f - e)
-            seen = open_[i0:i1]
+            seen = open_[i0 : i0 + n]
             if k == count:
                 for i in range(n):
                     seen[i] = one - dark[i]
@@ -123,25 +126,26 @@ def _look_up(
                 for i in range(n):
                     dark[i] *= seen[i]
             for channel in range(channels):
-                _add(taken[channel, i0:i1], dark, shares[k, channel])
+                _add(taken[channel, i0 : i0 + n], dark, shares[k, channel])
         if blocked:  # what is there already is less than the whole light
             for channel in range(channels):
                 ambient = shares[0, channel]
-                for i in range(width):
+                for i in range(start, stop):
                     taken[channel, i] /= max(ambient + (one - ambient) * open_[i], np.float32(1e-6))
-        r, g, b = taken[0], taken[channels // 2], taken[channels - 1]
-        for i in range(width):
+        n = stop - start
+        r, g, b = taken[0, start:stop], taken[channels // 2, start:stop], taken[channels - 1, start:stop]
+        for i in range(n):
             t = min(max((max(max(r[i], g[i]), b[i]) - faint) * rise, zero), one)
             dark[i] = strength * t * t * (np.float32(3) - t - t)
         if channels == 1:
-            line = out[j].reshape(-1)
-            for i in range(width):
+            line = out[j].reshape(-1)[start:stop]
+            for i in range(n):
                 line[i] = one - min(dark[i] * r[i], one)
             continue
-        for i in range(width):
-            out[j, i, 0] = one - min(dark[i] * r[i], one)
-            out[j, i, 1] = one - min(dark[i] * g[i], one)
-            out[j, i, 2] = one - min(dark[i] * b[i], one)
+        for i in range(n):
+            out[j, start + i, 0] = one - min(dark[i] * r[i], one)
+            out[j, start + i, 1] = one - min(dark[i] * g[i], one)
+            out[j, start + i, 2] = one - min(dark[i] * b[i], one)
     return out
 
 
@@ -149,3 +153,99 @@ def _look_up(
 def _add(out, dark, share):  # pragma: no cover - compiled
     for i in range(out.shape[0]):
         out[i] += share * dark[i]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _dark_columns(texels, meta, faint):  # pragma: no cover - compiled
+    """(t, rows, 2) int32: columns of each row of each picture that a value above `faint` may be read from, half open."""
+    out = np.zeros((meta.shape[0], meta[:, 1].max(), 2), np.int32)
+    for k in range(meta.shape[0]):
+        columns = meta[k, 2]
+        for row in range(meta[k, 1]):
+            line = texels[meta[k, 0] + row * columns : meta[k, 0] + (row + 1) * columns]
+            first, last = 0, columns
+            while first < last and line[first] <= faint:
+                first += 1
+            while last > first and line[last - 1] <= faint:
+                last -= 1
+            out[k, row, 0], out[k, row, 1] = first, last
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _ends(nodes, origin, iy, fy, g0, ends):  # pragma: no cover - compiled
+    """ends (6, n) : of the runs of GRID_PX pixels of one line, from node g0 on: direction, distance along it (0 = does not
+    meet the plane), plane x and y."""
+    n = ends.shape[1]
+    for c in range(3):
+        above, below, out = nodes[c, iy, g0 : g0 + n], nodes[c, iy + 1, g0 : g0 + n], ends[c]
+        for i in range(n):
+            out[i] = above[i] + fy * (below[i] - above[i])
+    dx, dy, dz, far, x, y = ends[0], ends[1], ends[2], ends[3], ends[4], ends[5]
+    for i in range(n):
+        s = -origin[2] / dz[i]
+        meets = dz[i] < np.float32(0)
+        far[i] = s if meets else np.float32(0)
+        x[i] = origin[0] + s * dx[i] if meets else _NOWHERE
+        y[i] = origin[1] + s * dy[i] if meets else _NOWHERE
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
+    """px, py : where the pixels of the runs first ... last - 1 see the plane; as far from every picture as can be if nowhere."""
+    step = np.float32(1.0 / GRID_PX)
+    far, x, y = ends[3], ends[4], ends[5]
+    for q in range(first, last):
+        at = q * GRID_PX
+        s, t = far[q], far[q + 1]
+        if min(s, t) > np.float32(0) and abs(t - s) <= _BENT * min(s, t):
+            dx, dy = (x[q + 1] - x[q]) * step, (y[q + 1] - y[q]) * step
+            for i in range(GRID_PX):
+                px[at + i], py[at + i] = x[q] + np.float32(i) * dx, y[q] + np.float32(i) * dy
+            continue
+        for i in range(GRID_PX):
+            f = np.float32(i) * step
+            vz = ends[2, q] + f * (ends[2, q + 1] - ends[2, q])
+            s = -origin[2] / vz
+            meets = vz < np.float32(0)
+            px[at + i] = origin[0] + s * (ends[0, q] + f * (ends[0, q + 1] - ends[0, q])) if meets else _NOWHERE
+            py[at + i] = origin[1] + s * (ends[1, q] + f * (ends[1, q + 1] - ends[1, q])) if meets else _NOWHERE
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover - compiled
+    """Half-open range of runs of GRID_PX lines outside which a picture has nothing dark. above, below (3, n) : their borders,
+    distance, plane x and y"""
+    runs = above.shape[1] - 1
+    first, last = 0, runs
+    while first < last and not _may_be_dark(above, below, first, min(first + _TOGETHER, runs), affine, dark_columns, columns):
+        first += _TOGETHER
+    while last > first and not _may_be_dark(above, below, max(last - _TOGETHER, 0), last, affine, dark_columns, columns):
+        last -= _TOGETHER
+    return first, max(last, first)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _may_be_dark(above, below, a, b, affine, dark_columns, columns):  # pragma: no cover - compiled
+    """Whether pixels between the ends a and b of runs may see something dark. dark_columns (rows, 2), one picture's"""
+    meets = (above[0, a] > 0) + (above[0, b] > 0) + (below[0, a] > 0) + (below[0, b] > 0)
+    if meets < 4:
+        return meets > 0  # the horizon lies between
+    least_u, most_u, least_v, most_v = np.inf, -np.inf, np.inf, -np.inf
+    for i in range(4):
+        side, k = above if i < 2 else below, a if i % 2 == 0 else b
+        u, v = _at(affine[0], side[1, k], side[2, k]), _at(affine[1], side[1, k], side[2, k])
+        least_u, most_u, least_v, most_v = min(least_u, u), max(most_u, u), min(least_v, v), max(most_v, v)
+    # a texel more on each side: the lens bends what is straight, and a value is read between two texels
+    left, right, top, bottom = least_u - 1, most_u + 3, max(least_v - 1, 0.0), min(most_v + 3, float(dark_columns.shape[0]))
+    if not (top < bottom and left < columns and right > 0):
+        return False
+    for row in range(int(top), int(bottom)):
+        if dark_columns[row, 0] < right and dark_columns[row, 1] > left and dark_columns[row, 0] < dark_columns[row, 1]:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _at(row, x, y):  # pragma: no cover - compiled
+    return row[0] * x + row[1] * y + row[2]

@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from arfx.core.model import Model
 from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
@@ -74,14 +75,16 @@ class Ground:
         return _hull((p[None, :, :2] - (d[:, :2] / d[:, 2:])[:, None] * p[None, :, 2:]).reshape(-1, 2))
 
 
-_GROUNDS: WeakKeyDictionary[Scene, Ground] = WeakKeyDictionary()
+_GROUNDS: WeakKeyDictionary[Model, dict[bytes, Ground]] = WeakKeyDictionary()
 
 
 def ground_of(scene: Scene) -> Ground:
-    """Made once per scene."""
-    found = _GROUNDS.get(scene)
+    """Made once per model and place: whoever plans and whoever renders have scenes of their own."""
+    grounds = _GROUNDS.setdefault(scene.model, {})
+    place = np.concatenate([scene.world_from_model, scene.world_from_anchor.matrix]).tobytes()
+    found = grounds.get(place)
     if found is None:
-        found = _GROUNDS[scene] = Ground(scene)
+        found = grounds[place] = Ground(scene)
     return found
 
 

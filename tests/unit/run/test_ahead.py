@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from arfx.run.ahead import Ahead
+from arfx.run.ahead import Ahead, Behind
 
 
 def test_the_items_come_in_order_and_then_it_is_over():
@@ -50,3 +50,47 @@ def test_no_more_than_depth_wait_and_the_thread_ends_on_leaving():
     assert not thread.is_alive()
     source.close()  # would raise if the thread still ran in it
     assert closed.is_set()
+
+
+def test_what_is_put_is_taken_in_order_in_another_thread():
+    taken = []
+    with Behind(lambda k: taken.append((k, threading.get_ident())), depth=2) as behind:
+        for k in range(50):
+            behind.put(k)
+    assert [k for k, _ in taken] == list(range(50))
+    assert {i for _, i in taken} == {behind._thread.ident} != {threading.get_ident()}
+    assert not behind._thread.is_alive()
+
+
+def test_an_error_in_the_thread_comes_out_once_and_nothing_is_taken_after_it():
+    taken = []
+
+    def take(k):
+        if k == 3:
+            raise OSError("disk full")
+        taken.append(k)
+
+    with pytest.raises(OSError, match="disk full"), Behind(take) as behind:
+        for k in range(100):
+            behind.put(k)
+    assert taken == [0, 1, 2]
+    with pytest.raises(OSError, match="disk full"), Behind(take) as behind:
+        behind.put(3)  # the last: only leaving can tell
+
+
+def test_after_an_error_outside_what_waits_is_left():
+    taken, gate, begun = [], threading.Event(), threading.Event()
+
+    def take(k):
+        begun.set()
+        gate.wait(10)
+        taken.append(k)
+
+    with pytest.raises(ValueError, match="stop"), Behind(take, depth=4) as behind:
+        for k in range(4):
+            behind.put(k)
+        assert begun.wait(10)
+        threading.Timer(0.2, gate.set).start()
+        raise ValueError("stop")
+    assert taken == [0]
+    assert not behind._thread.is_alive()
