@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from arfx.analyse.environment import look_up
 from arfx.analyse.light_map import LightMap, Params
-from arfx.analyse.lighting import lighted
+from arfx.analyse.lighting import _certain_bias, lighted
 from arfx.analyse.lighting_paper import _upright
 from arfx.analyse.lighting_params import LightParams, parse_light
 from arfx.analyse.meter import LightMeter
@@ -99,6 +100,18 @@ def test_a_bias_that_may_be_none_is_not_added_to_what_is_drawn() -> None:
     done = run(Clip(frames=20, bias=0.001))
     low, high = np.array(done.summary["light"]["bias_ci95"]).T
     assert (low < 0).all() and (high > 0.001).all() and all(f.bias_rgb == (0, 0, 0) for f in done.facts)
+
+
+def test_a_tint_that_one_channel_shows_by_chance_is_no_haze() -> None:
+    def used(*intervals: tuple[float, float]) -> list[float]:
+        bias = np.array([(low + high) / 2 for low, high in intervals])
+        found = SimpleNamespace(bias=bias, bias_95=np.array(intervals), determined=np.ones(3, bool))
+        return list(_certain_bias(found))  # type: ignore[arg-type]
+
+    none = (-0.02, 0.02)
+    assert used((0.001, 0.021), none, none) == [0, 0, 0]  # of three at 95 %, one leaves out 0 every seventh time
+    assert used((0.004, 0.024), none, none) == [0.014, 0, 0]
+    assert used((-0.024, -0.004), (0.01, 0.03), none) == [-0.014, 0.02, 0]
 
 
 def test_a_marker_at_rest_tells_no_direction_but_brightness_and_colour() -> None:
