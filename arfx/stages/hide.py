@@ -4,7 +4,7 @@ Only where the job measures the real scene's depth. How much nearer the real sur
 what is hidden; depth maps end some pixels beside the things that they show, so a guided filter moves that mask's edge to
 the picture's own and softens it. It looks at the object's pixels alone: its outline stays as it is.
 Cost: O(pixels of the object before which something real stands). Leaves out: shadows of and on what is nearer.
-Source: guided filter (He, Sun and Tang 2010, eqs. 5, 6 and 8), each mean weighted by where the object is.
+Source: guided filter (`guided`), each mean weighted by where the object is.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -18,16 +18,15 @@ import cv2
 import numba
 import numpy as np
 
-from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.numerics import divide
 from arfx.core.real_depth import TILE_PX, real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
+from arfx.stages.guided import coded, guided
 
 _WINDOW_SHARE = 1 / 160  # radius of the filter's window over the picture's width
 _PASSES = 2  # each draws the edge nearer to the picture's
@@ -94,7 +93,7 @@ class Hide:
         seen = rough_mask(coverage, now[Layer.DEPTH], now[Layer.REAL_DEPTH], np.float32(self.params.margin))
         there = (coverage > 0).astype(np.float32)
         if (seen < 1).any():
-            seen = refined(seen, there, coded_luma(now[Layer.PLATE]), window_px(scene))
+            seen = refined(seen, there, coded(now[Layer.PLATE]), window_px(scene))
         return {Layer.COVERAGE: coverage * seen, Layer.VIRTUAL: virtual * seen[..., None]}
 
 
@@ -124,35 +123,14 @@ def rough_mask(coverage, depth, real, margin):  # pragma: no cover - compiled
     return out
 
 
-def coded_luma(plate: np.ndarray) -> np.ndarray:
-    """(h, w) float32, about as the eye grades it: square root of the luma, at most 2."""
-    kr, kb = LUMA_COEFFICIENTS["bt709"]
-    luma = plate @ np.array([kr, 1 - kr - kb, kb], np.float32)
-    return np.sqrt(np.clip(luma, 0, 4)).astype(np.float32)
-
-
 def refined(mask: np.ndarray, there: np.ndarray, guide: np.ndarray, radius_px: int) -> np.ndarray:
-    """mask (h, w), its edges moved to those of guide (h, w); the same bits where it is even all around.
+    """mask (h, w), its edges moved to those of guide (h, w, 3); the same bits where it is even all around.
 
     there : (h, w) 1 where the mask means anything, else 0
     """
-    side = 2 * radius_px + 1
-
-    def sums(a: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(a, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-
-    count = sums(there)
-
-    def mean(a: np.ndarray) -> np.ndarray:
-        return divide(sums(a * there), count).astype(np.float32)
-
-    mean_guide = mean(guide)
-    variance = mean(guide * guide) - mean_guide**2 + np.float32(_EPS)
     moved = mask
     for _ in range(_PASSES):
-        mean_mask = mean(moved)
-        slope = divide(mean(guide * moved) - mean_guide * mean_mask, variance).astype(np.float32)
-        moved = np.clip(mean(slope) * guide + mean(mean_mask - slope * mean_guide), 0, 1)
+        moved = guided(moved, guide, radius_px, _EPS, there)
     moved = np.clip((moved - _FAINT) / (1 - 2 * _FAINT), 0, 1)
     around = np.ones((4 * _PASSES * radius_px + 1,) * 2, np.uint8)
     least = cv2.erode(np.where(there > 0, mask, 1).astype(np.float32), around)

@@ -6,7 +6,7 @@ How far off counts is told by the depth's own noise on the prints; holes were fi
 maps end some pixels beside the things that they show, so beside such an edge a guided filter moves it to the picture's own.
 `gi` asks the depth itself, plane by plane, and adds to what is left. Cost: O(pixels of the shadow). Leaves out: the shadow
 that such a thing would really take, and cast on the object.
-Source: guided filter with a colour guide (He, Sun and Tang 2010, eqs. 14 to 16).
+Source: guided filter (`guided`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
+from arfx.stages.guided import coded, guided
 from arfx.stages.viewing import direction_grid, viewing
 
 _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
@@ -126,8 +127,7 @@ def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.n
 
 def to_edges(share: np.ndarray, plate: np.ndarray, radius_px: int) -> np.ndarray:
     """share (h, w), its edges moved to those of plate (h, w, 3) linear; the same bits where it is even all around."""
-    guide = np.sqrt(np.clip(plate, 0, 4))
-    moved = cv2.ximgproc.guidedFilter(np.ascontiguousarray(guide), share, radius_px, _EPS)
+    moved = guided(share, coded(plate), radius_px, _EPS)
     box = np.ones((4 * radius_px + 1,) * 2, np.uint8)
     mixed = cv2.dilate(share, box) > cv2.erode(share, box)
-    return np.where(mixed, np.clip(moved, 0, 1), share).astype(np.float32)
+    return np.where(mixed, moved, share).astype(np.float32)

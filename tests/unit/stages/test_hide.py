@@ -85,9 +85,9 @@ def test_the_objects_outline_stays_as_it_is() -> None:
     g = np.random.default_rng(0)
     mask, there = np.ones((40, 40), np.float32), np.zeros((40, 40), np.float32)
     there[10:30, 10:30] = 1
-    np.testing.assert_array_equal(refined(mask, there, g.random((40, 40)).astype(np.float32), 3), mask)
+    np.testing.assert_array_equal(refined(mask, there, g.random((40, 40, 3)).astype(np.float32), 3), mask)
     mask[:, 20:] = 0
-    made = refined(mask, there, np.repeat(mask[:1], 40, 0), 3)
+    made = refined(mask, there, np.repeat(mask[..., None], 3, -1), 3)
     assert made[10:30, 10:19].min() > 0.9 and made[10:30, 21:30].max() < 0.1
 
 
