@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numba
 import numpy as np
 
@@ -26,12 +25,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
-from arfx.stages.guided import coded, guided
-
-_WINDOW_SHARE = 1 / 160  # radius of the filter's window over the picture's width
-_PASSES = 2  # each draws the edge nearer to the picture's
-_FAINT = 0.06  # a share below this, and above 1 less this, is the filter's own spill
-_EPS = 0.05**2  # variance of the picture, coded 0..1, from which an edge counts as one
+from arfx.stages.guided import reach_px, refined, window_px
 
 
 @dataclass(frozen=True)
@@ -93,18 +87,8 @@ class Hide:
         seen = rough_mask(coverage, now[Layer.DEPTH], now[Layer.REAL_DEPTH], np.float32(self.params.margin))
         there = (coverage > 0).astype(np.float32)
         if (seen < 1).any():
-            seen = refined(seen, there, coded(now[Layer.PLATE]), window_px(scene))
+            seen = refined(seen, there, now[Layer.PLATE], window_px(scene))
         return {Layer.COVERAGE: coverage * seen, Layer.VIRTUAL: virtual * seen[..., None]}
-
-
-def window_px(scene: Scene) -> int:
-    """Radius of the filter's window."""
-    return max(round(scene.camera.width * _WINDOW_SHARE), 3)
-
-
-def reach_px(scene: Scene) -> int:
-    """How far a pixel of the mask is decided from."""
-    return 2 * _PASSES * window_px(scene)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -121,18 +105,3 @@ def rough_mask(coverage, depth, real, margin):  # pragma: no cover - compiled
                 nearer = (z - r) / r
                 out[y, x] = min(max(np.float32(2) - nearer / margin, np.float32(0)), np.float32(1))
     return out
-
-
-def refined(mask: np.ndarray, there: np.ndarray, guide: np.ndarray, radius_px: int) -> np.ndarray:
-    """mask (h, w), its edges moved to those of guide (h, w, 3); the same bits where it is even all around.
-
-    there : (h, w) 1 where the mask means anything, else 0
-    """
-    moved = mask
-    for _ in range(_PASSES):
-        moved = guided(moved, guide, radius_px, _EPS, there)
-    moved = np.clip((moved - _FAINT) / (1 - 2 * _FAINT), 0, 1)
-    around = np.ones((4 * _PASSES * radius_px + 1,) * 2, np.uint8)
-    least = cv2.erode(np.where(there > 0, mask, 1).astype(np.float32), around)
-    most = cv2.dilate(np.where(there > 0, mask, 0).astype(np.float32), around)
-    return np.where((most > least) & (there > 0), moved, mask).astype(np.float32)

@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from arfx.core.cost import Cost
@@ -28,12 +27,10 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
-from arfx.stages.guided import coded, guided
+from arfx.stages.guided import reach_px, refined, window_px
 from arfx.stages.viewing import direction_grid, viewing
 
 _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
-_WINDOW_SHARE = 1 / 320  # radius of the filter's window over the picture's width
-_EPS = 0.03**2  # variance of the picture, coded 0..1, from which an edge counts as one
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ class Holdout:
         return Demand(frame, "depth tells what of the picture is the plane", follows=True)
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
-        return out.pad(4 * window_px(scene)).clip(scene.camera.rect)
+        return out.pad(reach_px(scene)).clip(scene.camera.rect)
 
     def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
         return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 30)
@@ -79,29 +76,22 @@ class Holdout:
     def prepare(self, scene: Scene, level: Level) -> np.ndarray:
         return direction_grid(scene.camera)
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
-    ) -> Mapping[Layer, Patch]:
+    def run(self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator) -> Mapping[Layer, Patch]:
         now, facts = window.now, window.facts[-1]
         inside = now.extent(Layer.SHADOW)
         if inside.empty:
             return {Layer.SHADOW: Patch(inside, np.empty((0, 0, 3), np.float32))}
-        around = inside.pad(4 * window_px(scene)).clip(now.rect)
+        around = inside.pad(reach_px(scene)).clip(now.rect)
         part, told, pose = now.crop(around), real_depth_of(facts), facts.camera_from_world
         assert pose is not None
         tolerance = max(self.params.tolerance, 0.0 if told is None else _SIGMAS * told.noise)
         share = on_plane(part[Layer.REAL_DEPTH], plane_dioptres(prepared, pose @ scene.world_from_anchor, around), tolerance)
         if (share < 1).any():
-            share = to_edges(share, part[Layer.PLATE], window_px(scene))
+            share = refined(share, np.ones_like(share), part[Layer.PLATE], window_px(scene))
         share = share[inside.slices_in(around)]
         shadow = now.crop(inside).one_channel(Layer.SHADOW)
-        left = 1 + (shadow - 1) * share[..., None]
+        left = shadow + (1 - shadow) * (1 - share[..., None])  # the same bits where share is 1
         return {Layer.SHADOW: Patch(inside, np.broadcast_to(left, (*share.shape, 3)))}
-
-
-def window_px(scene: Scene) -> int:
-    """Radius of the filter's window."""
-    return max(round(scene.camera.width * _WINDOW_SHARE), 2)
 
 
 def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.ndarray:
@@ -123,11 +113,3 @@ def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.n
     off = np.abs(np.where(known, real_m, 0) * dioptres - 1)
     share = np.clip(2 - off * np.float32(1 / tolerance), 0, 1)
     return np.where(known, share, 1).astype(np.float32)
-
-
-def to_edges(share: np.ndarray, plate: np.ndarray, radius_px: int) -> np.ndarray:
-    """share (h, w), its edges moved to those of plate (h, w, 3) linear; the same bits where it is even all around."""
-    moved = guided(share, coded(plate), radius_px, _EPS)
-    box = np.ones((4 * radius_px + 1,) * 2, np.uint8)
-    mixed = cv2.dilate(share, box) > cv2.erode(share, box)
-    return np.where(mixed, moved, share).astype(np.float32)

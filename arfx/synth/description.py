@@ -233,7 +233,7 @@ class Hidden(Part):
 class DepthInput(Part):
     """What the job is given of the scene's depth (`[input] depth`), as a depth camera measures it."""
 
-    file: str = Field(default="", pattern=r"^([\w.-]+\.(mkv|tiff))?$", description=".mkv: FFV1 gray16; .tiff: pages; none if empty")
+    file: str = Field(default="", pattern=r"^([\w.-]+\.(mkv|tiff))?$", description=".mkv: FFV1 gray16; .tiff: pages; empty: none")
     noise: float = Field(default=0.0, ge=0, le=0.2, description="standard deviation, share of the distance")
     holes: float = Field(default=0.0, ge=0, le=0.9, description="share of pixels that are not measured, in blots")
     edge_px: int = Field(default=0, ge=0, le=16, description="beside edges of things nothing is measured within that many pixels")

@@ -9,7 +9,8 @@ from arfx.core.layers import Layer
 from arfx.core.real_depth import KEY, RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError
-from arfx.stages.hide import Hide, HideParams, refined
+from arfx.stages.guided import refined
+from arfx.stages.hide import Hide, HideParams
 from tests.contract import stage_laws as laws
 from tests.unit.stages.dof_scenes import Shot, shot, with_layers
 
