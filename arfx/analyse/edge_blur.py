@@ -42,9 +42,10 @@ def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.n
         a, b = corners_px[side] - [x0, y0], corners_px[(side + 1) % 4] - [x0, y0]
         along = normalise(b - a)
         across = np.array([-along[1], along[0]])
-        # a cell is as long across the side as the neighbouring sides say: less than along it where the print is tilted
-        deep = min(abs(float((corners_px[side - 1] - corners_px[side]) @ across)),
-                   abs(float((corners_px[(side + 2) % 4] - corners_px[(side + 1) % 4]) @ across)))  # fmt: skip
+        # a cell is less deep across the side than it is long where the print is tilted, the less the farther the side
+        before, after = corners_px[side - 1], corners_px[(side + 2) % 4]
+        deep = min(abs(float((before - corners_px[side]) @ across)), abs(float((after - corners_px[(side + 1) % 4]) @ across)))
+        deep *= min(divide(np.linalg.norm(b - a), np.linalg.norm(after - before)), 1.0)
         half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
         count = int(half / _STEP_PX)
         if count < 8:
