@@ -45,7 +45,7 @@ def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.n
         # a cell is less deep across the side than it is long where the print is tilted, the less the farther the side
         before, after = corners_px[side - 1], corners_px[(side + 2) % 4]
         deep = min(abs(float((before - corners_px[side]) @ across)), abs(float((after - corners_px[(side + 1) % 4]) @ across)))
-        deep *= min(divide(np.linalg.norm(b - a), np.linalg.norm(after - before)), 1.0)
+        deep *= min(float(divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))), 1.0)
         half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
         count = int(half / _STEP_PX)
         if count < 8:

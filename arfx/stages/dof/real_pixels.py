@@ -9,8 +9,8 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.rect import Rect
-from arfx.stages.dof.light import behind
 from arfx.stages.dof.layer import strips
+from arfx.stages.dof.light import behind
 from arfx.stages.dof.spread import TILE_PX
 from arfx.stages.dof.work import on_all_cores
 
