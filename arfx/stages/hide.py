@@ -43,7 +43,7 @@ class Hide:
     name = "hide"
     reads = frozenset({Layer.PLATE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.REAL_DEPTH})
     writes = frozenset({Layer.VIRTUAL, Layer.COVERAGE})
-    levels = (Level("standard", 0.06),)
+    levels = (Level("standard", 0.09),)
     needs_facts = frozenset({"pose"})
     reach = 0
     Params = HideParams

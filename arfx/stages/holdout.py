@@ -52,7 +52,7 @@ class Holdout:
     name = "holdout"
     reads = frozenset({Layer.PLATE, Layer.SHADOW, Layer.REAL_DEPTH})
     writes = frozenset({Layer.SHADOW})
-    levels = (Level("standard", 0.12),)
+    levels = (Level("standard", 0.13),)
     needs_facts = frozenset({"pose"})
     reach = 0
     Params = HoldoutParams
