@@ -18,6 +18,7 @@ from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
+from arfx.core.real_depth import USUAL_NOISE
 
 FEWEST_PX = 24  # measured pixels on a print
 FEWEST_FRAMES = 3  # or all of a shorter clip
@@ -40,6 +41,11 @@ class DepthScale:
     spread: float | None = None
     residual: float | None = None
     frames: int = 0
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a pixel, share of its distance."""
+        return USUAL_NOISE if self.residual is None else _SIGMA * self.residual
 
     def to_json(self) -> dict[str, Any]:
         return {k: getattr(self, k) for k in self.__slots__}

@@ -40,13 +40,18 @@ def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.n
         return out
     for side in range(4):
         a, b = corners_px[side] - [x0, y0], corners_px[(side + 1) % 4] - [x0, y0]
-        half = min(_HALF_CELLS * float(np.linalg.norm(b - a)) / cells, _MOST_HALF_PX)
+        along = normalise(b - a)
+        across = np.array([-along[1], along[0]])
+        # a cell is less deep across the side than it is long where the print is tilted, the less the farther the side
+        before, after = corners_px[side - 1], corners_px[(side + 2) % 4]
+        deep = min(abs(float((before - corners_px[side]) @ across)), abs(float((after - corners_px[(side + 1) % 4]) @ across)))
+        deep *= min(float(divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))), 1.0)
+        half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
         count = int(half / _STEP_PX)
         if count < 8:
             continue
         at = _STEP_PX * np.arange(-count, count + 1)
-        along = normalise(b - a)
-        p = (a + (b - a) * FRACTIONS[:, None])[:, None] + at[:, None] * np.array([-along[1], along[0]])
+        p = (a + (b - a) * FRACTIONS[:, None])[:, None] + at[:, None] * across
         inside = ((p >= 0) & (p <= [light.shape[1] - 1, light.shape[0] - 1])).all((1, 2))
         if inside.sum() < NORMALS // 2:
             continue

@@ -76,6 +76,9 @@ def lens_from_blur(dioptre: np.ndarray, blur_px: np.ndarray, sigma_px: np.ndarra
     k_error = float(np.sqrt(covariance[2, 2]) / np.sqrt(p[2]) / spread)
     focus = middle + spread * at
     base = p[0] - p[1] ** 2 / (4 * p[2])
+    slope = np.array([1.0, -p[1] / (2 * p[2]), p[1] ** 2 / (4 * p[2] ** 2)])  # of `base` by p
+    if base < -3 * float(np.sqrt(slope @ covariance @ slope)):
+        return LensFit(False, "the blur grows faster with distance than a lens's: something else blurs some edges")
     ci = 1.96 * spread * at_error
     if ci > 0.5 * middle or focus < -ci:
         return LensFit(False, f"the focus is somewhere within {focus - ci:.2g} to {focus + ci:.2g} dioptres: not known")

@@ -15,6 +15,7 @@ from arfx.core.facts import FrameFacts
 
 KEY = "real_depth"  # in FrameFacts.extra; absent or None = the frame has no depth
 TILE_PX = 64
+USUAL_NOISE = 0.007  # of depth cameras, share of the distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +23,14 @@ class RealDepth:
     """map : number of the depth map;  scale : metres of it to true ones;  digest : of the map's file
 
     tiles : (2, th, tw) float32, least and greatest dioptre, 1/m, in every TILE_PX-th tile of the frame; wider by rounding
+    noise : standard deviation of a pixel on the prints, share of its distance; what is usual where no print told
     """
 
     map: int
     scale: float
     digest: str
     tiles: np.ndarray
+    noise: float = USUAL_NOISE
 
     @property
     def dioptre_range(self) -> tuple[float, float]:
@@ -38,14 +41,14 @@ class RealDepth:
         high = np.nextafter(self.tiles[1].astype(np.float16), np.float16(np.inf))
         packed = np.stack([low, np.minimum(high, np.finfo(np.float16).max)])
         return {
-            "map": self.map, "scale": self.scale, "digest": self.digest, "shape": list(self.tiles.shape[1:]),
+            "map": self.map, "scale": self.scale, "digest": self.digest, "noise": self.noise, "shape": list(self.tiles.shape[1:]),
             "tiles": base64.b64encode(packed.astype("<f2").tobytes()).decode(),
         }  # fmt: skip
 
     @staticmethod
     def from_json(d: dict[str, Any]) -> RealDepth:
         tiles = np.frombuffer(base64.b64decode(d["tiles"]), "<f2").reshape(2, *d["shape"])
-        return RealDepth(d["map"], d["scale"], d["digest"], tiles.astype(np.float32))
+        return RealDepth(d["map"], d["scale"], d["digest"], tiles.astype(np.float32), d["noise"])
 
 
 def real_depth_of(facts: FrameFacts) -> RealDepth | None:

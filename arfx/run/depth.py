@@ -87,7 +87,7 @@ def with_depth(
         for n, k in enumerate(of_frames):
             if k is None or (tiles := told[k].tiles) is None:
                 continue
-            depth = RealDepth(k, scale.scale, told[k].digest, (tiles / scale.scale).astype(np.float32))
+            depth = RealDepth(k, scale.scale, told[k].digest, (tiles / scale.scale).astype(np.float32), scale.noise)
             out[n] = replace(out[n], extra={**out[n].extra, KEY: depth.to_json()})
             got += 1
     summary = {

@@ -34,6 +34,7 @@ STAGES: Mapping[str, Any] = _Table(
         "plain": "arfx.stages.plain.Plain",
         "contact": "arfx.stages.contact.Contact",
         "lightmap": "arfx.stages.lightmap.Lightmap",
+        "holdout": "arfx.stages.holdout.Holdout",
         "gi": "arfx.stages.gi.Gi",
         "hide": "arfx.stages.hide.Hide",
         "composite": "arfx.stages.composite.Composite",
@@ -42,10 +43,10 @@ STAGES: Mapping[str, Any] = _Table(
     }
 )
 # Stages that every job has; the others are effects that a pipeline names.
-IMPLICIT = ("raster", "plain", "contact", "hide", "composite")
+IMPLICIT = ("raster", "plain", "contact", "holdout", "hide", "composite")
 EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
 # Those of them that only a job with measured depth of the real scene has.
-WITH_DEPTH = ("hide",)
+WITH_DEPTH = ("holdout", "hide")
 # Effects that `auto` takes only where a job sets something of theirs: they change the whole real picture, or are dear.
 ASKED_FOR = ("gi", "dof", "watercolor")
 # What an effect does itself and better: left out of a job that has it.

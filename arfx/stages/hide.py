@@ -4,7 +4,7 @@ Only where the job measures the real scene's depth. How much nearer the real sur
 what is hidden; depth maps end some pixels beside the things that they show, so a guided filter moves that mask's edge to
 the picture's own and softens it. It looks at the object's pixels alone: its outline stays as it is.
 Cost: O(pixels of the object before which something real stands). Leaves out: shadows of and on what is nearer.
-Source: guided filter (He, Sun and Tang 2010, eqs. 5, 6 and 8), each mean weighted by where the object is.
+Source: guided filter (`guided`), each mean weighted by where the object is.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -14,25 +14,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numba
 import numpy as np
 
-from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.numerics import divide
 from arfx.core.real_depth import TILE_PX, real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
-
-_WINDOW_SHARE = 1 / 160  # radius of the filter's window over the picture's width
-_PASSES = 2  # each draws the edge nearer to the picture's
-_FAINT = 0.06  # a share below this, and above 1 less this, is the filter's own spill
-_EPS = 0.05**2  # variance of the picture, coded 0..1, from which an edge counts as one
+from arfx.stages.guided import reach_px, refined, window_px
 
 
 @dataclass(frozen=True)
@@ -50,7 +43,7 @@ class Hide:
     name = "hide"
     reads = frozenset({Layer.PLATE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.REAL_DEPTH})
     writes = frozenset({Layer.VIRTUAL, Layer.COVERAGE})
-    levels = (Level("standard", 0.06),)
+    levels = (Level("standard", 0.09),)
     needs_facts = frozenset({"pose"})
     reach = 0
     Params = HideParams
@@ -94,18 +87,8 @@ class Hide:
         seen = rough_mask(coverage, now[Layer.DEPTH], now[Layer.REAL_DEPTH], np.float32(self.params.margin))
         there = (coverage > 0).astype(np.float32)
         if (seen < 1).any():
-            seen = refined(seen, there, coded_luma(now[Layer.PLATE]), window_px(scene))
+            seen = refined(seen, there, now[Layer.PLATE], window_px(scene))
         return {Layer.COVERAGE: coverage * seen, Layer.VIRTUAL: virtual * seen[..., None]}
-
-
-def window_px(scene: Scene) -> int:
-    """Radius of the filter's window."""
-    return max(round(scene.camera.width * _WINDOW_SHARE), 3)
-
-
-def reach_px(scene: Scene) -> int:
-    """How far a pixel of the mask is decided from."""
-    return 2 * _PASSES * window_px(scene)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -122,39 +105,3 @@ def rough_mask(coverage, depth, real, margin):  # pragma: no cover - compiled
                 nearer = (z - r) / r
                 out[y, x] = min(max(np.float32(2) - nearer / margin, np.float32(0)), np.float32(1))
     return out
-
-
-def coded_luma(plate: np.ndarray) -> np.ndarray:
-    """(h, w) float32, about as the eye grades it: square root of the luma, at most 2."""
-    kr, kb = LUMA_COEFFICIENTS["bt709"]
-    luma = plate @ np.array([kr, 1 - kr - kb, kb], np.float32)
-    return np.sqrt(np.clip(luma, 0, 4)).astype(np.float32)
-
-
-def refined(mask: np.ndarray, there: np.ndarray, guide: np.ndarray, radius_px: int) -> np.ndarray:
-    """mask (h, w), its edges moved to those of guide (h, w); the same bits where it is even all around.
-
-    there : (h, w) 1 where the mask means anything, else 0
-    """
-    side = 2 * radius_px + 1
-
-    def sums(a: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(a, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-
-    count = sums(there)
-
-    def mean(a: np.ndarray) -> np.ndarray:
-        return divide(sums(a * there), count).astype(np.float32)
-
-    mean_guide = mean(guide)
-    variance = mean(guide * guide) - mean_guide**2 + np.float32(_EPS)
-    moved = mask
-    for _ in range(_PASSES):
-        mean_mask = mean(moved)
-        slope = divide(mean(guide * moved) - mean_guide * mean_mask, variance).astype(np.float32)
-        moved = np.clip(mean(slope) * guide + mean(mean_mask - slope * mean_guide), 0, 1)
-    moved = np.clip((moved - _FAINT) / (1 - 2 * _FAINT), 0, 1)
-    around = np.ones((4 * _PASSES * radius_px + 1,) * 2, np.uint8)
-    least = cv2.erode(np.where(there > 0, mask, 1).astype(np.float32), around)
-    most = cv2.dilate(np.where(there > 0, mask, 0).astype(np.float32), around)
-    return np.where((most > least) & (there > 0), moved, mask).astype(np.float32)

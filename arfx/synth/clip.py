@@ -1,4 +1,7 @@
-"""A whole synthetic clip: frames, camera.yaml, job.toml, model.glb and truth, in a folder that appears when it is complete."""
+"""A whole synthetic clip: frames, camera.yaml, job.toml, model.glb, truth, and a depth input where the scene has one.
+
+Its folder appears when it is complete.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import cv2
@@ -15,6 +19,7 @@ from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
+from arfx.synth.depth_file import DepthFile
 from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile
 from arfx.synth.picture import Picture
@@ -68,10 +73,14 @@ def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: P
         (folder / "truth" / kind).mkdir(parents=True)
     frames = []
     total = scene.frames
-    with ClipFile(folder / scene.clip.file, scene) as clip:
+    with ExitStack() as files:
+        clip = files.enter_context(ClipFile(folder / scene.clip.file, scene))
+        maps = files.enter_context(DepthFile(folder / scene.depth.file, scene)) if scene.depth.file else None
         for n in range(total):
             time_s = float(world.frame_times_s[n])
             clip.write(develop(scene, picture.radiance(n), n, time_s), time_s)
+            if maps is not None:
+                maps.write(picture.surfaces(n)[0], n, time_s)
             frames.append(frame_truth(world, picture, n))
             _write_pictures(folder / "truth", kinds, picture, n)
             progress("synth", n + 1, total)
@@ -148,7 +157,10 @@ def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
 
 def job_toml(scene: SceneFile) -> str:
     """The job file beside the clip, with paths relative to it."""
-    lines = ["[input]", f"clip = {json.dumps(scene.clip.file)}", 'camera = "camera.yaml"', ""]
+    lines = ["[input]", f"clip = {json.dumps(scene.clip.file)}", 'camera = "camera.yaml"']
+    if scene.depth.file:
+        lines += [f"depth = {json.dumps(scene.depth.file)}", f"depth_scale = {1 / DEPTH_UNIT_M:g}"]
+    lines.append("")
     for marker in scene.configured:
         lines += ["[[marker]]", f"spec = {json.dumps(str(marker.spec))}", ""]
     lines += ["[model]", 'file = "model.glb"', f"fit = {json.dumps(scene.model.fit)}", ""]

@@ -230,6 +230,15 @@ class Hidden(Part):
     )
 
 
+class DepthInput(Part):
+    """What the job is given of the scene's depth (`[input] depth`), as a depth camera measures it."""
+
+    file: str = Field(default="", pattern=r"^([\w.-]+\.(mkv|tiff))?$", description=".mkv: FFV1 gray16; .tiff: pages; empty: none")
+    noise: float = Field(default=0.0, ge=0, le=0.2, description="standard deviation, share of the distance")
+    holes: float = Field(default=0.0, ge=0, le=0.9, description="share of pixels that are not measured, in blots")
+    edge_px: int = Field(default=0, ge=0, le=16, description="beside edges of things nothing is measured within that many pixels")
+
+
 class ModelPart(Part):
     shape: str = "robot"
     fit: str = "12cm"
@@ -260,6 +269,7 @@ class SceneFile(Part):
     exposure: Exposure = Exposure()
     noise: Noise = Noise()
     hidden: Hidden = Hidden()
+    depth: DepthInput = DepthInput()
     model: ModelPart = ModelPart()
     job: Job = Job()
 

@@ -19,8 +19,9 @@ from arfx_cli.console import Progress, detail, emit_json, message_options, overw
 def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_json: bool) -> None:
     """Render SCENE (a scene.toml, or the folder that holds one) into a folder.
 
-    The folder holds the clip, camera.yaml, model.glb, job.toml (`arfx process --config`), truth.jsonl (poses, corners,
-    visibility, lights, exposure of every frame) and truth/ with depth, masks and flow.
+    The folder holds the clip, camera.yaml, model.glb, job.toml (`arfx process --config`), depth maps if the scene has a
+    [depth] part, truth.jsonl (poses, corners, visibility, lights, exposure of every frame) and truth/ with depth, masks and
+    flow.
 
     \b
     Example:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import deposit, light
@@ -71,16 +71,18 @@ def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
 
 
 def render(
-    now: Layers, facts: FrameFacts, frame: Rect, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder, params: DofParams
-) -> np.ndarray:
-    """IMAGE (h, w, 3) of a frame with a pose. frame : the whole picture"""
-    sharp, rect = RealPixels.of(now, facts), now.rect
+    now: Layers, facts: FrameFacts, frame: Rect, out: Rect, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder,
+    params: DofParams,
+) -> Patch:  # fmt: skip
+    """IMAGE of a frame with a pose over `out`, or somewhat more of the same rows. frame : the whole picture"""
     optics = np.float32(at.px_per_dioptre), np.float32(at.focus), np.float32(at.limit_px)
-    real_blurs = params.scope == "all"
-    largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if real_blurs else 0.0
+    largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if params.scope == "all" else 0.0
+    real_blurs = largest > SHARP_PX
+    rect = now.rect if real_blurs else out  # where the real scene is sharp its pixels stay where they are
+    sharp = RealPixels.of(now.crop(rect), facts)
     measured = _measured(now, sharp, real, at) if real_blurs else None
     base = Spread(rect, ladder, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
-    cuts, kept = _real_cut_outs(now.rect, sharp, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
+    cuts, kept = _real_cut_outs(rect, sharp, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
     if measured is not None:
         sharp = sharp.with_all(measured.base)
         cuts = _fronts(measured, rect, at, ladder, params)
@@ -93,7 +95,7 @@ def render(
     rows = strips(rect)
 
     def start(strip: tuple[int, int]) -> None:
-        if largest <= SHARP_PX or (measured is None and _sharp_strip(strip, rect, on_nodes)):
+        if measured is None and _sharp_strip(strip, rect, on_nodes):
             base.radius[slice(*strip)] = 0
             return
         if measured is not None:
@@ -104,14 +106,16 @@ def render(
         flat = image.reshape(rect.height, -1), sharp.patch.reshape(len(sharp.patch), 3 * sharp.patch.shape[1])
         base.note(strip, deposit.deposit_real(*strip, base.radius, *flat, sharp.box, kept, boost, *base.sink))
 
-    on_all_cores(start, rows)
+    if real_blurs:
+        on_all_cores(start, rows)
     on_all_cores(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
-    result = np.empty_like(image)
+    first, last = out.y0 - rect.y0, out.y1 - rect.y0
+    result = np.empty((last - first, *image.shape[1:]), np.float32)
 
     def finish(strip: tuple[int, int]) -> None:
         top, bottom = strip
-        out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
-        spread = base.rows(top, bottom, "base") if largest > SHARP_PX else DARK
+        out, state = result[top - first : bottom - first], np.zeros((bottom - top, rect.width), np.uint8)
+        spread = base.rows(top, bottom, "base") if real_blurs else DARK
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
         if spread.lo >= spread.hi:
             out[:] = image[top:bottom]
@@ -124,8 +128,8 @@ def render(
         if not active.empty:
             light.restore(out, state, image, top, active.x0 - rect.x0, active.x1 - rect.x0)
 
-    on_all_cores(finish, rows)
-    return result
+    on_all_cores(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
+    return Patch(Rect(rect.x0, out.y0, rect.x1, out.y1), result)
 
 
 def _sharp_strip(strip: tuple[int, int], rect: Rect, on_nodes: np.ndarray) -> bool:

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.ladder import SHARP_PX
-from arfx.stages.dof.spread import TILE_PX, deposit_tile, extremes, highlight, to_cell
+from arfx.stages.dof.spread import TILE_PX, deposit_tile, extremes, highlight, only_rung, to_cell
 
 _FLAGS = {"contract", "nsz", "arcp"}
 CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
@@ -241,6 +241,28 @@ def deposit_cut(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _open_tile(radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+    """`deposit_tile` of weight 1 and no light, where all of the tile goes to one rung above 0; False where it does not."""
+    least, most = extremes(radius, y0, x0, y1, x1)
+    k = only_rung(least, most, fade, meta.shape[0])
+    if k <= 0 or most <= SHARP_PX:
+        return False
+    side = 1 << k
+    for top in range(y0 - ((y0 + lead_y) & (side - 1)), y1, side):
+        ya, yb = max(top, y0), min(top + side, y1)
+        for left in range(x0 - ((x0 + lead_x) & (side - 1)), x1, side):
+            xa, xb = max(left, x0), min(left + side, x1)
+            sums = np.float32(0)
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    sums += radius[np.uintp(y), np.uintp(x)]
+            at = np.uintp(meta[k, 0] + ((top + lead_y) >> k) * meta[k, 1] + ((left + lead_x) >> k))
+            cells[at, 3] += np.float32((yb - ya) * (xb - xa))
+            cells[at, 4] += sums
+    return True
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_gap(
     top, bottom, radius, coverage, opacity, fade, cells, meta, lead_y, lead_x, near, held
 ):  # fmt: skip  # pragma: no cover - compiled
@@ -250,11 +272,14 @@ def deposit_gap(
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
         for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
             ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
-            if extremes(coverage, ya, xa, yb, xb)[0] * opacity >= 1:
+            least, most = extremes(coverage, ya, xa, yb, xb)
+            if least * opacity >= 1:
+                continue
+            found = True
+            if most <= 0 and _open_tile(radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x):
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
                     source[y - ya, x - xa, 3] = np.float32(1) - coverage[y, x] * opacity
             deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
-            found = True
     return found

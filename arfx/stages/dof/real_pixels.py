@@ -9,8 +9,10 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.rect import Rect
+from arfx.stages.dof.layer import strips
 from arfx.stages.dof.light import behind
 from arfx.stages.dof.spread import TILE_PX
+from arfx.stages.dof.work import on_all_cores
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,13 @@ class RealPixels:
         part, bias = now.crop(box), np.array(facts.bias_rgb, np.float32)
         patch = np.empty((0, 0, 3), np.float32)
         if not box.empty:
-            patch = behind(part[Layer.PLATE], part[Layer.SHADOW], np.float32(facts.opacity), bias)
+            plate, shadow, opacity = part[Layer.PLATE], part.one_channel(Layer.SHADOW), np.float32(facts.opacity)
+            patch = np.empty(plate.shape, np.float32)
+
+            def fill(strip: tuple[int, int]) -> None:
+                behind(plate[slice(*strip)], shadow[slice(*strip)], opacity, bias, patch[slice(*strip)])
+
+            on_all_cores(fill, strips(box))
             box = box.shift(-now.rect.x0, -now.rect.y0)
         return RealPixels(_frozen(now[Layer.IMAGE]), _frozen(patch), (box.x0, box.y0, box.x1, box.y1))
 

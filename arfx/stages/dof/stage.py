@@ -18,7 +18,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
+from arfx.core.layers import Layer, Patch
 from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -85,7 +85,7 @@ class Dof:
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]:
+    ) -> Mapping[Layer, np.ndarray | Patch]:
         facts, now = window.facts[-1], window.now
         if facts.camera_from_world is None or facts.opacity <= 0 or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
@@ -99,7 +99,8 @@ class Dof:
             from arfx.stages.dof import reference
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
-        return {Layer.IMAGE: render(now, facts, scene.camera.rect, real, prepared, at, LADDERS[level.name], self.params)}
+        out = now.rect if window.out is None else window.out
+        return {Layer.IMAGE: render(now, facts, scene.camera.rect, out, real, prepared, at, LADDERS[level.name], self.params)}
 
     @property
     def _paper(self) -> bool:

@@ -128,9 +128,16 @@ def plane_radius(out, top, bottom, x0, y0, nodes, background, px_per_dioptre, fo
             line[i - g0] = nodes[iy, i] + (nodes[iy + 1, i] - nodes[iy, i]) * fy
         for i in range(g0, g1):
             a, d = line[i - g0], (line[i + 1 - g0] - line[i - g0]) * step
-            for x in range(max(i * GRID_PX, x0), min((i + 1) * GRID_PX, x0 + w)):
-                v = max(a + d * np.float32(x - i * GRID_PX), background)
-                out[j, x - x0] = min(px_per_dioptre * abs(focus - v), limit)
+            first = i * GRID_PX - x0
+            if first >= 0 and first + GRID_PX <= w:
+                whole = out[j, first : first + GRID_PX]
+                for k in range(GRID_PX):  # a fixed number, which the compiler makes one vector of
+                    v = max(a + d * np.float32(k), background)
+                    whole[k] = min(px_per_dioptre * abs(focus - v), limit)
+                continue
+            for x in range(max(first, 0), min(first + GRID_PX, w)):
+                v = max(a + d * np.float32(x - first), background)
+                out[j, x] = min(px_per_dioptre * abs(focus - v), limit)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -11,6 +11,7 @@ import pytest
 from arfx.analyse.analyser import Analyser, Analysis
 from arfx.analyse.edge_blur import EdgeBlur, side_blurs
 from arfx.core.colour import SRGB
+from arfx.core.lens_fit import lens_from_blur
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from tests.clips import MARKER, clip_camera, picture
 
@@ -75,10 +76,22 @@ def test_refused_where_the_footage_does_not_tell(px_per_dioptre: float, focus_m:
     assert any("does not tell its lens" in n for n in found.notices)
 
 
-@pytest.mark.parametrize("radius", [0.0, 1.5, 3.0, 4.5])
-def test_blur_of_a_disc_is_half_its_radius(radius: float) -> None:
-    pose = Pose(rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(0, 0, 17), np.array([0, 0, 0.35]))
+@pytest.mark.parametrize(
+    ("radius", "tilt_deg"), [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (4.5, 0.0), (0.0, 60.0), (2.0, 60.0), (2.0, 40.0)]
+)
+def test_blur_of_a_disc_is_half_its_radius(radius: float, tilt_deg: float) -> None:
+    """On a tilted print too, where a cell is less deep across the near and the far side than it is long along them."""
+    turn = rotation_from_euler_deg(-tilt_deg, 0, 0) @ rotation_from_euler_deg(0, 0, 17 if tilt_deg == 0 else 0)
+    pose = Pose(rotation_from_euler_deg(180, 0, 0) @ turn, np.array([0, 0, 0.35 if tilt_deg == 0 else 0.3]))
     corners = CAMERA.project(pose.apply(MARKER.corners_m))
     table = (255 * SRGB.decode(np.arange(256) / 255)).astype(np.float32)
     blur = side_blurs(blurred(pose, radius, 0), corners, 8, table)
     np.testing.assert_allclose(blur, np.sqrt(radius**2 / 4 + 0.55**2), rtol=0.08, atol=0.03)
+
+
+def test_what_grows_faster_than_a_lens_is_refused() -> None:
+    """Three sides alike and a fourth that something else blurs, from a camera at rest."""
+    noise = 1 + 0.02 * np.random.default_rng(0).standard_normal(400)
+    dioptre = np.tile([0.683, 0.705, 0.705, 0.729], 100) * (1 + 0.003 * np.random.default_rng(1).standard_normal(400))
+    fit = lens_from_blur(dioptre, np.tile([0.63, 0.64, 0.64, 3.05], 100) * noise, 0.1)
+    assert not fit.known and "faster with distance than a lens's" in fit.reason

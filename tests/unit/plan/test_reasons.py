@@ -73,6 +73,8 @@ GIVEN = {
     ("contact", "contact shadow changes less than half a grey level"): (SCENE, SEEN, {"contact": {"strength": 0.001}}),
     ("contact", "plane seen from behind"): (SCENE, below(SCENE), {}),
     ("contact", "contact shadow out of view"): (SCENE, beside(SCENE), {}),
+    ("holdout", "marker not visible"): (SCENE, ABSENT, {}),
+    ("holdout", "the real scene's depth is not known"): (SCENE, SEEN, {}),
     ("hide", "marker not visible"): (SCENE, ABSENT, {}),
     ("hide", "model out of view"): (SCENE, in_depth(beside(SCENE), 0.1), {}),
     ("hide", "the real scene's depth is not known"): (SCENE, SEEN, {}),
@@ -103,7 +105,7 @@ def reason(name: str, s: Scene, f: FrameFacts, settings: dict) -> str | None:
     """Why the planner leaves the stage out in this frame, numbers as #."""
     lit = ("raster", "lightmap", "composite")
     effects = {"lightmap": lit, "gi": (*lit[:2], "gi", "composite"), "dof": (*lit, "dof")}.get(
-        name, ("raster", "plain", "contact", "hide", "composite")
+        name, ("raster", "plain", "contact", "holdout", "hide", "composite")
     )
     stages = [STAGES[n](STAGES[n].Params(**settings.get(n, {}))) for n in effects]
     levels = {st.name: level_named(st.levels, "standard") for st in stages}

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, Patch
 from arfx.core.model import Material
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
@@ -81,7 +81,7 @@ def blurred(at: Shot, level: str, seconds: list[float] | None = None, **params: 
     out = stage.run(Window((at.layers,), (at.facts,)), at.scene, prepared, le, rng_for(0, 0, "dof"))[Layer.IMAGE]
     if seconds is not None:
         seconds.append(time.perf_counter() - start)
-    return out
+    return out.array if isinstance(out, Patch) else out
 
 
 def with_layers(at: Shot, **arrays: np.ndarray) -> Shot:

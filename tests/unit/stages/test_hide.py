@@ -9,7 +9,8 @@ from arfx.core.layers import Layer
 from arfx.core.real_depth import KEY, RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError
-from arfx.stages.hide import Hide, HideParams, refined
+from arfx.stages.guided import refined
+from arfx.stages.hide import Hide, HideParams
 from tests.contract import stage_laws as laws
 from tests.unit.stages.dof_scenes import Shot, shot, with_layers
 
@@ -85,9 +86,9 @@ def test_the_objects_outline_stays_as_it_is() -> None:
     g = np.random.default_rng(0)
     mask, there = np.ones((40, 40), np.float32), np.zeros((40, 40), np.float32)
     there[10:30, 10:30] = 1
-    np.testing.assert_array_equal(refined(mask, there, g.random((40, 40)).astype(np.float32), 3), mask)
+    np.testing.assert_array_equal(refined(mask, there, g.random((40, 40, 3)).astype(np.float32), 3), mask)
     mask[:, 20:] = 0
-    made = refined(mask, there, np.repeat(mask[:1], 40, 0), 3)
+    made = refined(mask, there, np.repeat(mask[..., None], 3, -1), 3)
     assert made[10:30, 10:19].min() > 0.9 and made[10:30, 21:30].max() < 0.1
 
 

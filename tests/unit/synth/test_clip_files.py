@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import tomllib
 from pathlib import Path
 
 import av
@@ -11,6 +12,7 @@ import pytest
 
 from arfx.errors import ConfigError
 from arfx.media.cameras import load_camera
+from arfx.media.depth_maps import open_depth
 from arfx.synth import clip as clip_module
 from arfx.synth.clip import make_clip
 from arfx.synth.sensor import develop
@@ -128,3 +130,27 @@ def test_a_folder_is_replaced_only_on_request(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "mine.txt").exists()
     make_clip(scene, tmp_path / "out", overwrite=True)
     assert (tmp_path / "out" / "clip.mp4").exists()
+
+
+@pytest.mark.parametrize("name", ["depth.mkv", "depth.tiff"])
+def test_a_depth_input_is_the_true_depth_as_a_camera_measures_it(tmp_path: Path, name: str) -> None:
+    parts = {**PARTS, "box": [{"size_m": ["6cm", "6cm", "9cm"], "position_m": [0.12, 0, 0]}]}
+    exact = little_scene(128, 96, frames=3, path=ORBIT, depth={"file": name}, **parts)
+    rough = little_scene(128, 96, frames=3, path=ORBIT, depth={"file": name, "noise": 0.01, "holes": 0.1, "edge_px": 2}, **parts)
+    make_clip(exact, tmp_path / "exact")
+    make_clip(rough, tmp_path / "rough")
+    job = tomllib.loads((tmp_path / "exact" / "job.toml").read_text(encoding="utf-8"))["input"]
+    maps = open_depth(tmp_path / "exact" / job["depth"], job["depth_scale"])
+    noisy = open_depth(tmp_path / "rough" / job["depth"], job["depth_scale"])
+    assert maps.of_frames([0.0, 0.1, 0.2], 0, whole=True) == [0, 1, 2]
+    picture = picture_of(exact)[1]
+    for n in range(3):
+        depth = picture.surfaces(n)[0]
+        assert np.abs(maps.load(n, 128, 96) - depth).max() < 1.1e-4, "half a step"
+        seen = noisy.load(n, 128, 96)
+        good = seen > 0
+        off = seen[good] / depth[good] - 1
+        assert off.std() == pytest.approx(0.01, rel=0.1) and abs(off.mean()) < 0.001
+        edges = np.abs(np.diff(depth, axis=1)) > 0.06 * depth[:, 1:]
+        assert edges.sum() > 20 and not good[:, 1:][edges].any() and not good[:, :-1][edges].any()
+        assert 0.1 < (~good).mean() < 0.3

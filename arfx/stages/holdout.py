@@ -1,0 +1,115 @@
+"""Real things that are not the object's plane are held out of its shadow: SHADOW is kept where measured depth is the plane's.
+
+`contact` and `lightmap` know one plane and dim every pixel in which it would be seen. Where the job measures the real
+scene's depth, what is nearer (a thing that stands on the plane) or farther (the floor beyond a table's edge) keeps its light.
+How far off counts is told by the depth's own noise on the prints; holes were filled along the picture's edges before. Depth
+maps end some pixels beside the things that they show, so beside such an edge a guided filter moves it to the picture's own.
+`gi` asks the depth itself, plane by plane, and adds to what is left. Cost: O(pixels of the shadow). Leaves out: the shadow
+that such a thing would really take, and cast on the object.
+Source: guided filter (`guided`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arfx.core.cost import Cost
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Patch
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+from arfx.core.real_depth import real_depth_of
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Demand, Level, Window
+from arfx.errors import ConfigError
+from arfx.stages.guided import reach_px, refined, window_px
+from arfx.stages.viewing import direction_grid, viewing
+
+_SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
+
+
+@dataclass(frozen=True)
+class HoldoutParams:
+    """tolerance : least share of its distance by which a real surface may be off the plane and take its whole shadow; from twice
+    that on it takes none. Noisy depth has more: three standard deviations of what is measured on the markers' prints
+    """
+
+    tolerance: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance <= 1:
+            raise ConfigError(
+                f"holdout.tolerance must be above 0 and at most 1, is {self.tolerance:g}", "a share of the distance: 0.01"
+            )
+
+
+class Holdout:
+    name = "holdout"
+    reads = frozenset({Layer.PLATE, Layer.SHADOW, Layer.REAL_DEPTH})
+    writes = frozenset({Layer.SHADOW})
+    levels = (Level("standard", 0.13),)
+    needs_facts = frozenset({"pose"})
+    reach = 0
+    Params = HoldoutParams
+
+    def __init__(self, params: HoldoutParams | None = None) -> None:
+        self.params = params or HoldoutParams()
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        if facts.camera_from_world is None or facts.opacity <= 0:
+            return Demand(EMPTY, "marker not visible")
+        if real_depth_of(facts) is None:
+            return Demand(EMPTY, "the real scene's depth is not known")
+        return Demand(frame, "depth tells what of the picture is the plane", follows=True)
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+        return out.pad(reach_px(scene)).clip(scene.camera.rect)
+
+    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
+        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 30)
+
+    def prepare(self, scene: Scene, level: Level) -> np.ndarray:
+        return direction_grid(scene.camera)
+
+    def run(self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator) -> Mapping[Layer, Patch]:
+        now, facts = window.now, window.facts[-1]
+        inside = now.extent(Layer.SHADOW)
+        if inside.empty:
+            return {Layer.SHADOW: Patch(inside, np.empty((0, 0, 3), np.float32))}
+        around = inside.pad(reach_px(scene)).clip(now.rect)
+        part, told, pose = now.crop(around), real_depth_of(facts), facts.camera_from_world
+        assert pose is not None
+        tolerance = max(self.params.tolerance, 0.0 if told is None else _SIGMAS * told.noise)
+        share = on_plane(part[Layer.REAL_DEPTH], plane_dioptres(prepared, pose @ scene.world_from_anchor, around), tolerance)
+        if (share < 1).any():
+            share = refined(share, np.ones_like(share), part[Layer.PLATE], window_px(scene))
+        share = share[inside.slices_in(around)]
+        shadow = now.crop(inside).one_channel(Layer.SHADOW)
+        left = shadow + (1 - shadow) * (1 - share[..., None])  # the same bits where share is 1
+        return {Layer.SHADOW: Patch(inside, np.broadcast_to(left, (*share.shape, 3)))}
+
+
+def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.ndarray:
+    """(h, w) float32, 1/m: of the plane z = 0 along each pixel's axis; <= 0 where it is not in view.
+
+    grid : as `direction_grid`
+    """
+    normal = camera_from_plane.rotation[:, 2]
+    height = float(normal @ camera_from_plane.translation_m)
+    return viewing((grid @ normal)[..., None] * divide(1.0, height), rect)[..., 0]
+
+
+def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.ndarray:
+    """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was measured.
+
+    real_m : (h, w) metres;  dioptres : of the plane, 1/m;  tolerance : share of the plane's distance, twice that gives 0
+    """
+    known = np.isfinite(real_m) & (real_m > 0)
+    off = np.abs(np.where(known, real_m, 0) * dioptres - 1)
+    share = np.clip(2 - off * np.float32(1 / tolerance), 0, 1)
+    return np.where(known, share, 1).astype(np.float32)
