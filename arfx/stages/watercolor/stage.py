@@ -47,6 +47,7 @@ from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, Sites, sites_of
 from arfx.stages.watercolor.toon import EVEN, toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
+_EVERY = 32  # rows of the object's layers that a frame is known by
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
 _KEPT_SETS, _KEPT_PICTURES, _KEPT_MEASURES = 4, 2, 3
 Key = tuple[Any, ...]
@@ -170,8 +171,9 @@ class Watercolor:
         p, image = self.params, now[Layer.IMAGE]
         if not p.toon or box.empty:
             return Picture(image)
+        box = now.extent(Layer.COVERAGE).clip(box)
         part = now.crop(box)
-        if not part[Layer.COVERAGE].any():
+        if box.empty or not part[Layer.COVERAGE].any():
             return Picture(image)
         light = facts.light or scene.light
         direction, radiance = toon_light(light, scene.world_from_anchor.rotation[:, 2])
@@ -281,7 +283,7 @@ class Watercolor:
         self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: Level, pose: Any
     ) -> tuple[Cover, Cells]:
         """Labels, and what is known of all cells, with those of the object's surface in the pixels that it mostly covers."""
-        rect, cell = now.rect, 0.8 * self._cell_px(level)
+        rect, cell, box = now.rect, 0.8 * self._cell_px(level), now.extent(Layer.COVERAGE).clip(box)
         inside = now.crop(box)[Layer.COVERAGE] >= 0.5
         if not inside.any():
             return Cover(cells.labels), cells
@@ -340,9 +342,10 @@ def _box(facts: FrameFacts, rect: Rect) -> Rect:
 
 def _content(now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> Key:
     """What a frame shows."""
-    out = [digest(now[Layer.IMAGE])]
+    out: list[Any] = [digest(now[Layer.IMAGE])]
+    box = now.extent(Layer.COVERAGE).clip(box)
     if not box.empty:
         part = now.crop(box)
-        # an eighth of the rows tells one state of the object from another: its colours are in the picture, its pose is known
-        out += [digest(part[name][::8]) for name in (Layer.COVERAGE, Layer.NORMAL)]
-    return (*out, box, facts.opacity, repr(facts.light or scene.light))
+        # few rows tell one state of the object from another: its colours are in the picture, its pose is known
+        out += [digest(part[name][::_EVERY]) for name in (Layer.COVERAGE, Layer.NORMAL)]
+    return (*out, box, facts.opacity, repr(facts.light or scene.light), _pose_key(facts.camera_from_world))
