@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from arfx.stages.watercolor.bands import BANDS, by_bands
+from arfx.stages.watercolor.fours import add_pixel
 from arfx.stages.watercolor.labels import Labels, bucketed
 from arfx.stages.watercolor.rows import Cover, Picture, labels_of, line_of, span_of
 from arfx.stages.watercolor.sites import STEPS
@@ -84,11 +85,11 @@ def _sum(
             if near:
                 line_of(image, patch, py, px, y + k, left, right, lines[k])
                 labels_of(first, own_first, mask, start, ly, lx, y + k, left, right, numbers)
-                _add(line, a, 0, left, sums)
-                _add(lines[k], numbers, left, right, sums)
-                _add(line, a, right, w, sums)
+                _add(line[: 3 * left], a[:left], sums)
+                _add(lines[k, 3 * left : 3 * right], numbers[left:right], sums)
+                _add(line[3 * right :], a[right:], sums)
             else:
-                _add(line, a, 0, w, sums)
+                _add(line, a, sums)
         if small.shape[1] > 0:
             # a row that has none below counts twice
             top, bottom, till = image[y].reshape(-1), image[y + rows - 1].reshape(-1), right if near else left
@@ -96,14 +97,15 @@ def _sum(
 
 
 @numba.njit(cache=True, nogil=True)
-def _add(line, a, x0, x1, sums):  # pragma: no cover - compiled
-    one, two, three = _U(1), _U(2), _U(3)
-    for x in range(x0, x1):
-        i, p = _U(4) * _U(a[_U(x)]), three * _U(x)
-        p0, p1, p2 = np.float64(line[p]), np.float64(line[p + one]), np.float64(line[p + two])
-        # nothing is written between what is read
-        t0, t1, t2, t3 = sums[i], sums[i + one], sums[i + two], sums[i + three]
-        sums[i], sums[i + one], sums[i + two], sums[i + three] = t0 + p0, t1 + p1, t2 + p2, t3 + 1.0
+def _add(line, a, sums):  # pragma: no cover - compiled
+    last = a.shape[0] - 1
+    if last < 0:
+        return
+    for x in range(last):
+        add_pixel(sums, _U(4) * _U(a[x]), line, _U(3) * _U(x))
+    for c in range(3):  # no number follows it
+        sums[4 * a[last] + c] += line[3 * last + c]
+    sums[4 * a[last] + 3] += 1.0
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.watercolor.fours import copy_four, mix_four
 from arfx.stages.watercolor.labels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
 from arfx.stages.watercolor.rows import Cover, Picture, borders_of, labels_of, row_of
@@ -29,7 +30,7 @@ def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: fl
     own = b if cover.own is None else cover.own
     four = np.zeros((len(colours), 4), np.float32)
     four[:, :3] = colours
-    ink = ink_rgb.astype(np.float32)
+    ink = np.append(ink_rgb, 0).astype(np.float32)
 
     def one(ya: int, yb: int) -> None:
         _paint_cells(b.first, own.first, mask, start, cover.y, cover.x, four, line, _F(opacity), ink, ya, yb, out)
@@ -46,40 +47,34 @@ def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, 
     table = colours.reshape(-1)
     for y in range(ya, yb):
         to = out[y].reshape(-1)
+        labels = first[y]
         if ly <= y < ly + mask.shape[0]:
             labels_of(first, own_first, mask, start, ly, lx, y, 0, w, a)
-            _fill_row(table, a, to)
-        else:
-            _fill_row(table, first[y], to)
+            labels = a
         if lh > 0 and line_row(line, y, row, lines):
-            _draw_row(lines, opacity, ink, to)
+            _draw_row(table, labels, lines, opacity, ink, to)
+        else:
+            _fill_row(table, labels, to)
 
 
 @numba.njit(cache=True, nogil=True)
 def _fill_row(table, a, to):  # pragma: no cover - compiled
-    """Four numbers at a time; the fourth is overwritten by the next pixel."""
-    last, one, two, three = a.shape[0] - 1, _U(1), _U(2), _U(3)
+    """The fourth number of each pixel is overwritten by the next one's."""
+    last = a.shape[0] - 1
     for x in range(last):
-        k, i = _U(4) * _U(a[x]), three * _U(x)
-        c0, c1, c2, c3 = table[k], table[k + one], table[k + two], table[k + three]
-        to[i], to[i + one], to[i + two], to[i + three] = c0, c1, c2, c3
+        copy_four(table, _U(4) * _U(a[x]), to, _U(3) * _U(x))
     for c in range(3):
         to[3 * last + c] = table[4 * a[last] + c]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _draw_row(lines, opacity, ink, to):  # pragma: no cover - compiled
-    """Lines over a row, only where there are any."""
-    w, step = lines.shape[0] - 1, 16
-    for x0 in range(0, w, step):
-        most, end = _F(0), min(x0 + step, w)
-        for x in range(x0, end):
-            most = max(most, lines[_U(x)])
-        if most > 0:
-            for x in range(x0, end):
-                s, i = lines[_U(x)] * opacity, _U(3) * _U(x)
-                for c in range(3):
-                    to[i + _U(c)] += s * (ink[c] - to[i + _U(c)])
+def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
+    last = a.shape[0] - 1
+    for x in range(last):
+        mix_four(table, _U(4) * _U(a[x]), ink, lines[x] * opacity, to, _U(3) * _U(x))
+    for c in range(3):
+        v = table[4 * a[last] + c]
+        to[3 * last + c] = v + lines[last] * opacity * (ink[c] - v)
 
 
 def paint(
