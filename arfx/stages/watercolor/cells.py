@@ -231,6 +231,8 @@ def toned(root: np.ndarray, lightness: float, saturation: float, deepest: float)
     lightness : v becomes 1 - (1 - v)^(1 + lightness);  saturation : factor on the distance from grey
     deepest : square root that black becomes: no wash is black
     """
+    if (lightness, saturation, deepest) == (0, 1, 0):
+        return root
     thin = deepest + (1 - deepest) * (1 - (1 - root) ** (1 + lightness))
     grey = thin @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     out: np.ndarray = np.clip(grey[:, None] + saturation * (thin - grey[:, None]), 0, 1).astype(np.float32)
