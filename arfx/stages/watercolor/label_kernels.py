@@ -120,13 +120,6 @@ def packed(lx, ly, lw, found, n, number, mx, my, reach, ca, cb, cc, near):  # pr
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def moved(ca, cb, cc, x, y, n, out):  # pragma: no cover - compiled
-    """cc for places relative to (x, y)."""
-    for m in range(n):
-        out[m] = cc[m] + (ca[m] * x + cb[m] * y)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def labelled(ca, cb, cc, x, y, n, places, at, near, k1, first, top, left):  # pragma: no cover - compiled
     """nearest_one of a whole tile, by its label in the picture: its places, from `at` on, relative to (x, y)."""
     own, down = _U(at), _U(at + PIXELS)
@@ -199,14 +192,13 @@ def nearest_two(ca, cb, cc, n, p, k1, k2):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def inside_of(p, px, py, k1, k2, blend, n1, n2, share):  # pragma: no cover - compiled
-    """(px, py) : what places are relative to, from where the sites are. How much farther the next site is than the nearest, 0..SOLID: SOLID is 2 blend. Half of it is about the way to the
+def inside_of(p, k1, k2, blend, n1, n2, share):  # pragma: no cover - compiled
+    """How much farther the next site is than the nearest, 0..SOLID: SOLID is 2 blend. Half of it is about the way to the
     border between the two."""
     factor = _F(SOLID) / (_F(2) * blend)
     for q in range(PIXELS):
         a, b = _I(k1[q]), _I(k2[q])
-        x, y = p[0, q] + px, p[1, q] + py
-        own = x * x + y * y
+        own = p[0, q] * p[0, q] + p[1, q] * p[1, q]
         s = _I(min((np.sqrt(_F(b >> 6) + own) - np.sqrt(_F(a >> 6) + own)) * factor, _F(SOLID)))
         n1[q] = a & (PACKED - 1)
         n2[q] = (b if s < SOLID else a) & (PACKED - 1)
