@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 BANDS = 4
@@ -36,18 +36,23 @@ def by_bands(work: Callable[[int, int], T], height: int, unit: int = 1, least: i
     others = min(_threads(), len(spans)) - 1
     if height < least or others < 1:
         return [work(*span) for span in spans]
+    shared = [(work, spans, iter(range(len(spans))))]
     out: dict[int, T] = {}
-    todo = iter(range(len(spans)))
-
-    def take() -> None:
-        for k in todo:
-            out[k] = work(*spans[k])
-
-    begun = [_pool(os.getpid()).submit(take) for _ in range(others)]
+    begun = [_pool(os.getpid()).submit(_take, shared, out) for _ in range(others)]
     try:
-        take()
+        _take(shared, out)
     finally:
         for other in begun:
             if not other.cancel():
                 other.result()
-    return [out[k] for k in range(len(spans))]
+        shared.clear()  # one that never began may stay in the queue for a while: it holds no picture
+    made = [out[k] for k in range(len(spans))]
+    out.clear()
+    return made
+
+
+def _take(shared: list[Any], out: dict[int, Any]) -> None:
+    """Do the bands that nobody has begun."""
+    for work, spans, todo in tuple(shared):
+        for k in todo:
+            out[k] = work(*spans[k])

@@ -216,7 +216,7 @@ def _label(
                 by_number(order, number, count, lx, ly, lw, away)
             full = filled_up(count, lx, ly, lw)
             # mostly one list does for all four tiles: to look for the nearest alone costs less than to prune
-            whole = not far and not borders and count <= PACKED
+            whole = ordered and not far and not borders and count <= PACKED
             if whole:
                 whole = packed(lx, ly, lw, every, count, number, 0, 0, np.float32(half), ca, cb, cc, near) < PACKED_LIMIT
             for tile in range(4):

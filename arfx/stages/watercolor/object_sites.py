@@ -90,15 +90,26 @@ def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell
         surface.points, surface.normals, surface.importance, surface.most_m, eye, row, at, cell_px / camera.fx
     )
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
-    seen = np.isfinite(pixel).all(1)
-    keep, share, pixel = keep[seen], share[seen], pixel[seen]
-    place = np.round(np.clip(pixel, -1e5, 1e5) * STEPS).astype(np.float32)
-    weight = -np.round((1 - share) * (1.2 * cell_px * STEPS) ** 2).astype(np.float32)
-    q = surface.points[keep] * (4 * flow_px / surface.extent_m)
-    u, v = (q[:, 0] + 0.6 * q[:, 2]).astype(np.float32), (q[:, 1] + 0.4 * q[:, 2]).astype(np.float32)
-    return Sites(
-        np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1]), weight, keep.astype(np.int64), u, v
-    )  # fmt: skip
+    grown = np.float64((1.2 * cell_px * STEPS) ** 2)
+    return Sites(*_sites(surface.points, keep, share, pixel, grown, 4 * flow_px / surface.extent_m))
+
+
+@numba.njit(cache=True, nogil=True)
+def _sites(points, keep, share, pixel, grown, scale):  # pragma: no cover - compiled
+    """As Sites holds them, without those that are not in the picture's plane."""
+    n, k = keep.shape[0], 0
+    x, y, weight = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    key, u, v = np.empty(n, np.int64), np.empty(n, np.float32), np.empty(n, np.float32)
+    for m in range(n):
+        px, py = pixel[m, 0], pixel[m, 1]
+        if not (np.isfinite(px) and np.isfinite(py)):
+            continue
+        x[k], y[k] = np.rint(min(max(px, -1e5), 1e5) * STEPS), np.rint(min(max(py, -1e5), 1e5) * STEPS)
+        weight[k], key[k] = -np.rint((1 - share[m]) * grown), keep[m]
+        qx, qy, qz = points[keep[m], 0] * scale, points[keep[m], 1] * scale, points[keep[m], 2] * scale
+        u[k], v[k] = qx + 0.6 * qz, qy + 0.4 * qz
+        k += 1
+    return x[:k], y[:k], weight[:k], key[:k], u[:k], v[:k]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
+import numba
 import numpy as np
 
 from arfx.core.cost import Cost
@@ -258,10 +259,11 @@ class Watercolor:
         wobble = prepared.wobble.at(*_shift(where))
         sites = in_order(sites_of(where, scene.seed, most, cell), rect, wobble)
         labels = self._labels(sites, rect, wobble, level)
-        return self._described(sites, labels, _size_at(where, sites), scene.seed)
+        size = _size_at(where.size, where.x0, where.y0, sites.x, sites.y) if self.params.wash > 0 else np.zeros(0, np.float32)
+        return self._described(sites, labels, size, scene.seed)
 
     def _described(self, sites: Sites, labels: Labels, size: np.ndarray, seed: int) -> Cells:
-        """size (n,) : of cells at the sites, px"""
+        """size (n,) : of cells at the sites, px; not read where there are no washes"""
         p = self.params
         flow = turbulence(sites.u, sites.v, seed, p.flow_px) if p.pigment and len(sites) else np.zeros(labels.count, np.float32)
         if p.wash > 0 and len(sites) > 1:
@@ -306,12 +308,15 @@ class Watercolor:
         return cover, Cells(cells.labels, np.concatenate([cells.flow, own.flow]), near, share)
 
 
-def _size_at(where: Field, sites: Sites) -> np.ndarray:
-    """(n,) float32 size of cells at the sites, px: that of the nearest node."""
-    gh, gw = where.size.shape
-    i = np.clip(np.round((sites.y / STEPS - where.y0) / GRID_PX).astype(np.int32), 0, gh - 1)
-    j = np.clip(np.round((sites.x / STEPS - where.x0) / GRID_PX).astype(np.int32), 0, gw - 1)
-    return where.size[i, j].astype(np.float32)
+@numba.njit(cache=True, nogil=True)
+def _size_at(size, x0, y0, x, y):  # pragma: no cover - compiled
+    """(n,) float32 size of cells at the sites, px: that of the nearest node (size (gh, gw), the first one at x0, y0)."""
+    gh, gw = size.shape
+    out = np.empty(x.shape[0], np.float32)
+    for k in range(x.shape[0]):
+        i, j = np.int64(np.rint((y[k] / STEPS - y0) / GRID_PX)), np.int64(np.rint((x[k] / STEPS - x0) / GRID_PX))
+        out[k] = size[min(max(i, 0), gh - 1), min(max(j, 0), gw - 1)]
+    return out
 
 
 def _shift(where: Field) -> tuple[int, int]:
