@@ -13,8 +13,9 @@ import numba
 import numpy as np
 
 from arfx.stages.watercolor.bands import BANDS, by_bands
+from arfx.stages.watercolor.fours import add_pixel
 from arfx.stages.watercolor.labels import Labels, bucketed
-from arfx.stages.watercolor.rows import Cover, Picture, line_of, numbers_of
+from arfx.stages.watercolor.rows import Cover, Picture, labels_of, line_of, span_of
 from arfx.stages.watercolor.sites import STEPS
 
 NEIGHBOURS = 8  # of a cell that are kept; a Voronoi cell has 6 on average
@@ -70,52 +71,62 @@ def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
 def _sum(
     image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, y0, y1, total, small
 ):  # pragma: no cover
-    """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1. Both halves of a row in turns: the sums of one
-    cell are not always waited for."""
+    """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1, y0 even. Where the object may lie rows are
+    put together in buffers."""
     w = first.shape[1]
-    half = _U(w // 2)
-    above, colours, numbers = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32), np.empty(w, np.int32)
-    apart = np.empty((3, w), np.float32)
-    sums, one, two, three = total.reshape(-1), _U(1), _U(2), _U(3)
-    for y in range(y0, y1):
-        line = line_of(image, patch, py, px, y, colours)
-        a = numbers_of(first, own_first, mask, start, ly, lx, y, numbers)
-        for x in range(w // 2):
-            for side in range(2):
-                q = _U(x) + _U(side) * half
-                i, p = _U(4) * _U(a[q]), _U(3) * q
-                p0, p1, p2 = np.float64(line[p]), np.float64(line[p + one]), np.float64(line[p + two])
-                # nothing is written between what is read
-                t0, t1, t2, t3 = sums[i], sums[i + one], sums[i + two], sums[i + three]
-                sums[i], sums[i + one], sums[i + two], sums[i + three] = t0 + p0, t1 + p1, t2 + p2, t3 + 1.0
-        if w % 2:
-            for c in range(3):
-                total[a[w - 1], c] += line[3 * (w - 1) + c]
-            total[a[w - 1], 3] += 1.0
-        if small.shape[1] > 0:
-            if y % 2 or y == y1 - 1:
-                _halve(above if y % 2 else line, line, apart, small, y // 2)
+    left, right = span_of(px, patch.shape[1], lx, mask.shape[1])
+    lines, numbers = np.empty((2, 3 * w), np.float32), np.empty(w, np.int32)
+    both, sums = np.empty(3 * w, np.float32), total.reshape(-1)
+    for y in range(y0, y1, 2):
+        rows = min(2, y1 - y)
+        near = (py < y + rows and y < py + patch.shape[0]) or (ly < y + rows and y < ly + mask.shape[0])
+        for k in range(rows):
+            line, a = image[y + k].reshape(-1), first[y + k]
+            if near:
+                line_of(image, patch, py, px, y + k, left, right, lines[k])
+                labels_of(first, own_first, mask, start, ly, lx, y + k, left, right, numbers)
+                _add(line[: 3 * left], a[:left], sums)
+                _add(lines[k, 3 * left : 3 * right], numbers[left:right], sums)
+                _add(line[3 * right :], a[right:], sums)
             else:
-                above[:] = line
+                _add(line, a, sums)
+        if small.shape[1] > 0:
+            # a row that has none below counts twice
+            top, bottom, till = image[y].reshape(-1), image[y + rows - 1].reshape(-1), right if near else left
+            _halve(top, bottom, lines[0], lines[rows - 1], left, till, both, small, y // 2)
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(line, a, sums):  # pragma: no cover - compiled
+    last = a.shape[0] - 1
+    if last < 0:
+        return
+    for x in range(last):
+        add_pixel(sums, _U(4) * _U(a[x]), line, _U(3) * _U(x))
+    for c in range(3):  # no number follows it
+        sums[4 * a[last] + c] += line[3 * last + c]
+    sums[4 * a[last] + 3] += 1.0
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _halve(top, bottom, apart, small, y):  # pragma: no cover - compiled
-    """Row y of small, from two rows of the picture. apart (3, w) is written."""
-    w = apart.shape[1]
+def _halve(top, bottom, near_top, near_bottom, left, right, both, small, y):  # pragma: no cover - compiled
+    """Row y of small, from two rows of the picture, of which pixels left ... right - 1 are near_top and near_bottom.
+    both (3 w,) is written."""
+    w, n = top.shape[0] // 3, small.shape[2]
     zero, one, quarter = np.float32(0), np.float32(1), np.float32(0.25)
-    r, g, b = apart[0], apart[1], apart[2]
-    for x in range(w):
-        i = _U(3) * _U(x)
-        j, k = i + _U(1), i + _U(2)
-        r[x], g[x], b[x] = top[i] + bottom[i], top[j] + bottom[j], top[k] + bottom[k]
+    for i in range(3 * w):
+        both[i] = top[i] + bottom[i]
+    for i in range(3 * left, 3 * right):
+        both[_U(i)] = near_top[_U(i)] + near_bottom[_U(i)]
     for c in range(3):
-        s, out = apart[c], small[c, y]
+        out = small[c, y]
         for m in range(w // 2):
-            a = _U(2) * _U(m)
-            out[m] = np.sqrt(min(max((s[a] + s[a + _U(1)]) * quarter, zero), one))
+            a = _U(6) * _U(m) + _U(c)
+            out[m] = both[a] + both[a + _U(3)]
         if w % 2:
-            out[w // 2] = np.sqrt(min(max(s[w - 1] * np.float32(0.5), zero), one))
+            out[w // 2] = both[3 * (w - 1) + c] * np.float32(2)
+        for m in range(n):
+            out[m] = np.sqrt(min(max(out[m] * quarter, zero), one))
 
 
 def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -220,6 +231,8 @@ def toned(root: np.ndarray, lightness: float, saturation: float, deepest: float)
     lightness : v becomes 1 - (1 - v)^(1 + lightness);  saturation : factor on the distance from grey
     deepest : square root that black becomes: no wash is black
     """
+    if (lightness, saturation, deepest) == (0, 1, 0):
+        return root
     thin = deepest + (1 - deepest) * (1 - (1 - root) ** (1 + lightness))
     grey = thin @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     out: np.ndarray = np.clip(grey[:, None] + saturation * (thin - grey[:, None]), 0, 1).astype(np.float32)

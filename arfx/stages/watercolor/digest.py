@@ -27,16 +27,25 @@ def digest(array: np.ndarray) -> int:
 
 @numba.njit(cache=True, nogil=True)
 def _digest(words, a, b):  # pragma: no cover - compiled
-    lanes = np.full(LANES, np.uint32(0x9E3779B9), np.uint32)
-    odd = np.empty(LANES, np.uint32)
+    """Both halves in turns: memory that is read in two places comes half as fast again."""
+    lanes, odd = np.full((2, LANES), np.uint32(0x9E3779B9), np.uint32), np.empty(LANES, np.uint32)
     for k in range(LANES):
         odd[k] = np.uint32(0x85EBCA6B + 2 * k * 0x27D4EB)
-    for row in range(a, b):
+    half = (b - a) // 2
+    for row in range(a, a + half):
         for k in range(LANES):
-            lanes[k] = (lanes[k] ^ words[row, k]) * odd[k]
-            lanes[k] ^= lanes[k] >> np.uint32(15)
+            v = (lanes[0, k] ^ words[row, k]) * odd[k]
+            lanes[0, k] = v ^ (v >> np.uint32(15))
+        for k in range(LANES):
+            v = (lanes[1, k] ^ words[row + half, k]) * odd[k]
+            lanes[1, k] = v ^ (v >> np.uint32(15))
+    for row in range(a + 2 * half, b):
+        for k in range(LANES):
+            v = (lanes[1, k] ^ words[row, k]) * odd[k]
+            lanes[1, k] = v ^ (v >> np.uint32(15))
     out = np.uint64(14695981039346656037)
-    for k in range(LANES):
-        out = (out ^ np.uint64(lanes[k])) * np.uint64(1099511628211)
-        out ^= out >> np.uint64(29)
+    for h in range(2):
+        for k in range(LANES):
+            out = (out ^ np.uint64(lanes[h, k])) * np.uint64(1099511628211)
+            out ^= out >> np.uint64(29)
     return out

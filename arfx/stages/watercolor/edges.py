@@ -15,6 +15,7 @@ import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.stages.watercolor.bands import BANDS, by_bands
+from arfx.stages.watercolor.smooth import smoothed, taps_of
 
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -65,14 +66,19 @@ def measured(small: np.ndarray, alpha: float, beta: float, smooth_px: float, mat
     h, w = small.shape[1:]
     made = np.empty((3, h, w), np.float32)
     luma = yuv_matrix(matrix).astype(np.float32)
-    around = int(np.ceil(4 * sigma)) + 2  # rows that the smoothing may reach, and one for the slopes
+    taps = taps_of(sigma)
+    reach = len(taps) - 1 if len(taps) else int(np.ceil(4 * sigma)) + 1
+    around = reach + 1  # rows that the smoothing may reach, and one for the slopes
 
     def one(a: int, b: int) -> None:
         """Smoothed by bands, with the rows around: what is measured is still in the cache."""
         first, last = max(a - around, 0), min(b + around, h)
         smooth = np.empty((3, last - first, w), np.float32)
-        for c in range(3):
-            cv2.GaussianBlur(small[c, first:last], (0, 0), sigma, dst=smooth[c], borderType=cv2.BORDER_REPLICATE)
+        if len(taps):
+            smoothed(small, taps, first, last, smooth)
+        else:
+            for c in range(3):
+                cv2.GaussianBlur(small[c, first:last], (0, 0), sigma, dst=smooth[c], borderType=cv2.BORDER_REPLICATE)
         _measure(smooth, luma, np.float32(alpha), np.float32(beta), first, a, b, made)
 
     by_bands(one, h)

@@ -97,10 +97,12 @@ def depth_factor(field: Field, camera: Camera, pose: Pose, scene: Scene, strengt
     camera_from_anchor = pose @ scene.world_from_anchor
     normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
     gh, gw = field.u.shape
-    x, y = np.meshgrid(field.x0 + GRID_PX * np.arange(gw), field.y0 + GRID_PX * np.arange(gh))
-    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(x.shape)], -1)
-    depth = divide(float(normal @ at), rays @ normal, where_zero=np.inf)
-    ratio = np.where(depth > 0, divide(depth, max(float(at[2]), 1e-6), where_zero=np.inf), np.inf)
+    # normal . ray of each node: linear along the picture
+    across = (field.x0 + GRID_PX * np.arange(gw) - camera.cx) * (normal[0] / camera.fx)
+    down = (field.y0 + GRID_PX * np.arange(gh) - camera.cy) * (normal[1] / camera.fy) + normal[2]
+    facing = across + down[:, None]
+    # depth of the plane over that of the marker, upside down: 0 = as far as can be, or behind the camera
+    nearness = facing * float(divide(max(float(at[2]), 1e-6), float(normal @ at)))
     low, high = (b ** (1 / strength) for b in (_FINEST, _COARSEST))
-    out: np.ndarray = np.clip(ratio, low, high) ** strength
+    out: np.ndarray = np.clip(nearness, 1 / high, 1 / low) ** -strength
     return out

@@ -120,6 +120,31 @@ def packed(lx, ly, lw, found, n, number, mx, my, reach, ca, cb, cc, near):  # pr
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def labelled(ca, cb, cc, x, y, n, places, at, near, k1, first, top, left):  # pragma: no cover - compiled
+    """nearest_one of a whole tile, by its label in the picture: its places, from `at` on, relative to (x, y)."""
+    own, down = _U(at), _U(at + PIXELS)
+    for q in range(PIXELS):
+        k1[q] = PACKED_LIMIT
+    m = 0
+    while m < n:  # five at a time; the last ones twice
+        m0, m1, m2, m3, m4 = m, min(m + 1, n - 1), min(m + 2, n - 1), min(m + 3, n - 1), min(m + 4, n - 1)
+        a0, b0, a1, b1, a2, b2 = ca[m0], cb[m0], ca[m1], cb[m1], ca[m2], cb[m2]
+        a3, b3, a4, b4 = ca[m3], cb[m3], ca[m4], cb[m4]
+        c0, c1, c2 = cc[m0] + (a0 * x + b0 * y), cc[m1] + (a1 * x + b1 * y), cc[m2] + (a2 * x + b2 * y)
+        c3, c4 = cc[m3] + (a3 * x + b3 * y), cc[m4] + (a4 * x + b4 * y)
+        for q in range(PIXELS):
+            px, py = places[own + _U(q)], places[down + _U(q)]
+            k = min(k1[q], a0 * px + (b0 * py + c0))
+            k = min(k, min(a1 * px + (b1 * py + c1), a2 * px + (b2 * py + c2)))
+            k1[q] = min(k, min(a3 * px + (b3 * py + c3), a4 * px + (b4 * py + c4)))
+        m += 5
+    for i in range(TILE):
+        row = first[top + i]
+        for j in range(TILE):
+            row[_U(left) + _U(j)] = near[_U(_I(k1[_U(i * TILE) + _U(j)]) & (PACKED - 1))]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def nearest_one(ca, cb, cc, n, p, k1, n1):  # pragma: no cover - compiled
     """n1 : candidate of each pixel of a tile. The lesser packed number is the nearer site, or the one of lower number.
     Three candidates at a time: what is kept is loaded and stored a third as often."""

@@ -32,6 +32,7 @@ from arfx.stages.watercolor.label_kernels import (
     filled_up,
     inside_of,
     kept,
+    labelled,
     named,
     nearest_any,
     nearest_one,
@@ -183,8 +184,9 @@ def _label(
     lx, ly, lw, away = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
     number, found = np.empty(room, np.int32), np.empty(room, np.int32)
     ca, cb, cc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
-    near = np.empty(PACKED, np.int32)
-    borders = blend > 0
+    ta, tb, tc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
+    near, names = np.empty(PACKED, np.int32), np.empty(PACKED, np.int32)
+    borders, flat = blend > 0, places.reshape(-1)
     reach = np.int32((np.abs(boxes[..., :2]) + boxes[..., 2:]).max())  # of a tile's places from its middle
     half = np.int32(reach + TILE * STEPS // 2)
     every = np.arange(order.shape[0]).astype(np.int32)
@@ -213,6 +215,10 @@ def _label(
             if not ordered and not far:
                 by_number(order, number, count, lx, ly, lw, away)
             full = filled_up(count, lx, ly, lw)
+            # mostly one list does for all four tiles: to look for the nearest alone costs less than to prune
+            whole = ordered and not far and not borders and count <= PACKED
+            if whole:
+                whole = packed(lx, ly, lw, every, count, number, 0, 0, np.float32(half), ca, cb, cc, near) < PACKED_LIMIT
             for tile in range(4):
                 down, right = tile >> 1, tile & 1
                 ty, tx = by + TILE * down, bx + TILE * right
@@ -223,10 +229,14 @@ def _label(
                     continue
                 i = (row + (ty - y0) // TILE) % places.shape[0]
                 j = (column + (tx - x0) // TILE) % places.shape[1]
+                half_tile = TILE * STEPS // 2
+                own_x, own_y = np.int32((2 * right - 1) * half_tile), np.int32((2 * down - 1) * half_tile)
+                if whole and end - left == TILE and bottom - top == TILE:
+                    at = (i * places.shape[1] + j) * 2 * PIXELS
+                    labelled(ca, cb, cc, np.float32(own_x), np.float32(own_y), count, flat, at, near, k1, first, top, left)
+                    continue
                 p, n, fits = places[i, j], 0, False
                 if not far:
-                    half_tile = TILE * STEPS // 2
-                    own_x, own_y = np.int32((2 * right - 1) * half_tile), np.int32((2 * down - 1) * half_tile)
                     cx, cy = np.int32(own_x + boxes[i, j, 0]), np.int32(own_y + boxes[i, j, 1])
                     hx, hy = boxes[i, j, 2], boxes[i, j, 3]
                     # a site that comes within `blend` of winning is at most 2 blend farther than the winner
@@ -234,18 +244,18 @@ def _label(
                     n = within(lx, ly, lw, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
                     if n <= PACKED:
                         fits = (
-                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ca, cb, cc, near) < PACKED_LIMIT
+                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ta, tb, tc, names) < PACKED_LIMIT
                         )
                 if fits:
                     if borders:
-                        nearest_two(ca, cb, cc, n, p, k1, k2)
+                        nearest_two(ta, tb, tc, n, p, k1, k2)
                         if n == 1:
                             k2[:] = np.float32(2e9)  # there is no other near enough
                         inside_of(p, k1, k2, blend, n1, n2, share)
-                        named(n2, near)
+                        named(n2, names)
                     else:
-                        nearest_one(ca, cb, cc, n, p, k1, n1)
-                    named(n1, near)
+                        nearest_one(ta, tb, tc, n, p, k1, n1)
+                    named(n1, names)
                 else:
                     for m in range(n):
                         found[m] = number[found[m]]

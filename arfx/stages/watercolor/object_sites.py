@@ -8,6 +8,7 @@ calls for. Cost: O(points) per set. Leaves out: which points other parts of the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -26,12 +27,16 @@ _GRAZING = 0.2  # cosine to the viewer below which a point fades: it is about to
 @dataclass(frozen=True, eq=False)
 class Surface:
     """points, normals (n, 3) WORLD, metres;  importance (n,) log2 of the cell size in metres up to which a point counts
-    extent_m : largest side of the model"""
+    extent_m : largest side of the model;  most_m (n,) : size of a cell from which nothing of a point is left"""
 
     points: np.ndarray
     normals: np.ndarray
     importance: np.ndarray
     extent_m: float
+
+    @cached_property
+    def most_m(self) -> np.ndarray:
+        return np.exp2(self.importance + 0.5 * FADE)
 
 
 def surface_of(scene: Scene, seed: int) -> Surface:
@@ -81,29 +86,44 @@ def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell
     four wavelengths of the flow wide, whatever its size in the picture."""
     row, at = camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
     eye = camera_from_world.inverse().translation_m
-    keep, share = _seen(surface.points, surface.normals, surface.importance, eye, row, at, cell_px / camera.fx)
+    keep, share = _seen(
+        surface.points, surface.normals, surface.importance, surface.most_m, eye, row, at, cell_px / camera.fx
+    )
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
-    seen = np.isfinite(pixel).all(1)
-    keep, share, pixel = keep[seen], share[seen], pixel[seen]
-    place = np.round(np.clip(pixel, -1e5, 1e5) * STEPS).astype(np.float32)
-    weight = -np.round((1 - share) * (1.2 * cell_px * STEPS) ** 2).astype(np.float32)
-    q = surface.points[keep] * (4 * flow_px / surface.extent_m)
-    u, v = (q[:, 0] + 0.6 * q[:, 2]).astype(np.float32), (q[:, 1] + 0.4 * q[:, 2]).astype(np.float32)
-    return Sites(
-        np.ascontiguousarray(place[:, 0]), np.ascontiguousarray(place[:, 1]), weight, keep.astype(np.int64), u, v
-    )  # fmt: skip
+    grown = np.float64((1.2 * cell_px * STEPS) ** 2)
+    return Sites(*_sites(surface.points, keep, share, pixel, grown, 4 * flow_px / surface.extent_m))
 
 
 @numba.njit(cache=True, nogil=True)
-def _seen(points, normals, importance, eye, row, at, size):  # pragma: no cover - compiled
+def _sites(points, keep, share, pixel, grown, scale):  # pragma: no cover - compiled
+    """As Sites holds them, without those that are not in the picture's plane."""
+    n, k = keep.shape[0], 0
+    x, y, weight = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    key, u, v = np.empty(n, np.int64), np.empty(n, np.float32), np.empty(n, np.float32)
+    for m in range(n):
+        px, py = pixel[m, 0], pixel[m, 1]
+        if not (np.isfinite(px) and np.isfinite(py)):
+            continue
+        x[k], y[k] = np.rint(min(max(px, -1e5), 1e5) * STEPS), np.rint(min(max(py, -1e5), 1e5) * STEPS)
+        weight[k], key[k] = -np.rint((1 - share[m]) * grown), keep[m]
+        qx, qy, qz = points[keep[m], 0] * scale, points[keep[m], 1] * scale, points[keep[m], 2] * scale
+        u[k], v[k] = qx + 0.6 * qz, qy + 0.4 * qz
+        k += 1
+    return x[:k], y[:k], weight[:k], key[:k], u[:k], v[:k]
+
+
+@numba.njit(cache=True, nogil=True)
+def _seen(points, normals, importance, most, eye, row, at, size):  # pragma: no cover - compiled
     """(which points face the camera and count at this density (k,), how far each has appeared (k,), 0..1].
 
-    row . point + at : depth, metres;  size : of a cell at depth 1 m, metres
+    most : of Surface.most_m;  row . point + at : depth, metres;  size : of a cell at depth 1 m, metres
     """
     which, share = np.empty(points.shape[0], np.int64), np.empty(points.shape[0])
     k = 0
     for m in range(points.shape[0]):
         depth = points[m, 0] * row[0] + points[m, 1] * row[1] + points[m, 2] * row[2] + at
+        if depth * size >= most[m]:  # has not begun to appear
+            continue
         x, y, z = eye[0] - points[m, 0], eye[1] - points[m, 1], eye[2] - points[m, 2]
         facing = x * normals[m, 0] + y * normals[m, 1] + z * normals[m, 2]
         if not (depth > EPS_DEPTH_M and facing > 0):

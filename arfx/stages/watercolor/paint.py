@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.watercolor.fours import copy_four, mix_four
 from arfx.stages.watercolor.labels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
 from arfx.stages.watercolor.rows import Cover, Picture, borders_of, labels_of, row_of
@@ -27,11 +28,12 @@ def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: fl
     b = cover.back
     start, mask = b.count, cover.mask
     own = b if cover.own is None else cover.own
+    four = np.zeros((len(colours), 4), np.float32)
+    four[:, :3] = colours
+    ink = np.append(ink_rgb, 0).astype(np.float32)
 
     def one(ya: int, yb: int) -> None:
-        _paint_cells(
-            b.first, own.first, mask, start, cover.y, cover.x, colours, line, _F(opacity), ink_rgb.astype(np.float32), ya, yb, out
-        )
+        _paint_cells(b.first, own.first, mask, start, cover.y, cover.x, four, line, _F(opacity), ink, ya, yb, out)
 
     by_bands(one, h)
     return out
@@ -42,18 +44,37 @@ def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, 
     w = first.shape[1]
     lh, lw = line.shape
     a, lines, row = np.empty(w, np.int32), np.zeros(w + 1, np.float32), np.empty(max(lw, 1), np.float32)
+    table = colours.reshape(-1)
     for y in range(ya, yb):
-        labels_of(first, own_first, mask, start, ly, lx, y, a)
-        for x in range(w):
-            k = _U(a[x])
-            for c in range(3):
-                out[y, x, c] = colours[k, c]
-        if lh > 0:
-            line_row(line, y, row, lines)
-            for x in range(w):
-                s = lines[x] * opacity
-                for c in range(3):
-                    out[y, x, c] += s * (ink[c] - out[y, x, c])
+        to = out[y].reshape(-1)
+        labels = first[y]
+        if ly <= y < ly + mask.shape[0]:
+            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, a)
+            labels = a
+        if lh > 0 and line_row(line, y, row, lines):
+            _draw_row(table, labels, lines, opacity, ink, to)
+        else:
+            _fill_row(table, labels, to)
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_row(table, a, to):  # pragma: no cover - compiled
+    """The fourth number of each pixel is overwritten by the next one's."""
+    last = a.shape[0] - 1
+    for x in range(last):
+        copy_four(table, _U(4) * _U(a[x]), to, _U(3) * _U(x))
+    for c in range(3):
+        to[3 * last + c] = table[4 * a[last] + c]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
+    last = a.shape[0] - 1
+    for x in range(last):
+        mix_four(table, _U(4) * _U(a[x]), ink, lines[x] * opacity, to, _U(3) * _U(x))
+    for c in range(3):
+        v = table[4 * a[last] + c]
+        to[3 * last + c] = v + lines[last] * opacity * (ink[c] - v)
 
 
 def paint(
@@ -106,14 +127,14 @@ def _paint(
     held, row = np.empty((4, w), np.uint64), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
         row_of(image, patch, py, px, y, light[0], light[1], light[2])
-        labels_of(first, own_first, mask, start, ly, lx, y, a)
+        labels_of(first, own_first, mask, start, ly, lx, y, 0, w, a)
         borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k, near)
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
             held[0, x], held[1, x], held[2, x], held[3, x] = known[at], known[to], tinted[at], tinted[to]
         _grain_row(grain, y0 + y, x0, light[3, :w])
-        if lh > 0:
-            line_row(line, y, row, light[4])
+        if lh > 0 and not line_row(line, y, row, light[4]):
+            light[4, :] = 0
         _mix(held, near, light, strengths, ink)
         for x in range(w):
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[5, x], light[6, x], light[7, x]
@@ -175,17 +196,20 @@ def _grain_row(grain, y, x0, height):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def line_row(line, y, row, lines):  # pragma: no cover - compiled
-    """One row of the picture's lines, bilinear between the centres of pixels of twice the size.
+    """One row of the picture's lines, bilinear between the centres of pixels of twice the size. Whether there are any.
 
-    row (lw,), lines (at least w + 1,) are written.
+    row (lw,), lines (at least w + 1,) are written; lines not where there are none.
     """
     lh, lw = line.shape
     w = lines.shape[0] - 1
     j = y // 2
     k = min(j + 1, lh - 1) if y % 2 else max(j - 1, 0)
-    far, close = _F(0.25), _F(0.75)
+    far, close, most = _F(0.25), _F(0.75), _F(0)
     for x in range(lw):
         row[x] = close * line[j, x] + far * line[k, x]
+        most = max(most, row[x])
+    if not most > 0:
+        return False
     one, two = _U(1), _U(2)
     for x in range(lw - 2):
         at = _U(x) + one
@@ -195,3 +219,4 @@ def line_row(line, y, row, lines):  # pragma: no cover - compiled
         lines[2 * i] = close * row[i] + far * row[max(i - 1, 0)]
         if 2 * i + 1 <= w:
             lines[2 * i + 1] = close * row[i] + far * row[min(i + 1, lw - 1)]
+    return True

@@ -92,14 +92,22 @@ def row_of(image, patch, py, px, y, r, g, b):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def labels_of(first, own_first, mask, start, ly, lx, y, a):  # pragma: no cover - compiled
-    """a (w,) int32 : row y of the labels."""
-    for x in range(first.shape[1]):
-        a[x] = first[y, x]
+def span_of(px, pw, lx, lw):  # pragma: no cover - compiled
+    """(left, right): the columns of the patch and of the mask, either of which may be empty."""
+    if pw == 0 or lw == 0:
+        return (px, px + pw) if lw == 0 else (lx, lx + lw)
+    return min(px, lx), max(px + pw, lx + lw)
+
+
+@numba.njit(cache=True, nogil=True)
+def labels_of(first, own_first, mask, start, ly, lx, y, left, right, a):  # pragma: no cover - compiled
+    """a (w,) int32 : in columns left ... right - 1 row y of the labels."""
+    for x in range(left, right):
+        a[_U(x)] = first[y, _U(x)]
     if ly <= y < ly + mask.shape[0]:
-        for x in range(mask.shape[1]):
-            if mask[y - ly, x]:
-                a[_U(lx) + _U(x)] = own_first[y - ly, x] + start
+        own, inside, part = own_first[y - ly], mask[y - ly], a[lx : lx + mask.shape[1]]
+        for x in range(inside.shape[0]):
+            part[x] = own[x] + np.int32(start) if inside[x] else part[x]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -118,20 +126,12 @@ def borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k
 
 
 @numba.njit(cache=True, nogil=True)
-def line_of(image, patch, py, px, y, buffer):  # pragma: no cover - compiled
-    """(3 w,) float32 : row y of the picture, in `buffer` where the patch has a part in it."""
-    line = image[y].reshape(-1)
+def line_of(image, patch, py, px, y, left, right, line):  # pragma: no cover - compiled
+    """line (3 w,) float32 : in columns left ... right - 1 row y of the picture."""
+    source = image[y].reshape(-1)
+    for i in range(3 * left, 3 * right):
+        line[_U(i)] = source[_U(i)]
     if py <= y < py + patch.shape[0]:
-        buffer[:] = line
-        buffer[3 * px : 3 * (px + patch.shape[1])] = patch[y - py].reshape(-1)
-        return buffer
-    return line
-
-
-@numba.njit(cache=True, nogil=True)
-def numbers_of(first, own_first, mask, start, ly, lx, y, buffer):  # pragma: no cover - compiled
-    """(w,) int32 : row y of the labels, in `buffer` where the object has a part in it."""
-    if ly <= y < ly + mask.shape[0]:
-        labels_of(first, own_first, mask, start, ly, lx, y, buffer)
-        return buffer
-    return first[y]
+        part, to = patch[y - py].reshape(-1), line[3 * px : 3 * (px + patch.shape[1])]
+        for i in range(part.shape[0]):
+            to[i] = part[i]

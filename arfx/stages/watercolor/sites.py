@@ -22,6 +22,7 @@ GRID_PX = 32  # pitch of the nodes on which the field is known
 FADE = 0.19  # in levels: how long a site takes to appear
 # In levels below its parent: at which density the second, third and fourth site of a cell appear
 _LATER = np.array([np.log2(1.5) / 2, np.log2(2.5) / 2, np.log2(3.5) / 2])
+_FINE = 9  # sites are placed to 2^-9 units
 _HIGHEST = 24  # a site of this level is everywhere
 
 
@@ -111,13 +112,38 @@ def _importance(seed, level, i, j):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _place(seed, level, i, j):  # pragma: no cover - compiled
-    """(u, v) of the site of a cell, units: its chosen quarter, that one's, and so on to 1/512."""
-    size = 2.0**level
-    while size > 1.0 / 512:
-        chosen = np.int64(_mixed(seed, level, i, j) & np.uint64(3))
-        level, i, j, size = level - 1, 2 * i + (chosen & 1), 2 * j + (chosen >> 1), size / 2
-    return (i + 0.5) * size, (j + 0.5) * size
+def _placed(seed, level, count, bi, bj):  # pragma: no cover - compiled
+    """(i, j) of `count` cells become their chosen quarter, that one's, and so on to 1/512 of a unit. Returns the size there."""
+    while level > -_FINE:
+        for m in range(count):
+            chosen = np.int64(_mixed(seed, level, bi[m], bj[m]) & np.uint64(3))
+            bi[m], bj[m] = 2 * bi[m] + (chosen & 1), 2 * bj[m] + (chosen >> 1)
+        level -= 1
+    return 2.0**level
+
+
+@numba.njit(cache=True, nogil=True)
+def _candidates(seed, level, pj, i0, i1, j0, j1, least, oi, oj, importance, key):  # pragma: no cover - compiled
+    """How many of the cells i0 ... i1, j0 ... j1 in row pj of their parents are at least that important; which (oi, oj).
+    key : 0 where it is still to be made"""
+    n = 0
+    for pi in range(i0 >> 1, (i1 >> 1) + 1):
+        bits = _mixed(seed, level + 1, pi, pj)
+        chosen, turn = np.int64(bits & np.uint64(3)), np.int64((bits >> np.uint64(2)) & np.uint64(0xFF)) % 3
+        for child in range(4):
+            i, j = 2 * pi + (child & 1), 2 * pj + (child >> 1)
+            if i < i0 or i > i1 or j < j0 or j > j1:
+                continue
+            oi[n], oj[n], key[n] = i, j, np.uint64(0)
+            if child != chosen:
+                order = (child - chosen + 4) % 4 - 1  # 0, 1, 2 among the other three
+                importance[n] = level + 1 - _LATER[(order + turn) % 3]
+            elif level + 1 > _HIGHEST:
+                importance[n] = np.float64(_HIGHEST)
+            else:
+                importance[n], key[n] = _importance(seed, level + 1, pi, pj)
+            n += importance[n] >= least
+    return n
 
 
 @numba.njit(cache=True, nogil=True)
@@ -130,7 +156,9 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
     sx, sy, sw = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.float32)
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
     e1u, e1v, e2u, e2v = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-    det, scale = np.empty(2), np.zeros(2)
+    det, scale, per = np.empty(2), np.zeros(2), np.zeros(2)
+    oi, oj, bi, bj = np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64, np.int64)
+    importance, key = np.empty(64, np.float64), np.empty(64, np.uint64)
     n = 0
     for gy in range(row, end):
         for gx in range(gw - 1):
@@ -146,6 +174,7 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                     lo_v, hi_v = min(lo_v, v[gy + half, gx + x]), max(hi_v, v[gy + half, gx + x])
                 if det[half] > 1e-9:
                     # how many units of the thing lie in one px of the picture
+                    per[half] = 1.0 / det[half]
                     scale[half] = 0.5 * np.log2(det[half] / (GRID_PX * GRID_PX))
                     for x in range(2):
                         least = min(least, min(wanted[gy, gx + x], wanted[gy + 1, gx + x]) + scale[half])
@@ -153,32 +182,39 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                 continue  # folded over: what lies there is hidden
             level = np.int64(np.floor(least + 0.19))
             cell = 2.0**level
-            for j in range(np.int64(np.floor(lo_v / cell)), np.int64(np.floor(hi_v / cell)) + 1):
-                for i in range(np.int64(np.floor(lo_u / cell)), np.int64(np.floor(hi_u / cell)) + 1):
-                    importance, key = _importance(seed, level, i, j)
-                    if importance < least - 0.5 * FADE:
-                        continue
-                    pu, pv = _place(seed, level, i, j)
+            i0, i1 = np.int64(np.floor(lo_u / cell)), np.int64(np.floor(hi_u / cell))
+            j0, j1 = np.int64(np.floor(lo_v / cell)), np.int64(np.floor(hi_v / cell))
+            if 4 * ((i1 - i0) // 2 + 2) > oi.shape[0]:
+                room = 8 * ((i1 - i0) // 2 + 2)
+                oi, oj, bi, bj = (np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64))
+                importance, key = np.empty(room, np.float64), np.empty(room, np.uint64)
+            for pj in range(j0 >> 1, (j1 >> 1) + 1):
+                count = _candidates(seed, level, pj, i0, i1, j0, j1, least - 0.5 * FADE, oi, oj, importance, key)
+                for m in range(count):
+                    bi[m], bj[m] = oi[m], oj[m]
+                fine = _placed(seed, level, count, bi, bj)
+                for m in range(count):
+                    pu, pv = (bi[m] + 0.5) * fine, (bj[m] + 0.5) * fine
                     for half in range(2):
                         if not (det[half] > 1e-9):
                             continue
                         du, dv = pu - u[gy + half, gx + half], pv - v[gy + half, gx + half]
-                        s = (du * e2v[half] - dv * e2u[half]) / det[half]
-                        t = (dv * e1u[half] - du * e1v[half]) / det[half]
+                        s, t = (du * e2v[half] - dv * e2u[half]) * per[half], (dv * e1u[half] - du * e1v[half]) * per[half]
                         if s < 0 or t < 0 or s + t > 1 or (half == 1 and s + t == 1):
                             continue
                         la = wanted[gy + half, gx + half]
                         lb, lc = wanted[gy + half, gx + 1 - half], wanted[gy + 1 - half, gx + half]
                         size = la + s * (lb - la) + t * (lc - la)
-                        share = (importance - size - scale[half]) / FADE + 0.5
+                        share = (importance[m] - size - scale[half]) / FADE + 0.5
                         if share <= 0:
                             continue
                         if n == limit:
                             return sx, sy, sw, sk, su, sv
-                        sx[n] = np.round((x0 + GRID_PX * (gx + (half + (1 - 2 * half) * s))) * STEPS)
-                        sy[n] = np.round((y0 + GRID_PX * (gy + (half + (1 - 2 * half) * t))) * STEPS)
-                        sw[n] = -np.round((1 - min(share, 1.0)) * (1.2 * 2.0**size * STEPS) ** 2)
-                        sk[n] = np.int64(key & np.uint64(0x7FFFFFFFFFFFFFFF))
+                        sx[n] = np.rint((x0 + GRID_PX * (gx + (half + (1 - 2 * half) * s))) * STEPS)
+                        sy[n] = np.rint((y0 + GRID_PX * (gy + (half + (1 - 2 * half) * t))) * STEPS)
+                        sw[n] = 0.0 if share >= 1 else -np.rint((1 - share) * (1.2 * 2.0**size * STEPS) ** 2)
+                        bits = key[m] if key[m] else _mixed(seed, level, oi[m], oj[m])
+                        sk[n] = np.int64(bits & np.uint64(0x7FFFFFFFFFFFFFFF))
                         su[n], sv[n] = pu * unit, pv * unit
                         n += 1
     return sx[:n].copy(), sy[:n].copy(), sw[:n].copy(), sk[:n].copy(), su[:n].copy(), sv[:n].copy()

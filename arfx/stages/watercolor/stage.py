@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
+import numba
 import numpy as np
 
 from arfx.core.cost import Cost
@@ -47,6 +48,7 @@ from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, Sites, sites_of
 from arfx.stages.watercolor.toon import EVEN, toon, toon_light
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
+_EVERY = 32  # rows of the object's layers that a frame is known by
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
 _KEPT_SETS, _KEPT_PICTURES, _KEPT_MEASURES = 4, 2, 3
 Key = tuple[Any, ...]
@@ -170,8 +172,9 @@ class Watercolor:
         p, image = self.params, now[Layer.IMAGE]
         if not p.toon or box.empty:
             return Picture(image)
+        box = now.extent(Layer.COVERAGE).clip(box)
         part = now.crop(box)
-        if not part[Layer.COVERAGE].any():
+        if box.empty or not part[Layer.COVERAGE].any():
             return Picture(image)
         light = facts.light or scene.light
         direction, radiance = toon_light(light, scene.world_from_anchor.rotation[:, 2])
@@ -256,10 +259,11 @@ class Watercolor:
         wobble = prepared.wobble.at(*_shift(where))
         sites = in_order(sites_of(where, scene.seed, most, cell), rect, wobble)
         labels = self._labels(sites, rect, wobble, level)
-        return self._described(sites, labels, _size_at(where, sites), scene.seed)
+        size = _size_at(where.size, where.x0, where.y0, sites.x, sites.y) if self.params.wash > 0 else np.zeros(0, np.float32)
+        return self._described(sites, labels, size, scene.seed)
 
     def _described(self, sites: Sites, labels: Labels, size: np.ndarray, seed: int) -> Cells:
-        """size (n,) : of cells at the sites, px"""
+        """size (n,) : of cells at the sites, px; not read where there are no washes"""
         p = self.params
         flow = turbulence(sites.u, sites.v, seed, p.flow_px) if p.pigment and len(sites) else np.zeros(labels.count, np.float32)
         if p.wash > 0 and len(sites) > 1:
@@ -281,7 +285,7 @@ class Watercolor:
         self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: Level, pose: Any
     ) -> tuple[Cover, Cells]:
         """Labels, and what is known of all cells, with those of the object's surface in the pixels that it mostly covers."""
-        rect, cell = now.rect, 0.8 * self._cell_px(level)
+        rect, cell, box = now.rect, 0.8 * self._cell_px(level), now.extent(Layer.COVERAGE).clip(box)
         inside = now.crop(box)[Layer.COVERAGE] >= 0.5
         if not inside.any():
             return Cover(cells.labels), cells
@@ -304,12 +308,15 @@ class Watercolor:
         return cover, Cells(cells.labels, np.concatenate([cells.flow, own.flow]), near, share)
 
 
-def _size_at(where: Field, sites: Sites) -> np.ndarray:
-    """(n,) float32 size of cells at the sites, px: that of the nearest node."""
-    gh, gw = where.size.shape
-    i = np.clip(np.round((sites.y / STEPS - where.y0) / GRID_PX).astype(np.int32), 0, gh - 1)
-    j = np.clip(np.round((sites.x / STEPS - where.x0) / GRID_PX).astype(np.int32), 0, gw - 1)
-    return where.size[i, j].astype(np.float32)
+@numba.njit(cache=True, nogil=True)
+def _size_at(size, x0, y0, x, y):  # pragma: no cover - compiled
+    """(n,) float32 size of cells at the sites, px: that of the nearest node (size (gh, gw), the first one at x0, y0)."""
+    gh, gw = size.shape
+    out = np.empty(x.shape[0], np.float32)
+    for k in range(x.shape[0]):
+        i, j = np.int64(np.rint((y[k] / STEPS - y0) / GRID_PX)), np.int64(np.rint((x[k] / STEPS - x0) / GRID_PX))
+        out[k] = size[min(max(i, 0), gh - 1), min(max(j, 0), gw - 1)]
+    return out
 
 
 def _shift(where: Field) -> tuple[int, int]:
@@ -340,9 +347,10 @@ def _box(facts: FrameFacts, rect: Rect) -> Rect:
 
 def _content(now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> Key:
     """What a frame shows."""
-    out = [digest(now[Layer.IMAGE])]
+    out: list[Any] = [digest(now[Layer.IMAGE])]
+    box = now.extent(Layer.COVERAGE).clip(box)
     if not box.empty:
         part = now.crop(box)
-        # an eighth of the rows tells one state of the object from another: its colours are in the picture, its pose is known
-        out += [digest(part[name][::8]) for name in (Layer.COVERAGE, Layer.NORMAL)]
-    return (*out, box, facts.opacity, repr(facts.light or scene.light))
+        # few rows tell one state of the object from another: its colours are in the picture, its pose is known
+        out += [digest(part[name][::_EVERY]) for name in (Layer.COVERAGE, Layer.NORMAL)]
+    return (*out, box, facts.opacity, repr(facts.light or scene.light), _pose_key(facts.camera_from_world))

@@ -8,6 +8,7 @@ import pytest
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.cells import means, neighbours, washed
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
+from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.labels import SOLID, STILL, Wobble, in_order, label, wobble_of
 from arfx.stages.watercolor.pigment import laid_out
 from arfx.stages.watercolor.printed import jittered_sites, merged_by_colour
@@ -60,6 +61,29 @@ def test_labels_are_those_of_brute_force(case: int) -> None:
         near = found.inside < SOLID
         assert np.array_equal(found.second[near], second[near])
         assert np.array_equal(found.second[~near], first[~near])
+
+
+def detailed(f: Field, g: np.random.Generator) -> Field:
+    """With cells by detail, from none to all of it from one node to the next."""
+    return Field(f.x0, f.y0, f.u, f.v, f.size * detail_factor(g.integers(0, 256, f.size.shape), 1.0))
+
+
+@pytest.mark.parametrize("case", range(20))
+def test_labels_of_cells_by_detail_are_those_of_brute_force(case: int) -> None:
+    """As the stage makes them: sites of a turned and scaled field whose cells are of many sizes, in order."""
+    g = np.random.default_rng(100 + case)
+    w, h = (int(v) for v in g.integers(1, 90, 2))
+    f = detailed(still_field(w, h, float(g.choice([2, 7, 25])), 48), g)
+    angle, zoom = g.uniform(0, 6.3), 2 ** g.uniform(-2, 2)
+    c, s = np.cos(angle) / zoom, np.sin(angle) / zoom
+    rect, wobble = Rect.of(w, h), random_wobble(g, 12) if case % 2 else STILL
+    made = sites_of(Field(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), case, 10**5, 7.0)
+    sites, blend = in_order(made, rect, wobble), (0.0, 1.5)[case // 2 % 2]
+    found = label(sites, rect, wobble, blend)
+    first, second = brute(sites, rect, displacement(wobble, rect))
+    assert len(np.unique(sites.weight)) > 1 and np.array_equal(found.first, first)
+    if blend:
+        assert np.array_equal(found.second, np.where(found.inside < SOLID, second, first))
 
 
 def test_cells_wider_than_float32_tells_apart() -> None:
@@ -129,6 +153,20 @@ def test_density_stays_within_a_factor_of_two_under_zoom(factor: float, roll_deg
     x, y = sites.x[full] / STEPS, sites.y[full] / STEPS
     count, *_ = np.histogram2d(y, x, [np.arange(0, 241, 80), np.arange(0, 321, 80)])
     assert (count > 0.5 * 100).all() and (count < 2 * 100).all()
+
+
+@pytest.mark.parametrize("factor", [4.0, 1.0, 0.25])
+def test_density_follows_its_target_under_zoom_where_cells_go_by_detail(factor: float) -> None:
+    """Within a factor of two of one cell per size^2, everywhere; the size there is 2.3 times larger on the left than on the right."""
+    f = still_field(320, 240, 8, 64)
+    seen = np.linspace(0, 100, f.size.shape[1]) * np.ones(f.size.shape)
+    size = f.size * detail_factor(seen, 1.0)
+    sites = sites_of(Field(f.x0, f.y0, f.u / factor, f.v / factor, size), 2, 10**6)
+    full = sites.weight > -((0.7 * 8 * STEPS) ** 2)
+    count, *_ = np.histogram2d(sites.y[full] / STEPS, sites.x[full] / STEPS, [np.arange(0, 241, 80), np.arange(0, 321, 80)])
+    across = np.exp2(np.interp(np.arange(320), f.x0 + 32 * np.arange(f.size.shape[1]), np.log2(size[0])))
+    target = 80 * (1 / across**2).reshape(4, 80).sum(1)
+    assert target[-1] > 2.5 * target[0] and (count > 0.5 * target).all() and (count < 2 * target).all(), count / target
 
 
 def test_sites_appear_from_nothing_and_never_move() -> None:

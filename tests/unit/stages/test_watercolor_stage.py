@@ -128,7 +128,8 @@ def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
     image = picture(600, 800)
     held: list[int] = []
     for k in range(9):
-        fact = fact_of(nodes, nodes.u + 3 * k, nodes.v)
+        most = base64.b64encode(zlib.compress(np.full(nodes.u.shape, 255, np.uint8).tobytes())).decode()
+        fact = {**fact_of(nodes, nodes.u + 3 * k, nodes.v), "detail": most}  # as many cells as can be asked for
         frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.reach)]
         seen = [FrameFacts(j, j / 30, extra={"watercolor": fact}) for j in range(len(frames))]
         window = Window(tuple(frames), tuple(seen))
