@@ -247,8 +247,8 @@ class Gi:
         arguments: Any = (
             plate, within.x0, within.y0, np.array(within.to_json()), rays, anchor_from_camera.translation_m.astype(f32), bias,
             f32(self.params.plane_gloss), f32(self.params.plane_roughness), split_sum(),
-            prepared.lobes[lobe, : prepared.counts[lobe]], prepared.tangents[lobe], f32(SHOWS), back.atlas.values, structure.brick_of, structure.meta,
-            np.array(volume.low_m, f32), f32(volume.voxel_m), *back.arguments,
+            prepared.lobes[lobe, : prepared.counts[lobe]], prepared.tangents[lobe], f32(SHOWS), back.atlas.values,
+            structure.brick_of, structure.meta, np.array(volume.low_m, f32), f32(volume.voxel_m), *back.arguments,
             real if not real.size else np.ascontiguousarray(real[within.slices_in(rect)]),
         )  # fmt: skip
         change = self.params.strength * mirror_in_planes(*arguments)
