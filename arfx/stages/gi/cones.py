@@ -60,13 +60,13 @@ def steps_of(tan_half: float, n: int, spacing: float = 0.5, start: float | None 
 
 
 def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
-    """Tangent of the half-angle that holds half of a GGX lobe of width roughness^2 about the mirrored direction.
+    """Tangent of the half-angle of a cone about the mirrored direction that blurs like a GGX lobe of width roughness^2.
 
     Half of the microfacets' normals lie within atan(a) (GGX: D integrates to tan^2 / (a^2 + tan^2)); the mirrored direction
-    turns twice as far.
+    turns twice as far. Of a cone, half lies within 1 / sqrt(2) of its half-angle: so it is that much wider.
     """
     a = np.clip(np.asarray(roughness, float), 0.0, 1.0) ** 2
-    return np.clip(np.tan(np.minimum(2 * np.arctan(a), np.radians(50))), 0.01, None)
+    return np.clip(np.tan(np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))), 0.01, None)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

@@ -242,8 +242,8 @@ def blurred(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
             apart += (normal[y, x, c] - normal[j, i, c]) ** 2
         if apart < _BEND * _BEND:  # else an edge
             most = max(most, apart)
-    # mirror_tangent: about 2 roughness^2
-    return max(roughness, np.sqrt(np.float32(0.5) * np.sqrt(most)))
+    # mirror_tangent: about sqrt(8) roughness^2
+    return max(roughness, np.sqrt(np.float32(0.35355) * np.sqrt(most)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
