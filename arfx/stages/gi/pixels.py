@@ -196,11 +196,13 @@ def reflected(
             ga, gb = gloss_weights(table, material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
             metal = material[y, x, 0]
             f0 = np.float32(0.08) * material[y, x, 2] * (one - metal)
+            if f0 + metal <= zero:
+                gb = zero
             shines = 3 if mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table) else 0
             for c in range(3):
                 a = albedo[y, x, c]
                 matt = a * (one - metal) * (one - min(f0 * ga + gb, one))
-                gloss = (f0 + a * metal) * ga + (gb if f0 + metal > zero else zero)
+                gloss = (f0 + a * metal) * ga + gb
                 out[y, x, c] = coverage[y, x] * (matt * light[y, x, c] + gloss * light[y, x, shines + c])
     return out
 
