@@ -104,14 +104,17 @@ class Behind:
 class Field:
     """atlas : radiance;  delta (p, side, side, 3) : indirect light that the object adds to the planes, as a share of all
     their light;  gain : the same as radiance of a white plane;  direct (p, side, side, 3) : share of all their light that it
-    leaves, direct light counted too;  open : of the body;  brightest : no voxel sends more"""
+    leaves, direct light counted too;  open : of the body
+    deeper (p, side, side, 3) : by how much more a lamp's shadow takes, as other planes stand in the way of the soft light that
+    is left in it; none where there is one plane;  brightest : no voxel sends more"""
 
     atlas: Atlas
     delta: np.ndarray
     gain: np.ndarray
     direct: np.ndarray
     open: np.ndarray
-    brightest: float = 0.0
+    deeper: np.ndarray
+    brightest: float
 
     @property
     def printed(self) -> np.ndarray:
@@ -232,6 +235,7 @@ def make_field(
             got = _sent(body, k, radiance, dark, side) if body.factors else _gathered(body, cones, atlas, side)
             gain[k] = got + (0.0 if paper else occluded[k])
             shaded[k] = without[k] + divide(got, whole[k])
+    deeper = np.zeros((0, side, side, 3), np.float32)
     if len(planes.axes) > 1 and not paper:
         darkened = np.clip(shaded, 0, None) * body.open[..., None]
         ends = [back.with_textures((t * mean).astype(np.float32), body.open, mean) for t in (darkened, np.ones_like(shaded))]
@@ -241,11 +245,12 @@ def make_field(
         gain = gain + between
         shaded = shaded + np.stack([divide(b, w) for b, w in zip(between, whole, strict=True)])
         soft = [light.soft_radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
-        whole = [w + s * (k - 1) for w, s, k in zip(whole, soft, share, strict=True)]
+        alone, whole = whole, [w + s * (k - 1) for w, s, k in zip(whole, soft, share, strict=True)]
+        deeper = np.stack([divide(a, w, where_zero=1.0) - 1 for a, w in zip(alone, whole, strict=True)]).astype(np.float32)
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
     return Field(
         atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), body.open,
-        float(values[:, :3].max(initial=0.0)),
+        deeper, float(values[:, :3].max(initial=0.0)),
     )  # fmt: skip
 
 

@@ -180,7 +180,7 @@ class Gi:
             changed = add_delta(
                 target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                 anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
-                np.float32(prepared.planes.half_m), np.float32(radius), delta, np.float32(weight), real,
+                np.float32(prepared.planes.half_m), np.float32(radius), delta, whole.deeper, np.float32(weight), real,
             )  # fmt: skip
             if self._paper:
                 left = 1 - now[Layer.COVERAGE][..., None]
