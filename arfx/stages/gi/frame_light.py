@@ -18,7 +18,7 @@ from arfx.errors import RenderError
 from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
 from arfx.stages.gi.plane_pixels import measured
 from arfx.stages.gi.pyramid import Atlas
-from arfx.stages.gi.real_planes import ball_of, mip_chain, picture_on_planes
+from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
 from arfx.stages.lightmap.stage import Kept
 
@@ -69,10 +69,9 @@ class Around:
         """With the voxels' light, and the picture darkened and lit by the object."""
         side = self.picture.shape[1]
         open_ = enlarged(field.open, side)
-        picture = self.picture * enlarged(field.direct, side) * open_[..., None]
-        return replace(
-            self, atlas=field.atlas, sent=field.brightest, back=self.back.with_textures(picture, self.known * open_, self.mean)
-        )
+        # what the picture does not show is filled before there is a shadow on it, not with the shadow's mean
+        picture = filled(self.picture, self.known, self.mean) * enlarged(field.direct, side) * open_[..., None]
+        return replace(self, atlas=field.atlas, sent=field.brightest, back=self.back.with_textures(picture, open_, self.mean))
 
     @property
     def brightest(self) -> float:

@@ -21,6 +21,7 @@ from arfx.core.numerics import divide, normalise
 SIDE = 32  # texels of an octahedral map: 5 degrees
 HALF_ANGLES_DEG = (0.0, 6.0, 12.0, 20.0, 30.0, 50.0)
 ENDLESS = 1e6  # metres
+_OUTER = np.float32(3)  # levels from the coarsest: an eighth of a side, beyond four radii of the object
 EDGE = np.float32(0.03)  # of half_m: softness of a plane's end, at least
 WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
 _FAST = {"contract", "nsz", "arcp"}
@@ -168,8 +169,8 @@ def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
     far = max(abs(a), abs(b))
     last = np.float32(mips.shape[0] - 1)
     level = np.log2(max(covers * np.float32(mips[0, 1]), one))
-    # beyond the texture the plane looks as it does on average
-    level = min(max(level, last * min(max((far - one) * np.float32(2), zero), one)), last)
+    # beyond the texture the plane looks as its outer parts do on average: not as near the object, with its shadow
+    level = min(max(level, max(last - _OUTER, zero) * min(max((far - one) * np.float32(2), zero), one)), last)
     l0 = int(level)
     m = level - np.float32(l0)
     u, v = min(max(warped(a), -one), one), min(max(warped(b), -one), one)
