@@ -25,7 +25,7 @@ from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
 
 _LEAST_LIGHT_DEG = 6.0  # full angle: a cone much narrower than a voxel would meet all or nothing
 ROUNDS = 2  # of light from the plane to the object and back
-_SHARING = 2  # voxels a side that share what arrives, which is softer than they are
+GATHERED_BY = 2  # voxels a side that share what arrives, which is softer than they are
 _HIDDEN = 0.1  # of the hemisphere: what sees less of it lies under the object
 _MOST_CLOSED = 0.95  # of the light between surfaces that is given back: a closed white cavity would never end
 
@@ -166,7 +166,7 @@ def _gathering(voxels: Voxels, opaque: Atlas) -> Gathering:
     n, count = voxels.volume.n, len(voxels.cells)
     axis = np.abs(voxels.normal).argmax(1)
     side = 2 * axis + (voxels.normal[np.arange(count), axis] < 0)
-    x, y, z = (voxels.cells // _SHARING).astype(np.int64).T
+    x, y, z = (voxels.cells // GATHERED_BY).astype(np.int64).T
     found, of = np.unique(((z * n + y) * n + x) * 6 + side, return_inverse=True)
     of = of.ravel()
     sums = [np.bincount(of, v, len(found)) for v in (*(voxels.cells + 0.5).T, *voxels.normal.T)]
