@@ -17,14 +17,18 @@ import numpy as np
 from arfx.stages.occlusion import hemisphere
 
 START = np.float32(np.sqrt(3.0))
+# Cosine of the tilt of the five: a cosine lobe leaves 2/3 and 1/4 of the first two degrees of what is around (core.light), and
+# with cones of 30 degrees this tilt leaves .667 and .247. At 60 degrees it would be .583 and .126: light from above is lost.
+_TILT_COSINE = 0.619
 _FAST = {"contract", "nsz", "arcp"}
 _DARK = np.float32(0.005)  # less of the background than this is none
 
 
 def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
-    """(directions (6, 3) about +z, weights (6,), tangent of the half-angle, 30 degrees): one up, five 60 degrees from it."""
+    """(directions (6, 3) about +z, weights (6,), tangent of the half-angle, 30 degrees): one up, five 52 degrees from it."""
     a = np.arange(5) * 2 * np.pi / 5
-    ring = np.stack([np.sqrt(0.75) * np.cos(a), np.sqrt(0.75) * np.sin(a), np.full(5, 0.5)], -1)
+    out = np.sqrt(1 - _TILT_COSINE**2)
+    ring = np.stack([out * np.cos(a), out * np.sin(a), np.full(5, _TILT_COSINE)], -1)
     directions = np.concatenate([[[0.0, 0.0, 1.0]], ring]).astype(np.float32)
     return directions, np.array([0.25] + [0.15] * 5, np.float32), float(np.tan(np.radians(30)))
 
@@ -56,13 +60,13 @@ def steps_of(tan_half: float, n: int, spacing: float = 0.5, start: float | None 
 
 
 def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
-    """Tangent of the half-angle that holds half of a GGX lobe of width roughness^2 about the mirrored direction.
+    """Tangent of the half-angle of a cone about the mirrored direction that blurs like a GGX lobe of width roughness^2.
 
     Half of the microfacets' normals lie within atan(a) (GGX: D integrates to tan^2 / (a^2 + tan^2)); the mirrored direction
-    turns twice as far.
+    turns twice as far. Of a cone, half lies within 1 / sqrt(2) of its half-angle: so it is that much wider.
     """
     a = np.clip(np.asarray(roughness, float), 0.0, 1.0) ** 2
-    return np.clip(np.tan(np.minimum(2 * np.arctan(a), np.radians(50))), 0.01, None)
+    return np.clip(np.tan(np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))), 0.01, None)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

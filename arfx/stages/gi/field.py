@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 
 from arfx.core.light import Light
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 from arfx.stages.gi.between_planes import coarse_places, light_between
 from arfx.stages.gi.cones import START, even_cones, six_cones, steps_of, trace_many, turned
-from arfx.stages.gi.form_factors import Factors, factors_of, solid
+from arfx.stages.gi.form_factors import Factors, factors_of, gather, solid
 from arfx.stages.gi.pyramid import Atlas, Structure, atlas_of, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texture_places
 from arfx.stages.gi.surroundings import Planes, behind_many
@@ -25,16 +25,19 @@ from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
 
 _LEAST_LIGHT_DEG = 6.0  # full angle: a cone much narrower than a voxel would meet all or nothing
 ROUNDS = 2  # of light from the plane to the object and back
+GATHERED_BY = 2  # voxels a side that share what arrives, which is softer than they are
 _HIDDEN = 0.1  # of the hemisphere: what sees less of it lies under the object
 _MOST_CLOSED = 0.95  # of the light between surfaces that is given back: a closed white cavity would never end
 
 
 @dataclass(frozen=True, eq=False)
 class Cones:
-    """Cones of a plane that meet the object. texel (m,) : where they start;  points, directions (m, 3), metres, anchor axes
-    weight, left (m,) : share of the hemisphere, and of the background that is still seen"""
+    """Cones of a plane that meet the object. texel, cone (m,) : where they start, and which of the plane's each is
+    points, directions (m, 3), metres, anchor axes;  weight, left (m,) : share of the hemisphere, and of the background that
+    is still seen"""
 
     texel: np.ndarray
+    cone: np.ndarray
     points: np.ndarray
     directions: np.ndarray
     weight: np.ndarray
@@ -42,8 +45,20 @@ class Cones:
 
 
 @dataclass(frozen=True, eq=False)
+class Gathering:
+    """Where the voxels' light is gathered. of (v,) int : the place of each voxel;  cells (g, 3) : in voxels;  normal (g, 3)
+    directions (g, 6, 3), left (g, 6) : of each place's cones"""
+
+    of: np.ndarray
+    cells: np.ndarray
+    normal: np.ndarray
+    directions: np.ndarray
+    left: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Body:
-    """What does not change with the light. directions (v, 6, 3), left (v, 6) : of each voxel's cones
+    """What does not change with the light. gathering : of the voxels' light
     places : of the planes' texels;  cones : by plane;  tan_half, steps : of those;  factors : by plane, none where cones tell
     around (p, k, 3), weights (k,) : of each plane's cones;  coarse (p, c, c, k) : what the object leaves of them, sparsely
     open (p, side, side) float32 : 0 where a texel lies under the object and nothing sees it, else 1"""
@@ -51,8 +66,7 @@ class Body:
     voxels: Voxels
     structure: Structure
     opaque: Atlas
-    directions: np.ndarray
-    left: np.ndarray
+    gathering: Gathering
     places: np.ndarray
     cones: tuple[Cones, ...]
     tan_half: float
@@ -90,13 +104,17 @@ class Behind:
 class Field:
     """atlas : radiance;  delta (p, side, side, 3) : indirect light that the object adds to the planes, as a share of all
     their light;  gain : the same as radiance of a white plane;  direct (p, side, side, 3) : share of all their light that it
-    leaves, direct light counted too;  open : of the body"""
+    leaves, direct light counted too;  open : of the body
+    deeper (p, side, side, 3) : by how much more a lamp's shadow takes, as other planes stand in the way of the soft light that
+    is left in it; none where there is one plane;  brightest : no voxel sends more"""
 
     atlas: Atlas
     delta: np.ndarray
     gain: np.ndarray
     direct: np.ndarray
     open: np.ndarray
+    deeper: np.ndarray
+    brightest: float
 
     @property
     def printed(self) -> np.ndarray:
@@ -112,9 +130,7 @@ def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper
     values = np.zeros((len(voxels.cells), 4), np.float32)
     values[:, 3] = voxels.opacity
     opaque = atlas_of(structure, values, paper)
-    six, _, six_tan = six_cones()
-    directions = turned(voxels.normal, six)
-    left = _traced(opaque, steps_of(six_tan, n), voxels.cells + np.float32(0.5), directions, voxels.normal, float(START))[..., 3]
+    gathering = _gathering(voxels, opaque)
     places = texture_places(planes, side)
     set_, weights, tan_half = six_cones() if cones == 6 else even_cones(cones)
     steps = steps_of(tan_half, n, start=0.0)
@@ -127,20 +143,39 @@ def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper
         if exact:
             told = factors_of(scene, voxels, places[k], axes, set_, rays)
             texel, cone = np.nonzero(told.covered > 0)
-            found.append(Cones(texel, points[texel], around[cone], told.covered[texel, cone], np.zeros(len(texel), np.float32)))
+            found.append(
+                Cones(texel, cone, points[texel], around[cone], told.covered[texel, cone], np.zeros(len(texel), np.float32))
+            )
             open_.append(np.clip((1 - told.covered.sum(1)) / _HIDDEN, 0, 1).reshape(side, side))
             factors.append(told)
             coarse.append(_coarse(1 - told.covered / weights, side))
             continue
         seen = _traced(opaque, steps, in_voxels(points, voxels.volume), np.tile(around, (len(points), 1, 1)), None, 0.0)[..., 3]
         texel, cone = np.nonzero(seen < 1)
-        found.append(Cones(texel, points[texel], around[cone], weights[cone], seen[texel, cone]))
+        found.append(Cones(texel, cone, points[texel], around[cone], weights[cone], seen[texel, cone]))
         open_.append(np.clip(seen @ weights / _HIDDEN, 0, 1).reshape(side, side))
         coarse.append(_coarse(seen, side))
     return Body(
-        voxels, structure, opaque, directions, left, places, tuple(found), tan_half, steps, np.array(open_, np.float32),
+        voxels, structure, opaque, gathering, places, tuple(found), tan_half, steps, np.array(open_, np.float32),
         tuple(factors), np.array(turns, np.float32), weights, np.array(coarse, np.float32),
     )  # fmt: skip
+
+
+def _gathering(voxels: Voxels, opaque: Atlas) -> Gathering:
+    """Of voxels that lie in the same coarser one, those that face the same way share a place: not the two sides of a wall."""
+    n, count = voxels.volume.n, len(voxels.cells)
+    axis = np.abs(voxels.normal).argmax(1)
+    side = 2 * axis + (voxels.normal[np.arange(count), axis] < 0)
+    x, y, z = (voxels.cells // GATHERED_BY).astype(np.int64).T
+    found, of = np.unique(((z * n + y) * n + x) * 6 + side, return_inverse=True)
+    of = of.ravel()
+    sums = [np.bincount(of, v, len(found)) for v in (*(voxels.cells + 0.5).T, *voxels.normal.T)]
+    cells = divide(np.stack(sums[:3], -1), np.bincount(of, minlength=len(found))[:, None]).astype(np.float32)
+    normal = normalise(np.stack(sums[3:], -1)).astype(np.float32)
+    six, _, tan_half = six_cones()
+    directions = turned(normal, six)
+    left = _traced(opaque, steps_of(tan_half, n), cells, directions, normal, float(START))[..., 3]
+    return Gathering(of, cells, normal, directions, left)
 
 
 def _coarse(left: np.ndarray, side: int) -> np.ndarray:
@@ -177,7 +212,10 @@ def make_field(
     side = body.places.shape[1]
     lost = []
     for k, cones in enumerate(body.cones):
-        behind = _behind(cones.points, cones.directions, k, body.tan_half, back)
+        if len(planes.axes) == 1:  # nothing but the environment, which is the same from everywhere
+            behind = _behind(np.zeros_like(body.around[k]), body.around[k], k, body.tan_half, back)[cones.cone]
+        else:
+            behind = _behind(cones.points, cones.directions, k, body.tan_half, back)
         lost.append(_summed(cones, -(1 - cones.left)[:, None] * behind, side, body.factors[k] if body.factors else None))
     shaded = np.stack([1 + divide(lost[k], whole[k]) - _direct_lost(body, planes, k, lights, whole[k]) for k in range(len(lost))])
     without = shaded.copy()
@@ -186,16 +224,18 @@ def make_field(
     gain = np.stack(lost) if not paper else np.zeros_like(np.stack(lost))
     atlas = body.opaque
     occluded = np.stack(lost)
-    for _ in range(ROUNDS if bounce else 0):
+    for turn in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
         dark = back.with_textures((darkened * body.open[..., None] * mean).astype(np.float32), body.open, mean)
         radiance = _voxel_radiance(body, lights, dark)
         values[:, :3] = radiance * body.voxels.opacity[:, None]
-        atlas = atlas_of(body.structure, values, paper)
+        if not body.factors or turn == ROUNDS - 1:  # rays look up the voxels themselves
+            atlas = atlas_of(body.structure, values, paper)
         for k, cones in enumerate(body.cones):
             got = _sent(body, k, radiance, dark, side) if body.factors else _gathered(body, cones, atlas, side)
             gain[k] = got + (0.0 if paper else occluded[k])
             shaded[k] = without[k] + divide(got, whole[k])
+    deeper = np.zeros((0, side, side, 3), np.float32)
     if len(planes.axes) > 1 and not paper:
         darkened = np.clip(shaded, 0, None) * body.open[..., None]
         ends = [back.with_textures((t * mean).astype(np.float32), body.open, mean) for t in (darkened, np.ones_like(shaded))]
@@ -205,9 +245,13 @@ def make_field(
         gain = gain + between
         shaded = shaded + np.stack([divide(b, w) for b, w in zip(between, whole, strict=True)])
         soft = [light.soft_radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
-        whole = [w + s * (k - 1) for w, s, k in zip(whole, soft, share, strict=True)]
+        alone, whole = whole, [w + s * (k - 1) for w, s, k in zip(whole, soft, share, strict=True)]
+        deeper = np.stack([divide(a, w, where_zero=1.0) - 1 for a, w in zip(alone, whole, strict=True)]).astype(np.float32)
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
-    return Field(atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), body.open)
+    return Field(
+        atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), body.open,
+        deeper, float(values[:, :3].max(initial=0.0)),
+    )  # fmt: skip
 
 
 def _behind(points: np.ndarray, directions: np.ndarray, skip: int, tan_half: float, back: Behind) -> np.ndarray:
@@ -228,12 +272,13 @@ def _gathered(body: Body, cones: Cones, atlas: Atlas, side: int) -> np.ndarray:
 def _sent(body: Body, k: int, radiance: np.ndarray, back: Behind, side: int) -> np.ndarray:
     """(side, side, 3) light that the voxels send to plane k. radiance (v, 3);  back : what metal mirrors"""
     f, v = body.factors[k], body.voxels
-    sent = radiance[f.voxel] * f.share
+    out = np.zeros((side * side, 3))
+    gather(f.texel, f.matt, np.ascontiguousarray(radiance, np.float32), out)
     for m in f.mirrored:
-        at = f.voxel[m.rows]
-        sent[m.rows] = f.share * (v.albedo[at] * _behind(m.place, m.direction, -1, m.tangent, back) + v.emission[at])
-    out = np.stack([np.bincount(f.texel, sent[:, c], side * side) for c in range(3)], -1)
-    return out[f.source].reshape(side, side, 3)
+        at, to = f.voxel[m.rows], f.texel[m.rows]
+        sent = v.albedo[at] * _behind(m.place, m.direction, -1, m.tangent, back) + v.emission[at]
+        out += np.stack([np.bincount(to, sent[:, c], side * side) for c in range(3)], -1)
+    return (f.share * out)[f.source].reshape(side, side, 3)
 
 
 def _summed(cones: Cones, light: np.ndarray, side: int, factors: Factors | None = None) -> np.ndarray:
@@ -261,19 +306,19 @@ def _direct_lost(
 
 def _voxel_radiance(body: Body, lights: list[tuple[np.ndarray, np.ndarray, float]], back: Behind) -> np.ndarray:
     """(v, 3) that leaves each voxel."""
-    v = body.voxels
+    v, at = body.voxels, body.gathering
     _, weights, tan_half = six_cones()
-    points = np.repeat(v.centres_m, 6, axis=0)
-    behind = _behind(points, body.directions.reshape(-1, 3), -1, tan_half, back).reshape(-1, 6, 3)
-    arriving = ((weights * body.left)[..., None] * behind).sum(1)
+    points = np.repeat(np.asarray(v.volume.low_m) + at.cells * v.volume.voxel_m, 6, axis=0)
+    behind = _behind(points, at.directions.reshape(-1, 3), -1, tan_half, back).reshape(-1, 6, 3)
+    arriving = ((weights * at.left)[..., None] * behind).sum(1)[at.of]
     for d, colour, size_deg in lights:
-        facing = np.clip(v.normal @ d, 0, None)
-        lit = np.flatnonzero(facing > 0) if d[2] > 0 else np.zeros(0, int)
-        directions = np.tile(d.astype(np.float32), (len(lit), 1, 1))
-        origins = v.cells[lit] + np.float32(0.5)
-        left = _traced(body.opaque, _light_steps(size_deg, body), origins, directions, v.normal[lit], float(START))[:, 0, 3]
-        arriving[lit] += (facing[lit] * left)[:, None] * colour
-    hidden = (1 - body.left @ weights)[:, None]
+        rows = np.flatnonzero(at.normal @ d > 0) if d[2] > 0 else np.zeros(0, int)
+        directions = np.tile(d.astype(np.float32), (len(rows), 1, 1))
+        left = np.zeros(len(at.cells), np.float32)
+        steps = _light_steps(size_deg, body)
+        left[rows] = _traced(body.opaque, steps, at.cells[rows], directions, at.normal[rows], float(START))[:, 0, 3]
+        arriving += (np.clip(v.normal @ d, 0, None) * left[at.of])[:, None] * colour
+    hidden = (1 - at.left @ weights)[at.of, None]
     # what surfaces of the object give each other: as if those that hide the surroundings were lit as it is itself
     closed = 1 - np.minimum(v.albedo * hidden, _MOST_CLOSED)
     return np.asarray(divide(v.albedo * arriving, closed) + v.emission)

@@ -47,6 +47,7 @@ class Mirrored:
 @dataclass(frozen=True, eq=False)
 class Factors:
     """Of one plane. texel, voxel (m,) int32, one entry per ray that meets the object: the voxel it meets;  share : of each ray
+    matt (m,) : voxel, -1 where a ray meets metal
     covered (texels, cones) float32 : share of a texel's hemisphere in which a cone is blocked
     source (texels,) int32 : texel whose values count, another where one lies in the object itself
     mirrored : those on metal"""
@@ -57,6 +58,7 @@ class Factors:
     covered: np.ndarray
     source: np.ndarray
     mirrored: tuple[Mirrored, ...]
+    matt: np.ndarray
 
 
 class _Mesh:
@@ -126,7 +128,22 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
             tangent = float(mirror_tangent(scene.model.parts[k].material.roughness))
             mirrored.append(Mirrored(rows[of], place[rows[of]], directions[of], tangent))
     source = _sources(inside.reshape(side, side) > _INSIDE)
-    return Factors(texel, voxel_at(voxels, place), 1 / rays, covered, source, tuple(mirrored))
+    voxel = voxel_at(voxels, place)
+    matt = voxel.copy() if mirrored else voxel
+    for m in mirrored:
+        matt[m.rows] = -1
+    return Factors(texel, voxel, 1 / rays, covered, source, tuple(mirrored), matt)
+
+
+@numba.njit(cache=True, nogil=True)
+def gather(texel, voxel, radiance, out):  # pragma: no cover - compiled
+    """out (texels, 3) float64 += radiance (v, 3) float32 of the voxels (m,) that texels (m,) meet; voxel -1 = none."""
+    for i in range(texel.shape[0]):
+        v, t = voxel[i], texel[i]
+        if v >= 0:
+            out[t, 0] += radiance[v, 0]
+            out[t, 1] += radiance[v, 1]
+            out[t, 2] += radiance[v, 2]
 
 
 def voxel_at(voxels: Voxels, places: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from arfx.errors import RenderError
 from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
 from arfx.stages.gi.plane_pixels import measured
 from arfx.stages.gi.pyramid import Atlas
-from arfx.stages.gi.real_planes import ball_of, mip_chain, picture_on_planes
+from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
 from arfx.stages.lightmap.stage import Kept
 
@@ -53,7 +53,7 @@ class Around:
     """cube (6, n, n, 3) WORLD axes, and factor (3,) that scales it to the light
     picture (p, side, side, 3), known (p, side, side) on the planes
     mean (3,) of it near the object, rounded;  back : for the cones, with the mean instead of the picture
-    soft : least channel of the light without a direction, of a white surface on the plane"""
+    soft : least channel of the light without a direction, of a white surface on the plane;  sent : most of any voxel"""
 
     cube: np.ndarray
     factor: np.ndarray
@@ -63,19 +63,20 @@ class Around:
     back: Behind
     soft: float
     atlas: Atlas | None = None
+    sent: float = 0.0
 
     def lit(self, field: Field) -> Around:
         """With the voxels' light, and the picture darkened and lit by the object."""
         side = self.picture.shape[1]
         open_ = enlarged(field.open, side)
-        picture = self.picture * enlarged(field.direct, side) * open_[..., None]
-        return replace(self, atlas=field.atlas, back=self.back.with_textures(picture, self.known * open_, self.mean))
+        # what the picture does not show is filled before there is a shadow on it, not with the shadow's mean
+        picture = filled(self.picture, self.known, self.mean) * enlarged(field.direct, side) * open_[..., None]
+        return replace(self, atlas=field.atlas, sent=field.brightest, back=self.back.with_textures(picture, open_, self.mean))
 
     @property
     def brightest(self) -> float:
         """Radiance that no cone exceeds: of the environment, the picture and the voxels."""
-        inside = 0.0 if self.atlas is None else float(self.atlas.values.reshape(-1, 4)[:, :3].max(initial=0.0))
-        return max(float(self.back.maps.max()), float(self.back.textures.max()), inside)
+        return max(float(self.back.maps.max()), float(self.back.textures.max()), self.sent)
 
     @property
     def arguments(self) -> tuple:

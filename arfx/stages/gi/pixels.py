@@ -1,8 +1,8 @@
 """Indirect light on the object's pixels: gathered at every second pixel of every second line (or at all), from the pixel's
 own place and normal, then spread to the others where normal and plane agree; where they do not, gathered again.
 
-Diffuse: six cones. Gloss: one cone about the mirrored direction, as wide as the roughness asks. Cost: O(covered pixels x
-cones x steps). Gloss weights: Karis 2014's fit of the split sum. Source: S4; SYSTEMS.md S4.
+Diffuse: six cones. Gloss: one cone about the lobe's middle, as wide as the roughness asks. Cost: O(covered pixels x
+cones x steps). Source: S4; SYSTEMS.md S4.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from arfx.stages.gi.cones import START, frame_of, trace
+from arfx.stages.gi.split_sum import gloss_weights
 from arfx.stages.gi.surroundings import behind
 
 _FAST = {"contract", "nsz", "arcp"}
@@ -50,6 +51,7 @@ def light_points(
                 ex, ey, ez = ex * s, ey * s, ez * s
                 twice = np.float32(2) * (nx * ex + ny * ey + nz * ez)
                 dx, dy, dz = twice * nx - ex, twice * ny - ey, twice * nz - ez
+                dx, dy, dz = leaning(points[i, 6], nx, ny, nz, dx, dy, dz)
                 k = min(max(int(points[i, 6] * np.float32(LOBES - 1) + np.float32(0.5)), 0), LOBES - 1)
                 w, to, tan_here, walk = np.float32(1), 3, tangents[k], lobes[k, : counts[k]]
                 deg_here = np.float32(np.arctan(tan_here) * np.float32(57.29578))
@@ -66,19 +68,20 @@ def light_points(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def gloss_weights(roughness, cosine):  # pragma: no cover - compiled
-    """(a, b) : F0 x a + b of the mirror cone's light is reflected (Karis 2014, fit to the split sum of GGX)."""
-    x = np.float32(1) - roughness
-    y = np.float32(0.0425) - np.float32(0.0275) * roughness
-    z = np.float32(1.04) - np.float32(0.572) * roughness
-    w = np.float32(0.022) * roughness - np.float32(0.04)
-    s = min(x * x, np.exp2(np.float32(-9.28) * cosine)) * x + y
-    return np.float32(-1.04) * s + z, np.float32(1.04) * s + w
+def leaning(roughness, nx, ny, nz, dx, dy, dz):  # pragma: no cover - compiled
+    """Unit direction of a lobe's middle: the mirrored direction d, and the rougher the nearer to the normal, as what would go
+    under the surface is missing (Lagarde and de Rousiers 2014)."""
+    one = np.float32(1)
+    a = min(roughness * roughness, one)
+    m = (one - a) * (np.sqrt(one - a) + a)
+    x, y, z = nx + m * (dx - nx), ny + m * (dy - ny), nz + m * (dz - nz)
+    s = one / np.sqrt(max(x * x + y * y + z * z, np.float32(1e-12)))
+    return x * s, y * s, z * s
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def chosen(
-    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows
+    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, table
 ):  # pragma: no cover - compiled
     """Points that stand for blocks: (points (m, 7), wanted (m,), index (rows, columns) of blocks, -1 = none).
 
@@ -101,7 +104,7 @@ def chosen(
                 continue
             rough = material[at_y, at_x, 1]
             points[m, 6] = blurred(rough, coverage, normal, at_y, at_x)
-            shines = rough >= sharp and mirrors(material, albedo, at_y, at_x, points[m], eye, gloss_floor, shows)
+            shines = rough >= sharp and mirrors(material, albedo, at_y, at_x, points[m], eye, gloss_floor, shows, table)
             wanted[m] = DIFFUSE + GLOSS if shines else DIFFUSE
             index[j, i] = m
             m += 1
@@ -110,7 +113,7 @@ def chosen(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def spread(
-    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, size,
+    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, table, size,
     points, light, index,
 ):  # pragma: no cover - compiled  # fmt: skip
     """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), wanted (m,), pixels (m, 2)) of those that
@@ -149,7 +152,7 @@ def spread(
                     total += w
                     for c in range(6):
                         out[y, x, c] += w * light[index[j, i], c]
-            shines = mirrors(material, albedo, y, x, here, eye, gloss_floor, shows)
+            shines = mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table)
             need = 0
             if total < _AGREE:
                 need = DIFFUSE + GLOSS if shines else DIFFUSE
@@ -169,7 +172,7 @@ def spread(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def reflected(
-    coverage, normal, position, albedo, material, rotation, offset, eye, gloss_floor, shows, light, fresh, wanted, pixels
+    coverage, normal, position, albedo, material, rotation, offset, eye, gloss_floor, shows, table, light, fresh, wanted, pixels
 ):  # pragma: no cover - compiled
     """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage. fresh (m, 6) : of the pixels (m, 2)
 
@@ -190,24 +193,26 @@ def reflected(
                 continue
             ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
             s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
-            ga, gb = gloss_weights(material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
+            ga, gb = gloss_weights(table, material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
             metal = material[y, x, 0]
             f0 = np.float32(0.08) * material[y, x, 2] * (one - metal)
-            shines = 3 if mirrors(material, albedo, y, x, here, eye, gloss_floor, shows) else 0
+            if f0 + metal <= zero:
+                gb = zero
+            shines = 3 if mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table) else 0
             for c in range(3):
                 a = albedo[y, x, c]
                 matt = a * (one - metal) * (one - min(f0 * ga + gb, one))
-                gloss = (f0 + a * metal) * ga + (gb if f0 + metal > zero else zero)
+                gloss = (f0 + a * metal) * ga + gb
                 out[y, x, c] = coverage[y, x] * (matt * light[y, x, c] + gloss * light[y, x, shines + c])
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def mirrors(material, albedo, y, x, here, eye, gloss_floor, shows):  # pragma: no cover - compiled
+def mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table):  # pragma: no cover - compiled
     """Whether what the pixel mirrors can change it by half a grey level: specular x Fresnel over what that is of its own light.
 
     here (6+,) : normal and place, as eye anchor axes;  gloss_floor : least share mirrored at all
-    shows : half a grey level as a share of a white surface's light, over the brightest that is around
+    shows : half a grey level as a share of a white surface's light, over the brightest that is around;  table : `split_sum`
     """
     zero, one = np.float32(0), np.float32(1)
     metal = material[y, x, 0]
@@ -217,7 +222,7 @@ def mirrors(material, albedo, y, x, here, eye, gloss_floor, shows):  # pragma: n
         return False
     ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
     s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
-    ga, gb = gloss_weights(material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
+    ga, gb = gloss_weights(table, material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
     return f0 * ga + gb > max(gloss_floor, shows * most)
 
 
@@ -239,8 +244,8 @@ def blurred(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
             apart += (normal[y, x, c] - normal[j, i, c]) ** 2
         if apart < _BEND * _BEND:  # else an edge
             most = max(most, apart)
-    # mirror_tangent: about 2 roughness^2
-    return max(roughness, np.sqrt(np.float32(0.5) * np.sqrt(most)))
+    # mirror_tangent: about sqrt(8) roughness^2
+    return max(roughness, np.sqrt(np.float32(0.35355) * np.sqrt(most)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)

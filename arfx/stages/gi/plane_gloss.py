@@ -1,7 +1,7 @@
 """The object mirrored in a glossy real plane: one cone about the mirrored line of sight, only where it can meet the object.
 
 What the plane mirrors without the object is in the picture already; what the object sends takes its place, so the change is
-F x (object - (1 - left) x what is behind it), as a share of the pixel. Weights: Karis 2014, as for the object's own gloss.
+F x (object - (1 - left) x what is behind it), as a share of the pixel. F as for the object's own gloss.
 Source: S4 (the object is reflected in the real plane, by a mirror cone); SYSTEMS.md S4. Cost: O(pixels of the mirror image x
 steps). Leaves out: highlights of the lamps, and their shadow in the mirror image's place.
 """
@@ -16,8 +16,8 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.cones import trace
-from arfx.stages.gi.pixels import gloss_weights
 from arfx.stages.gi.plane_pixels import agrees
+from arfx.stages.gi.split_sum import gloss_weights
 from arfx.stages.gi.surroundings import Planes, behind, first_plane
 
 _FAST = {"contract", "nsz", "arcp"}
@@ -54,8 +54,8 @@ def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame:
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def mirror_in_planes(
-    plate, x0, y0, within, directions, origin, bias, f0, roughness, walk, tangent, least, values, brick_of, meta, low, size,
-    axes, reach, textures, mips, maps, widths, turn, real,
+    plate, x0, y0, within, directions, origin, bias, f0, roughness, table, walk, tangent, least, values, brick_of, meta, low,
+    size, axes, reach, textures, mips, maps, widths, turn, real,
 ):  # pragma: no cover - compiled  # fmt: skip
     """(h, w, 3) float32: radiance that the planes' mirror image of the object adds to the picture, or takes from it.
 
@@ -81,7 +81,7 @@ def mirror_in_planes(
             s = one / np.sqrt(dx * dx + dy * dy + dz * dz)
             dx, dy, dz = dx * s, dy * s, dz * s
             along = dx * nx + dy * ny + dz * nz
-            ga, gb = gloss_weights(roughness, -along)
+            ga, gb = gloss_weights(table, roughness, -along)
             f = (f0 * ga + gb) * share
             if f < least:
                 continue

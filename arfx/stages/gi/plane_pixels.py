@@ -34,11 +34,14 @@ def measured(real: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, weight, real):  # pragma: no cover - compiled
-    """(h, w, 3) float32 shadow + weight x delta, never below 0.
+def add_delta(
+    shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, deeper, weight, real
+):  # pragma: no cover - compiled
+    """(h, w, 3) float32 shadow + weight x (delta - deeper x what the shadow takes), never below 0.
 
     within (4,) : x0, y0, x1, y1 of the pixels to change;  nodes (gh, gw, 3) : viewing directions every GRID_PX pixels and
-    origin (3,) : the camera, both anchor axes;  delta (p, side, side, 3);  real : as `agrees`; what is not on a plane stays
+    origin (3,) : the camera, both anchor axes;  delta (p, side, side, 3);  deeper : the same, or (0, ...) = none
+    real : as `agrees`; what is not on a plane stays
     """
     out = shadow.copy()
     one, half = np.float32(1), np.float32(0.5)
@@ -103,6 +106,10 @@ def add_delta(shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, del
             row, column, k = np.uintp(y - y0), np.uintp(x - x0), np.uintp(p)
             for c in range(3):
                 value = w00 * delta[k, j, i, c] + w01 * delta[k, j, i1, c] + w10 * delta[k, j1, i, c] + w11 * delta[k, j1, i1, c]
+                if deeper.shape[0]:
+                    more = w00 * deeper[k, j, i, c] + w01 * deeper[k, j, i1, c]
+                    more += w10 * deeper[k, j1, i, c] + w11 * deeper[k, j1, i1, c]
+                    value -= more * (one - out[row, column, c])
                 out[row, column, c] = max(out[row, column, c] + fade * value, np.float32(0))
     return out
 

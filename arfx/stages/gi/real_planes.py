@@ -25,6 +25,7 @@ SHOWS = HALF_GREY * 2.4 / 1.055
 _SAME_PLANE_M, _SAME_COSINE = 0.02, 0.99
 _SAME_MEASURED_M, _SAME_MEASURED_COSINE = 0.03, 0.985  # of planes that are measured as depth
 _SAME_DEPTH = 0.03  # of the distance
+COARSE = 16  # texels of a plane by which the unseen parts are filled
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
 
 
@@ -152,6 +153,21 @@ def picture_on_planes(
             )  # fmt: skip
     out = np.clip(out - bias, 0, None) * inside[..., None]
     return np.asarray(out, np.float32), inside.astype(np.float32)
+
+
+def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """(p, side, side, 3) float32: what the picture does not show as what it shows around, by COARSE texels a side; `otherwise`
+    (3,) where it shows nothing."""
+    p, side = known.shape[:2]
+    if known.all():
+        return radiance
+    n = min(side, COARSE)
+    k = side // n
+    seen = known.reshape(p, n, k, n, k).mean((2, 4), dtype=np.float32)
+    coarse = np.stack([cv2.resize(r, (n, n), interpolation=cv2.INTER_AREA) for r in radiance])
+    flat = mip_chain(coarse, seen, otherwise)[0]
+    around = np.stack([cv2.resize(f[: n * n].reshape(n, n, 3), (side, side)) for f in flat])
+    return np.asarray(radiance + (1 - known)[..., None] * around, np.float32)
 
 
 def mip_chain(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

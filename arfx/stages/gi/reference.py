@@ -28,6 +28,7 @@ from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
 from arfx.stages.gi.surroundings import Planes
 
 BOUNCES = 2
+LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 _BATCH = 1 << 17  # pixels at once: bounds memory
 
 
@@ -160,6 +161,17 @@ class Tracer:
         found = self.found(start, draw, matt(normals), change=True)
         return found + self.change_along(start, d, draw, bounces, matt_density(normals, d))
 
+    def by_others(self, start: np.ndarray, normals: np.ndarray, draw: Draw) -> np.ndarray:
+        """(n, 3) light of a white plane that other planes give it less what they hide, without the object, by one ray."""
+        out = np.zeros((len(start), 3))
+        if len(self.around.axes) > 1:
+            d = cosine_directions(normals, draw)
+            plane, distance = self.around.first_plane(start, d)
+            rows = np.flatnonzero(plane >= 0)
+            places = start[rows] + distance[rows, None] * d[rows]
+            out[rows] = self.around.picture(places, plane[rows]) - self.around.environment(d[rows])
+        return out
+
     def change_along(
         self, start: np.ndarray, d: np.ndarray, draw: Draw, bounces: int, density: np.ndarray | None = None
     ) -> np.ndarray:
@@ -246,9 +258,10 @@ def trace_frame(
             n = around.axes[plane[keep], 3]
             start = eye + distance[keep, None] * d[keep] + rays.lift * n
             matt, shiny = np.flatnonzero(wanted[at]), np.flatnonzero(glossy[at])
-            total, mirrored = np.zeros((len(keep), 3)), np.zeros((len(keep), 3))
+            total, mirrored, others = (np.zeros((len(keep), 3)) for _ in range(3))
             for s in range(samples):
                 total[matt] += tracer.change(start[matt], n[matt], Draw(key[at][matt], s, samples, seed), BOUNCES)
+                others[matt] += tracer.by_others(start[matt], n[matt], Draw(key[at][matt], s, samples, seed))
                 if len(shiny):
                     draw = Draw(key[at][shiny], s, samples, seed ^ 0x27D4EB2F)
                     towards = -d[keep][shiny]
@@ -256,7 +269,9 @@ def trace_frame(
                     rows, lobe, weight, _ = lobes.directions(draw)
                     some = shiny[rows]
                     mirrored[some] += weight * tracer.change_along(start[some], lobe, draw.of(rows), BOUNCES)
-            change = divide(total / samples, np.array(tracer.whole)[plane[keep]])
+            alone = np.array(tracer.whole)[plane[keep]]
+            whole = np.maximum(alone + others / samples, LEAST_LEFT * alone)
+            change = divide(total / samples, whole) - (1 - shadow[at]) * (divide(alone, whole, where_zero=1.0) - 1)
             base = np.maximum(now[Layer.PLATE][at] - np.array(facts.bias_rgb), DARKEST)
             change += np.maximum(mirrored / samples, -base) / base
             if real.size:

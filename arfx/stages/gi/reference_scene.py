@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from arfx.core.colour import SRGB
@@ -195,17 +194,14 @@ class Surroundings:
     def environment(self, directions: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of the cube, linear between a face's texels."""
         face, u, v = self.on_cube(directions)
-        size = self.cube.shape[1]
-        s, t = (u + 1) / 2 * size - 0.5, (v + 1) / 2 * size - 0.5
-        out = np.zeros((len(directions), 3), np.float32)
-        for k in range(6):
-            rows = np.flatnonzero(face == k)
-            if len(rows):
-                out[rows] = cv2.remap(
-                    self.cube[k].astype(np.float32), s[rows, None].astype(np.float32), t[rows, None].astype(np.float32),
-                    cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
-                ).reshape(-1, 3)  # fmt: skip
-        return out.astype(float)
+        last = self.cube.shape[1] - 1
+        s, t = (np.clip((w + 1) / 2 * (last + 1) - 0.5, 0, last) for w in (u, v))
+        i, j = np.minimum(s.astype(int), max(last - 1, 0)), np.minimum(t.astype(int), max(last - 1, 0))
+        i1, j1 = np.minimum(i + 1, last), np.minimum(j + 1, last)
+        fs, ft = (s - i)[:, None], (t - j)[:, None]
+        c = self.cube
+        above = c[face, j, i] * (1 - fs) + c[face, j, i1] * fs
+        return np.asarray(above * (1 - ft) + (c[face, j1, i] * (1 - fs) + c[face, j1, i1] * fs) * ft)
 
     def even(self, normals: np.ndarray) -> np.ndarray:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""

@@ -33,6 +33,7 @@ from arfx.stages.gi.plane_gloss import SHARPEST, mirror_in_planes, mirror_rect
 from arfx.stages.gi.plane_pixels import DARKEST, add_delta, measured, shown_radius_m
 from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
 from arfx.stages.gi.reference import trace_frame
+from arfx.stages.gi.split_sum import split_sum
 from arfx.stages.gi.surroundings import Planes
 from arfx.stages.lightmap.stage import Kept
 from arfx.stages.viewing import direction_grid, viewing
@@ -179,7 +180,7 @@ class Gi:
             changed = add_delta(
                 target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                 anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
-                np.float32(prepared.planes.half_m), np.float32(radius), delta, np.float32(weight), real,
+                np.float32(prepared.planes.half_m), np.float32(radius), delta, whole.deeper, np.float32(weight), real,
             )  # fmt: skip
             if self._paper:
                 left = 1 - now[Layer.COVERAGE][..., None]
@@ -212,7 +213,7 @@ class Gi:
             directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps, prepared.lobes,
             prepared.tangents, prepared.counts, *back.arguments,
         )  # fmt: skip
-        limits: Any = f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(back.soft, back.brightest))
+        limits: Any = f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(back.soft, back.brightest)), split_sum()
         points, light = np.zeros((0, 7), f32), np.zeros((0, 6), f32)
         index = np.zeros((0, 0), np.int32)
         if block > 1:
@@ -245,9 +246,9 @@ class Gi:
         plate = np.ascontiguousarray(now.crop(within)[Layer.PLATE])
         arguments: Any = (
             plate, within.x0, within.y0, np.array(within.to_json()), rays, anchor_from_camera.translation_m.astype(f32), bias,
-            f32(self.params.plane_gloss), f32(self.params.plane_roughness), prepared.lobes[lobe, : prepared.counts[lobe]],
-            prepared.tangents[lobe], f32(SHOWS), back.atlas.values, structure.brick_of, structure.meta,
-            np.array(volume.low_m, f32), f32(volume.voxel_m), *back.arguments,
+            f32(self.params.plane_gloss), f32(self.params.plane_roughness), split_sum(),
+            prepared.lobes[lobe, : prepared.counts[lobe]], prepared.tangents[lobe], f32(SHOWS), back.atlas.values,
+            structure.brick_of, structure.meta, np.array(volume.low_m, f32), f32(volume.voxel_m), *back.arguments,
             real if not real.size else np.ascontiguousarray(real[within.slices_in(rect)]),
         )  # fmt: skip
         change = self.params.strength * mirror_in_planes(*arguments)

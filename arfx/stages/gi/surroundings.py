@@ -21,6 +21,7 @@ from arfx.core.numerics import divide, normalise
 SIDE = 32  # texels of an octahedral map: 5 degrees
 HALF_ANGLES_DEG = (0.0, 6.0, 12.0, 20.0, 30.0, 50.0)
 ENDLESS = 1e6  # metres
+_OUTER = np.float32(3)  # levels from the coarsest: an eighth of a side, beyond four radii of the object
 EDGE = np.float32(0.03)  # of half_m: softness of a plane's end, at least
 WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
 _FAST = {"contract", "nsz", "arcp"}
@@ -100,7 +101,7 @@ def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def look_at(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: no cover - compiled
-    """(r, g, b) of the environment. maps : of `octahedral`;  turn (3, 3) : axes of the maps from those of d (unit)."""
+    """(r, g, b) of the environment. maps : of `octahedral`;  turn (3, 3) : axes of the maps from those of d (any length)."""
     x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
     y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
     z = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
@@ -168,8 +169,8 @@ def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
     far = max(abs(a), abs(b))
     last = np.float32(mips.shape[0] - 1)
     level = np.log2(max(covers * np.float32(mips[0, 1]), one))
-    # beyond the texture the plane looks as it does on average
-    level = min(max(level, last * min(max((far - one) * np.float32(2), zero), one)), last)
+    # beyond the texture the plane looks as its outer parts do on average: not as near the object, with its shadow
+    level = min(max(level, max(last - _OUTER, zero) * min(max((far - one) * np.float32(2), zero), one)), last)
     l0 = int(level)
     m = level - np.float32(l0)
     u, v = min(max(warped(a), -one), one), min(max(warped(b), -one), one)
@@ -198,7 +199,8 @@ def behind(
 ):  # pragma: no cover - compiled
     """(r, g, b) of what lies behind the voxels from x, y, z (metres) along d: planes nearest first, then the environment.
 
-    A cone that lies across a plane's horizon sees it with the part of its width that is under it.
+    A cone that lies across a plane's horizon sees it with the part of its width that is under it, and the environment with
+    the rest, about the middle of that and narrower.
     Where a plane ends, what is behind it is seen. reach (p, 5) : half side of its texture, and bounds
     textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side;  skip : a plane not to be met
     """
@@ -206,6 +208,7 @@ def behind(
     wide = tan_half / np.sqrt(one + tan_half * tan_half)
     r, g, b, left = zero, zero, zero, one
     nearer_than = np.float32(-1)
+    ux, uy, uz, over = dx, dy, dz, one  # direction of what is over the horizon, and how much of the cone's width
     for _ in range(axes.shape[0]):
         best, p, lies = np.float32(1e30), -1, zero
         for k in range(axes.shape[0]):
@@ -229,7 +232,8 @@ def behind(
         a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
         c = qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]
         inside = min(min(a - reach[p, 1], c - reach[p, 2]), min(reach[p, 3] - a, reach[p, 4] - c))
-        share *= min(max(half + inside / (one + one) / max(best * tan_half, EDGE * half_m), zero), one)
+        there = min(max(half + inside / (one + one) / max(best * tan_half, EDGE * half_m), zero), one)
+        share *= there
         if share <= zero:
             continue
         a, c = a / half_m, c / half_m
@@ -240,10 +244,14 @@ def behind(
         g += share * pg
         b += share * pb
         left -= share
+        if abs(lies) < wide:
+            rise = half * there * (lies + wide)
+            ux, uy, uz = ux + rise * axes[p, 3, 0], uy + rise * axes[p, 3, 1], uz + rise * axes[p, 3, 2]
+            over *= one - half * rise / wide
         if left <= np.float32(1e-3):
             break
     if left > np.float32(1e-3):
-        er, eg, eb = look_at(maps, widths, turn, dx, dy, dz, half_deg)
+        er, eg, eb = look_at(maps, widths, turn, ux, uy, uz, half_deg * over)
         r += left * er
         g += left * eg
         b += left * eb

@@ -121,8 +121,8 @@ def test_a_curved_mirror_blurs_by_what_a_pixel_holds(radius_px: int) -> None:
     z = np.sqrt(np.clip(1 - x**2 - y**2, 0, None))
     normal = np.stack([x, y, z], -1).astype(np.float32)
     coverage = (z > 0).astype(np.float32)
-    # half-angle of what a pixel mirrors: the normals' difference, 1 / radius; mirror_tangent is about 2 roughness^2
-    assert 2 * blurred(np.float32(0), coverage, normal, 50, 50) ** 2 == pytest.approx(1 / radius_px, rel=0.05)
+    # half-angle of what a pixel mirrors: the normals' difference, 1 / radius; mirror_tangent is about sqrt(8) roughness^2
+    assert np.sqrt(8) * blurred(np.float32(0), coverage, normal, 50, 50) ** 2 == pytest.approx(1 / radius_px, rel=0.05)
     assert blurred(np.float32(0.6), coverage, normal, 50, 50) == pytest.approx(0.6)
     flat = np.tile(np.float32([0, 0, 1]), (5, 5, 1))
     assert blurred(np.float32(0.01), np.ones((5, 5), np.float32), flat, 2, 2) == pytest.approx(0.01)

@@ -50,6 +50,16 @@ def test_planes_take_each_others_change() -> None:
     assert standard("box-in-a-corner")["plane"][1] < 0.35
 
 
+def test_a_lamps_shadow_in_a_corner_is_as_deep_as_the_wall_makes_it() -> None:
+    """45 dB where the soft light that is left in the shadow is taken as if no wall stood beside it."""
+    assert standard("box-in-a-corner")["contact"][0] > 48
+
+
+def test_a_mirror_shows_no_ring_at_the_horizon() -> None:
+    """1.2 grey levels where the plane beyond the picture has the mean of what the object shades."""
+    assert standard("mirror-ball")["object"][1] < 0.9
+
+
 @pytest.mark.parametrize(("name", "samples"), [("coloured-box", 24), ("mirror-ball", 8), ("box-in-a-corner", 16)])
 def test_our_reference_agrees_with_the_outside_one(name: str, samples: int) -> None:
     """Few samples: noise is part of the error. With 64 all four scenes are over 42 dB in every region."""
