@@ -90,12 +90,14 @@ class Prices:
     """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
 
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
+    alone : time of one that works alone, as a share of its time among `threads`
     """
 
     prices: Mapping[str, Price] = field(default_factory=dict)
     threads: int = 1
     source: str = "shipped defaults"
     calibrated: bool = False
+    alone: float = 1.0
 
     def predict(self, key: str, terms: Mapping[str, float]) -> Prediction | None:
         """None = not known."""
@@ -106,7 +108,7 @@ class Prices:
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "format": FORMAT, "threads": self.threads, "source": self.source,
+            "format": FORMAT, "threads": self.threads, "source": self.source, "alone": self.alone,
             "prices": {k: p.to_json() for k, p in sorted(self.prices.items())},
         }  # fmt: skip
 
@@ -121,7 +123,10 @@ class Prices:
             if not all(t in TERMS and math.isfinite(c) and c >= 0 for t, c in coefficients.items()):
                 raise ValueError(f"price of {key}")
             prices[key] = Price(coefficients, float(p["spread"]), int(p["runs"]))
-        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated)
+        alone = float(d.get("alone", 1.0))
+        if not 0 < alone <= 1:
+            raise ValueError("price list: alone")
+        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated, alone)
 
 
 def prices_file() -> Path:
