@@ -21,8 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import av
-import numpy as np
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `arfx` does, before numpy reads it
+
+import av  # noqa: E402
+import numpy as np  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "sample_scenes"

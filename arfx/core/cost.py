@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from arfx.core.places import cache_folder
+
 TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
 # An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
 _REACH = 1.645
@@ -131,10 +133,9 @@ class Prices:
 
 def prices_file() -> Path:
     """Where this machine's price list lies: in the user's cache folder, under a name of processor and cores."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     name = "".join(c if c.isalnum() else "-" for c in f"{platform.machine()}-{_processor()}-{cores}")
-    return Path(base) / "arfx" / f"costs-{name}.json"
+    return cache_folder() / f"costs-{name}.json"
 
 
 def _processor() -> str:
