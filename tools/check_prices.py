@@ -23,8 +23,8 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `arfx` does, before numpy reads it
 
-import av  # noqa: E402
-import numpy as np  # noqa: E402
+import av
+import numpy as np
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "sample_scenes"
