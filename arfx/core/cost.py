@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from arfx.core.places import cache_folder
+
 TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
 # An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
 _REACH = 1.645
@@ -90,12 +92,14 @@ class Prices:
     """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
 
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
+    alone : time of one that works alone, as a share of its time among `threads`
     """
 
     prices: Mapping[str, Price] = field(default_factory=dict)
     threads: int = 1
     source: str = "shipped defaults"
     calibrated: bool = False
+    alone: float = 1.0
 
     def predict(self, key: str, terms: Mapping[str, float]) -> Prediction | None:
         """None = not known."""
@@ -106,7 +110,7 @@ class Prices:
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "format": FORMAT, "threads": self.threads, "source": self.source,
+            "format": FORMAT, "threads": self.threads, "source": self.source, "alone": self.alone,
             "prices": {k: p.to_json() for k, p in sorted(self.prices.items())},
         }  # fmt: skip
 
@@ -121,15 +125,17 @@ class Prices:
             if not all(t in TERMS and math.isfinite(c) and c >= 0 for t, c in coefficients.items()):
                 raise ValueError(f"price of {key}")
             prices[key] = Price(coefficients, float(p["spread"]), int(p["runs"]))
-        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated)
+        alone = float(d.get("alone", 1.0))
+        if not 0 < alone <= 1:
+            raise ValueError("price list: alone")
+        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated, alone)
 
 
 def prices_file() -> Path:
     """Where this machine's price list lies: in the user's cache folder, under a name of processor and cores."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     name = "".join(c if c.isalnum() else "-" for c in f"{platform.machine()}-{_processor()}-{cores}")
-    return Path(base) / "arfx" / f"costs-{name}.json"
+    return cache_folder() / f"costs-{name}.json"
 
 
 def _processor() -> str:

@@ -7,6 +7,7 @@ Cost: `arfx bench --calibrate` takes under a minute on a quiet machine.
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from collections import defaultdict
@@ -21,6 +22,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from arfx.core.cost import Price, Prices, prices_file
+from arfx.core.cube import face_directions, packed
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
@@ -31,6 +33,8 @@ from arfx.measure.timed_runs import WALL, Runs, Watch
 from arfx.run.folder import write_text
 from arfx.run.job import MOST_THREADS, default_workers
 from arfx.stages import STAGES
+from arfx.stages.gi.frame_light import KEY as ENVIRONMENT
+from arfx.stages.gi.frame_light import PLANE
 
 Progress = Callable[[str, int, int], None]
 # width, height, share of the picture under the ball, (longitudes, latitudes): 720 to 24,000 triangles
@@ -40,6 +44,9 @@ SCENES = (
 )  # fmt: skip
 SLOW_SCENES = ((64, 64, 0.08, (20, 19)), (96, 64, 0.1, (60, 51)))  # of levels `reference`
 LIMIT_S = 55.0
+PREPARE_S = 5.0  # of one level: preparing it again and again would take all the time there is
+LONG_S = 0.01  # a run that is shorter tells of the clock and the interpreter
+ENVIRONMENT_SIZE = 16
 LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
 TERMS_OF: Mapping[str, tuple[str, ...]] = {
     "raster": ("frames", "mpx", "object_mpx", "mfaces"),
@@ -53,7 +60,8 @@ USUAL_TERMS = ("frames", "mpx", "object_mpx")
 def fit(runs: Runs, terms: Iterable[str]) -> Price:
     """Coefficients >= 0 of the terms that make the relative errors smallest.
 
-    The spread is that of log(measured / fitted), and at least LEAST_SPREAD; a fit to few runs gets more.
+    The spread is that of log(measured / fitted), or of each scene from a fit to the others where that is more, and at least
+    LEAST_SPREAD; a fit to few runs gets more.
     """
     names = [t for t in terms if any(row.get(t, 0.0) > 0 for row in runs.terms)]
     if not names:
@@ -62,17 +70,34 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
         names = ["mpx", *(t for t in names if t.startswith("new_"))]
     rows = np.array([[row.get(t, 0.0) for t in names] for row in runs.terms], float)
     measured = np.array(runs.seconds)
-    # two rounds: outliers of a busy machine, mostly upwards, get less weight in the second
+    found = _coefficients(rows, measured)
+    fitted = np.maximum(rows @ found, 1e-9)
+    free = max(len(measured) - int((found > 0).sum()), 1)
+    deviation = float(np.sqrt((np.log(measured / fitted) ** 2).sum() / free))
+    spread = min(max(max(deviation, LEAST_SPREAD) * (1 + 1.0 / free), _left_out(rows, measured)), 1.0)
+    return Price({t: float(c) for t, c in zip(names, found, strict=True) if c > 0}, spread, len(measured))
+
+
+def _coefficients(rows: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Two rounds: outliers of a busy machine, mostly upwards, get less weight in the second."""
     weight = 1.0 / measured
     found, _ = nnls(rows * weight[:, None], measured * weight)
     off = np.abs(measured - rows @ found) / measured
     weight = weight * np.minimum(1.0, np.maximum(np.median(off), 0.02) * 2 / np.maximum(off, 1e-9)) ** 0.5
-    found, _ = nnls(rows * weight[:, None], measured * weight)
-    fitted = np.maximum(rows @ found, 1e-9)
-    free = max(len(measured) - int((found > 0).sum()), 1)
-    deviation = float(np.sqrt((np.log(measured / fitted) ** 2).sum() / free))
-    spread = min(max(deviation, LEAST_SPREAD) * (1 + 1.0 / free), 1.0)
-    return Price({t: float(c) for t, c in zip(names, found, strict=True) if c > 0}, spread, len(measured))
+    return np.asarray(nnls(rows * weight[:, None], measured * weight)[0])
+
+
+def _left_out(rows: np.ndarray, measured: np.ndarray) -> float:
+    """Root mean square of log(measured / predicted) of each scene from a fit to the others; 0 for fewer than three scenes."""
+    _, scene = np.unique(rows.round(9), axis=0, return_inverse=True)
+    if scene.max() < 2:
+        return 0.0
+    off = []
+    for k in range(scene.max() + 1):
+        out = scene == k
+        fitted = np.maximum(rows[out] @ _coefficients(rows[~out], measured[~out]), 1e-9)
+        off.append(float(np.clip(np.log(measured[out] / fitted), -1, 1).mean()))
+    return float(np.sqrt(np.mean(np.square(off))))
 
 
 def calibrate(
@@ -91,6 +116,7 @@ def calibrate(
     crowd = min(workers, MOST_THREADS) if threads else 1
     began = time.perf_counter()
     timed: dict[str, Runs] = defaultdict(Runs)
+    alone: list[float] = []
     plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
     with ThreadPoolExecutor(crowd) as pool:
         if output:
@@ -100,14 +126,15 @@ def calibrate(
                 break
             model = ball(longitudes, latitudes) if k % 2 else pile(longitudes, latitudes)
             at = bench_scene(width, height, covered, model)
-            _time_scene(at, slow, stages, timed, pool, crowd, watch)
+            alone += _time_scene(at, slow, stages, timed, pool, crowd, watch)
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
     for key, runs in timed.items():
         stage = key.removeprefix("prepare ").split("/")[0]
         wanted = ("frames", "mfaces") if key.startswith("prepare ") else TERMS_OF.get(stage, USUAL_TERMS)
         prices[key] = fit(runs, wanted)
-    return Prices(prices, crowd, f"measured on this machine in {time.perf_counter() - began:.0f} s", calibrated=True)
+    source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
+    return Prices(prices, crowd, source, True, float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0)
 
 
 def save_prices(prices: Prices, file: Path | None = None) -> Path:
@@ -121,30 +148,45 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 def _time_scene(
     at: BenchScene, slow: bool, stages: Mapping[str, type], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int,
     watch: Watch,
-) -> None:  # fmt: skip
-    """slow : the levels `reference` alone, once;  otherwise all others, more than once, and under a light that changes"""
+) -> list[float]:  # fmt: skip
+    """slow : the levels `reference` alone, once;  otherwise all others, more than once, and under a light that changes
+
+    Returns what one thread alone took, as a share of what it took among `crowd`: of the runs that are long enough to tell.
+    """
     every = make_cells(at, None, None, stages)
     best = {name: cls.levels[-1].name for name, cls in stages.items() if len(cls.levels) > 1}  # type: ignore[attr-defined]
+    alone = []
     for cell in (c for c in every if (best.get(c.stage) == c.level) == slow):
-        timed[f"prepare {cell.stage}/{cell.level}"].add({**cell.terms, "frames": 1.0}, watch.of(cell.prepare))
+        made = f"prepare {cell.stage}/{cell.level}"
+        if sum(timed[made].seconds) < PREPARE_S:
+            timed[made].add({**cell.terms, "frames": 1.0}, watch.of(cell.prepare))
         key = f"{cell.stage}/{cell.level}"
+        own = set(TERMS_OF.get(cell.stage, ()))
         if slow:  # seconds long: what loading it takes hardly shows
-            once: dict[str, float] = {t: 1.0 for t in ("new_directions", "new_lights") if t in TERMS_OF.get(cell.stage, ())}
+            once: dict[str, float] = {t: 1.0 for t in ("new_directions", "new_lights") if t in own}
             for new in [once, {}] if once else [{}]:
                 timed[key].add({**cell.terms, **new}, watch.of(cell.go))
             continue
-        cell.go()  # compiles, loads, makes what is kept for this light
+        seen = _shimmering(at)
+
+        def go(go: Callable[..., Any] = cell.go, seen: Callable[[], FrameFacts] = seen) -> None:
+            go(seen())
+
+        go()  # compiles, loads, makes what is kept for this light
         for _ in range(2):
-            timed[key].add(cell.terms, watch.of_each(cell.go, pool, crowd))
-        if "lamps" in TERMS_OF.get(cell.stage, ()):
-            dull = replace(at.facts, light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
+            timed[key].add(cell.terms, watch.of_each(go, pool, crowd))
+        if timed[key].seconds[-1] > LONG_S:
+            alone.append(watch.of(go) / timed[key].seconds[-1])
+        if "lamps" in own:
+            dull = replace(seen(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
             cell.go(dull)
-            seconds = watch.of(partial(cell.go, dull))
+            seconds = watch.of_each(partial(cell.go, dull), pool, crowd)
             timed[key].add({**cell.terms, "lamps": 0.0, "lamp_mpx": 0.0}, seconds)
         for term in ("new_directions", "new_lights"):
-            if term in TERMS_OF.get(cell.stage, ()):
-                seconds = watch.of(partial(cell.go, _under_another_light(at, timed[key])))
+            if term in own:
+                seconds = watch.of_each(partial(cell.go, _under_another_light(at, timed[key])), pool, crowd)
                 timed[key].add({**cell.terms, term: 1.0}, seconds)
+    return alone
 
 
 def pile(longitudes: int, latitudes: int) -> Model:
@@ -160,7 +202,22 @@ def _under_another_light(at: BenchScene, runs: Runs) -> FrameFacts:
     """The scene's facts under a light that was not met before: every call another."""
     turn = 0.3 + 0.17 * len(runs.seconds)
     lamp = DirectionalLight((float(np.cos(turn)), float(np.sin(turn)), 1.3), (0.6 + turn / 50, 0.6, 0.5), 4.0)
-    return replace(at.facts, light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)))
+    return replace(_shimmering(at)(), light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)))
+
+
+def _shimmering(at: BenchScene) -> Callable[[], FrameFacts]:
+    """The scene's facts, with surroundings as an analysis tells them and a light that is never quite the same, as a measured
+    one: what is kept for a light in steps is kept, what is made for the very light is made anew."""
+    sky = face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0) * np.array([0.5, 0.55, 0.6]) + 0.2
+    around = {**packed(sky), PLANE: [0.3, 0.3, 0.3]}
+    light, count = at.scene.light, itertools.count()  # threads ask for the next at once
+
+    def seen() -> FrameFacts:
+        red, green, blue = light.ambient_rgb
+        shimmer = replace(light, ambient_rgb=(red * (1 + 1e-6 * next(count)), green, blue))
+        return at.facts.with_(light=shimmer, extra={**at.facts.extra, ENVIRONMENT: around})
+
+    return seen
 
 
 def as_table(prices: Prices) -> list[dict[str, Any]]:

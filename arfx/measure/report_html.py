@@ -26,7 +26,8 @@ def page(
     """The whole page. plots : "pose" and "timing", PNG bytes."""
     clip = Path(str(report["input"]["path"])).name
     pose = _image(plots["pose"], "image/png", "Trembling before and after smoothing, reprojection, status") + _legend()
-    time = _image(plots["timing"], "image/png", "Predicted and measured seconds") + _timing_table(report["timing"])
+    time = _image(plots["timing"], "image/png", "Predicted and measured seconds") + _predicted(report)
+    time += _timing_table(report["timing"])
     ends = f'<div class="two">{_facts_table(report["input"])}{_facts_table(report["output"])}</div>'
     sections = [
         _tiles(report),
@@ -171,6 +172,19 @@ def _stage_table(stages: Sequence[Mapping[str, Any]]) -> str:
                      _e(number(predicted)), _e(number(measured)), why))  # fmt: skip
     head = ("stage", "level: frames", "ran", "left out", "area", "predicted, s", "measured, s", "why left out")
     return _table(head, rows, frozenset({2, 3, 4, 5, 6}))
+
+
+def _predicted(report: Mapping[str, Any]) -> str:
+    """One sentence: what the plan said of the whole job, and what it took. Empty in reports of earlier versions."""
+    predicted, timing = report.get("predicted") or {}, report["timing"]
+    if not predicted:
+        return ""
+    wall = predicted.get("wall")
+    if wall is None:
+        return "<p>The plan knew no price for a part of this job, so it told no time.</p>"
+    ends = f"{number(wall['low_s'])} to {number(wall['high_s'])} s nine times in ten"
+    prices = "" if predicted.get("calibrated") else "; with shipped prices: <code>arfx bench --calibrate</code> narrows them"
+    return f"<p>The plan said {number(wall['s'])} s ({ends}{prices}); the job took {number(timing['wall_s'])} s.</p>"
 
 
 def _timing_table(timing: Mapping[str, Any]) -> str:

@@ -38,7 +38,7 @@ figure img[hidden] { display: none; } figure.on img { border-color: #2f81f7; }
 .legend i { display: inline-block; width: 12px; height: 12px; border-radius: 3px; margin: 0 4px 0 10px; vertical-align: -1px; }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-size: 14px; }
 th, td { text-align: left; padding: 5px 10px; border-bottom: 1px solid var(--line); vertical-align: top; }
-td { overflow-wrap: anywhere; } td:first-child { overflow-wrap: normal; } th { color: var(--soft);
+td { overflow-wrap: break-word; } td:first-child { overflow-wrap: normal; } th { color: var(--soft);
   font-weight: 600; white-space: nowrap; }
 .num { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .ok { color: #2da44e; } .bad { color: var(--warn); }

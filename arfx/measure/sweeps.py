@@ -302,6 +302,11 @@ def plot(results: Sequence[Result]) -> bytes:
         axis.legend(fontsize=5, frameon=False)
     for axis in axes[len(names) :]:
         axis.set_visible(False)
+    fig.supxlabel(
+        "distance from the singularity; crosses: refused (upper row float64, lower float32); dotted: what float64 (lower) and "
+        "float32 (upper) must stay below; 1e-18 stands for no error",
+        fontsize=8,
+    )
     out = io.BytesIO()
     fig.savefig(out, format="png", dpi=110)
     return out.getvalue()

@@ -11,9 +11,10 @@ from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage
+from arfx.stages.gi.frame_light import KEY as ENVIRONMENT
+from arfx.stages.gi.frame_light import rounded
 
 _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
-_COLOUR_STEP = 0.1
 NO_LAMP = ()  # without lamps no shadow is made
 
 
@@ -62,7 +63,5 @@ def _light_keys(facts: FrameFacts) -> dict[str, Hashable]:
         return {"new_directions": None, "new_lights": None}
     lights = [li for li in facts.light.lights if any(c > 0 for c in li.rgb)]
     directions = tuple((*np.round(li.unit / _BEAM_STEP).astype(int).tolist(), round(li.angular_size_deg, 1)) for li in lights)
-    coarse = tuple(tuple(np.round(li.unit, 2).tolist()) for li in lights)
-    light = [v for li in lights for v in li.rgb] + list(facts.light.ambient_rgb)
-    steps = tuple(np.round(np.log(np.maximum(np.asarray(light, float), 1e-6)) / _COLOUR_STEP).astype(int).tolist())
-    return {"new_directions": directions or NO_LAMP, "new_lights": (coarse, steps)}
+    surroundings = str(facts.extra.get(ENVIRONMENT))
+    return {"new_directions": directions or NO_LAMP, "new_lights": (repr(rounded(facts.light)), surroundings)}

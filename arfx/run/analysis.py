@@ -58,7 +58,8 @@ def analyse_clip(
     span = Span(span_s, info.time_base)
     if folder is not None and (saved := _saved(folder, key)):
         analyser.restore(saved["state"])
-        span.pts, span.origin, span.before = saved["pts"], saved["origin"], saved["before"]
+        span.pts, span.keys = saved["pts"], saved["keys"]
+        span.origin, span.before = saved["origin"], saved["before"]
     pts = span.pts
     analyse_s = 0.0
     last_save = time.monotonic()
@@ -68,10 +69,13 @@ def analyse_clip(
             start = time.perf_counter()
             analyser.step(len(pts), frame.time_s, frame.luma(), frame)
             analyse_s += time.perf_counter() - start
-            pts.append(frame.pts)
+            span.take(frame)
             progress("analyse", len(pts), expected)
             if folder is not None and time.monotonic() - last_save > CHECKPOINT_S:
-                saved = {"key": key, "pts": pts, "origin": span.origin, "before": span.before, "state": analyser.state()}
+                saved = {
+                    "key": key, "pts": pts, "keys": span.keys, "origin": span.origin, "before": span.before,
+                    "state": analyser.state(),
+                }  # fmt: skip
                 write_text(folder.checkpoint, json.dumps(saved))
                 last_save = time.monotonic()
         truncated, decode_s = reader.truncated, frames.seconds

@@ -15,7 +15,7 @@ from arfx.errors import ConfigError
 from arfx.plan.clip import Wish, plan_clip
 from arfx.plan.errors import Errors
 from arfx.run.folder import write_lines, write_text
-from arfx.run.predict import Terms, parts, prepare_one, stages_of, to_json, wall
+from arfx.run.predict import Terms, predict, prepare_one, stages_of, to_json
 
 if TYPE_CHECKING:
     from arfx.run.job import Planned
@@ -39,7 +39,7 @@ def choose(
         wish = replace(wish, budget_s=len(planned.facts) / config.pipeline.fps)
 
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
-        found = wall(parts(plans, work, terms, prices, prepared=True), terms)
+        found = predict(plans, work, terms, prices, prepared=True).wall
         if found is None:
             raise ConfigError(
                 f"a budget needs the price of everything, and encoding {terms.codec} has none",
@@ -59,7 +59,7 @@ def choose(
     if wish.budget_s is not None and not prices.calibrated:
         notice("the budget rests on shipped prices, wide intervals: `arfx bench --calibrate` measures this machine's")
     document = {
-        "predicted": to_json(parts(made.plans, stages_of(made.plans), terms, prices), terms, prices),
+        "predicted": to_json(predict(made.plans, stages_of(made.plans), terms, prices), prices),
         "levels": {
             "by": "budget" if wish.budget_s is not None else "error" if wish.max_error is not None else "quality",
             "budget_s": wish.budget_s, "max_error": wish.max_error, "met": made.chosen.met, "why": made.chosen.why,

@@ -115,8 +115,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
             told(phase, done, total)
 
         options = replace(options, progress=progress)
-        with warming(config, inputs, options.workers in (None, 1) and not options.resume):
-            planned = plan_job(inputs, folder, options, started)
+        planned = plan_job(inputs, folder, options, started)
         chunks = _chunks(planned)
         _render(planned, chunks, options)
         start = time.perf_counter()
@@ -197,7 +196,8 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     fresh = not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists())
     if fresh:
         folder.plan.unlink(missing_ok=True)  # until all of the analysis is written, nothing here counts as done
-        _analyse(inputs, folder, analysis_key, job_key, options, log)
+        with warming(config, inputs, options.workers in (None, 1)):  # before the time is taken: what is to come needs none of it
+            _analyse(inputs, folder, analysis_key, job_key, options, log)
         write_text(folder.job, to_toml({**tree, "output": output}))
         write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
     meta = json.loads(folder.frames.read_text(encoding="utf-8"))
@@ -232,7 +232,7 @@ def _terms(planned: Planned, options: Options) -> Terms:
     decode_s = spent.seconds.get("decode", 0.0)
     return Terms(
         frames, inputs.camera.rect.area / 1e6, decode_s, spent.wall_s, inputs.output.codec, workers,
-        0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6,
+        0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6, tuple(planned.meta["keys"]),
     )  # fmt: skip
 
 
@@ -275,7 +275,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
         options.notice(notice)
     write_facts(folder.facts, facts)
     document = {
-        "job_key": job_key, "pts": done.span.pts, "anchor": anchor,
+        "job_key": job_key, "pts": done.span.pts, "keys": done.span.keys, "anchor": anchor,
         "world_from_marker": {k: p.to_json() for k, p in world.items()},
         "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
         "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,

@@ -1,7 +1,7 @@
 """How long a job will take, from its plans and the price list, once its analysis has told what decoding costs.
 
-The wall clock is the time up to the plan (measured) + what every worker prepares + the frames' work shared by the workers
-+ the join. Prices hold for workers that all are busy, as they were fitted.
+The wall clock is the time up to the plan (measured: analysis, and loading compiled code beside it) + what every worker prepares
++ the frames' work as the workers share it (run/schedule.py) + the join + what the report makes anew.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ from typing import Any
 from arfx.core.cost import Prediction, Prices, exactly, together, with_spread
 from arfx.core.plan import FramePlan
 from arfx.plan.levels import alike
+from arfx.run.chunks import borders
+from arfx.run.furnace import SIZE
+from arfx.run.schedule import Load, elapsed
 
 DECODE_SPREAD = 0.25  # decoding again beside the rendering, against decoding beside the analysis
 
@@ -23,6 +26,7 @@ class Terms:
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all frames, as the analysis measured it
     before_s : seconds up to now;  workers, processes : how many render, and how many of them are further processes
+    keys : frames that decoding can begin at
     """
 
     frames: int
@@ -33,40 +37,69 @@ class Terms:
     workers: int = 1
     processes: int = 0
     mfaces: float = 0.0
+    keys: tuple[int, ...] = (0,)
 
 
-def parts(
-    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, prepared: bool = False
-) -> dict[str, Prediction | None]:
-    """Seconds by phase, summed over the workers; None = not known.
-
-    work : of all stages;  prepared : what they prepare is in it
+@dataclass(frozen=True)
+class Job:
+    """What a job is predicted to take. phases : seconds of each, summed over the workers, None = not known
+    share : of the seconds that the workers share, how many pass on the wall;  workers : at once
     """
+
+    phases: dict[str, Prediction | None]
+    share: float
+    workers: int
+
+    @property
+    def wall(self) -> Prediction | None:
+        """Of the whole job; None where a phase is not known."""
+        known = [p if name in ALONE else p.times(self.share) for name, p in self.phases.items() if p is not None]
+        return together(known) if len(known) == len(self.phases) else None
+
+
+ALONE = ("before", "prepare", "join", "report")
+
+
+def predict(plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, prepared: bool = False) -> Job:
+    """work : of all stages;  prepared : what they prepare is in it"""
     changed = [p for p in plans if p.steps]
-    edited = {"frames": float(len(changed)), "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6}
+    edit = prices.predict("edit", _edited(changed)) if changed else exactly(0.0)
     whole = {"frames": float(terms.frames), "mpx": terms.frames * terms.frame_mpx}
-    return {
+    encode = prices.predict(f"encode {terms.codec}", whole)
+    share, lead = _shared(plans, work, terms, prices, sum(p.seconds for p in (edit, encode) if p is not None))
+    phases = {
         "before": exactly(terms.before_s),
-        "prepare": exactly(0.0) if prepared else prepare(_prepared(plans), terms, prices),
-        "decode": with_spread(terms.decode_s, DECODE_SPREAD),
+        "prepare": exactly(0.0) if prepared else prepare(_levels(plans), terms, prices),
+        "decode": with_spread(terms.decode_s + lead, DECODE_SPREAD),
         "stages": work,
-        "edit": prices.predict("edit", edited) if changed else exactly(0.0),
-        "encode": prices.predict(f"encode {terms.codec}", whole),
+        "edit": edit,
+        "encode": encode,
         "join": prices.predict("join", whole),
+        "report": _report(_levels(plans), terms, prices),
     }
+    return Job(phases, share, terms.workers)
 
 
-def wall(phases: dict[str, Prediction | None], terms: Terms) -> Prediction | None:
-    """Of the whole job; None where a phase is not known."""
-    known = [p for p in phases.values() if p is not None]
-    if len(known) < len(phases):
-        return None
-    shared = 1.0 / terms.workers
-    alone = ("before", "prepare", "join")
-    return together(p if name in alone else p.times(shared) for name, p in phases.items() if p is not None)
+def _edited(plans: Sequence[FramePlan]) -> dict[str, float]:
+    return {"frames": float(len(plans)), "mpx": sum(p.rect.area + p.changed.area for p in plans) / 1e6}
 
 
-def _prepared(plans: Sequence[FramePlan]) -> set[tuple[str, str]]:
+def _shared(
+    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, other_s: float
+) -> tuple[float, float]:
+    """(wall seconds per second of work that the workers share, seconds of decoding only to get to where a chunk begins)"""
+    planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
+    scale = 1.0 if work is None or not sum(planned) else work.seconds / sum(planned)
+    each = (terms.decode_s + other_s) / max(terms.frames, 1)
+    loads = [Load(a, b, each * (b - a + 1) + scale * sum(planned[a : b + 1])) for a, b in borders(terms.frames)]
+    threads = not terms.processes
+    alone = prices.alone if threads else 1.0
+    wall_s, lead_s = elapsed(loads, terms.workers, threads, terms.keys, terms.decode_s / max(terms.frames, 1), alone)
+    spent_s = sum(load.seconds for load in loads) + lead_s
+    return (wall_s / spent_s if spent_s > 0 else 1.0 / terms.workers), lead_s
+
+
+def _levels(plans: Sequence[FramePlan]) -> set[tuple[str, str]]:
     return {(s.stage, s.level) for p in plans for s in p.steps}
 
 
@@ -87,6 +120,17 @@ def prepare_one(stage: str, level: str, terms: Terms, prices: Prices) -> Predict
     return with_spread(max(others), 1.0) if others else None
 
 
+def _report(wanted: Collection[tuple[str, str]], terms: Terms, prices: Prices) -> Prediction | None:
+    """The white furnace of a job with `gi` (run/furnace.py) prepares its level once more and renders one small picture."""
+    levels = [level for stage, level in wanted if stage == "gi"]
+    if not levels or levels[0] == "reference":
+        return exactly(0.0)
+    mpx = SIZE[0] * SIZE[1] / 1e6
+    picture = prices.predict(f"gi/{levels[0]}", {"frames": 1.0, "mpx": mpx, "object_mpx": mpx / 2, "new_lights": 1.0})
+    anew = prepare({("gi", levels[0]), ("lightmap", "standard")}, terms, prices)
+    return None if anew is None or picture is None else together([anew, picture])
+
+
 def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:
     """Work of all steps of a plan; None where one is not known."""
     by_stage: dict[str, list[Prediction]] = {}
@@ -98,13 +142,14 @@ def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:
     return together(alike(every) for every in by_stage.values())
 
 
-def to_json(phases: dict[str, Prediction | None], terms: Terms, prices: Prices) -> dict[str, Any]:
-    """{wall {s, low_s, high_s} or null, phases {name: the same}, workers, prices}"""
-    total = wall(phases, terms)
+def to_json(job: Job, prices: Prices) -> dict[str, Any]:
+    """{wall {s, low_s, high_s} or null, phases {name: the same}, workers, share, prices, calibrated}"""
+    total = job.wall
     return {
         "wall": None if total is None else total.to_json(),
-        "phases": {name: None if p is None else p.to_json() for name, p in phases.items()},
-        "workers": terms.workers,
+        "phases": {name: None if p is None else p.to_json() for name, p in job.phases.items()},
+        "workers": job.workers,
+        "share": job.share,
         "prices": prices.source,
         "calibrated": prices.calibrated,
     }

@@ -104,7 +104,7 @@ def analyse_plane(
                 next_look_s = frame.time_s + SURROUNDINGS_S
                 looks.append((len(times), frame.reduced(SURROUNDINGS_PX)))
             analyse_s += time.perf_counter() - start
-            span.pts.append(frame.pts)
+            span.take(frame)
             times.append(frame.time_s)
             progress("analyse", len(times), None)
         truncated, decode_s = reader.truncated, frames.seconds

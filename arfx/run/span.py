@@ -15,7 +15,8 @@ _ROUNDING_S = 1e-9
 class Span:
     """Seconds from the clip's first frame, ends included; None = no end.
 
-    pts : presentation times of the frames that were taken, in the clip's time base: who takes a frame adds its time
+    pts : presentation times of the frames that were taken, in the clip's time base: who takes a frame calls `take`
+    keys : which of them decoding can begin at
     origin : of the clip's first frame;  before : frames of the clip before the span;  whole : it reaches to the clip's end
     """
 
@@ -23,6 +24,7 @@ class Span:
         self._start_s, self._end_s = span_s
         self._time_base = time_base
         self.pts: list[int] = []
+        self.keys: list[int] = []
         self.origin: int | None = None
         self.before, self.whole = 0, True
 
@@ -41,6 +43,11 @@ class Span:
                 self.whole = False
                 return
             yield frame
+
+    def take(self, frame: Frame) -> None:
+        if frame.key:
+            self.keys.append(len(self.pts))
+        self.pts.append(frame.pts)
 
     def from_start_s(self) -> list[float]:
         """Seconds of the frames that were taken, from the clip's first frame."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -79,9 +81,18 @@ def cli() -> None:
     """
 
 
+def _terminated(*_: object) -> None:
+    """Leave by the way on which temporary folders are removed."""
+    sys.exit(143)
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point. Exits with the codes of EXIT_CODES; ARFX_DEBUG=1 shows tracebacks."""
     debug = os.environ.get("ARFX_DEBUG") == "1"
+    # numpy's own threads wait by spinning: beside rendering threads they took a third of the processor, for small matrices
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGTERM, _terminated)
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS, 10, 100)
     try:
         code = cli.main(args=list(sys.argv[1:] if argv is None else argv), prog_name="arfx", standalone_mode=False)

@@ -1,12 +1,17 @@
 """GLSL of the geometry buffer, and the folder pyrender loads it from.
 
-Kept as text here, so that an installed wheel needs no package data; written to a temporary folder once per process.
+Kept as text here, so that an installed wheel needs no package data; written once to the user's cache folder.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import os
 import tempfile
 from pathlib import Path
+
+from arfx.core.places import cache_folder
 
 VERTEX = """#version 330 core
 layout(location = 0) in vec3 position;
@@ -121,8 +126,20 @@ _folder: tempfile.TemporaryDirectory | None = None
 
 
 def shader_folder() -> str:
-    """A folder that holds the two shaders for as long as this process lives."""
+    """A folder that holds the two shaders: in the cache, where it is made once; where that cannot be written, one that lives
+    as long as this process does."""
     global _folder
+    name = f"glsl-{hashlib.blake2b((VERTEX + FRAGMENT).encode(), digest_size=6).hexdigest()}"
+    with contextlib.suppress(OSError, RuntimeError):
+        kept = cache_folder() / name
+        for file, text in (("gbuffer.vert", VERTEX), ("gbuffer.frag", FRAGMENT)):
+            path = kept / file
+            if not path.is_file() or path.read_text(encoding="utf-8") != text:
+                kept.mkdir(parents=True, exist_ok=True)
+                aside = path.with_suffix(f".{os.getpid()}.part")
+                aside.write_text(text, encoding="utf-8")
+                aside.replace(path)
+        return str(kept)
     if _folder is None:
         _folder = tempfile.TemporaryDirectory(prefix="arfx-glsl-")
         Path(_folder.name, "gbuffer.vert").write_text(VERTEX)

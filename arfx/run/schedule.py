@@ -1,0 +1,77 @@
+"""How long workers take over the chunks of a job: who renders which, who waits, and how much faster one is that is alone.
+
+The same order as in run/executors.py: threads each have a stretch of the clip and then take from the end of the longest that is
+left; processes take the next chunk there is. A worker that does not read on from its last chunk decodes from the key frame
+before, which may lie many frames back.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Load:
+    """first, last : frames of a chunk;  seconds : of its work, while all workers are busy"""
+
+    first: int
+    last: int
+    seconds: float
+
+
+@dataclass
+class _Worker:
+    lane: deque[Load]
+    left_s: float = 0.0
+    at: int = 0  # the frame that it would read on with
+
+
+def elapsed(
+    loads: Sequence[Load], workers: int, lanes: bool, keys: Sequence[int] = (), decode_s: float = 0.0, alone: float = 1.0
+) -> tuple[float, float]:
+    """(seconds until the last worker is through, seconds of decoding that no frame of its own chunk needs).
+
+    lanes : workers are threads with a stretch each;  keys : frames that decoding can begin at;  decode_s : of a frame
+    alone : time of one worker that is alone, as a share of its time beside others that are busy
+    """
+    workers = max(min(workers, len(loads)), 1)
+    size = -(-len(loads) // workers) if lanes and loads else max(len(loads), 1)
+    stretches = [deque(loads[i : i + size]) for i in range(0, len(loads), size)] or [deque()]
+    crew = [_Worker(stretches[k] if lanes and k < len(stretches) else stretches[0]) for k in range(workers)]
+    now = lead = 0.0
+    while True:
+        for w in crew:
+            while w.left_s <= 0 and (load := _next(w, stretches)) is not None:
+                extra = 0.0 if load.first == w.at else decode_s * (load.first - _key(keys, load.first))
+                w.left_s, w.at, lead = load.seconds + extra, load.last + 1, lead + extra
+        busy = [w for w in crew if w.left_s > 0]
+        if not busy:
+            return now, lead
+        speed = 1 / _slowness(len(busy), workers, alone)
+        step = min(w.left_s for w in busy) / speed
+        now += step
+        for w in busy:
+            w.left_s -= step * speed
+            if w.left_s < 1e-12:
+                w.left_s = 0.0
+
+
+def _slowness(busy: int, workers: int, alone: float) -> float:
+    """Time of a worker beside `busy` - 1 others as a share of its time when all are busy: linear between the ends."""
+    return 1.0 if busy >= max(workers, 2) else alone + (1 - alone) * (busy - 1) / max(workers - 1, 1)
+
+
+def _next(worker: _Worker, stretches: Sequence[deque[Load]]) -> Load | None:
+    longest = max(stretches, key=len)
+    if not longest:
+        return None
+    return worker.lane.popleft() if worker.lane else longest.pop()
+
+
+def _key(keys: Sequence[int], frame: int) -> int:
+    """The last key frame up to `frame`; the clip's first one where none is known."""
+    at = bisect_right(keys, frame)
+    return keys[at - 1] if at else 0
