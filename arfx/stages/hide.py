@@ -3,7 +3,8 @@
 Only where the job measures the real scene's depth. How much nearer the real surface is, as a share of its distance, says
 what is hidden; depth maps end some pixels beside the things that they show, so a guided filter moves that mask's edge to
 the picture's own and softens it. It looks at the object's pixels alone: its outline stays as it is.
-Cost: O(pixels of the object before which something real stands). Leaves out: shadows of and on what is nearer.
+Cost: O(pixels of the object before which something real stands). Leaves out: the shadow of what is nearer on the object
+(`holdout` keeps the object's off it).
 Source: guided filter (`guided`), each mean weighted by where the object is.
 """
 

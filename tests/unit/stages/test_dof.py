@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from arfx.core.colour import SRGB
-from arfx.core.layers import Layer
+from arfx.core.layers import Layer, Patch
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
-from arfx.core.stage import level_named
+from arfx.core.stage import Window, level_named
 from arfx.errors import InputError
+from arfx.run.frame import rng_for
 from arfx.stages.dof import Dof
 from arfx.stages.dof.params import DofParams
 from tests.contract import stage_laws as laws
@@ -143,6 +144,25 @@ def test_a_crop_gives_the_same_bits(level: str) -> None:
     part = laws.run(stage, at.layers.crop(need), at.facts, at.scene, prepared, le)[Layer.IMAGE]
     assert need.area < at.scene.camera.rect.area
     np.testing.assert_allclose(part[out.slices_in(need)], whole[out.slices], rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    "params",
+    [{"aperture_px": 40.0, "focus": "1.2m", "scope": "virtual"}, {"aperture_px": 40.0, "focus": "45cm", "background_m": 2.0}],
+    ids=["sharp around the object", "blurred all over"],
+)
+def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(params: dict) -> None:
+    at = shot()
+    stage = Dof(DofParams(**params))
+    le = level_named(Dof.levels, "standard")
+    prepared, rng = stage.prepare(at.scene, le), rng_for(0, 0, "dof")
+    out = Rect(101, 67, 230, 187)
+    need = stage.needs(out, at.facts, at.scene, le).union(out)
+    made = stage.run(Window((at.layers.crop(need),), (at.facts,), out), at.scene, prepared, le, rng)[Layer.IMAGE]
+    assert isinstance(made, Patch) and made.rect.contains(out) and made.rect.height == out.height
+    whole = blurred(at, "standard", **params)
+    np.testing.assert_array_equal(made.array[out.slices_in(made.rect)], whole[out.slices])
+    assert np.abs(whole - at.layers[Layer.IMAGE])[out.slices].max() > 0.1
 
 
 def test_a_blurred_object_before_a_sharp_plane() -> None:
