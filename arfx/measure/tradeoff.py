@@ -35,6 +35,7 @@ from arfx.run.parameters import make_stages
 
 QUALITIES = ("draft", "standard", "high", "reference")
 REFERENCE_S, LEAST_PX = 60.0, 600
+MOST_PX = 600_000  # of a picture: comparing whole ones of 1080p took twice as long as the references
 Progress = Callable[[str, int, int | None], None]
 
 
@@ -200,10 +201,10 @@ def _time(work: _Work, times: Times, sample: Sample, shop: Shop, wanted: Sequenc
 
 
 def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) -> None:
-    """As large as lets all references of all pictures take REFERENCE_S."""
+    """As large as lets all references of all pictures take REFERENCE_S, and at most MOST_PX."""
     chains = [work.best, *({**work.usual, n: work.best[n]} for n in effects)]
     camera: Rect = work.planned.inputs.camera.rect
-    area = float(max(b.plan.changed.area for b in work.benches.values()))
+    area = float(min(max(b.plan.changed.area for b in work.benches.values()), MOST_PX))
     while True:
         for b in work.benches.values():
             b.window = window_of(b.plan, b.facts, camera, area)

@@ -10,6 +10,7 @@ from arfx.core.cost import Prediction
 from arfx.measure.tradeoff import QUALITIES, Found, Row, facts_of
 from arfx.run.job import Planned
 
+FEW_PX = 1500
 SEEN_MEAN, SEEN_P99 = 1.0, 12.0  # grey levels: more than either is taken for visible
 
 
@@ -68,12 +69,12 @@ def recommendation(found: Found) -> str:
         return "the job has one quality only"
     good = next((r for r in others if not visible(r)), None)
     chosen = good or min(others, key=lambda r: r.average("mean"))
+    if good is None:
+        return _none(found, chosen, reference) + _window(found)
     words = (
-        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference (99 % of the pixels within "
+        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference on average (99 % of the pixels within "
         f"{chosen.worst('p99'):.0f}) at {_share(chosen.time, reference.time)} of its time"
     )
-    if good is None:
-        words += f", and its difference would show in frame {chosen.worst_frame()}"
     lower = QUALITIES[: QUALITIES.index(chosen.level)]
     left = (r for r in found.effects if r.level in lower and not _is_other(r, found))
     shows = [r for r in left if visible(r)]
@@ -81,7 +82,29 @@ def recommendation(found: Found) -> str:
         worst = max(shows, key=lambda r: r.worst("p99"))
         place = found.places.get((worst.name, worst.level), "")
         words += f"; {worst.name} {worst.level} would show {place}".rstrip() + f" (frame {worst.worst_frame()})"
+    return words + _window(found)
+
+
+def _none(found: Found, nearest: Row, reference: Row) -> str:
+    """Where every quality below reference shows: the nearest of them, and whose difference it is."""
+    own = [r for r in found.effects if nearest.levels.get(r.name) == r.level and not _is_other(r, found)]
+    most = max(own, key=lambda r: r.average("mean"), default=None)
+    words = (
+        f"no quality below reference is without a difference that shows: the nearest, {nearest.level}, is "
+        f"{nearest.average('mean'):.1f} grey levels off on average at {_share(nearest.time, reference.time)} of its time, and "
+        f"would show in frame {nearest.worst_frame()}"
+    )
+    if most is not None and most.average("mean") > SEEN_MEAN:
+        words += f"; most of it is {most.name}'s ({most.average('mean'):.1f} grey levels by itself)"
     return words
+
+
+def _window(found: Found) -> str:
+    """Said where so little of the picture was compared that other parts of it may differ otherwise."""
+    least = min(found.windows.values(), key=lambda w: w.area, default=None)
+    if least is None or least.area >= FEW_PX:
+        return ""
+    return f"; compared on {least.width} × {least.height} px of a frame alone, as the references take so long"
 
 
 def _is_other(r: Row, found: Found) -> bool:

@@ -72,14 +72,17 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
     body = []
     for r in rows:
         calm = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
-        levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items())
+        # a quality's name says its levels
+        levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items() if v != "standard") if r["level"] == "mixed" else ""
         body.append([
             escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), _milliseconds(r),
             number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]), escape(calm),
             escape(number(r["worst_frame"])), escape(levels),
         ])  # fmt: skip
+    if not any(row[-1] for row in body):
+        body = [row[:-1] for row in body]
     head = ("level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "unrest / reference's", "worst frame", "levels")
-    return _table(head, body, frozenset(range(1, 7)))
+    return _table(head[: len(body[0]) if body else None], body, frozenset(range(1, 7)))
 
 
 def _milliseconds(row: Mapping[str, Any]) -> str:

@@ -52,9 +52,10 @@ class Job:
 
     @property
     def wall(self) -> Prediction | None:
-        """Of the whole job; None where a phase is not known."""
+        """Of the whole job; None where a phase is not known. The phases err alike: a machine that is slower today is so for all,
+        and what the calibration's scenes do not show of one phase was not seen to be made good by another."""
         known = [p if name in ALONE else p.times(self.share) for name, p in self.phases.items() if p is not None]
-        return together(known) if len(known) == len(self.phases) else None
+        return alike(known) if len(known) == len(self.phases) else None
 
 
 ALONE = ("before", "prepare", "join", "report")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import click
@@ -149,3 +152,14 @@ def test_a_fault_of_arfx_is_one_message_too(monkeypatch: pytest.MonkeyPatch, cap
     monkeypatch.setenv("ARFX_DEBUG", "1")
     with pytest.raises(KeyError):
         main(["doctor"])
+
+
+def test_terminated_leaves_no_temporary_folder(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, tempfile, time\nfrom arfx_cli import main as m\n"
+        "def work(**_):\n with tempfile.TemporaryDirectory(prefix='arfx-'):\n"
+        "  os.kill(os.getpid(), signal.SIGTERM); time.sleep(30)\n"
+        "m.cli.main = work\nm.main([])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(tmp_path)}, check=False)
+    assert done.returncode == 143 and not list(tmp_path.iterdir())

@@ -152,7 +152,17 @@ def test_the_sentence_names_the_cheapest_that_does_not_show_and_what_would() -> 
     assert "show" not in recommendation(cheap), "what is better than the advice is no warning"
     bad = found()
     bad.pipelines = [row("pipeline", "draft", 0.1, 5, 60), row("pipeline", "reference", 1, 0, 0)]
-    assert "would show in frame 3" in recommendation(bad)
+    told = recommendation(bad)
+    assert told.startswith("no quality below reference is without") and "would show in frame 3" in told
+    bad.pipelines[0].levels = {"dof": "draft"}
+    assert "most of it is dof's" in recommendation(bad)
+
+
+def test_a_small_window_is_said() -> None:
+    small = found()
+    assert "px of a frame alone" not in recommendation(small)
+    small.windows = {3: Rect(0, 0, 33, 18), 9: Rect(0, 0, 500, 400)}
+    assert "compared on 33 × 18 px of a frame alone" in recommendation(small)
 
 
 def test_the_front_holds_only_what_nothing_beats() -> None:
