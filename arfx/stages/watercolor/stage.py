@@ -249,8 +249,13 @@ class Watercolor:
             return None, (0, 0)
         rect = now.rect
         y, x = (box.y0 - rect.y0) // 2, (box.x0 - rect.x0) // 2
-        part = now.crop(Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1))
-        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity), (y, x)
+        whole = Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1)
+        seen = now.extent(Layer.COVERAGE).clip(whole)
+        if seen.empty:
+            return None, (0, 0)
+        part = now.crop(seen)
+        layers = (part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH))
+        return virtual_edges(*layers, facts.opacity, offset(seen, whole), (whole.height, whole.width)), (y, x)
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area
