@@ -162,7 +162,7 @@ def _reordered(order, x, y, weight, key, u, v):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _places(order, x, y, weight, x0, y0):  # pragma: no cover - compiled
-    """(x, y, weight (3, n + STEP) int32 in that order, relative to (x0, y0), 1/STEPS px; whether the order is that of the sites)."""
+    """(x, y, weight (3, n + STEP) int32 in that order, relative to (x0, y0), 1/STEPS px; whether that is the sites' own)."""
     n, ordered = order.shape[0], True
     out = np.zeros((3, n + STEP), np.int32)
     for k in range(n):
@@ -265,7 +265,8 @@ def _label(
                     n = within(lx, ly, lw, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
                     if n <= PACKED:
                         fits = (
-                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ta, tb, tc, names) < PACKED_LIMIT
+                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ta, tb, tc, names)
+                            < PACKED_LIMIT
                         )
                 if fits:
                     if borders:
