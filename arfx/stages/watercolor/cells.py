@@ -124,7 +124,7 @@ def _add(line, a, sums):  # pragma: no cover - compiled
     if last < 0:
         return
     for x in range(last):
-        add_pixel(sums, _U(4) * _U(a[x]), line, _U(3) * _U(x))
+        add_pixel(sums, _U(4) * _U(a[x]), line, _U(3) * _U(x))  # type: ignore[call-arg]
     for c in range(3):  # no number follows it
         sums[4 * a[last] + c] += line[3 * last + c]
     sums[4 * a[last] + 3] += 1.0

@@ -253,8 +253,8 @@ class Watercolor:
         if seen.empty:
             return None, (0, 0)
         part = now.crop(seen)
-        layers = (part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH))
-        return virtual_edges(*layers, facts.opacity, offset(seen, whole), (whole.height, whole.width)), (y, x)
+        at, shape = offset(seen, whole), (whole.height, whole.width)
+        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity, at, shape), (y, x)
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area
