@@ -58,6 +58,28 @@ def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[n
     return out, small
 
 
+def halved(picture: Picture) -> np.ndarray:
+    """The square roots of `means_and_half` alone."""
+    h, w = picture.image.shape[:2]
+    small = np.empty((3, (h + 1) // 2, (w + 1) // 2), np.float32)
+    by_bands(lambda a, b: _halves(*picture.parts, a, b, small), h, 2)  # type: ignore[call-arg]
+    return small
+
+
+@numba.njit(cache=True, nogil=True)
+def _halves(image, patch, py, px, y0, y1, small):  # pragma: no cover - compiled
+    w, right = image.shape[1], px + patch.shape[1]
+    lines, both = np.empty((2, 3 * w), np.float32), np.empty(3 * w, np.float32)
+    for y in range(y0, y1, 2):
+        rows = min(2, y1 - y)
+        near = py < y + rows and y < py + patch.shape[0]
+        for k in range(rows):
+            if near:
+                line_of(image, patch, py, px, y + k, px, right, lines[k])
+        top, bottom, till = image[y].reshape(-1), image[y + rows - 1].reshape(-1), right if near else px
+        _halve(top, bottom, lines[0], lines[rows - 1], px, till, both, small, y // 2)
+
+
 @numba.njit(cache=True, nogil=True)
 def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
     for k in range(out.shape[0]):
@@ -102,7 +124,7 @@ def _add(line, a, sums):  # pragma: no cover - compiled
     if last < 0:
         return
     for x in range(last):
-        add_pixel(sums, _U(4) * _U(a[x]), line, _U(3) * _U(x))
+        add_pixel(sums, _U(4) * _U(a[x]), line, _U(3) * _U(x))  # type: ignore[call-arg]
     for c in range(3):  # no number follows it
         sums[4 * a[last] + c] += line[3 * last + c]
     sums[4 * a[last] + 3] += 1.0

@@ -202,28 +202,35 @@ def _hysteresis(most, parts, low, high, ya, yb, line):  # pragma: no cover - com
                 line[y, x] *= t * t * (np.float32(3) - np.float32(2) * t)
 
 
-def virtual_edges(coverage: np.ndarray, normal: np.ndarray, depth: np.ndarray, opacity: float) -> np.ndarray:
+def virtual_edges(
+    coverage: np.ndarray, normal: np.ndarray, depth: np.ndarray, opacity: float, at: tuple[int, int] = (0, 0),
+    shape: tuple[int, int] | None = None,
+) -> np.ndarray:  # fmt: skip
     """(ceil(h / 2), ceil(w / 2)) float32, 0..1: silhouettes from coverage and depth, creases from normals.
 
-    coverage (h, w), normal (h, w, 3), depth (h, w) metres; a depth that is not finite is none
+    coverage (bh, bw), normal (bh, bw, 3), depth (bh, bw) metres; a depth that is not finite is none
+    shape (h, w) : of the part of the picture looked at, in which the arrays begin at (row, column) `at`, around them nothing
     """
-    out = np.zeros(((coverage.shape[0] + 1) // 2, (coverage.shape[1] + 1) // 2), np.float32)
+    h, w = shape or coverage.shape
+    out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
     if opacity > 0 and coverage.any():
-        _virtual(coverage, normal, depth, np.float32(opacity), out)
+        _virtual(coverage, normal, depth, np.float32(opacity), *at, h, w, out)
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _virtual(coverage, normal, depth, opacity, out):  # pragma: no cover - compiled
-    h, w = coverage.shape
+def _virtual(coverage, normal, depth, opacity, top, left, h, w, out):  # pragma: no cover - compiled
+    bh, bw = coverage.shape
     zero, one = np.float32(0), np.float32(1)
     for j in range(out.shape[0]):
         for i in range(out.shape[1]):
-            y, x = 2 * j, 2 * i
+            y, x = 2 * j - top, 2 * i - left
+            here = 0 <= y < bh and 0 <= x < bw
             best = zero
             for m in range(2):
-                y2, x2 = (y, min(x + 2, w - 1)) if m == 0 else (min(y + 2, h - 1), x)
-                a, b = coverage[y, x], coverage[y2, x2]
+                y2, x2 = (y, min(x + 2, w - 1 - left)) if m == 0 else (min(y + 2, h - 1 - top), x)
+                a = coverage[y, x] if here else zero
+                b = coverage[y2, x2] if 0 <= y2 < bh and 0 <= x2 < bw else zero
                 if a <= zero and b <= zero:
                     continue
                 e = abs(a - b)

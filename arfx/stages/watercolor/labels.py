@@ -115,7 +115,7 @@ def in_order(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
         return sites
     x, y, side, gh, gw = _grid(len(sites), rect, wobble)
     _, order = bucketed(sites.x, sites.y, rect.x0 + x, rect.y0 + y, side, gh, gw)
-    return Sites(*(a[order] for a in (sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v)))
+    return Sites(*_reordered(order, sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v))
 
 
 def label(
@@ -135,10 +135,7 @@ def label(
     inside = np.empty((h, w) if borders else (0, 0), np.uint8)
     x0, y0, side, gh, gw = _grid(n, rect, wobble)
     start, order = bucketed(sites.x, sites.y, rect.x0 + x0, rect.y0 + y0, side, gh, gw)
-    ordered = bool((order[1:] > order[:-1]).all())
-    place = np.zeros((3, n + STEP), np.int32)
-    place[0, :n], place[1, :n], place[2, :n] = sites.x[order], sites.y[order], np.maximum(sites.weight[order], -(float(FAR) ** 2))
-    place[:2, :n] -= np.array([[STEPS * rect.x0], [STEPS * rect.y0]], np.int32)
+    place, ordered = _places(order, sites.x, sites.y, sites.weight, STEPS * rect.x0, STEPS * rect.y0)
     mask = np.zeros((0, 0), bool) if mask is None else mask
     row, column = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
 
@@ -150,6 +147,30 @@ def label(
 
     by_bands(one, h - y0, BLOCK)
     return Labels(first, second, inside, n)
+
+
+@numba.njit(cache=True, nogil=True)
+def _reordered(order, x, y, weight, key, u, v):  # pragma: no cover - compiled
+    n = order.shape[0]
+    a, b, c = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    d, e, f = np.empty(n, np.int64), np.empty(n, np.float32), np.empty(n, np.float32)
+    for k in range(n):
+        m = order[k]
+        a[k], b[k], c[k], d[k], e[k], f[k] = x[m], y[m], weight[m], key[m], u[m], v[m]
+    return a, b, c, d, e, f
+
+
+@numba.njit(cache=True, nogil=True)
+def _places(order, x, y, weight, x0, y0):  # pragma: no cover - compiled
+    """(x, y, weight (3, n + STEP) int32 in that order, relative to (x0, y0), 1/STEPS px; whether that is the sites' own)."""
+    n, ordered = order.shape[0], True
+    out = np.zeros((3, n + STEP), np.int32)
+    for k in range(n):
+        m = order[k]
+        ordered = ordered and m == k
+        out[0, k], out[1, k] = np.int32(x[m]) - np.int32(x0), np.int32(y[m]) - np.int32(y0)
+        out[2, k] = np.int32(max(weight[m], -np.float32(FAR) * np.float32(FAR)))
+    return out, ordered
 
 
 @numba.njit(cache=True, nogil=True)
@@ -244,7 +265,8 @@ def _label(
                     n = within(lx, ly, lw, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
                     if n <= PACKED:
                         fits = (
-                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ta, tb, tc, names) < PACKED_LIMIT
+                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ta, tb, tc, names)
+                            < PACKED_LIMIT
                         )
                 if fits:
                     if borders:

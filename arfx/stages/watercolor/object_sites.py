@@ -86,9 +86,7 @@ def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell
     four wavelengths of the flow wide, whatever its size in the picture."""
     row, at = camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
     eye = camera_from_world.inverse().translation_m
-    keep, share = _seen(
-        surface.points, surface.normals, surface.importance, surface.most_m, eye, row, at, cell_px / camera.fx
-    )
+    keep, share = _seen(surface.points, surface.normals, surface.importance, surface.most_m, eye, row, at, cell_px / camera.fx)
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
     grown = np.float64((1.2 * cell_px * STEPS) ** 2)
     return Sites(*_sites(surface.points, keep, share, pixel, grown, 4 * flow_px / surface.extent_m))

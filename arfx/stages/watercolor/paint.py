@@ -62,7 +62,7 @@ def _fill_row(table, a, to):  # pragma: no cover - compiled
     """The fourth number of each pixel is overwritten by the next one's."""
     last = a.shape[0] - 1
     for x in range(last):
-        copy_four(table, _U(4) * _U(a[x]), to, _U(3) * _U(x))
+        copy_four(table, _U(4) * _U(a[x]), to, _U(3) * _U(x))  # type: ignore[call-arg]
     for c in range(3):
         to[3 * last + c] = table[4 * a[last] + c]
 
@@ -71,7 +71,7 @@ def _fill_row(table, a, to):  # pragma: no cover - compiled
 def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
     last = a.shape[0] - 1
     for x in range(last):
-        mix_four(table, _U(4) * _U(a[x]), ink, lines[x] * opacity, to, _U(3) * _U(x))
+        mix_four(table, _U(4) * _U(a[x]), ink, lines[x] * opacity, to, _U(3) * _U(x))  # type: ignore[call-arg]
     for c in range(3):
         v = table[4 * a[last] + c]
         to[3 * last + c] = v + lines[last] * opacity * (ink[c] - v)

@@ -36,7 +36,7 @@ class WatercolorParams:
     line_low, line_high : no line below, a whole one above, coded value per px;  line_threshold : of the paper's edges
     alpha, beta : share of U and V in the edges of YUV; share of YUV in all edges
     line_hold : mixes in the edges of the frame before, moved along with the things: a third to a half fewer pixels of lines that
-    flip, for a tenth more time
+    flip, for .6 (1280 x 720) to 1 (640 x 480) of the benchmark's yardsticks more: a fifth more time
     yuv : matrix of Y'UV: bt601, bt709
     pigment : the five settings below are used; false = flat cells
     edge_darkening : pigment left at the border of a wash;  flow, flow_px : slow turbulence and its size

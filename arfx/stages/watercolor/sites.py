@@ -157,7 +157,8 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
     e1u, e1v, e2u, e2v = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
     det, scale, per = np.empty(2), np.zeros(2), np.zeros(2)
-    oi, oj, bi, bj = np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64, np.int64), np.empty(64, np.int64)
+    places = np.empty((4, 64), np.int64)
+    oi, oj, bi, bj = places[0], places[1], places[2], places[3]
     importance, key = np.empty(64, np.float64), np.empty(64, np.uint64)
     n = 0
     for gy in range(row, end):
@@ -186,7 +187,8 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
             j0, j1 = np.int64(np.floor(lo_v / cell)), np.int64(np.floor(hi_v / cell))
             if 4 * ((i1 - i0) // 2 + 2) > oi.shape[0]:
                 room = 8 * ((i1 - i0) // 2 + 2)
-                oi, oj, bi, bj = (np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64))
+                places = np.empty((4, room), np.int64)
+                oi, oj, bi, bj = places[0], places[1], places[2], places[3]
                 importance, key = np.empty(room, np.float64), np.empty(room, np.uint64)
             for pj in range(j0 >> 1, (j1 >> 1) + 1):
                 count = _candidates(seed, level, pj, i0, i1, j0, j1, least - 0.5 * FADE, oi, oj, importance, key)

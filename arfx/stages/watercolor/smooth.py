@@ -10,6 +10,7 @@ import numpy as np
 
 REACH = 5  # px to each side that the taps go
 _FAST = {"contract", "nsz", "arcp"}
+_U = np.uint64  # an index of that type is not looked at for a minus: loops stay simple
 
 
 def taps_of(sigma: float) -> np.ndarray:
@@ -43,10 +44,10 @@ def _across(row, padded, taps, out):  # pragma: no cover - compiled
     padded[w + REACH :] = row[w - 1]
     t0, t1, t2, t3, t4, t5 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5]
     for x in range(w):
-        i = np.uint64(x)
-        s = t0 * padded[i + np.uint64(5)] + t1 * (padded[i + np.uint64(4)] + padded[i + np.uint64(6)])
-        s += t2 * (padded[i + np.uint64(3)] + padded[i + np.uint64(7)]) + t3 * (padded[i + np.uint64(2)] + padded[i + np.uint64(8)])
-        s += t4 * (padded[i + np.uint64(1)] + padded[i + np.uint64(9)]) + t5 * (padded[i] + padded[i + np.uint64(10)])
+        i = _U(x)
+        s = t0 * padded[i + _U(5)] + t1 * (padded[i + _U(4)] + padded[i + _U(6)])
+        s += t2 * (padded[i + _U(3)] + padded[i + _U(7)]) + t3 * (padded[i + _U(2)] + padded[i + _U(8)])
+        s += t4 * (padded[i + _U(1)] + padded[i + _U(9)]) + t5 * (padded[i] + padded[i + _U(10)])
         out[x] = s
 
 

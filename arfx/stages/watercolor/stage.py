@@ -31,13 +31,13 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.watercolor.cells import means_and_half, neighbours, toned, washed
+from arfx.stages.watercolor.cells import halved, means_and_half, neighbours, toned, washed
 from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, measured, virtual_edges
 from arfx.stages.watercolor.field import FACT, frame_field, ways
 from arfx.stages.watercolor.hold import held, steps_back
-from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, unlabelled, wobble_of
+from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, wobble_of
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
@@ -229,8 +229,7 @@ class Watercolor:
         def made(layers: Layers, facts: FrameFacts, key: Key) -> np.ndarray:
             def make() -> np.ndarray:
                 picture = self._with_toon(layers, _box(facts, layers.rect), facts, scene)
-                one = Cover(unlabelled(layers.rect.height, layers.rect.width, 1, False))
-                return measured(means_and_half(picture, one)[1], p.alpha, p.beta, p.line_smooth_px, p.yuv)
+                return measured(halved(picture), p.alpha, p.beta, p.line_smooth_px, p.yuv)
 
             found: np.ndarray = prepared.measures.get(key, make)
             return found
@@ -249,8 +248,13 @@ class Watercolor:
             return None, (0, 0)
         rect = now.rect
         y, x = (box.y0 - rect.y0) // 2, (box.x0 - rect.x0) // 2
-        part = now.crop(Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1))
-        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity), (y, x)
+        whole = Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1)
+        seen = now.extent(Layer.COVERAGE).clip(whole)
+        if seen.empty:
+            return None, (0, 0)
+        part = now.crop(seen)
+        at, shape = offset(seen, whole), (whole.height, whole.width)
+        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity, at, shape), (y, x)
 
     def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area

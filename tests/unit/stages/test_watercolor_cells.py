@@ -157,7 +157,7 @@ def test_density_stays_within_a_factor_of_two_under_zoom(factor: float, roll_deg
 
 @pytest.mark.parametrize("factor", [4.0, 1.0, 0.25])
 def test_density_follows_its_target_under_zoom_where_cells_go_by_detail(factor: float) -> None:
-    """Within a factor of two of one cell per size^2, everywhere; the size there is 2.3 times larger on the left than on the right."""
+    """Within a factor of two of one cell per size^2, everywhere; sizes fall by 2.3 from left to right."""
     f = still_field(320, 240, 8, 64)
     seen = np.linspace(0, 100, f.size.shape[1]) * np.ones(f.size.shape)
     size = f.size * detail_factor(seen, 1.0)

@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import tracemalloc
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import cv2
@@ -20,6 +21,8 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Window
 from arfx.errors import ConfigError
 from arfx.stages.watercolor import Watercolor
+from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import density
 from arfx.stages.watercolor.sites import Field, still_field
@@ -117,6 +120,35 @@ def test_nothing_is_painted_twice_and_what_is_kept_gives_the_same_bits() -> None
     prepared.forget()
     assert np.array_equal(painted(image, prepared=prepared, f=SEEN), first)
     assert np.array_equal(painted(image, f=SEEN), first)
+
+
+def test_a_frame_is_known_by_every_one_of_its_samples() -> None:
+    for rows in (1, 2, 3, 640, 4100):  # of 64 samples; from 4096 on in bands
+        a = np.arange(64 * rows + 5, dtype=np.float32)
+        known = {digest(a)}
+        for at in (0, 31 * rows, 32 * rows, 64 * rows - 1, 64 * rows + 4):
+            b = a.copy()
+            b[at] = np.nextafter(b[at], np.float32(1e9))
+            known.add(digest(b))
+        assert len(known) == 6 and digest(a.copy()) in known
+
+
+def test_bands_come_in_order_whoever_does_them_and_errors_come_out() -> None:
+    spans = by_bands(lambda a, b: (a, b), 1000, 8)
+    assert [a for a, _ in spans] == [0, *(b for _, b in spans[:-1])] and spans[-1][1] == 1000
+    with ThreadPoolExecutor(4) as pool:
+        assert all(made == spans for made in pool.map(lambda _: by_bands(lambda a, b: (a, b), 1000, 8), range(64)))
+    with pytest.raises(ZeroDivisionError):
+        by_bands(lambda a, b: 1 // (a - 256), 1000, 8)
+
+
+def test_a_picture_too_large_to_keep_is_the_same_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As from 16 Mpx on (8K)."""
+    kept = painted(picture(), f=SEEN)
+    monkeypatch.setattr("arfx.stages.watercolor.stage._LARGEST_KEPT_PX", 1000)
+    stage = Watercolor()
+    prepared = stage.prepare(SCENE, stage.levels[1])
+    assert np.array_equal(painted(picture(), f=SEEN, prepared=prepared), kept) and prepared.pictures.made == 0
 
 
 @pytest.mark.parametrize("hold", [False, True])
