@@ -6,7 +6,8 @@ The wall clock is the time up to the plan (measured: analysis, and loading compi
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import operator
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,7 +68,7 @@ def predict(plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, p
     edit = prices.predict("edit", _edited(changed)) if changed else exactly(0.0)
     whole = {"frames": float(terms.frames), "mpx": terms.frames * terms.frame_mpx}
     encode = prices.predict(f"encode {terms.codec}", whole)
-    share, lead = _shared(plans, work, terms, prices, sum(p.seconds for p in (edit, encode) if p is not None))
+    share, lead = _shared(plans, work, terms, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
     phases = {
         "before": exactly(terms.before_s),
         "prepare": exactly(0.0) if prepared else prepare(_levels(plans), terms, prices),
@@ -86,17 +87,24 @@ def _edited(plans: Sequence[FramePlan]) -> dict[str, float]:
 
 
 def _shared(
-    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, other_s: float
+    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, edit_s: float, encode_s: float
 ) -> tuple[float, float]:
-    """(wall seconds per second of work that the workers share, seconds of decoding only to get to where a chunk begins)"""
+    """(wall seconds per second of work that the workers share, seconds of decoding only to get to where a chunk begins)
+
+    A worker that is alone encodes a chunk while it renders it.
+    """
     planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
     scale = 1.0 if work is None or not sum(planned) else work.seconds / sum(planned)
-    each = (terms.decode_s + other_s) / max(terms.frames, 1)
-    loads = [Load(a, b, each * (b - a + 1) + scale * sum(planned[a : b + 1])) for a, b in borders(terms.frames)]
+    each, written = (s / max(terms.frames, 1) for s in (terms.decode_s + edit_s, encode_s))
+    both: Callable[[float, float], float] = max if terms.workers == 1 else operator.add
+    loads = [
+        Load(a, b, both(each * (b - a + 1) + scale * sum(planned[a : b + 1]), written * (b - a + 1)))
+        for a, b in borders(terms.frames)
+    ]
     threads = not terms.processes
     alone = prices.alone if threads else 1.0
     wall_s, lead_s = elapsed(loads, terms.workers, threads, terms.keys, terms.decode_s / max(terms.frames, 1), alone)
-    spent_s = sum(load.seconds for load in loads) + lead_s
+    spent_s = terms.decode_s + edit_s + encode_s + scale * sum(planned) + lead_s
     return (wall_s / spent_s if spent_s > 0 else 1.0 / terms.workers), lead_s
 
 

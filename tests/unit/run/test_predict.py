@@ -58,3 +58,10 @@ def test_one_thread_alone_is_faster_and_a_phase_without_price_makes_the_whole_un
     alone = of(plans(range(30)), prices=replace(PRICES, alone=0.6))
     assert alone.wall.seconds < of(plans(range(30))).wall.seconds - 0.2
     assert of(plans(range(30)), replace(TERMS, codec="av1")).wall is None
+
+
+def test_a_lone_worker_encodes_while_it_renders() -> None:
+    one = replace(TERMS, workers=1)
+    slow_render, slow_encode = of(plans(range(120)), one), of([], one)  # 12 s against 1.2 s; nothing but decoding
+    assert slow_render.share == pytest.approx((1.2 + 12.0) / (1.2 + 12.0 + 1.2))
+    assert slow_encode.share == pytest.approx(0.5)
