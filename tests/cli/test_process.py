@@ -145,6 +145,7 @@ def test_a_killed_job_resumes_and_gives_the_same_bytes(material: Material, arfx:
     assert {60, 90} - {30 * k for k in range(len(kept))} <= set(rendered) and len(rendered) == len(set(rendered))
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_leaves_a_resumable_job(material: Material, arfx: Run, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "arfx_cli.main", *material.arguments("-o", "out.mp4", "--workers", "2")]
     p = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)

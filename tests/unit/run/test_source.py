@@ -99,6 +99,7 @@ def test_a_failing_chunk_stops_all_threads(monkeypatch: pytest.MonkeyPatch) -> N
     assert time.monotonic() - start < 1.9 and not ended
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_an_interrupt_that_a_library_swallows_still_ends_the_job(tmp_path: Path) -> None:
     with pytest.raises(JobInterruptedError), _interruptible(JobFolder(tmp_path)) as check:
         with contextlib.suppress(KeyboardInterrupt):  # as compiled code does that clears errors
