@@ -44,8 +44,8 @@ SCENES = (
 )  # fmt: skip
 SLOW_SCENES = ((64, 64, 0.08, (20, 19)), (96, 64, 0.1, (60, 51)))  # of levels `reference`
 LIMIT_S = 55.0
-PREPARE_S = 5.0  # of one level: preparing it again and again would take all the time there is
-LONG_S = 0.01  # a run that is shorter tells of the clock and the interpreter
+PREPARE_S = 1.0  # of one level: preparing it again and again would take all the time there is
+LONG_S, DEAR_S = 0.01, 0.1  # a run that is shorter tells of the clock and the interpreter; one that is longer is made once
 ENVIRONMENT_SIZE = 16
 LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
 TERMS_OF: Mapping[str, tuple[str, ...]] = {
@@ -149,7 +149,7 @@ def _time_scene(
     at: BenchScene, slow: bool, stages: Mapping[str, type], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int,
     watch: Watch,
 ) -> list[float]:  # fmt: skip
-    """slow : the levels `reference` alone, once;  otherwise all others, more than once, and under a light that changes
+    """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones twice, and under a light that changes
 
     Returns what one thread alone took, as a share of what it took among `crowd`: of the runs that are long enough to tell.
     """
@@ -173,9 +173,10 @@ def _time_scene(
             go(seen())
 
         go()  # compiles, loads, makes what is kept for this light
-        for _ in range(2):
+        timed[key].add(cell.terms, watch.of_each(go, pool, crowd))
+        if timed[key].seconds[-1] < DEAR_S:
             timed[key].add(cell.terms, watch.of_each(go, pool, crowd))
-        if timed[key].seconds[-1] > LONG_S:
+        if LONG_S < timed[key].seconds[-1] < DEAR_S:
             alone.append(watch.of(go) / timed[key].seconds[-1])
         if "lamps" in own:
             dull = replace(seen(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
