@@ -8,9 +8,12 @@ cones x steps). Source: S4; SYSTEMS.md S4.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 
+from arfx.stages.bands import by_bands
 from arfx.stages.gi.cones import START, frame_of, trace
 from arfx.stages.gi.split_sum import gloss_weights
 from arfx.stages.gi.surroundings import behind
@@ -20,17 +23,29 @@ LOBES = 12  # widths of mirror cones
 _AGREE = np.float32(0.02)  # least sum of weights with which neighbours stand for a pixel
 _BEND = np.float32(0.5)  # normals of neighbours that differ by more lie on two sides of an edge
 DIFFUSE, GLOSS = 1, 2  # what is gathered at a point
+_FEW = 256  # points: below it threads cost more than they save
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def light_points(
-    points, wanted, eye, values, brick_of, meta, low, size, directions, weights, tan_half, half_deg, steps, lobes, tangents,
-    counts, axes, reach, textures, mips, maps, widths, turn,
-):  # pragma: no cover - compiled  # fmt: skip
+def light_points(points: np.ndarray, wanted: np.ndarray, eye: np.ndarray, *scene: Any) -> np.ndarray:
     """(m, 6) float32: radiance of a white diffuse surface, and what comes from about the mirrored direction.
 
     points (m, 7) : unit normal, place (metres), anchor axes, roughness (of `blurred`);  wanted (m,) : DIFFUSE and GLOSS, added
+    scene : the other arguments of `_light_points`
     """
+
+    def some(a: int, b: int) -> np.ndarray:
+        part: np.ndarray = _light_points(points[a:b], wanted[a:b], eye, *scene)
+        return part
+
+    return np.concatenate([np.zeros((0, 6), np.float32), *by_bands(some, len(points), least=_FEW)])
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _light_points(
+    points, wanted, eye, values, brick_of, meta, low, size, directions, weights, tan_half, half_deg, steps, lobes, tangents,
+    counts, axes, reach, textures, mips, maps, widths, turn,
+):  # pragma: no cover - compiled  # fmt: skip
+    """`light_points` of some.  values ... turn : as `trace` and `behind` take them"""
     out = np.zeros((points.shape[0], 6), np.float32)
     cones = directions.shape[0]
     for i in range(points.shape[0]):

@@ -3,9 +3,12 @@
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 
+from arfx.stages.bands import by_bands
 from arfx.stages.gi.surroundings import WARP, first_plane
 from arfx.stages.viewing import GRID_PX
 
@@ -33,11 +36,26 @@ def measured(real: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(real, np.float32)
 
 
+def add_delta(shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, *rest: Any) -> np.ndarray:
+    """(h, w, 3) float32 shadow + weight x (delta - deeper x what the shadow takes), never below 0.
+
+    rest : the other arguments of `_add_delta`
+    """
+    others, real = rest[:-1], rest[-1]
+    one: Any = _add_delta
+
+    def some(a: int, b: int) -> np.ndarray:
+        part: np.ndarray = one(shadow[a:b], x0, y0 + a, within, *others, real[a:b] if real.size else real)
+        return part
+
+    return np.concatenate(by_bands(some, len(shadow)))
+
+
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def add_delta(
+def _add_delta(
     shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, deeper, weight, real
 ):  # pragma: no cover - compiled
-    """(h, w, 3) float32 shadow + weight x (delta - deeper x what the shadow takes), never below 0.
+    """`add_delta` of some lines.
 
     within (4,) : x0, y0, x1, y1 of the pixels to change;  nodes (gh, gw, 3) : viewing directions every GRID_PX pixels and
     origin (3,) : the camera, both anchor axes;  delta (p, side, side, 3);  deeper : the same, or (0, ...) = none

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.bands import by_bands
 
 _SMALL = 4096  # rows: below it threads cost more than they save
 LANES = 64  # independent ones, so that none waits for another

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
-from arfx.stages.watercolor.bands import BANDS, by_bands
+from arfx.stages.bands import BANDS, by_bands
 from arfx.stages.watercolor.smooth import smoothed, taps_of
 
 _FAST = {"contract", "nsz", "arcp"}

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.bands import by_bands
 from arfx.stages.watercolor.sites import GRID_PX, Field
 
 SHARE = 0.5  # of the last frame's measure

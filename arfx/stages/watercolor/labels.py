@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from arfx.core.rect import Rect
-from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.bands import by_bands
 from arfx.stages.watercolor.label_kernels import (
     BLOCK,
     FAR,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.bands import by_bands
 from arfx.stages.watercolor.fours import copy_four, mix_four
 from arfx.stages.watercolor.labels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX

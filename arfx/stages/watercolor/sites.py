@@ -15,7 +15,7 @@ from functools import partial
 import numba
 import numpy as np
 
-from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.bands import by_bands
 
 STEPS = 8  # sites lie on multiples of 1/8 px: squared distances below 500 px are exact in float32
 GRID_PX = 32  # pitch of the nodes on which the field is known

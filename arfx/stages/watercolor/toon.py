@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from arfx.core.light import Light
-from arfx.stages.watercolor.bands import by_bands
+from arfx.stages.bands import by_bands
 
 EVEN = 0.8  # share of the ambient light that is the same in all tones
 RAMP = 0.06  # of n . l over which a step is spread

@@ -20,8 +20,8 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.rect import Rect
 from arfx.core.stage import Window
 from arfx.errors import ConfigError
+from arfx.stages.bands import by_bands
 from arfx.stages.watercolor import Watercolor
-from arfx.stages.watercolor.bands import by_bands
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import density

@@ -18,7 +18,7 @@ _SMALL = 64  # rows: below it threads cost more than they save
 
 @cache
 def _pool(pid: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(_threads() - 1, 1), "watercolor")
+    return ThreadPoolExecutor(max(_threads() - 1, 1), "bands")
 
 
 def _threads() -> int:
