@@ -146,7 +146,8 @@ def mean_error(reference: Sequence[np.ndarray], test: Sequence[np.ndarray], plai
 def budgets(folder: Path, job: Path, pipeline: str, processor: bool, count: int = 10) -> int:
     """Print and plot. Returns how many budgets were not kept, or had a larger error than a smaller budget."""
     base = {"stages": pipeline.split(",")}
-    best = run(folder, "reference", job, {**base, "quality": "reference"})
+    for name in ("first", "reference"):  # the first may have code to compile
+        best = run(folder, name, job, {**base, "quality": "reference"})
     least = run(folder, "draft", job, {**base, "quality": "draft"})
     if best.predicted is None or least.predicted is None:
         raise SystemExit("no price is known for a level: --calibrate")

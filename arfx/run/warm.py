@@ -22,6 +22,8 @@ from arfx.run.frame import Plate, run_frame
 from arfx.run.inputs import Inputs, make_scene
 from arfx.run.parameters import make_stages
 
+QUICK = ("draft", "standard")  # levels whose frame is made sooner than a clip is analysed; the others share most of their code
+
 
 @contextlib.contextmanager
 def warming(config: JobConfig, inputs: Inputs, wanted: bool) -> Iterator[None]:
@@ -52,7 +54,8 @@ def warm_up(config: JobConfig, inputs: Inputs) -> None:
     above = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, away_m + float(corners[:, 2].max())]))
     facts = FrameFacts(0, 0.0, status=MEASURED, camera_from_world=above, raw_camera_from_world=above, opacity=1.0)
     (facts,) = with_model([facts], scene)
-    levels = {name: level_named(s.levels, config.pipeline.quality) for name, s in stages.items()}
+    quality = config.pipeline.quality if config.pipeline.quality in QUICK else QUICK[-1]
+    levels = {name: level_named(s.levels, quality) for name, s in stages.items()}
     plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
     prepared = {s.stage: stages[s.stage].prepare(scene, levels[s.stage]) for s in plan.steps}
     with ClipReader(inputs.info) as reader:
