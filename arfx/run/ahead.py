@@ -74,12 +74,11 @@ class Ahead(Generic[T]):
 class Behind(Generic[T]):
     """Context manager: calls `take` with what is put, in order, in a thread of its own, a few behind.
 
-    depth : items that wait at most;  seconds : spent in `take`, whole on leaving
+    depth : items that wait at most
     Raises what `take` raises, at a later `put` or on leaving; nothing is taken after that, nor after an error inside.
     """
 
     def __init__(self, take: Callable[[T], None], depth: int = 2) -> None:
-        self.seconds = 0.0
         self._take = take
         self._error: BaseException | None = None
         self._waiting: queue.Queue[tuple[T] | None] = queue.Queue(depth)
@@ -107,9 +106,7 @@ class Behind(Generic[T]):
         while (entry := self._waiting.get()) is not None:
             if self._error is not None or self._left:
                 continue  # so that nobody waits for a place
-            start = time.perf_counter()
             try:
                 self._take(entry[0])
             except BaseException as e:
                 self._error = e
-            self.seconds += time.perf_counter() - start

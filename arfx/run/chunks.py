@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
+
+T = TypeVar("T")
 
 SHORTEST, LONGEST, WANTED = 30, 120, 8
 
@@ -28,3 +33,17 @@ def borders(frames: int) -> list[tuple[int, int]]:
     """(first, last) of each chunk: about WANTED of them, between SHORTEST and LONGEST frames each."""
     length = min(max(-(-frames // WANTED), SHORTEST), LONGEST)
     return [(a, min(a + length, frames) - 1) for a in range(0, frames, length)]
+
+
+def stretches(chunks: Sequence[T], workers: int) -> list[deque[T]]:
+    """Consecutive chunks for each worker, so that it reads on from one to the next."""
+    size = max(-(-len(chunks) // workers), 1)
+    return [deque(chunks[i : i + size]) for i in range(0, len(chunks), size)]
+
+
+def taken(own: deque[T], every: Sequence[deque[T]]) -> T | None:
+    """The next chunk of a worker: of its own stretch, then from the end of the longest that is left; None = all are taken."""
+    longest = max(every, key=len, default=own)
+    if not longest:
+        return None
+    return own.popleft() if own else longest.pop()

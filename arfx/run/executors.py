@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from arfx.errors import RenderError
+from arfx.run.chunks import stretches, taken
 from arfx.run.source import release
 from arfx.run.worker import render_chunk
 
@@ -50,10 +51,7 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
 
     ticks = itertools.count(1)  # one step of it is atomic
     done, stopped = 0, False
-    # each thread has a stretch of the clip, so that it reads on from chunk to chunk; one that is through takes from the
-    # end of the longest that is left
-    size = -(-len(tasks) // workers)
-    lanes = [deque(tasks[i : i + size]) for i in range(0, len(tasks), size)]
+    lanes = stretches(tasks, workers)
     choosing = threading.Lock()
     results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
@@ -67,10 +65,9 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
         try:
             while True:
                 with choosing:
-                    longest = max(lanes, key=len)
-                    if not longest:
-                        return
-                    task = lane.popleft() if lane else longest.pop()
+                    task = taken(lane, lanes)
+                if task is None:
+                    return
                 results.put(render_chunk(*task, tick))
         finally:
             release()

@@ -1,8 +1,7 @@
 """How long workers take over the chunks of a job: who renders which, who waits, and how much faster one is that is alone.
 
-The same order as in run/executors.py: threads each have a stretch of the clip and then take from the end of the longest that is
-left; processes take the next chunk there is. A worker that does not read on from its last chunk decodes from the key frame
-before, which may lie many frames back.
+As in run/executors.py: threads each have a stretch of the clip, processes take the next chunk there is. A worker that does not
+read on from its last chunk decodes from the key frame before, which may lie many frames back.
 """
 
 from __future__ import annotations
@@ -11,6 +10,8 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from arfx.run.chunks import stretches, taken
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,12 @@ def elapsed(
     alone : time of one worker that is alone, as a share of its time beside others that are busy
     """
     workers = max(min(workers, len(loads)), 1)
-    size = -(-len(loads) // workers) if lanes and loads else max(len(loads), 1)
-    stretches = [deque(loads[i : i + size]) for i in range(0, len(loads), size)] or [deque()]
-    crew = [_Worker(stretches[k] if lanes and k < len(stretches) else stretches[0]) for k in range(workers)]
+    every = stretches(loads, workers if lanes else 1) or [deque()]
+    crew = [_Worker(every[k] if lanes and k < len(every) else every[0]) for k in range(workers)]
     now = lead = 0.0
     while True:
         for w in crew:
-            while w.left_s <= 0 and (load := _next(w, stretches)) is not None:
+            while w.left_s <= 0 and (load := taken(w.lane, every)) is not None:
                 extra = 0.0 if load.first == w.at else decode_s * (load.first - _key(keys, load.first))
                 w.left_s, w.at, lead = load.seconds + extra, load.last + 1, lead + extra
         busy = [w for w in crew if w.left_s > 0]
@@ -62,13 +62,6 @@ def elapsed(
 def _slowness(busy: int, workers: int, alone: float) -> float:
     """Time of a worker beside `busy` - 1 others as a share of its time when all are busy: linear between the ends."""
     return 1.0 if busy >= max(workers, 2) else alone + (1 - alone) * (busy - 1) / max(workers - 1, 1)
-
-
-def _next(worker: _Worker, stretches: Sequence[deque[Load]]) -> Load | None:
-    longest = max(stretches, key=len)
-    if not longest:
-        return None
-    return worker.lane.popleft() if worker.lane else longest.pop()
 
 
 def _key(keys: Sequence[int], frame: int) -> int:

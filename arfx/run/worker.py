@@ -131,34 +131,33 @@ def render_chunk(
     seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
     stage_seconds: dict[str, float] = {}
     past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=max(reach, 1))
+
+    def encode(out: Frame) -> None:
+        start = time.perf_counter()
+        writer.write(out)
+        seconds["encode"] += time.perf_counter() - start
+
     final = Path(target)
     aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}")
     try:
         source = source_at(context.info, context.pts, begin, threads=0 if alone else 1)
-        with (
-            ChunkWriter(context.output, context.info, aside) as writer,
-            Behind(writer.write) if alone else nullcontext() as later,
-        ):
-            for index in range(begin, last + 1):
-                start = time.perf_counter()
-                frame = source.next()
-                seconds["decode"] += time.perf_counter() - start
-                if frame is None:
-                    raise _changed(context, index)
-                out = _frame(context, frame, facts[index], plans[index], past, seconds, stage_seconds)
-                if index < first:
-                    continue
-                if index in context.previews:
-                    save_preview(place.previews, index, frame, out)
-                start = time.perf_counter()
-                if later is None:
-                    writer.write(out)
-                    seconds["encode"] += time.perf_counter() - start
-                else:
-                    later.put(out)
-                tick()
+        with ChunkWriter(context.output, context.info, aside) as writer:
+            with Behind(encode) if alone else nullcontext() as later:
+                for index in range(begin, last + 1):
+                    start = time.perf_counter()
+                    frame = source.next()
+                    seconds["decode"] += time.perf_counter() - start
+                    if frame is None:
+                        raise _changed(context, index)
+                    out = _frame(context, frame, facts[index], plans[index], past, seconds, stage_seconds)
+                    if index < first:
+                        continue
+                    if index in context.previews:
+                        save_preview(place.previews, index, frame, out)
+                    (encode if later is None else later.put)(out)
+                    tick()
             start = time.perf_counter()
-        seconds["encode"] += time.perf_counter() - start + (0.0 if later is None else later.seconds)
+        seconds["encode"] += time.perf_counter() - start
         aside.replace(final)
     except OSError as e:
         raise disk_error(e, final) from None

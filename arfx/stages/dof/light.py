@@ -10,9 +10,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.dof.four import put_colour
 from arfx.stages.dof.ladder import ALIGN_PX, SHARP_PX
 from arfx.stages.dof.spread import light_of_row
+from arfx.stages.four import put_colour
 
 _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; something sharp laid there; light spread there.

@@ -11,8 +11,8 @@ import numba
 import numpy as np
 
 from arfx.stages.dof.aperture import STEPS
-from arfx.stages.dof.four import add_between, add_two_between, mark_ends
 from arfx.stages.dof.ladder import SHARP_PX
+from arfx.stages.four import add_between, add_two_between, mark_ends
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
 _SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17

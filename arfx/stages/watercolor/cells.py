@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from arfx.stages.bands import BANDS, by_bands
-from arfx.stages.watercolor.fours import add_pixel
+from arfx.stages.four import add_pixel
 from arfx.stages.watercolor.labels import Labels, bucketed
 from arfx.stages.watercolor.rows import Cover, Picture, labels_of, line_of, span_of
 from arfx.stages.watercolor.sites import STEPS

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.bands import by_bands
-from arfx.stages.watercolor.fours import copy_four, mix_four
+from arfx.stages.four import copy_four, mix_four
 from arfx.stages.watercolor.labels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
 from arfx.stages.watercolor.rows import Cover, Picture, borders_of, labels_of, row_of

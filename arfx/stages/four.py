@@ -1,4 +1,7 @@
-"""Four channels at once: the compiler leaves neighbouring scalar operations apart, so the innermost one is given as vectors."""
+"""Four channels at once: the compiler leaves neighbouring scalar operations apart, so the innermost one is given as vectors.
+
+All arrays are flat and contiguous; nothing here looks whether a place is inside of them.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -7,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-_VECTOR = ir.VectorType(ir.FloatType(), 4)
+_VECTOR, _WIDE = ir.VectorType(ir.FloatType(), 4), ir.VectorType(ir.DoubleType(), 4)
 
 
 def _vector(builder, scalars):
@@ -17,15 +20,19 @@ def _vector(builder, scalars):
     return out
 
 
-def _floats(context, builder, signature, args, k):
-    """Pointer to the numbers of argument k, a contiguous float32 array."""
+def _numbers(context, builder, signature, args, k):
+    """Pointer to the numbers of argument k, a contiguous array."""
     return context.make_array(signature.args[k])(context, builder, args[k]).data
+
+
+def _four(builder, data, index, vector=_VECTOR):
+    """Pointer to four numbers from index on."""
+    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
 def _cell(builder, data, cell):
     """Pointer to the four floats of a cell."""
-    where = builder.gep(data, [builder.shl(cell, ir.Constant(cell.type, 2))])
-    return builder.bitcast(where, _VECTOR.as_pointer())
+    return _four(builder, data, builder.shl(cell, ir.Constant(cell.type, 2)))
 
 
 @intrinsic
@@ -35,11 +42,11 @@ def add_between(typingctx, out, at, line, p, q, t):
 
     def codegen(context, builder, signature, args):
         low, high = (
-            builder.load(_cell(builder, _floats(context, builder, signature, args, 2), args[k]), align=4) for k in (3, 4)
+            builder.load(_cell(builder, _numbers(context, builder, signature, args, 2), args[k]), align=4) for k in (3, 4)
         )
         t = _vector(builder, 4 * [args[5]])
         value = builder.fadd(low, builder.fmul(builder.fsub(high, low), t))
-        to = _cell(builder, _floats(context, builder, signature, args, 0), args[1])
+        to = _cell(builder, _numbers(context, builder, signature, args, 0), args[1])
         builder.store(builder.fadd(builder.load(to, align=4), value), to, align=4)
         return context.get_dummy_value()
 
@@ -53,13 +60,13 @@ def add_two_between(typingctx, out, at, line, p, q, t, step):
 
     def codegen(context, builder, signature, args):
         low, high = (
-            builder.load(_cell(builder, _floats(context, builder, signature, args, 2), args[k]), align=4) for k in (3, 4)
+            builder.load(_cell(builder, _numbers(context, builder, signature, args, 2), args[k]), align=4) for k in (3, 4)
         )
         slope = builder.fsub(high, low)
         t = _vector(builder, 4 * [args[5]])
         cell = args[1]
         for _ in range(2):
-            to = _cell(builder, _floats(context, builder, signature, args, 0), cell)
+            to = _cell(builder, _numbers(context, builder, signature, args, 0), cell)
             value = builder.fadd(low, builder.fmul(slope, t))
             builder.store(builder.fadd(builder.load(to, align=4), value), to, align=4)
             t, cell = builder.fadd(t, _vector(builder, 4 * [args[6]])), builder.add(cell, ir.Constant(cell.type, 1))
@@ -78,7 +85,7 @@ def mark_ends(typingctx, marks, a, b, c, d, red, green, blue, weight, share, fir
     signature = types.void(marks, *(4 * [types.intp]), *(7 * [types.float32]))
 
     def codegen(context, builder, signature, args):
-        data = _floats(context, builder, signature, args, 0)
+        data = _numbers(context, builder, signature, args, 0)
         light = builder.fmul(_vector(builder, args[5:9]), _vector(builder, 4 * [args[9]]))
         begin = builder.fmul(light, _vector(builder, 4 * [args[10]]))
         end = builder.fmul(light, _vector(builder, 4 * [args[11]]))
@@ -106,13 +113,59 @@ def put_colour(typingctx, out, at, light, x):
     signature = types.void(out, types.intp, light, types.intp)
 
     def codegen(context, builder, signature, args):
-        value = builder.load(_cell(builder, _floats(context, builder, signature, args, 2), args[3]), align=4)
+        value = builder.load(_cell(builder, _numbers(context, builder, signature, args, 2), args[3]), align=4)
         weight = builder.extract_element(value, ir.Constant(ir.IntType(32), 3))
         inverse = builder.fdiv(ir.Constant(ir.FloatType(), 1.0), weight)
         value = builder.fmul(value, _vector(builder, 4 * [inverse]))
-        data = _floats(context, builder, signature, args, 0)
-        to = builder.bitcast(builder.gep(data, [args[1]]), _VECTOR.as_pointer())
+        data = _numbers(context, builder, signature, args, 0)
+        to = _four(builder, data, args[1])
         builder.store(value, to, align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def add_pixel(typingctx, sums, at, line, p):
+    """sums[at : at + 4] += line[p], line[p + 1], line[p + 2], 1. sums : float64;  line : float32, has a number at p + 3"""
+    signature = types.void(sums, types.uint64, line, types.uint64)
+
+    def codegen(context, builder, signature, args):
+        to = _four(builder, _numbers(context, builder, signature, args, 0), args[1], _WIDE)
+        colour = builder.load(_four(builder, _numbers(context, builder, signature, args, 2), args[3]), align=4)
+        colour = builder.insert_element(colour, ir.Constant(ir.FloatType(), 1.0), ir.Constant(ir.IntType(32), 3))
+        builder.store(builder.fadd(builder.load(to, align=8), builder.fpext(colour, _WIDE)), to, align=8)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def copy_four(typingctx, table, at, out, to):
+    """out[to : to + 4] = table[at : at + 4], float32."""
+    signature = types.void(table, types.uint64, out, types.uint64)
+
+    def codegen(context, builder, signature, args):
+        source = _four(builder, _numbers(context, builder, signature, args, 0), args[1])
+        target = _four(builder, _numbers(context, builder, signature, args, 2), args[3])
+        builder.store(builder.load(source, align=4), target, align=4)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def mix_four(typingctx, table, at, other, share, out, to):
+    """out[to : to + 4] = table[at : at + 4] + share (other[:4] - table[at : at + 4]), float32."""
+    signature = types.void(table, types.uint64, other, types.float32, out, types.uint64)
+
+    def codegen(context, builder, signature, args):
+        first = builder.load(_four(builder, _numbers(context, builder, signature, args, 0), args[1]), align=4)
+        start = ir.Constant(ir.IntType(32), 0)
+        second = builder.load(_four(builder, _numbers(context, builder, signature, args, 2), start), align=4)
+        share = _vector(builder, 4 * [args[3]])
+        mixed = builder.fadd(first, builder.fmul(share, builder.fsub(second, first)))
+        builder.store(mixed, _four(builder, _numbers(context, builder, signature, args, 4), args[5]), align=4)
         return context.get_dummy_value()
 
     return signature, codegen
