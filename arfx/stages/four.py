@@ -11,6 +11,7 @@ from numba import types
 from numba.extending import intrinsic
 
 _VECTOR, _WIDE = ir.VectorType(ir.FloatType(), 4), ir.VectorType(ir.DoubleType(), 4)
+_SHORT, _INT = ir.VectorType(ir.IntType(16), 4), ir.VectorType(ir.IntType(32), 4)
 
 
 def _vector(builder, scalars):
@@ -167,5 +168,41 @@ def mix_four(typingctx, table, at, other, share, out, to):
         mixed = builder.fadd(first, builder.fmul(share, builder.fsub(second, first)))
         builder.store(mixed, _four(builder, _numbers(context, builder, signature, args, 4), args[5]), align=4)
         return context.get_dummy_value()
+
+    return signature, codegen
+
+
+def _weighted(context, builder, signature, args, terms, load):
+    """Tuple of four: sum over k of weight x what `load` makes of row args[k] of the array args[0]; weights follow the rows."""
+    data, total = _numbers(context, builder, signature, args, 0), None
+    for k in range(1, terms + 1):
+        value = builder.fmul(load(builder, data, args[k]), _vector(builder, 4 * [args[k + terms]]), flags=("fast",))
+        total = value if total is None else builder.fadd(total, value, flags=("fast",))
+    parts = [builder.extract_element(total, ir.Constant(ir.IntType(32), k)) for k in range(4)]
+    return context.make_tuple(builder, signature.return_type, parts)
+
+
+@intrinsic
+def mean_of_rows(typingctx, rows, i, j, k, a, b, c):
+    """a rows[i] + b rows[j] + c rows[k], a tuple. rows : (n, 4) float32"""
+    signature = types.UniTuple(types.float32, 4)(rows, *(3 * [types.uint64]), *(3 * [types.float32]))
+
+    def codegen(context, builder, signature, args):
+        return _weighted(context, builder, signature, args, 3, lambda b, data, row: b.load(_cell(b, data, row), align=4))
+
+    return signature, codegen
+
+
+@intrinsic
+def mean_of_texels(typingctx, texels, i, j, k, m, a, b, c, d):
+    """a texels[i] + b texels[j] + c texels[k] + d texels[m], a tuple. texels : (n, 4) uint16"""
+    signature = types.UniTuple(types.float32, 4)(texels, *(4 * [types.uint64]), *(4 * [types.float32]))
+
+    def codegen(context, builder, signature, args):
+        def load(b, data, row):
+            place = _four(b, data, b.shl(row, ir.Constant(row.type, 2)), _SHORT)
+            return b.sitofp(b.zext(b.load(place, align=2), _INT), _VECTOR)
+
+        return _weighted(context, builder, signature, args, 4, load)
 
     return signature, codegen

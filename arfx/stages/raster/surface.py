@@ -9,8 +9,31 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.stages.four import mean_of_rows, mean_of_texels
+
 # Cosine below which the footprint on the surface stops growing: one texel row would blur away a whole texture.
 _GRAZING = 0.1
+
+
+@numba.njit(inline="always")
+def _texel(texels, table, t, level, tu, tv, share):  # pragma: no cover - compiled
+    """Four channels, bilinear, of one level of texture t at tu, tv in 0..1, times share; 1 = full."""
+    one = np.float32(1)
+    w, h = np.int32(max(table[t, 0] >> level, 1)), np.int32(max(table[t, 1] >> level, 1))
+    start = np.int32(table[t, 3 + level])
+    x, y = tu * np.float32(w) - np.float32(0.5), tv * np.float32(h) - np.float32(0.5)
+    left, top = np.floor(x), np.floor(y)
+    fx, fy = x - left, y - top
+    x0, y0 = np.int32(left), np.int32(top)
+    x1, y1 = np.int32(x0 + np.int32(1)), np.int32(y0 + np.int32(1))
+    x0, x1 = x0 if x0 >= 0 else w - np.int32(1), x1 if x1 < w else np.int32(0)
+    y0, y1 = y0 if y0 >= 0 else h - np.int32(1), y1 if y1 < h else np.int32(0)
+    share *= np.float32(1 / 65535)
+    b, c, d = share * fx * (one - fy), share * (one - fx) * fy, share * fx * fy
+    return mean_of_texels(
+        texels, np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1), np.uintp(start + y1 * w + x0),
+        np.uintp(start + y1 * w + x1), share - b - c - d, b, c, d,
+    )  # fmt: skip
 
 
 @numba.njit(inline="always")
@@ -31,10 +54,8 @@ def _surface(
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
     b0 = np.float32(1) - b1 - b2
-    r = floats[p, 0] * (b0 * colours[i0, 0] + b1 * colours[i1, 0] + b2 * colours[i2, 0])
-    g = floats[p, 1] * (b0 * colours[i0, 1] + b1 * colours[i1, 1] + b2 * colours[i2, 1])
-    b = floats[p, 2] * (b0 * colours[i0, 2] + b1 * colours[i1, 2] + b2 * colours[i2, 2])
-    alpha = floats[p, 3] * (b0 * colours[i0, 3] + b1 * colours[i1, 3] + b2 * colours[i2, 3])
+    r, g, b, alpha = mean_of_rows(colours, i0, i1, i2, b0, b1, b2)
+    r, g, b, alpha = floats[p, 0] * r, floats[p, 1] * g, floats[p, 2] * b, floats[p, 3] * alpha
     one = np.float32(1)
     metallic, rough = floats[p, 4], floats[p, 5]
     er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
@@ -46,38 +67,20 @@ def _surface(
         tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
         tu -= np.floor(tu)
         tv -= np.floor(tv)
-        # the pixel's footprint on the surface, as the side of a square of the same area, in texels
+        # the pixel's footprint on the surface, in texels of the finest level
         cosine = max(abs(facing) / length, np.float32(_GRAZING))
-        side = z * pixel * uv_per_m[f] / np.sqrt(cosine) * np.sqrt(np.float32(table[t, 0] * table[t, 1]))
-        lod = np.log2(side) if side > np.float32(1) else np.float32(0)
-        lod = min(lod, np.float32(table[t, 2] - 1))
-        first = int(lod)
-        mix = np.float32(lod - first)
-        t0, t1, t2, t3 = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-        for step in range(2):
-            share = np.float32(1) - mix if step == 0 else mix
-            if share <= 0.0:
-                continue
-            share *= np.float32(1 / 65535)
-            level = min(first + step, table[t, 2] - 1)
-            w, h = max(table[t, 0] >> level, 1), max(table[t, 1] >> level, 1)
-            start = table[t, 3 + level]
-            x, y = tu * np.float32(w) - np.float32(0.5), tv * np.float32(h) - np.float32(0.5)
-            x0, y0 = int(np.floor(x)), int(np.floor(y))
-            fx, fy = np.float32(x - x0), np.float32(y - y0)
-            x1, y1 = x0 + 1, y0 + 1
-            x0, x1 = x0 if x0 >= 0 else w - 1, x1 if x1 < w else 0
-            y0, y1 = y0 if y0 >= 0 else h - 1, y1 if y1 < h else 0
-            a, b_, c, d = (
-                np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1),
-                np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1),
-            )  # fmt: skip
-            wb, wc, wd = share * fx * (one - fy), share * (one - fx) * fy, share * fx * fy
-            wa = share - wb - wc - wd
-            t0 += wa * texels[a, 0] + wb * texels[b_, 0] + wc * texels[c, 0] + wd * texels[d, 0]
-            t1 += wa * texels[a, 1] + wb * texels[b_, 1] + wc * texels[c, 1] + wd * texels[d, 1]
-            t2 += wa * texels[a, 2] + wb * texels[b_, 2] + wc * texels[c, 2] + wd * texels[d, 2]
-            t3 += wa * texels[a, 3] + wb * texels[b_, 3] + wc * texels[c, 3] + wd * texels[d, 3]
+        side = z * pixel * uv_per_m[f]
+        area = side * side * np.float32(table[t, 0] * table[t, 1]) / cosine
+        lod = min(np.float32(0.5) * np.log2(area) if area > one else np.float32(0), np.float32(table[t, 2] - 1))
+        level = np.int32(lod)
+        mix = lod - np.float32(level)
+        t0, t1, t2, t3 = _texel(texels, table, t, level, tu, tv, one - mix)
+        if mix > np.float32(0):
+            c0, c1, c2, c3 = _texel(texels, table, t, np.int32(level + np.int32(1)), tu, tv, mix)
+            t0 += c0
+            t1 += c1
+            t2 += c2
+            t3 += c3
         if slot == 0:
             r, g, b, alpha = r * t0, g * t1, b * t2, alpha * t3
         elif slot == 1:
