@@ -3,7 +3,7 @@
 Textures: trilinear in the pyramids of textures.py, repeated. Source of the level: the footprint's area (OpenGL 4.6, 8.14).
 """
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, call-arg, var-annotated"
 from __future__ import annotations
 
 import numba

@@ -6,7 +6,7 @@ lens works). Neighbours compute the same plane with the sign turned, exactly, so
 Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for the coherent rays of a picture.
 """
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, call-arg, var-annotated"
 from __future__ import annotations
 
 import numba
@@ -15,6 +15,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
+from arfx.stages.raster.eight import LANES, counted_eight, inside_eight, lowest_bit
 
 # The picture of a straight edge bows by about length^2 / 8 x curvature of the lens; at this length that is less than
 # the padding for every lens of the test clips, below it the padding shrinks with the bow, above it the edges are followed.
@@ -78,7 +79,9 @@ def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pra
     prim = np.full(height * width, -1, np.int32)
     u, v = np.empty(height * width, np.float32), np.empty(height * width, np.float32)
     depth = np.full(height * width, np.inf, np.float32)
-    one, row = np.uintp(1), np.uintp(width)
+    if lens.shape[1] < LANES:
+        lens = _widened(lens)
+    one, row, lanes, most = np.uintp(1), np.uintp(width), np.uintp(LANES), np.uintp(lens.shape[1] - LANES)
     front = np.zeros(faces.shape[0], np.bool_)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
@@ -98,12 +101,20 @@ def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pra
             pcx, pcy, pcz, volume = -pcx, -pcy, -pcz, -volume
         x0, x1 = np.uintp(box[f, 0]), np.uintp(box[f, 2])
         for y in range(np.uintp(box[f, 1]), np.uintp(box[f, 3])):
-            for x in range(x0, x1):
-                dx, dy = np.float64(lens[y + one, x + one, 0]), np.float64(lens[y + one, x + one, 1])
-                ea = pax * dx + pay * dy + paz
-                eb = pbx * dx + pby * dy + pbz
-                ec = pcx * dx + pcy * dy + pcz
-                if ea >= 0 and eb >= 0 and ec >= 0:
+            for first in range(x0, x1, LANES):
+                column = np.uintp(first) + one
+                start = min(column, most)  # eight columns that the table holds
+                found = inside_eight(lens, np.uintp(y + one), start, pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz)
+                found = (found >> (column - start)) << (column - start)
+                if x1 + one - start < lanes:
+                    found &= (one << (x1 + one - start)) - one
+                while found:
+                    x = start + lowest_bit(found) - one
+                    found &= found - one
+                    dx, dy = np.float64(lens[y + one, x + one, 0]), np.float64(lens[y + one, x + one, 1])
+                    ea = pax * dx + pay * dy + paz
+                    eb = pbx * dx + pby * dy + pbz
+                    ec = pcx * dx + pcy * dy + pcz
                     total = ea + eb + ec
                     if total > 0:
                         z, n = volume / total, y * row + x
@@ -111,6 +122,15 @@ def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pra
                             depth[n], prim[n] = z, f
                             u[n], v[n] = eb / total, ec / total
     return prim, u, v, depth, front
+
+
+@numba.njit(cache=True, nogil=True)
+def _widened(directions):  # pragma: no cover - compiled
+    """(h, w, 2) with columns of no direction added up to a whole number of eights."""
+    h, w = directions.shape[:2]
+    out = np.full((h, -(-w // LANES) * LANES, 2), np.nan, np.float32)
+    out[:, :w] = directions
+    return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -121,7 +141,11 @@ def nearest_faces_at(points, faces, hidden, box, slot, samples, width, near):  #
     samples : (pixels, s, 2) float32 directions;  returns face, u, v, depth (pixels * s,)
     """
     per = samples.shape[1]
-    n = samples.shape[0] * per
+    if per % LANES:
+        samples = _widened(samples)
+    if slot.size < LANES:
+        slot = np.concatenate((slot, np.full(LANES, -1, np.int32)))
+    n, one, most = samples.shape[0] * per, np.uintp(1), np.uintp(slot.size - LANES)
     prim = np.full(n, -1, np.int32)
     u, v = np.zeros(n, np.float32), np.zeros(n, np.float32)
     depth = np.full(n, np.inf, np.float32)
@@ -138,28 +162,33 @@ def nearest_faces_at(points, faces, hidden, box, slot, samples, width, near):  #
             continue
         pbx, pby, pbz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
         pcx, pcy, pcz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        sign = 1.0 if volume > 0 else -1.0
+        if volume < 0:
+            pax, pay, paz, pbx, pby, pbz = -pax, -pay, -paz, -pbx, -pby, -pbz
+            pcx, pcy, pcz, volume = -pcx, -pcy, -pcz, -volume
         for y in range(box[f, 1], box[f, 3]):
-            for x in range(box[f, 0], box[f, 2]):
-                pixel = slot[np.uintp(y * width + x)]
-                if pixel < 0:
-                    continue
-                a = np.uintp(pixel)
-                for s in range(per):
-                    dx, dy = np.float64(samples[a, s, 0]), np.float64(samples[a, s, 1])
-                    ea = sign * (pax * dx + pay * dy + paz)
-                    if not ea >= 0:
-                        continue
-                    eb = sign * (pbx * dx + pby * dy + pbz)
-                    ec = sign * (pcx * dx + pcy * dy + pcz)
-                    if not (eb >= 0 and ec >= 0):
-                        continue
-                    total = ea + eb + ec
-                    if total <= 0:
-                        continue
-                    z = sign * volume / total
-                    m = np.uintp(pixel * per + s)
-                    if near < z < depth[m]:
-                        depth[m], prim[m] = z, f
-                        u[m], v[m] = eb / total, ec / total
+            ends = np.uintp(y * width + box[f, 2])
+            for first in range(y * width + box[f, 0], ends, LANES):
+                start = min(np.uintp(first), most)
+                asked = counted_eight(slot, start)
+                asked = (asked >> (np.uintp(first) - start)) << (np.uintp(first) - start)
+                if ends - start < np.uintp(LANES):
+                    asked &= (one << (ends - start)) - one
+                while asked:
+                    a = np.uintp(slot[start + lowest_bit(asked)])
+                    asked &= asked - one
+                    for eight in range(0, samples.shape[1], LANES):
+                        found = inside_eight(samples, a, np.uintp(eight), pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz)
+                        while found:
+                            s = np.uintp(eight) + lowest_bit(found)
+                            found &= found - one
+                            dx, dy = np.float64(samples[a, s, 0]), np.float64(samples[a, s, 1])
+                            ea = pax * dx + pay * dy + paz
+                            eb = pbx * dx + pby * dy + pbz
+                            ec = pcx * dx + pcy * dy + pcz
+                            total = ea + eb + ec
+                            if total > 0:
+                                z, m = volume / total, a * np.uintp(per) + s
+                                if near < z < depth[m]:
+                                    depth[m], prim[m] = z, f
+                                    u[m], v[m] = eb / total, ec / total
     return prim, u, v, depth
