@@ -92,24 +92,26 @@ def shade(
         line = out[y, first : last + 1]
         for i in range(n):
             nx[i], ny[i], nz[i] = normals[i, 0], normals[i, 1], normals[i, 2]
-        for i in range(n):
-            vx[i], vy[i], vz[i] = eye[0] - places[i, 0], eye[1] - places[i, 1], eye[2] - places[i, 2]
-        for i in range(n):
-            length = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i] + vz[i] * vz[i])
-            scale = one / max(length, np.float32(1e-12))
-            vx[i] *= scale
-            vy[i] *= scale
-            vz[i] *= scale
+        if towards.shape[0] > 0:  # the way to the eye and the gloss's width are theirs alone
+            for i in range(n):
+                vx[i], vy[i], vz[i] = eye[0] - places[i, 0], eye[1] - places[i, 1], eye[2] - places[i, 2]
+            for i in range(n):
+                length = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i] + vz[i] * vz[i])
+                scale = one / max(length, np.float32(1e-12))
+                vx[i] *= scale
+                vy[i] *= scale
+                vz[i] *= scale
+            for i in range(n):
+                # at grazing angles all is mirrored, unless the material is told not to be glossy at all (F0 under 4 %)
+                edge[i] = kinds[i, 0] + (one - kinds[i, 0]) * min(two * kinds[i, 2], one)
+                rough = max(kinds[i, 1], np.float32(0.05))
+                width4[i] = rough * rough * rough * rough
         for i in range(n):
             metal = kinds[i, 0]
             base = np.float32(0.08) * kinds[i, 2] * (one - metal)
             matt = one - metal if paper else (one - metal) * (one - base)
             dr[i], dg[i], db[i] = colours[i, 0] * matt, colours[i, 1] * matt, colours[i, 2] * matt
             fr[i], fg[i], fb[i] = base + colours[i, 0] * metal, base + colours[i, 1] * metal, base + colours[i, 2] * metal
-            # at grazing angles all is mirrored, unless the material is told not to be glossy at all (F0 under 4 %)
-            edge[i] = metal + (one - metal) * min(two * kinds[i, 2], one)
-            rough = max(kinds[i, 1], np.float32(0.05))
-            width4[i] = rough * rough * rough * rough
         gloss = zero if paper else one
         if cube.shape[1] > 0:
             add_map(r, g, b, dr, dg, db, nx, ny, nz, cube, axes, n)
