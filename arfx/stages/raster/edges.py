@@ -126,14 +126,19 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
     lens : directions with one pixel of margin;  pixel : side of a pixel at depth 1
     """
     before = edge.copy()
+    slack = np.float32(8.0 * pixel)
+    parts = part.min() != part.max()
+    maybe = np.empty(width, np.bool_)
     for y in range(height):
-        for x in range(width):
-            k = y * width + x
-            for step in range(2):
-                if (step == 0 and x + 1 >= width) or (step == 1 and y + 1 >= height):
-                    continue
-                m = k + 1 if step == 0 else k + width
-                if prim[k] == prim[m] or before[k] or before[m]:
+        for step in range(2):
+            across = 1 if step == 0 else width
+            n = width - 1 if step == 0 else (width if y + 1 < height else 0)
+            if _may_differ(prim, depth, y * width, across, n, slack, parts, maybe) == 0:
+                continue
+            for x in range(n):
+                k = y * width + x
+                m = k + across
+                if not maybe[x] or before[k] or before[m]:
                     continue
                 differ = prim[k] < 0 or prim[m] < 0 or part[prim[k]] != part[prim[m]]
                 if not differ and abs(depth[m] - depth[k]) > depth[k] * (8.0 * pixel):  # else no slope makes it one
@@ -151,3 +156,17 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
                 if differ:
                     edge[k] = True
                     edge[m] = True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _may_differ(prim, depth, start, across, n, slack, parts, maybe):  # pragma: no cover - compiled
+    """maybe[:n] : may the pixels from `start` on and those `across` further be two sides of an edge? Returns how many may."""
+    here, there, near, far = prim[start : start + n], prim[start + across :], depth[start : start + n], depth[start + across :]
+    some = np.int32(0)
+    for x in range(n):
+        other, gap = here[x] != there[x], abs(far[x] - near[x])
+        # half of the least gap that counts: rounding decides nothing here; one that is nowhere has an infinite gap
+        found = other & (parts | (gap > np.float32(0.5) * slack * min(near[x], far[x])))
+        maybe[x] = found
+        some += np.int32(found)
+    return some
