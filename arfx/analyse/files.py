@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ def write_facts(path: Path | str, facts: Sequence[FrameFacts], analysis: Analysi
             "world_from_marker": {k: p.to_json() for k, p in analysis.world_from_marker.items()},
             "static": analysis.static, "summary": analysis.summary, "notices": list(analysis.notices),
         }  # fmt: skip
-    find_rotvecs(p for f in facts for p in _poses(f))
+    find_rotvecs(p for f in facts for p in f.poses)
     aside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with aside.open("w", encoding="utf-8") as f:
@@ -35,11 +35,6 @@ def write_facts(path: Path | str, facts: Sequence[FrameFacts], analysis: Analysi
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
-
-
-def _poses(facts: FrameFacts) -> Iterator[Pose]:
-    yield from (p for p in (facts.camera_from_world, facts.raw_camera_from_world) if p is not None)
-    yield from (h.camera_from_marker for m in facts.markers for h in m.hypotheses)
 
 
 def read_facts(path: Path | str) -> tuple[FrameFacts, ...]:

@@ -13,6 +13,7 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 
+_AT_ONCE = 1 << 13  # points that are projected at a time: they stay in the cache
 _HULL_POINTS = 400  # above this many vertices their convex hull is taken once: it projects to the same box
 
 
@@ -25,12 +26,16 @@ def with_model(facts: Sequence[FrameFacts], scene: Scene, camera: Camera | None 
     """
     camera = camera or scene.camera
     points = _outline(scene.model_points_m)
+    seen = [f for f in facts if f.camera_from_world is not None]
+    places: list[tuple[Rect, tuple[float, float]]] = []
+    step = max(_AT_ONCE // len(points), 1)
+    for start in range(0, len(seen), step):
+        places += _seen_boxes(_seen_from([f.camera_from_world for f in seen[start : start + step]], points), camera)
+    found = iter(places)
+    nowhere = (EMPTY, (0.0, 0.0))
     out = []
     for f in facts:
-        if f.camera_from_world is None:
-            out.append(f.with_(model_box=EMPTY, depth_range_m=(0.0, 0.0)))
-            continue
-        box, depth = _seen_box(f.camera_from_world.apply(points), camera)
+        box, depth = nowhere if f.camera_from_world is None else next(found)
         out.append(f.with_(model_box=box, depth_range_m=depth))
     return tuple(out)
 
@@ -44,23 +49,24 @@ def corner_jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: 
     Only unbroken triples of one shot in which raw and smoothed poses both exist and the frames are evenly spaced (to 20 %).
     Returns {"median", "p95", "rms", "relative_median", "relative_rms", "triples"}; zeros without a triple.
     """
+    posed = [f for f in facts if f.camera_from_world is not None and f.raw_camera_from_world is not None]
+    projected = camera.project(_seen_from([f.raw_camera_from_world if raw else f.camera_from_world for f in posed], points_m))
+    place = dict(zip((f.index for f in posed), projected, strict=True))
     rows, relative = [], []
     for three in zip(facts, facts[1:], facts[2:], strict=False):
         a, b, c = three
-        if any(f.camera_from_world is None or f.raw_camera_from_world is None or f.shot != a.shot for f in three):
+        if any(f.index not in place or f.shot != a.shot for f in three):
             continue
         first, second = b.time_s - a.time_s, c.time_s - b.time_s
         if abs(first - second) > 0.2 * max(first, second):
             continue
-        place = [camera.project(_pose(f, raw).apply(points_m)) for f in three]
-        d = np.linalg.norm(place[0] - 2 * place[1] + place[2], axis=-1)
+        bend = place[a.index] - 2 * place[b.index] + place[c.index]
         keys = set.intersection(*({m.key for m in f.markers} for f in three))
-        if not np.isfinite(d).any() or not keys:
+        if not np.isfinite(bend).any() or not keys:
             continue
-        rows.append(float(np.sqrt(np.nanmean(d * d))))
-        centre = [np.mean([m.corners_px for m in f.markers if m.key in keys], axis=(0, 1)) for f in three]
-        d = np.linalg.norm(place[0] - 2 * place[1] + place[2] - (centre[0] - 2 * centre[1] + centre[2]), axis=-1)
-        relative.append(float(np.sqrt(np.nanmean(d * d))))
+        rows.append(_rms(bend))
+        centre = [_centre(f, keys) for f in three]
+        relative.append(_rms(bend - (centre[0] - 2 * centre[1] + centre[2])))
     if not rows:
         return {"median": 0.0, "p95": 0.0, "rms": 0.0, "relative_median": 0.0, "relative_rms": 0.0, "triples": 0}
     r, s = np.array(rows), np.array(relative)
@@ -70,10 +76,25 @@ def corner_jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: 
     }  # fmt: skip
 
 
-def _pose(f: FrameFacts, raw: bool) -> Pose:
-    pose = f.raw_camera_from_world if raw else f.camera_from_world
-    assert pose is not None
-    return pose
+def _rms(offsets_px: np.ndarray) -> float:
+    """Of the lengths of offsets (n, 2), those that are not known left out."""
+    return float(np.sqrt(2 * np.nanmean(offsets_px * offsets_px)))
+
+
+def _centre(f: FrameFacts, keys: set[str]) -> np.ndarray:
+    corners = [m.corners_px for m in f.markers if m.key in keys]
+    out: np.ndarray = np.sum(corners, axis=(0, 1)) / (4 * len(corners))
+    return out
+
+
+def _seen_from(poses: Sequence[Pose | None], points_m: np.ndarray) -> np.ndarray:
+    """(poses, n, 3) world points (n, 3) in the coordinates of every camera."""
+    known = [p for p in poses if p is not None]
+    if not known:
+        return np.zeros((0, *np.shape(points_m)))
+    out: np.ndarray = np.asarray(points_m) @ np.stack([p.rotation.T for p in known])
+    out += np.stack([p.translation_m for p in known])[:, None]
+    return out
 
 
 def _outline(points: np.ndarray) -> np.ndarray:
@@ -88,18 +109,31 @@ def _outline(points: np.ndarray) -> np.ndarray:
         return points
 
 
-def _seen_box(q: np.ndarray, camera: Camera) -> tuple[Rect, tuple[float, float]]:
-    """Box and depth range of points (n, 3) in camera coordinates."""
+def _seen_boxes(q: np.ndarray, camera: Camera) -> list[tuple[Rect, tuple[float, float]]]:
+    """Box and depth range of points (frames, n, 3) in camera coordinates, frame by frame."""
+    px = camera.project(q)
+    low, high = px.min(1), px.max(1)  # not numbers where one point is none
+    finite_low, finite_high = np.isfinite(low).all(1), np.isfinite(high).all(1)
+    near, far = q[..., 2].min(1), q[..., 2].max(1)
+    out = []
+    for k in range(len(q)):
+        if not (finite_low[k] and finite_high[k]):
+            out.append(_partly_seen(q[k], px[k], camera))
+            continue
+        box = Rect.around(np.stack([low[k], high[k]]), 1.0).clip(camera.rect)
+        out.append((box, (0.0, 0.0) if box.empty else (float(near[k]), float(far[k]))))
+    return out
+
+
+def _partly_seen(q: np.ndarray, px: np.ndarray, camera: Camera) -> tuple[Rect, tuple[float, float]]:
+    """Of one frame in which some points (n, 3) have no place px (n, 2) in the picture.
+
+    Behind the camera or beyond the lens's fold: such a point says nothing about where the surface between it and a visible
+    one ends, so the frame bounds it. If none is visible the model is out of view or around the camera.
+    """
     ahead = q[:, 2] > EPS_DEPTH_M
     if not ahead.any():
         return EMPTY, (0.0, 0.0)
-    px = camera.project(q)
-    good = np.isfinite(px).all(1) if not np.isfinite(px).all() else np.ones(len(px), bool)
-    box = Rect.around(px, 1.0)
-    if not good.all():
-        # behind the camera or beyond the lens's fold: such a point says nothing about where the surface between it and
-        # a visible one ends, so the frame bounds it. If none is visible the model is out of view or around the camera.
-        box = camera.rect if good.any() or (~ahead).any() else EMPTY
-    box = box.clip(camera.rect)
+    box = camera.rect if np.isfinite(px).all(1).any() or (~ahead).any() else EMPTY
     depth = q[ahead, 2]
     return box, (0.0, 0.0) if box.empty else (float(depth.min()), float(depth.max()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -109,6 +110,12 @@ class FrameFacts:
     @property
     def visible(self) -> bool:
         return self.camera_from_world is not None and self.opacity > 0 and not self.model_box.empty
+
+    @property
+    def poses(self) -> Iterator[Pose]:
+        """Every pose in these facts."""
+        yield from (p for p in (self.camera_from_world, self.raw_camera_from_world) if p is not None)
+        yield from (h.camera_from_marker for m in self.markers for h in m.hypotheses)
 
     def to_json(self) -> dict:
         def pose(p: Pose | None) -> list[float] | None:

@@ -16,7 +16,7 @@ from arfx.core.stage import Level, Stage, level_named
 from arfx.plan.errors import Errors
 from arfx.plan.levels import Chosen, Option, Place, alike, keep_budget, keep_error, named
 from arfx.plan.planner import plan_frame
-from arfx.plan.work import predicted, what_is_new
+from arfx.plan.work import predicted, terms_of, what_is_new
 
 SecondsOf = Callable[[Sequence[FramePlan], Prediction], float]
 Once = Callable[[str, str], Prediction | None]
@@ -101,16 +101,16 @@ def _options(
 ) -> dict[Place, list[Option]]:
     """Every level of every stage that runs, shot by shot. A level without a price cannot be chosen by a budget."""
     by_name = {s.name: s for s in stages}
-    work: dict[Place, list[tuple[Rect, FrameFacts, frozenset[str]]]] = {}
+    work: dict[Place, list[tuple[Rect, FrameFacts, dict[str, float]]]] = {}
     for plan, f, n in zip(plans, facts, new, strict=True):
         for step in plan.steps:
-            work.setdefault((f.shot, step.stage), []).append((step.need, f, n))
+            work.setdefault((f.shot, step.stage), []).append((step.need, f, terms_of(step.need, f, scene, n)))
     out: dict[Place, list[Option]] = {}
     shots = Counter(name for _, name in work)
     for (shot, name), runs in work.items():
         stage = by_name[name]
         for level in stage.levels:
-            costs = [predicted(prices, stage, level, need, f, scene, n) for need, f, n in runs]
+            costs = [predicted(prices, stage, level, need, f, scene, terms) for need, f, terms in runs]
             made = once(name, level.name)
             costs.append(None if made is None else made.times(1 / shots[name]))
             known = [c for c in costs if c is not None]

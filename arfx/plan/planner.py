@@ -16,7 +16,7 @@ from arfx.core.plan import FramePlan, Skip, Step
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Stage
-from arfx.plan.work import predicted
+from arfx.plan.work import predicted, terms_of
 
 UNREAD = "nobody reads what it writes"
 FORCED = "forced (no skipping)"
@@ -71,7 +71,7 @@ def plan_frame(
             continue
         level = levels[stage.name]
         need = stage.needs(out, facts, scene, level).union(out).clip(frame)
-        cost = predicted(prices, stage, level, need, facts, scene, new)
+        cost = predicted(prices, stage, level, need, facts, scene, terms_of(need, facts, scene, new))
         seconds, between = (None, None) if cost is None else (cost.seconds, (cost.low_s, cost.high_s))
         steps.append(Step(stage.name, level.name, out, need, demand.reason, seconds, between))
         read = read.union(need)

@@ -35,10 +35,13 @@ def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = 
 
 
 def predicted(
-    prices: Prices, stage: Stage, level: Level, need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()
+    prices: Prices, stage: Stage, level: Level, need: Rect, facts: FrameFacts, scene: Scene, terms: Mapping[str, float]
 ) -> Prediction | None:
-    """Of one step, from the price list; where that does not hold the stage, from what the stage says of itself."""
-    found = prices.predict(f"{stage.name}/{level.name}", terms_of(need, facts, scene, new))
+    """Of one step, from the price list; where that does not hold the stage, from what the stage says of itself.
+
+    terms : `terms_of` the step
+    """
+    found = prices.predict(f"{stage.name}/{level.name}", terms)
     if found is not None:
         return found
     seconds = stage.cost(need, facts, scene, level).seconds

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from arfx.core.cube import face_directions
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.numerics import angle_between, divide
+from arfx.core.pose import find_rotvecs
 
 if TYPE_CHECKING:
     from arfx.run.job import Planned
@@ -30,6 +32,7 @@ def health(planned: Planned) -> Rows:
     rows.append(check("frames without a pose", absent, 0, absent == 0, "object left out there"))
     whole = meta["truncated"] is None
     rows.append(check("source file", meta["truncated"] or "whole", "whole", whole, "processed to its last good frame"))
+    find_rotvecs(p for f in facts for p in f.poses)
     bad = non_finite(f.to_json() for f in facts)
     rows.append(check("values that are not finite in the facts", bad, 0, bad == 0, "frames with them are not drawn"))
     rows.append(check("values that are not finite in the pictures", 0, 0, True, "the job would have stopped there"))
@@ -218,7 +221,8 @@ def non_finite(documents: Iterable[Any]) -> int:
         if isinstance(value, dict):
             return sum(count(v, k) for k, v in value.items())
         if isinstance(value, (list, tuple)):
-            return sum(count(v, key) for v in value)
+            plain = len(value) > 2 and type(value[0]) is type(value[-1]) is float and all(type(v) is float for v in value)
+            return 0 if plain and math.isfinite(sum(value)) else sum(count(v, key) for v in value)
         infinite = isinstance(value, float) and not np.isfinite(value)
         return int(infinite and not (key in ("confidence_deg", "px_per_dioptre_ci95", "focus_ci95") and value > 0))
 

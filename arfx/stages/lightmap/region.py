@@ -41,15 +41,18 @@ class Ground:
         self.hidden = (1 - self.rays.visible_share(points, hemisphere(_RAYS))).reshape(_TEXELS, _TEXELS)
         self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
         self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
+        self._whole_outline_m = lru_cache(maxsize=256)(self._joined)
 
     def outline_m(self, ambient_share: float, beams: list[tuple[Beam, float]], faint: float) -> np.ndarray:
         """(k, 2) metres: points around the shadow; none where nothing shows.
 
         ambient_share, and beside each beam its share : of the plane's light, 0..1
         """
-        parts = [self.ambient_outline_m(int(np.ceil(ambient_share * _SHARE_STEP)), faint)]
-        parts += [self.beam_outline_m(beam) for beam, share in beams if share > faint and beam.on_plane]
-        points = np.concatenate(parts)
+        shown = tuple(beam for beam, share in beams if share > faint and beam.on_plane)
+        return self._whole_outline_m(int(np.ceil(ambient_share * _SHARE_STEP)), shown, faint)
+
+    def _joined(self, share: int, beams: tuple[Beam, ...], faint: float) -> np.ndarray:
+        points = np.concatenate([self.ambient_outline_m(share, faint), *(self.beam_outline_m(b) for b in beams)])
         return _sides(_hull(points)) if len(points) else points
 
     def ambient_box_m(self, faint: float) -> tuple[np.ndarray, np.ndarray]:
