@@ -112,7 +112,8 @@ def _outline(points: np.ndarray) -> np.ndarray:
 def _seen_boxes(q: np.ndarray, camera: Camera) -> list[tuple[Rect, tuple[float, float]]]:
     """Box and depth range of points (frames, n, 3) in camera coordinates, frame by frame."""
     px = camera.project(q)
-    low, high = px.min(1), px.max(1)  # not numbers where one point is none
+    # column by column: many times as fast as over the middle axis; not numbers where one point is none
+    low, high = (np.stack([edge(px[..., k], 1) for k in (0, 1)], 1) for edge in (np.min, np.max))
     finite_low, finite_high = np.isfinite(low).all(1), np.isfinite(high).all(1)
     near, far = q[..., 2].min(1), q[..., 2].max(1)
     out = []
