@@ -7,7 +7,7 @@ Memory: some hundred bytes per frame and marker, no pixels but one reduced image
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -84,8 +84,16 @@ class Analyser:
         self._others: Counter[str] = Counter()
         self._ever_seen = False
 
-    def step(self, index: int, time_s: float, luma: np.ndarray, picture: Picture | None = None) -> None:
+    def step(
+        self,
+        index: int,
+        time_s: float,
+        luma: np.ndarray,
+        picture: Picture | None = None,
+        following: Callable[[], np.ndarray] | None = None,
+    ) -> None:
         """Take the next frame. luma : (h, w) uint8, upright;  picture : its colours, for the light; None = it tells none
+        following : luma of the frame after it; None = there is none, or it is not known
 
         Raises InputError for another size or order.
         """
@@ -99,7 +107,7 @@ class Analyser:
             last = self._records[-1]
             raise InputError(f"frame {index} at {time_s:g} s comes after frame {last.index} at {last.time_s:g} s")
         luma = np.ascontiguousarray(luma)
-        found = self._tracker.step(time_s, luma)
+        found = self._tracker.step(time_s, luma, following)
         seen, rivals = self._refined(luma, found)
         self._others.update(found.others)
         self._ever_seen |= bool(seen)

@@ -5,13 +5,15 @@
 * If one is not there, the same frame is searched whole, at full resolution, and so are the next few frames.
 * Later, frames are searched on a reduced image (a hit there is looked up at full resolution), and whole at a
   stated interval. Frames as small as the reduced image are searched whole while any marker is missing or very small.
+* While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that comes
+  is found in its first frame, one that shows in a single frame may not be.
 The detector's corners in a part are those in the whole frame, so that where it was looked does not show in the result.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,10 +77,12 @@ class Tracker:
         self.frames = 0
         self.last_whole_s = -math.inf
         self.lost_frames = 0  # frames still to be searched whole after a loss
+        self.nothing_before, self.nothing_here = False, False  # known of the last frame, and of the one to come
         families = [k.rsplit(":", 1)[0] for k in keys]
         self.detector = MarkerDetector(families, params.min_side_px, params.detect_inverted)
 
-    def step(self, time_s: float, luma: np.ndarray) -> Found:
+    def step(self, time_s: float, luma: np.ndarray, following: Callable[[], np.ndarray] | None = None) -> Found:
+        """following : luma of the frame that comes next; None = there is none, or it is not known yet"""
         height, width = luma.shape
         frame = Rect.of(width, height)
         factor = max(1, math.ceil(math.sqrt(frame.area / self.params.reduced_px)))
@@ -95,6 +99,7 @@ class Tracker:
             searched += part.area
         missing = [k for k in self.keys if k not in {c.key for c in every}]
         newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)
+        nothing_here, self.nothing_here = self.nothing_here, False
         if newly_lost:
             self.lost_frames = self.params.loss_search_frames
         due = time_s - self.last_whole_s >= self.params.search_interval_s
@@ -104,13 +109,28 @@ class Tracker:
             self.last_whole_s = time_s
             self.lost_frames = max(0, self.lost_frames - 1)
         elif missing and (len(missing) == len(self.keys) or self.frames % self.params.reduced_search_every == 0):
-            searched += frame.area // factor**2
-            hits = [c for c in self.detector.search(luma, None, factor) if c.key in missing]
+            ahead = following if self.nothing_before and len(missing) == len(self.keys) else None
+            hits, looks = ([], 0) if nothing_here else self._glance(luma, ahead, factor, missing)
+            searched += looks * (frame.area // factor**2)
             for part in _merged(Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)).clip(frame) for c in hits):
                 every += self.detector.search(luma, part)
                 searched += part.area
         self.frames += 1
+        self.nothing_before = not any(c.key in self.keys for c in every)
         return self._choose(time_s, every, whole, searched)
+
+    def _glance(
+        self, luma: np.ndarray, ahead: Callable[[], np.ndarray] | None, factor: int, keys: Sequence[str]
+    ) -> tuple[list[Candidate], int]:
+        """Markers on the reduced image, and how many images were searched. ahead : the next frame, if it may speak for this"""
+
+        def on_reduced(image: np.ndarray) -> list[Candidate]:
+            return [c for c in self.detector.search(image, None, factor) if c.key in keys]
+
+        if ahead is None:
+            return on_reduced(luma), 1
+        self.nothing_here = not on_reduced(ahead())
+        return ([], 1) if self.nothing_here else (on_reduced(luma), 2)
 
     def _choose(self, time_s: float, every: list[Candidate], whole: bool, searched: int) -> Found:
         chosen, rivals = [], []
@@ -141,7 +161,7 @@ class Tracker:
     def state(self) -> dict:
         """JSON-able."""
         return {
-            "frames": self.frames, "lost_frames": self.lost_frames,
+            "frames": self.frames, "lost_frames": self.lost_frames, "nothing": [self.nothing_before, self.nothing_here],
             "last_whole_s": None if math.isinf(self.last_whole_s) else self.last_whole_s,
             "tracks": {
                 k: [t.quad_px.tolist(), t.speed_px_s.tolist(), t.time_s, t.missing] for k, t in self.tracks.items()
@@ -150,6 +170,7 @@ class Tracker:
 
     def restore(self, state: dict) -> None:
         self.frames, self.lost_frames = state["frames"], state["lost_frames"]
+        self.nothing_before, self.nothing_here = state["nothing"]
         self.last_whole_s = -math.inf if state["last_whole_s"] is None else state["last_whole_s"]
         self.tracks = {k: Track(np.array(q), np.array(v), t, m) for k, (q, v, t, m) in state["tracks"].items()}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from arfx.analyse.analyser import Analyser, Analysis, LightParams
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 from arfx.media.clip import ClipInfo
+from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
 from arfx.run.ahead import Ahead
 from arfx.run.folder import JobFolder, write_text
@@ -65,9 +66,9 @@ def analyse_clip(
     last_save = time.monotonic()
     expected = info.frame_count_stated if span_s == (None, None) else None
     with ClipReader(info) as reader, Ahead(reader.frames(first_pts=pts[-1] if pts else None)) as frames:
-        for frame in span.inside(frames):
+        for frame, following in _with_next(span.inside(frames)):
             start = time.perf_counter()
-            analyser.step(len(pts), frame.time_s, frame.luma(), frame)
+            analyser.step(len(pts), frame.time_s, frame.luma(), frame, None if following is None else following.luma)
             analyse_s += time.perf_counter() - start
             span.take(frame)
             progress("analyse", len(pts), expected)
@@ -86,6 +87,15 @@ def analyse_clip(
     analyse_s += time.perf_counter() - start
     progress("analyse", len(pts), len(pts))
     return Pass(analysis, span, truncated, decode_s, analyse_s)
+
+
+def _with_next(frames: Iterator[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
+    """Each frame and the one after it."""
+    frame = next(frames, None)
+    while frame is not None:
+        following = next(frames, None)
+        yield frame, following
+        frame = following
 
 
 def _saved(folder: JobFolder, key: str) -> dict[str, Any] | None:

@@ -30,10 +30,11 @@ class Span:
 
     def inside(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """Those of the clip's `frames`, in order, that lie in the span and behind what was taken before."""
+        last = self.pts[-1] if self.pts else None
         for frame in frames:
             if self.origin is None:
                 self.origin = frame.pts
-            if self.pts and frame.pts <= self.pts[-1]:
+            if last is not None and frame.pts <= last:
                 continue
             since_s = self._since_s(frame.pts)
             if self._start_s is not None and since_s < self._start_s - _ROUNDING_S:
@@ -42,6 +43,7 @@ class Span:
             if self._end_s is not None and since_s > self._end_s + _ROUNDING_S:
                 self.whole = False
                 return
+            last = frame.pts
             yield frame
 
     def take(self, frame: Frame) -> None:

@@ -59,6 +59,30 @@ def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
     assert np.abs(back.sightings[0].quad_px - CAM.project(at(500, 300).apply(M.corners_m))).max() < 4
 
 
+def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_is_found_where_it_comes() -> None:
+    clip = [frame((M, at(300, 200)), seed=k) if k in (0, 1) or k >= came else frame(seed=k) for came in (22,) for k in range(27)]
+
+    def seen(tracker: Tracker, first: int, ahead: bool) -> list[tuple[bool, int]]:
+        found = []
+        for k in range(first, len(clip)):
+            following = (lambda k=k: clip[k + 1]) if ahead and k + 1 < len(clip) else None  # type: ignore[misc]
+            got = tracker.step(k / 30, clip[k], following)
+            found.append((bool(got.sightings), got.searched_px))
+        return found
+
+    every, ahead = seen(Tracker([M.key], AnalyseParams()), 0, False), seen(Tracker([M.key], AnalyseParams()), 0, True)
+    assert [s for s, _ in ahead] == [s for s, _ in every] == [k < 2 or k >= 22 for k in range(27)]
+    gone = slice(2 + AnalyseParams().loss_search_frames, 21)
+    assert all(px > 0 for _, px in every[gone])
+    assert sum(px for _, px in ahead[gone]) < 0.7 * sum(px for _, px in every[gone])
+    for stop in (12, 13):  # a checkpoint at either of the two frames
+        first, second = Tracker([M.key], AnalyseParams()), Tracker([M.key], AnalyseParams())
+        for k in range(stop):
+            first.step(k / 30, clip[k], lambda k=k: clip[k + 1])  # type: ignore[misc]
+        second.restore(json.loads(json.dumps(first.state())))
+        assert seen(second, stop, True) == ahead[stop:]
+
+
 def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
     cam, back = camera(480, 270, 450.0), background(480, 270)
     detector = MarkerDetector(["36h11"])
