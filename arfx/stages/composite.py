@@ -69,12 +69,15 @@ class Composite:
 def _composed(now: Layers, facts: FrameFacts) -> np.ndarray:
     virtual = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)))
     opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-    plate, shadow = now[Layer.PLATE], now[Layer.SHADOW]
+    plate = now[Layer.PLATE]
     out = np.empty_like(plate)
-    _shade(plate.reshape(len(plate), -1), shadow.reshape(len(plate), -1), opacity, bias, out.reshape(len(plate), -1))
+    if virtual.rect != now.rect:
+        shadow = now[Layer.SHADOW]
+        _shade(plate.reshape(len(plate), -1), shadow.reshape(len(plate), -1), opacity, bias, out.reshape(len(plate), -1))
     if not virtual.rect.empty:
         inside = virtual.rect.slices_in(now.rect)
-        _over(plate[inside], virtual[Layer.VIRTUAL], virtual[Layer.COVERAGE], shadow[inside], opacity, bias, out[inside])
+        left = virtual.one_channel(Layer.SHADOW)
+        _over(plate[inside], virtual[Layer.VIRTUAL], virtual[Layer.COVERAGE], left, opacity, bias, out[inside])
     return out
 
 
@@ -96,10 +99,12 @@ def _shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _over(plate, virtual, coverage, shadow, opacity, bias, out):  # pragma: no cover - compiled
+    """shadow : (h, w, 3 or 1)"""
+    step = 1 if shadow.shape[2] == 3 else 0
     for y in range(plate.shape[0]):
         for x in range(plate.shape[1]):
             left = np.float32(1) - coverage[y, x]
             for c in range(3):
                 p = plate[y, x, c]
-                kept = bias[c] * (left - shadow[y, x, c] * left)
-                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (shadow[y, x, c] * left - np.float32(1)) + kept)
+                kept = bias[c] * (left - shadow[y, x, c * step] * left)
+                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (shadow[y, x, c * step] * left - np.float32(1)) + kept)

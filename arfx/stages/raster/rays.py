@@ -125,10 +125,16 @@ class RayRenderer:
             slot = np.full(h * w, -1, np.int32)
             slot[some] = np.arange(len(some))
             found = nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
-            s_acc, s_depth, s_ident, _ = self._trace(eye, rays, ok, found, np.float32(self.pixel / np.sqrt(count)))
-            at_centre = np.where(prim[some] >= 0, m.part[prim[some]] + 1, 0).astype(np.int32) if ident is None else ident[some]
+            footprint = np.float32(self.pixel / np.sqrt(count))
+            if not m.layered:
+                met = (*found, prim[some], depth[some])
+                place = (w, lens, rotation, footprint, eye_world, self.glows)
+                surface.write_edges(*(some, inside, self.order, *met, *place, *self._surfaces, *arrays))
+                continue
+            s_acc, s_depth, s_ident, _ = self._trace(eye, rays, ok, found, footprint)
+            assert ident is not None
             hits.resolve_edges(
-                w, some, count, self.order, s_acc, s_depth, s_ident, depth[some], at_centre, lens, rotation, eye_world, *arrays
+                w, some, count, self.order, s_acc, s_depth, s_ident, depth[some], ident[some], lens, rotation, eye_world, *arrays
             )
 
     def _trace(

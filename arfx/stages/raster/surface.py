@@ -168,3 +168,70 @@ def write_centres(
             position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * dx, eye[1] + z * dy, eye[2] + z * dz
             if glows:
                 emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = er, eg, eb
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def write_edges(
+    pixels, samples, order, prim, bary_u, bary_v, depth, centre_prim, centre_depth, width, lens, rotation, pixel, eye, glows,
+    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
+    coverage, depth_out, normal, position, albedo, material, emissive, object_id,
+):  # fmt: skip  # pragma: no cover - compiled
+    """Pixels of many samples of an opaque mesh: means over the samples that meet it. Those that none meets stay as they are.
+
+    pixels (n,) : numbered with one pixel of margin, two in the lens table;  samples (n, s, 2) : directions in the camera
+    order (s,) : sample numbers from the centre outwards;  prim, bary_u, bary_v, depth (n * s,) : what the samples meet
+    centre_prim, centre_depth (n,) : what the pixels' centres meet
+    """
+    count = np.uintp(order.shape[0])
+    for a in range(pixels.shape[0]):
+        y, x = np.uintp(pixels[a] // width - 1), np.uintp(pixels[a] % width - 1)
+        start = np.uintp(a) * count
+        hits = np.float32(0)
+        r, g, b = np.float32(0), np.float32(0), np.float32(0)
+        nx, ny, nz = np.float32(0), np.float32(0), np.float32(0)
+        metallic, rough, specular = np.float32(0), np.float32(0), np.float32(0)
+        er, eg, eb = np.float32(0), np.float32(0), np.float32(0)
+        for i in range(count):
+            k = start + np.uintp(i)
+            if prim[k] < 0:
+                continue
+            lx, ly = samples[a, i, 0], samples[a, i, 1]
+            dx = np.float32(rotation[0, 0] * lx + rotation[1, 0] * ly + rotation[2, 0])
+            dy = np.float32(rotation[0, 1] * lx + rotation[1, 1] * ly + rotation[2, 1])
+            dz = np.float32(rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2])
+            _, r1, g1, b1, x1, y1, z1, metallic1, rough1, specular1, er1, eg1, eb1 = _surface(
+                prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel,
+                faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
+            )  # fmt: skip
+            hits += np.float32(1)
+            r, g, b = r + r1, g + g1, b + b1
+            nx, ny, nz = nx + x1, ny + y1, nz + z1
+            metallic, rough, specular = metallic + metallic1, rough + rough1, specular + specular1
+            er, eg, eb = er + er1, eg + eg1, eb + eb1
+        if hits == 0:
+            continue
+        chosen, z = centre_prim[a], centre_depth[a]
+        if chosen < 0:
+            for i in range(count):
+                k = start + np.uintp(order[i])
+                if prim[k] >= 0:
+                    chosen, z = prim[k], depth[k]
+                    break
+        lx, ly = lens[y + np.uintp(2), x + np.uintp(2), 0], lens[y + np.uintp(2), x + np.uintp(2), 1]
+        dx = np.float32(rotation[0, 0] * lx + rotation[1, 0] * ly + rotation[2, 0])
+        dy = np.float32(rotation[0, 1] * lx + rotation[1, 1] * ly + rotation[2, 1])
+        dz = np.float32(rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2])
+        inverse = np.float32(1) / hits
+        coverage[y, x], depth_out[y, x], object_id[y, x] = hits / np.float32(count), z, part[np.uintp(chosen)] + 1
+        albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r * inverse, g * inverse, b * inverse
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        if length > np.float32(1e-6):
+            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = nx / length, ny / length, nz / length
+        else:  # opposite sides cancel in this pixel: straight towards the camera
+            length = -np.sqrt(dx * dx + dy * dy + dz * dz)
+            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = dx / length, dy / length, dz / length
+        material[y, x, 0], material[y, x, 1], material[y, x, 2] = metallic * inverse, rough * inverse, specular * inverse
+        material[y, x, 3] = 1
+        position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * dx, eye[1] + z * dy, eye[2] + z * dz
+        if glows:
+            emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = er * inverse, eg * inverse, eb * inverse
