@@ -7,12 +7,17 @@ rock-steady in the same clip in which it moves fast at another time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from arfx.analyse.chain import Links, evidence
 
-# Axes whose noise is one number: turning about the picture's two axes, about the line of sight; sideways; distance.
-GROUPS = ((0, 1), (2,), (3, 4), (5,))
+# Axes whose noise is one number: turning about the picture's two axes, about the line of sight; sideways; distance; and
+# the camera's turning about itself (chain.Links.shake), which turns the marker and moves it sideways at once.
+GROUPS = ((0, 1), (2,), (3, 4), (5,), (6,))
+TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
+AXES = 7
 # (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4 turns a frame by 20 degrees.
 LEAST, MOST = 1e-12, 1e4
 _GRID = 10.0 ** np.arange(-12, 5)
@@ -20,31 +25,27 @@ _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is ta
 _WINDOW, _CONTEXT = 24, 18  # frames
 # A window has little evidence on its own: each factor of ten away from the shot's value costs this much (nats).
 _HOLD = 1.0
+_EARNED = 3.0  # nats by which a camera that shakes must explain the shot better than a marker that moves: one number more
 
 
 def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray | None, local: bool) -> np.ndarray:
-    """(n - 1, 6) densities.
+    """(n - 1, AXES) densities.
 
     measured, pull, links : as for smooth_chain;  density : what was learned for the shot, None at first
     local : also let it change with time
     """
     n = len(measured)
     if n < 3:
-        return np.full((max(n - 1, 0), 6), 1e-2)
-    shot = np.full(len(GROUPS), 1e-3) if density is None else np.exp([np.median(np.log(density[:, list(g)])) for g in GROUPS])
-    blocks = _blocks(n)
-    for reach in (np.inf, 2.0) if density is None else ():
-        for i in range(len(GROUPS)):
-            near = _GRID[np.abs(np.log10(_GRID / shot[i])) <= reach]
-            trial = np.repeat(shot[None], len(near), 0)
-            trial[:, i] = near
-            total = np.sum([_evidence(measured, pull, links, a, b, trial) for a, b in blocks], axis=0)
-            shot[i] = near[int(total.argmax())]
+        return np.full((max(n - 1, 0), AXES), 1e-2)
+    if density is None:
+        shot = _of_shot(measured, pull, links)
+    else:
+        shot = np.exp([np.median(np.log(density[:, list(g)])) for g in GROUPS])
     if not local or n <= _WINDOW + _CONTEXT:
         return _axes(np.repeat(shot[None], n - 1, 0))
     centres = np.unique(np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW))))
     values = np.repeat(shot[None], len(centres), 0)
-    for i in range(len(GROUPS)):
+    for i in range(SHAKE + 1 if shot[SHAKE] > LEAST else SHAKE):
         for w, centre in enumerate(centres):
             a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
             b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
@@ -58,6 +59,30 @@ def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density:
     return _axes(np.exp(smooth))
 
 
+def _of_shot(measured: np.ndarray, pull: np.ndarray, links: Links) -> np.ndarray:
+    """(groups,) one value each for a shot: the likelier of a marker that moves on its own and of a camera that shakes."""
+    blocks = _blocks(len(measured))
+
+    def climbed(shot: np.ndarray, steps: Sequence[tuple[int, float]]) -> tuple[float, np.ndarray]:
+        """Evidence and values after one group after the other took its best, within a number of factors of ten."""
+        shot, best = shot.copy(), -np.inf
+        for i, reach in steps:
+            near = _GRID[np.abs(np.log10(_GRID / shot[i])) <= reach]
+            trial = np.repeat(shot[None], len(near), 0)
+            trial[:, i] = near
+            total = np.sum([_evidence(measured, pull, links, a, b, trial) for a, b in blocks], axis=0)
+            shot[i], best = near[int(total.argmax())], float(total.max())
+        return best, shot
+
+    start = np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST])
+    moving, shot = climbed(start, [(i, reach) for reach in (np.inf, 2.01) for i in range(SHAKE)])
+    start = shot.copy()  # what was sideways motion is now the shake: from the one peak no single number leads to the other
+    start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
+    steps = [(SIDEWAYS, np.inf), (TURN, np.inf), (SHAKE, 2.01), (ROLL, 2.01), (DISTANCE, 2.01), (SIDEWAYS, 2.01), (TURN, 2.01)]
+    shaking, other = climbed(start, steps)
+    return other if shaking > moving + _EARNED else shot
+
+
 def _blocks(n: int) -> list[tuple[int, int]]:
     if n <= _BLOCK * _BLOCKS:
         return [(0, n)]
@@ -65,13 +90,13 @@ def _blocks(n: int) -> list[tuple[int, int]]:
 
 
 def _axes(groups: np.ndarray) -> np.ndarray:
-    """(..., groups) to (..., 6)."""
-    out = np.empty((*groups.shape[:-1], 6))
+    """(..., groups) to (..., AXES)."""
+    out = np.empty((*groups.shape[:-1], AXES))
     for i, g in enumerate(GROUPS):
         out[..., list(g)] = groups[..., i : i + 1]
     return out
 
 
 def _evidence(measured: np.ndarray, pull: np.ndarray, links: Links, a: int, b: int, trial: np.ndarray) -> np.ndarray:
-    density = np.broadcast_to(_axes(trial)[:, None], (len(trial), b - a - 1, 6))
+    density = np.broadcast_to(_axes(trial)[:, None], (len(trial), b - a - 1, AXES))
     return evidence(measured[a:b], pull[a:b], links.part(a, b), density)
