@@ -21,6 +21,7 @@ AXES = 7
 # (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4 turns a frame by 20 degrees.
 LEAST, MOST = 1e-12, 1e4
 _GRID = 10.0 ** np.arange(-12, 5)
+_FAR, _NEAR, _NEXT = 10.0 ** np.arange(-5, 6), 10.0 ** np.arange(-2, 3), 10.0 ** np.arange(-1, 1.01, 0.5)  # factors
 _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
 # A window has little evidence on its own: each factor of ten away from the shot's value costs this much (nats).
@@ -49,7 +50,7 @@ def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density:
         for w, centre in enumerate(centres):
             a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
             b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
-            near = _GRID[np.abs(np.log10(_GRID / shot[i])) <= 5.01]
+            near = _around(shot[i], _FAR)
             trial = np.repeat(values[w : w + 1], len(near), 0)
             trial[:, i] = near
             total = _evidence(measured, pull, links, a, b, trial) - _HOLD * np.abs(np.log10(near / shot[i]))
@@ -63,24 +64,30 @@ def _of_shot(measured: np.ndarray, pull: np.ndarray, links: Links) -> np.ndarray
     """(groups,) one value each for a shot: the likelier of a marker that moves on its own and of a camera that shakes."""
     blocks = _blocks(len(measured))
 
-    def climbed(shot: np.ndarray, steps: Sequence[tuple[int, float]]) -> tuple[float, np.ndarray]:
-        """Evidence and values after one group after the other took its best, within a number of factors of ten."""
+    def climbed(shot: np.ndarray, order: Sequence[int], grid: np.ndarray | None = None) -> tuple[float, np.ndarray]:
+        """Evidence and values after one group after the other took its best; grid : factors, None = the whole range"""
         shot, best = shot.copy(), -np.inf
-        for i, reach in steps:
-            near = _GRID[np.abs(np.log10(_GRID / shot[i])) <= reach]
+        for i in order:
+            near = _GRID if grid is None else _around(shot[i], grid)
             trial = np.repeat(shot[None], len(near), 0)
             trial[:, i] = near
             total = np.sum([_evidence(measured, pull, links, a, b, trial) for a, b in blocks], axis=0)
             shot[i], best = near[int(total.argmax())], float(total.max())
         return best, shot
 
-    start = np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST])
-    moving, shot = climbed(start, [(i, reach) for reach in (np.inf, 2.01) for i in range(SHAKE)])
+    _, shot = climbed(np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE))
+    moving, shot = climbed(shot, range(SHAKE), _NEAR)
     start = shot.copy()  # what was sideways motion is now the shake: from the one peak no single number leads to the other
     start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
-    steps = [(SIDEWAYS, np.inf), (TURN, np.inf), (SHAKE, 2.01), (ROLL, 2.01), (DISTANCE, 2.01), (SIDEWAYS, 2.01), (TURN, 2.01)]
-    shaking, other = climbed(start, steps)
-    return other if shaking > moving + _EARNED else shot
+    _, other = climbed(start, (SIDEWAYS, TURN, DISTANCE))
+    shaking, other = climbed(other, (SHAKE, ROLL, SIDEWAYS, TURN), _NEAR)
+    if shaking > moving + _EARNED:
+        return climbed(other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), _NEXT)[1]
+    return climbed(shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), _NEXT)[1]
+
+
+def _around(value: float, factors: np.ndarray) -> np.ndarray:
+    return np.unique(np.clip(value * factors, LEAST, MOST))
 
 
 def _blocks(n: int) -> list[tuple[int, int]]:
