@@ -1,7 +1,8 @@
 """A Gauss-Markov chain over one shot: Kalman filter, Rauch-Tung-Striebel smoother and the evidence for its noise.
 
 State per frame: 6 position-like and 6 velocity-like numbers. Between frames white noise accelerates each axis with
-its own density q (units^2 / s^3), covariance q (dt^3/3, dt^2/2; dt^2/2, dt): exact for irregular frame times.
+its own density q (units^2 / s^3), covariance q (dt^3/3, dt^2/2; dt^2/2, dt): exact for irregular frame times; a seventh
+density accelerates several axes at once (Links.shake).
 Measurements come as information on the first six numbers, zero where nothing was seen. Covariance form: stays regular
 for a density of nearly zero (a marker at rest) and for directions that no measurement fixes.
 Source: Barfoot, State Estimation for Robotics, 2nd ed., sections 3.1-3.3 and 11.
@@ -55,8 +56,8 @@ def smooth_chain(measured: np.ndarray, pull: np.ndarray, links: Links, density: 
     """
     n = len(measured)
     means, covs = np.empty((n, DIM)), np.empty((n, DIM, DIM))
-    m, g, *parts, q = _contiguous(measured, pull, links.move, links.gate, links.shift, links.shake, links.dt_s, density)
-    kernels.filter_and_smooth(m, g, *parts, q, _START, means, covs)
+    m, g, move, gate, shift, shake, dt, q = _arrays(measured, pull, links, density)
+    kernels.filter_and_smooth(m, g, move, gate, shift, shake, dt, q, _START, means, covs)
     if not (np.isfinite(means).all() and np.isfinite(covs).all()):
         raise np.linalg.LinAlgError("the smoother's chain is singular")
     return means, covs
@@ -65,11 +66,12 @@ def smooth_chain(measured: np.ndarray, pull: np.ndarray, links: Links, density: 
 def evidence(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray) -> np.ndarray:
     """(c,) log evidence, up to a constant, of c candidates of noise density (c, n - 1, 7) on one chain."""
     out = np.empty(len(density))
-    m, g, *parts, q = _contiguous(measured, pull, links.move, links.gate, links.shift, links.shake, links.dt_s, density)
-    kernels.log_evidence(m, g, *parts, q, _START, out)
+    m, g, move, gate, shift, shake, dt, q = _arrays(measured, pull, links, density)
+    kernels.log_evidence(m, g, move, gate, shift, shake, dt, q, _START, out)
     return out
 
 
-def _contiguous(*arrays: np.ndarray) -> list[np.ndarray]:
+def _arrays(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray) -> list[np.ndarray]:
     """Copies, all of one type to the compiler: contiguous and writable."""
-    return [np.array(a, float, order="C") for a in arrays]
+    given = (measured, pull, links.move, links.gate, links.shift, links.shake, links.dt_s, density)
+    return [np.array(a, float, order="C") for a in given]

@@ -1,7 +1,8 @@
 """The compiled loops of chain.py: Kalman prediction and update, smoother, evidence, for one chain of small matrices.
 
 Every link has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes: only
-those blocks are multiplied. Systems are solved by elimination with pivoting, as LAPACK does. Float64 throughout.
+those blocks are multiplied. The smoother's systems are solved by elimination with pivoting, as LAPACK does; measurements
+are taken in one by one. Float64 throughout.
 """
 
 from __future__ import annotations

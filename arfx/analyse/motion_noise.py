@@ -1,8 +1,9 @@
 """How restless is the motion? Noise densities of the smoother's chain by maximum likelihood, changing with time.
 
-For each axis group candidates a factor of ten apart are compared by the evidence of the chain: first one value for
-the whole shot, then one per window of about a second, held near the shot's. A marker at rest thereby stands
-rock-steady in the same clip in which it moves fast at another time.
+Candidates are compared by the evidence of the chain, one axis group after the other: first one value for the whole shot,
+then one per window of about a second, held near the shot's. A marker at rest thereby stands rock-steady in the same
+clip in which it moves fast at another time. A shot is taken for one of a camera that shakes in the hand if that explains it
+better than a marker that moves on its own: the shake is then seen in where the marker is, far more exactly than in its tilt.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ AXES = 7
 # (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4 turns a frame by 20 degrees.
 LEAST, MOST = 1e-12, 1e4
 _GRID = 10.0 ** np.arange(-12, 5)
-_FAR, _NEAR, _NEXT = 10.0 ** np.arange(-5, 6), 10.0 ** np.arange(-2, 3), 10.0 ** np.arange(-1, 1.01, 0.5)  # factors
+# Factors on a value, for what is tried beside it.
+_FAR, _NEAR, _NEXT = 10.0 ** np.arange(-5, 6), 10.0 ** np.arange(-2, 3), 10.0 ** np.array([-1, -0.5, 0, 0.5, 1])
 _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
 # A window has little evidence on its own: each factor of ten away from the shot's value costs this much (nats).
@@ -65,7 +67,7 @@ def _of_shot(measured: np.ndarray, pull: np.ndarray, links: Links) -> np.ndarray
     blocks = _blocks(len(measured))
 
     def climbed(shot: np.ndarray, order: Sequence[int], grid: np.ndarray | None = None) -> tuple[float, np.ndarray]:
-        """Evidence and values after one group after the other took its best; grid : factors, None = the whole range"""
+        """Evidence and values when one group after the other has taken its best; grid : factors, None = the whole range"""
         shot, best = shot.copy(), -np.inf
         for i in order:
             near = _GRID if grid is None else _around(shot[i], grid)
