@@ -1,7 +1,8 @@
 """The compiled loops of chain.py: Kalman prediction and update, smoother, evidence, for one chain of small matrices.
 
 Every link has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes: only
-those blocks are multiplied. Systems are solved by elimination with pivoting, as LAPACK does. Float64 throughout.
+those blocks are multiplied. The smoother's systems are solved by elimination with pivoting, as LAPACK does; measurements
+are taken in one by one. Float64 throughout.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import numba
 import numpy as np
 
 DIM = 12
+_UNFIXED = 1e-14  # share of an axis's information below which what the other axes leave of it is rounding
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -55,10 +57,11 @@ def _keep(x, p, means, covs):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _ahead(x, p, move, gate, shift, q, dt, w):  # pragma: no cover - compiled
-    """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (6,) densities.
+def _ahead(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover - compiled
+    """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (7,) densities.
 
-    w (6, 12) : filled with the upper half of move p, p being that of before
+    shake (6, 6) : of the last density;  w (6, 12) : filled with the upper half of move p, p being that of before
+    v (6, 6) : work space
     """
     for i in range(3):
         for j in range(DIM):
@@ -76,17 +79,26 @@ def _ahead(x, p, move, gate, shift, q, dt, w):  # pragma: no cover - compiled
             p[i, j + 3] = w[i, j + 3] + dt * w[i, j + 9]
         for j in range(6, DIM):
             p[i, j] = w[i, j]
-    for i in range(3):
-        for j in range(3):
-            turned = 0.0
-            for k in range(3):
-                turned += gate[i, k] * q[k] * gate[j, k]
-            p[i, j] += turned * dt**3 / 3
-            p[i, j + 6] += gate[i, j] * q[j] * dt**2 / 2
-        p[i + 3, i + 3] += q[i + 3] * dt**3 / 3
-        p[i + 3, i + 9] += q[i + 3] * dt**2 / 2
     for i in range(6):
-        p[i + 6, i + 6] += q[i] * dt
+        for j in range(6):
+            noise = q[6] * shake[i, j]
+            if i == j:
+                noise += q[i]
+            p[i + 6, j + 6] += noise * dt
+            v[i, j] = noise
+    for j in range(6):  # through the gate, which is 1 but for the turns
+        a, b, c = v[0, j], v[1, j], v[2, j]
+        for i in range(3):
+            v[i, j] = gate[i, 0] * a + gate[i, 1] * b + gate[i, 2] * c
+    for i in range(6):
+        for j in range(6):
+            p[i, j + 6] += v[i, j] * dt**2 / 2
+        a, b, c = v[i, 0], v[i, 1], v[i, 2]
+        for j in range(3):
+            p[i, j] += (a * gate[j, 0] + b * gate[j, 1] + c * gate[j, 2]) * dt**3 / 3
+        for j in range(3, 6):
+            p[i, j] += v[i, j] * dt**3 / 3
+    for i in range(6):
         for j in range(6):
             p[j + 6, i] = p[i, j + 6]
     a, b, c = x[0], x[1], x[2]
@@ -99,70 +111,73 @@ def _ahead(x, p, move, gate, shift, q, dt, w):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _update(x, p, m, g, inner, s, t, n):  # pragma: no cover - compiled
-    """Take in a measurement of information m (6, 6) and pull g (6,), in place. Returns its log evidence.
+def _whitened(measured, pull, roots, values):  # pragma: no cover - compiled
+    """Measurements as independent ones of unit noise: roots (n, 6, 6) lower triangular, values (n, 6), of
+    measured = roots roots^T, pull = roots values. Of a direction that nothing fixes the column is 0."""
+    for f in range(len(measured)):
+        m, root = measured[f], roots[f]
+        for j in range(6):
+            rest, missed = m[j, j], pull[f, j]
+            for k in range(j):
+                rest -= root[j, k] ** 2
+                missed -= root[j, k] * values[f, k]
+            known = rest > _UNFIXED * m[j, j]
+            size = np.sqrt(rest) if known else 1.0
+            values[f, j] = missed / size if known else 0.0
+            for i in range(6):
+                root[i, j] = 0.0
+            for i in range(j if known else 6, 6):
+                total = m[i, j]
+                for k in range(j):
+                    total -= root[i, k] * root[j, k]
+                root[i, j] = total / size
 
-    inner, s (6, 6), t, n (12, 6) : work space
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _update(x, p, root, value, t):  # pragma: no cover - compiled
+    """Take in a frame's measurements one after the other, in place. Returns their log evidence, up to a constant.
+
+    One by one nothing is inverted: the errors of rounding stay those of p, however strongly its axes are bound together.
+    root (6, 6), value (6,) : of `_whitened`;  t (12,) : work space
     """
-    some = False
-    for i in range(6):
-        for j in range(6):
-            some = some or m[i, j] != 0.0
-            total = 1.0 if i == j else 0.0
-            for k in range(6):
-                total += m[i, k] * p[k, j]
-            inner[i, j] = total
-            s[i, j] = m[i, j]
-    if not some:
-        return 0.0
-    log = -0.5 * solve_in_place(inner, s)
-    for i in range(DIM):
-        for j in range(6):
-            n[i, j] = p[i, j]
-    for i in range(DIM):
-        for j in range(6):
+    log = 0.0
+    for j in range(6):
+        if root[j, j] == 0.0:
+            continue
+        for i in range(DIM):
             total = 0.0
-            for k in range(6):
-                total += n[i, k] * s[k, j]
-            t[i, j] = total
-    for i in range(DIM):
-        for j in range(i + 1):
-            both = 0.0
-            for k in range(6):
-                both += t[i, k] * n[j, k] + t[j, k] * n[i, k]
-            p[i, j] = p[j, i] = (p[i, j] + p[j, i] - both) / 2
-    for i in range(6):
-        missed = g[i]
-        for k in range(6):
-            missed -= m[i, k] * x[k]
-        log += 0.5 * x[i] * (g[i] + missed)  # x g - x m x / 2
-        inner[0, i] = missed
-    for i in range(DIM):
-        step = 0.0
-        for k in range(6):
-            step += p[i, k] * inner[0, k]
-        if i < 6:
-            log += 0.5 * inner[0, i] * step
-        t[i, 0] = step
-    for i in range(DIM):
-        x[i] += t[i, 0]
+            for k in range(j, 6):
+                total += p[i, k] * root[k, j]
+            t[i] = total
+        spread, missed = 1.0, value[j]
+        for k in range(j, 6):
+            spread += root[k, j] * t[k]
+            missed -= root[k, j] * x[k]
+        log -= 0.5 * (np.log(spread) + missed * missed / spread - value[j] * value[j])
+        for i in range(DIM):
+            share = t[i] / spread
+            x[i] += share * missed
+            for k in range(i + 1):
+                p[i, k] -= share * t[k]
+                p[k, i] = p[i, k]
     return log
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def filter_and_smooth(measured, pull, move, gate, shift, dt, density, start, means, covs):  # pragma: no cover - compiled
+def filter_and_smooth(measured, pull, move, gate, shift, shake, dt, density, start, means, covs):  # pragma: no cover - compiled
     """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the rest as for smooth_chain."""
     n = len(measured)
     x, p, none = np.zeros(DIM), np.empty((DIM, DIM)), np.zeros(DIM)
     _keep(none, start, x, p)
     upper = np.empty((max(n - 1, 0), 6, DIM))
     ahead_x, ahead_p = np.empty((n, DIM)), np.empty((n, DIM, DIM))
-    inner, s, t, c = np.empty((6, 6)), np.empty((6, 6)), np.empty((DIM, 6)), np.empty((DIM, 6))
+    roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
+    _whitened(measured, pull, roots, values)
     for k in range(n):
         if k:
-            _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], density[k - 1], dt[k - 1], upper[k - 1])
+            _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[k - 1], dt[k - 1], upper[k - 1], v)
         _keep(x, p, ahead_x[k], ahead_p[k])
-        _update(x, p, measured[k], pull[k], inner, s, t, c)
+        _update(x, p, roots[k], values[k], t)
         _keep(x, p, means[k], covs[k])
     size, scaled, gain, change = np.empty(DIM), np.empty((DIM, DIM)), np.empty((DIM, DIM)), np.empty((DIM, DIM))
     for k in range(n - 2, -1, -1):
@@ -196,15 +211,17 @@ def filter_and_smooth(measured, pull, move, gate, shift, dt, density, start, mea
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def log_evidence(measured, pull, move, gate, shift, dt, density, start, out):  # pragma: no cover - compiled
+def log_evidence(measured, pull, move, gate, shift, shake, dt, density, start, out):  # pragma: no cover - compiled
     """Fill out (c,): log evidence, up to a constant, of c candidates of density (c, n - 1, 6)."""
     x, p, none, upper = np.empty(DIM), np.empty((DIM, DIM)), np.zeros(DIM), np.empty((6, DIM))
-    inner, s, t, n = np.empty((6, 6)), np.empty((6, 6)), np.empty((DIM, 6)), np.empty((DIM, 6))
+    n = len(measured)
+    roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
+    _whitened(measured, pull, roots, values)
     for c in range(len(density)):
         _keep(none, start, x, p)
         total = 0.0
-        for k in range(len(measured)):
+        for k in range(n):
             if k:
-                _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], density[c, k - 1], dt[k - 1], upper)
-            total += _update(x, p, measured[k], pull[k], inner, s, t, n)
+                _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[c, k - 1], dt[k - 1], upper, v)
+            total += _update(x, p, roots[k], values[k], t)
         out[c] = total

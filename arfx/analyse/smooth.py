@@ -5,7 +5,9 @@ unlikeliness of the motion: a direction that the corners hardly fix (the tilt of
 the neighbours, one that they fix well (its place in the picture) is left alone, so nothing swims. Gauss-Newton on
 SE(3), linearised anew in every pass; each pass is one RTS smoother (chain.py).
 
-The motion's noise is learned from the clip (motion_noise.py).
+The motion's noise is learned from the clip (motion_noise.py): of each axis, and of a camera that turns about itself in the
+hand, which turns and moves the marker at once. Without the latter a hand's shake counts as the marker's sideways motion, and
+what stands off the marker's plane trembles against the picture by a parallax that is not there.
 Axes: rotation about the camera's x, y, z; the place of the markers' centre as x/z, y/z and ln z.
 """
 
@@ -17,18 +19,19 @@ import numpy as np
 
 from arfx.analyse.chain import Links, evidence, link, smooth_chain
 from arfx.analyse.geometry import Observed, huber_cost, residuals, view_jacobian
-from arfx.analyse.motion_noise import GROUPS, LEAST, MOST, learn_density
+from arfx.analyse.motion_noise import AXES, GROUPS, LEAST, MOST, learn_density
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
 PASSES = 4  # linearisations between two estimates of the motion's noise
-_STIFF = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6])  # start of the second attempt: hardly any motion but sideways
+_STIFF = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6, LEAST])  # start of the second attempt: hardly any motion but sideways
+_LOOSE = 1e-8  # share of a shake in which its axes go their own ways: 1e-4 of its size, and nothing is singular
 _UNSURE_RAD = 0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
 
 
 @dataclass(frozen=True)
 class Smoothed:
     """rotation (n, 3, 3), translation_m (n, 3), covariance (n, 6, 6) of the left perturbation [rad, m] in the camera
-    frame; density (4,) learned noise, median over the shot, of the groups turn, roll, sideways, distance."""
+    frame; density (5,) learned noise, median over the shot, of motion_noise.GROUPS."""
 
     rotation: np.ndarray
     translation_m: np.ndarray
@@ -54,7 +57,7 @@ def smooth_poses(
     for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
         chain, density = raw, None
         if stiff:
-            chain = chain.settled(np.broadcast_to(_STIFF, (len(dt), 6)), 2 * PASSES)
+            chain = chain.settled(np.broadcast_to(_STIFF, (len(dt), AXES)), 2 * PASSES)
         for local in (False, True):
             density = learn_density(*chain.measurement, chain.links, density, local)
             chain = chain.settled(density, PASSES)
@@ -173,4 +176,17 @@ def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt
     before[:, i + 6, i + 6] = -1
     offset = np.zeros((n, 12))
     offset[:, :3], offset[:, 3:6] = turn, np.diff(place, axis=0)
-    return link(before, after, offset, dt)
+    return link(before, after, offset, dt, _shake((place[1:] + place[:-1]) / 2))
+
+
+def _shake(place: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at place (n, 3).
+
+    The hand that holds a camera turns it far more than it carries it: the marker turns and moves, both at once.
+    """
+    x, y, axes = place[:, 0], place[:, 1], np.zeros((len(place), 6, 2))
+    axes[:, 0, 0] = axes[:, 1, 1] = 1
+    axes[:, 3] = np.stack([-x * y, 1 + x * x], -1)
+    axes[:, 4] = np.stack([-1 - y * y, x * y], -1)
+    axes[:, 5] = np.stack([y, -x], -1)
+    return axes @ np.swapaxes(axes, 1, 2) + _LOOSE * np.eye(6)
