@@ -16,6 +16,7 @@ from arfx.core.model import Model
 from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
+from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture
 from arfx.stages.lightmap.rays import Rays
 from arfx.stages.occlusion import hemisphere
 
@@ -42,6 +43,7 @@ class Ground:
         self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
         self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
         self._whole_outline_m = lru_cache(maxsize=256)(self._joined)
+        self.ambient_picture = lru_cache(maxsize=4)(self._ambient_picture)
 
     def outline_m(self, ambient_share: float, beams: list[tuple[Beam, float]], faint: float) -> np.ndarray:
         """(k, 2) metres: points around the shadow; none where nothing shows.
@@ -62,6 +64,10 @@ class Ground:
             return self.centre_m, self.half_m
         low, high = points.min(0), points.max(0)
         return (low + high) / 2, (high - low) / 2
+
+    def _ambient_picture(self, faint: float, level: PlaneLevel) -> PlaneTexture:
+        """What the object takes of the ambient light, where that can be more than `faint`."""
+        return ambient_texture(self.caster, self.rays, *self.ambient_box_m(faint), level)
 
     def _ambient_outline_m(self, share: int, faint: float) -> np.ndarray:
         dark = np.argwhere(self.hidden * share / _SHARE_STEP > faint)[:, ::-1]

@@ -30,7 +30,7 @@ from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.lookup import light_left
-from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, ambient_texture, beam_texture, bounded
+from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, bounded
 from arfx.stages.lightmap.printed_map import printed_map
 from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.region import ground_of
@@ -138,9 +138,8 @@ class Lightmap:
 
     def prepare(self, scene: Scene, level: Level) -> Prepared:
         ground = ground_of(scene)
-        centre, half = ground.ambient_box_m(self.params.faint)
         grid = direction_grid(scene.camera).astype(np.float32)
-        ambient = ambient_texture(ground.caster, ground.rays, centre, half, PLANE_LEVELS[level.name])
+        ambient = ground.ambient_picture(self.params.faint, PLANE_LEVELS[level.name])
         return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), grid)
 
     def run(
