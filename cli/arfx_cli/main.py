@@ -18,7 +18,7 @@ from arfx.errors import ArfxError
 
 # A tenth of a short command went into looking for garbage among the libraries' own objects: several times while they are
 # imported, and again at exit, where it all goes anyway.
-_OBJECTS_BETWEEN_COLLECTIONS = 50_000
+_OBJECTS_BETWEEN_COLLECTIONS = 200_000
 atexit.register(gc.freeze)
 
 # command -> (module, one-line help). The module is imported only when its command runs.
