@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from arfx.analyse.flow_refine import refined
+
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
 BORDER = 3  # nodes outside the picture on each side
 WIDTH_PX = 256  # of the small frame
@@ -107,10 +109,15 @@ class BackgroundMotion:
         before = cv2.remap(self._reference, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         agree &= np.abs(before.astype(np.float32) - small) < 40
         slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
-        trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
         textured = slope > _GRADIENT
         agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
-        return None if agreed < _LOST else (_at_nodes(back, trust, width, height), agreed)
+        if agreed < _LOST:
+            return None
+        # of what has come into view since, the flow can only guess
+        to_x, to_y = x + back[..., 0], y + back[..., 1]
+        agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
+        trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
+        return _refined_at_nodes(_at_nodes(back, trust, width, height), small, self._reference, trust, width, height), agreed
 
     def state(self) -> dict:
         """JSON-able; `restore` continues from it exactly."""
@@ -164,6 +171,17 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     whole = np.stack([np.ones(u.shape), (u / w), (v / h)], -1) @ motion
     out: np.ndarray = ((whole + rest) * [sx, sy]).astype(np.float32)
     return np.clip(out, -2000, 2000)
+
+
+def _refined_at_nodes(
+    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, width: int, height: int
+) -> np.ndarray:
+    """(gh, gw, 2) float32 px of the frame. back : of `_at_nodes`, the flow's"""
+    h, w = small.shape
+    scale = np.array([width / w, height / h])
+    first = (0.5 - BORDER * GRID_PX) / scale - 0.5
+    out: np.ndarray = (refined(back / scale, small, reference, trust, first, GRID_PX / scale) * scale).astype(np.float32)
+    return out
 
 
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
