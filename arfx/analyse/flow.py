@@ -5,7 +5,9 @@ of sites was made the set stays, so that a resting camera gathers no drift and n
 and where each of its nodes lay in the key frame is kept. A frame becomes the next key when the picture has moved by
 KEY_SHARE of its width, or has changed: errors add up from key to key only. `anchors.with_anchors` chains the keys.
 Flow: DIS (Kroeger et al. 2016, OpenCV), forward and backward; where both disagree, or there is nothing to see, an affine
-motion of the whole and its neighbours stand in. Cost: some 3 ms a frame. Source: SYSTEMS.md S3, "anchor sites".
+motion of the whole and its neighbours stand in. The flow is good to a tenth of a px of the small frame; one step of
+`flow_refine` makes that some hundredths, or borders of cells would tremble. Cost: some 2 of the benchmark's yardsticks
+(a blur of 1280 x 720) a frame, most of it flow. Source: SYSTEMS.md S3, "anchor sites".
 """
 
 from __future__ import annotations
@@ -152,10 +154,10 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     gx, gy = node_places(width, height)
     sx, sy = width / w, height / h
     y, x = np.mgrid[0:h, 0:w].astype(np.float64)
-    terms = np.stack([np.ones(h * w), (x / w).ravel(), (y / h).ravel()], -1)
-    weight, flow = trust.ravel().astype(np.float64), back.reshape(-1, 2).astype(np.float64)
-    motion = _affine(terms, weight, flow)
-    residual = (flow - terms @ motion).reshape(h, w, 2)
+    terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
+    few = (slice(None, None, 2),) * 2  # a fourth of the pixels tells the motion of the whole well enough
+    motion = _affine(terms[few].reshape(-1, 3), trust[few].ravel().astype(float), back[few].reshape(-1, 2).astype(float))
+    residual = back - terms @ motion
     # onto the nodes: the mean of what lies around each, by trust; then outwards from node to node
     u, v = ((gx + 0.5) / sx - 0.5), ((gy + 0.5) / sy - 0.5)
     column = np.clip(np.round(u[0]).astype(int), 0, w - 1)
