@@ -31,6 +31,9 @@ _AGREE_PX, _AGREE_SHARE = 0.6, 0.05  # forward and backward flow agree to this, 
 _GRADIENT = 6.0  # grey levels per px at which a place is trusted half
 KEY_SHARE = 0.06  # of the picture's width
 _NOISE, _STEEP = 2.0, 20.0  # grey levels per px of the small frame: no detail, and as much as counts
+# Standard deviation of what counts as around a node, in nodes. Any less, and what lies between two nodes would change as they
+# pass over the things: cells would grow and shrink.
+_DETAIL_NODES = 0.85
 _CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
 _LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last set's
 _SPREAD_NODES = 1.5
@@ -191,7 +194,8 @@ def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
     much = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
     h, w = small.shape
-    around = cv2.GaussianBlur(much, (0, 0), max(GRID_PX * w / width / 2, 0.5), borderType=cv2.BORDER_REPLICATE)
+    reach = max(_DETAIL_NODES * GRID_PX * w / width, 0.5)
+    around = cv2.GaussianBlur(much, (0, 0), reach, borderType=cv2.BORDER_REPLICATE)
     gx, gy = node_places(width, height)
     column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
     row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)

@@ -56,7 +56,8 @@ def _smooth(a: np.ndarray) -> np.ndarray:
 def _centred(sums: np.ndarray) -> np.ndarray:
     """(gh, gw, 5) sums of xx, xy, yy, xe, ye without the means around each node. sums : of `_hear`"""
     x, y, e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
-    out: np.ndarray = sums[..., :5] - np.stack([sums[..., 5] * x, sums[..., 5] * y, sums[..., 6] * y, sums[..., 5] * e, sums[..., 6] * e], -1)
+    of_x, of_y = sums[..., 5], sums[..., 6]
+    out: np.ndarray = sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
     return out
 
 
