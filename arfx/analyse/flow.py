@@ -22,6 +22,7 @@ import numpy as np
 from arfx.analyse.flow_refine import refined
 
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
+STEPS = 16  # to a px: places of nodes are whole numbers of them
 BORDER = 3  # nodes outside the picture on each side
 WIDTH_PX = 256  # of the small frame
 # A set of sites is kept while no more than a tenth of the nodes has moved by this much. Half a cell (the figure)
@@ -83,7 +84,7 @@ class BackgroundMotion:
             self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))
             return
         back, agreed = found
-        back = np.round(back * 16) / 16
+        back = np.round(back * STEPS) / STEPS
         inside = (slice(BORDER, -BORDER),) * 2
         moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
         if float(np.quantile(moved, 0.9)) <= self.hold_px:
@@ -216,11 +217,11 @@ def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarr
 
 
 def _written(back: np.ndarray | None) -> list | None:
-    return None if back is None else [list(back.shape), _packed(np.round(back * 16).astype("<i4"))]
+    return None if back is None else [list(back.shape), _packed(np.round(back * STEPS).astype("<i4"))]
 
 
 def _read(v: list | None) -> np.ndarray | None:
-    return None if v is None else _unpacked(v[1], "<i4", v[0]).astype(np.float32) / 16
+    return None if v is None else _unpacked(v[1], "<i4", v[0]).astype(np.float32) / STEPS
 
 
 def _packed(a: np.ndarray) -> str:
