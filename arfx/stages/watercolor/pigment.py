@@ -13,6 +13,7 @@ import numpy as np
 from arfx.stages.watercolor.sites import STEPS
 
 PAPER_PX = 512  # side of the paper's texture, repeated
+WOBBLE_PX = 256  # of the borders'
 _FAST = {"contract", "nsz", "arcp"}
 
 
@@ -40,11 +41,19 @@ def paper_grain(seed: int, grain_px: float) -> np.ndarray:
     return out
 
 
-def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float) -> np.ndarray:
-    """(2, PAPER_PX, PAPER_PX) float32 displacement, in whole 1/STEPS px, that repeats without a seam."""
+def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float, at: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a seam. at : (x, y) px of the
+    noise at which the first pixel lies"""
     rng = np.random.default_rng([seed, 0x30BB])
-    tile = np.stack([smooth_noise(PAPER_PX, wavelength_px, rng) for _ in range(2)])
+    tile = np.stack([_moved(smooth_noise(WOBBLE_PX, wavelength_px, rng), *at) for _ in range(2)])
     out: np.ndarray = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.float32)
+    return out
+
+
+def _moved(a: np.ndarray, x: float, y: float) -> np.ndarray:
+    """A repeated (n, n) picture from (x, y) on, exact between its pixels."""
+    fy, fx = np.fft.fftfreq(a.shape[0])[:, None], np.fft.rfftfreq(a.shape[1])[None]
+    out: np.ndarray = np.fft.irfft2(np.fft.rfft2(a) * np.exp(2j * np.pi * (fx * x + fy * y)), a.shape)
     return out
 
 
