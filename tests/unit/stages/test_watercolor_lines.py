@@ -14,7 +14,7 @@ from arfx.stages.watercolor import edges
 from arfx.stages.watercolor.cells import means_and_half
 from arfx.stages.watercolor.edges import printed_edges, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.hold import held, steps_back
-from arfx.stages.watercolor.labels import STILL, unlabelled
+from arfx.stages.watercolor.labels import STILL, Wobble, unlabelled
 from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
 from arfx.stages.watercolor.rows import Cover, Picture
 from arfx.stages.watercolor.sites import STEPS, Field, still_field
@@ -195,7 +195,7 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
             assert np.sqrt(np.mean((shown[8:-8, 8:-8] - true) ** 2)) < 1 / 12
     cam, pose = camera(200, 160), facts(scene(camera(200, 160))).camera_from_world
     assert pose is not None
-    near = replace(pose, translation_m=pose.translation_m + [0.05, 0, 0])
+    near = replace(pose, translation_m=pose.translation_m + np.array([0.05, 0, 0]))
     (x, y), (x2, y2) = (cam.project(p.translation_m[None])[0] for p in (pose, near))
     one, other = (wobbles.of_object(cam, p, np.zeros(3)) for p in (pose, near))
     assert abs(other.x - one.x - (x - x2)) < 1.3 and abs(other.y - one.y - (y - y2)) < 1.3 and abs(x - x2) > 5
