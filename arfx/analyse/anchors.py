@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.anchors_back import SetStep, both_ways
-from arfx.analyse.flow import GRID_PX, MotionStep, node_places
+from arfx.analyse.flow import GRID_PX, STEPS, MotionStep, node_places
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide
@@ -163,12 +163,16 @@ def _document(
 ) -> Mapping[str, Any]:
     return {
         "set": number, "pitch": GRID_PX, "origin": [int(gx[0, 0]), int(gy[0, 0])], "shape": list(u.shape),
-        "nodes": _nodes(u, v), "detail": base64.b64encode(zlib.compress(np.round(detail).astype("u1").tobytes(), 6)).decode(),
+        "nodes": _nodes(u, v), "detail": _text(np.round(detail * 16).astype("<u2")),
         "pose": None if pose is None else pose.to_json(),
     }  # fmt: skip
 
 
 def _nodes(u: np.ndarray, v: np.ndarray) -> str:
-    whole = np.round(np.stack([u, v]) * 16).astype(np.int64)
+    whole = np.round(np.stack([u, v]) * STEPS).astype(np.int64)
     steps = np.diff(whole, axis=2, prepend=0).astype("<i4")
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(steps).tobytes(), 6)).decode()
+    return _text(steps)
+
+
+def _text(a: np.ndarray) -> str:
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(a).tobytes(), 6)).decode()

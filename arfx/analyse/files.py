@@ -14,7 +14,7 @@ from arfx.core.pose import Pose, find_rotvecs
 from arfx.errors import InputError
 
 FORMAT = "arfx-facts"
-VERSION = 1
+VERSION = 2
 
 
 def write_facts(path: Path | str, facts: Sequence[FrameFacts], analysis: Analysis | None = None) -> None:

@@ -5,7 +5,9 @@ of sites was made the set stays, so that a resting camera gathers no drift and n
 and where each of its nodes lay in the key frame is kept. A frame becomes the next key when the picture has moved by
 KEY_SHARE of its width, or has changed: errors add up from key to key only. `anchors.with_anchors` chains the keys.
 Flow: DIS (Kroeger et al. 2016, OpenCV), forward and backward; where both disagree, or there is nothing to see, an affine
-motion of the whole and its neighbours stand in. Cost: some 3 ms a frame. Source: SYSTEMS.md S3, "anchor sites".
+motion of the whole and its neighbours stand in. The flow is good to a tenth of a px of the small frame; one step of
+`flow_refine` makes that some hundredths, or borders of cells would tremble. Cost: some 2 of the benchmark's yardsticks
+(a blur of 1280 x 720) a frame, most of it flow. Source: SYSTEMS.md S3, "anchor sites".
 """
 
 from __future__ import annotations
@@ -17,7 +19,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from arfx.analyse.flow_refine import refined
+
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
+STEPS = 16  # to a px: places of nodes are whole numbers of them
 BORDER = 3  # nodes outside the picture on each side
 WIDTH_PX = 256  # of the small frame
 # A set of sites is kept while no more than a tenth of the nodes has moved by this much. Half a cell (the issue's figure)
@@ -27,6 +32,9 @@ _AGREE_PX, _AGREE_SHARE = 0.6, 0.05  # forward and backward flow agree to this, 
 _GRADIENT = 6.0  # grey levels per px at which a place is trusted half
 KEY_SHARE = 0.06  # of the picture's width
 _NOISE, _STEEP = 2.0, 20.0  # grey levels per px of the small frame: no detail, and as much as counts
+# Standard deviation of what counts as around a node, in nodes. Any less, and what lies between two nodes would change as they
+# pass over the things: cells would grow and shrink.
+_DETAIL_NODES = 0.85
 _CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
 _LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last set's
 _SPREAD_NODES = 1.5
@@ -76,7 +84,7 @@ class BackgroundMotion:
             self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))
             return
         back, agreed = found
-        back = np.round(back * 16) / 16
+        back = np.round(back * STEPS) / STEPS
         inside = (slice(BORDER, -BORDER),) * 2
         moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
         if float(np.quantile(moved, 0.9)) <= self.hold_px:
@@ -107,10 +115,15 @@ class BackgroundMotion:
         before = cv2.remap(self._reference, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         agree &= np.abs(before.astype(np.float32) - small) < 40
         slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
-        trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
         textured = slope > _GRADIENT
         agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
-        return None if agreed < _LOST else (_at_nodes(back, trust, width, height), agreed)
+        if agreed < _LOST:
+            return None
+        # of what has come into view since, the flow can only guess
+        to_x, to_y = x + back[..., 0], y + back[..., 1]
+        agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
+        trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
+        return _refined_at_nodes(_at_nodes(back, trust, width, height), small, self._reference, trust, width, height), agreed
 
     def state(self) -> dict:
         """JSON-able; `restore` continues from it exactly."""
@@ -145,10 +158,10 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     gx, gy = node_places(width, height)
     sx, sy = width / w, height / h
     y, x = np.mgrid[0:h, 0:w].astype(np.float64)
-    terms = np.stack([np.ones(h * w), (x / w).ravel(), (y / h).ravel()], -1)
-    weight, flow = trust.ravel().astype(np.float64), back.reshape(-1, 2).astype(np.float64)
-    motion = _affine(terms, weight, flow)
-    residual = (flow - terms @ motion).reshape(h, w, 2)
+    terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
+    few = (slice(None, None, 2),) * 2  # a fourth of the pixels tells the motion of the whole well enough
+    motion = _affine(terms[few].reshape(-1, 3), trust[few].ravel().astype(float), back[few].reshape(-1, 2).astype(float))
+    residual = back - terms @ motion
     # onto the nodes: the mean of what lies around each, by trust; then outwards from node to node
     u, v = ((gx + 0.5) / sx - 0.5), ((gy + 0.5) / sy - 0.5)
     column = np.clip(np.round(u[0]).astype(int), 0, w - 1)
@@ -166,12 +179,24 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     return np.clip(out, -2000, 2000)
 
 
+def _refined_at_nodes(
+    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, width: int, height: int
+) -> np.ndarray:
+    """(gh, gw, 2) float32 px of the frame. back : of `_at_nodes`, the flow's"""
+    h, w = small.shape
+    scale = np.array([width / w, height / h])
+    first = (0.5 - BORDER * GRID_PX) / scale - 0.5
+    out: np.ndarray = (refined(back / scale, small, reference, trust, first, GRID_PX / scale) * scale).astype(np.float32)
+    return out
+
+
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP; slopes of noise count nothing."""
     slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
     much = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
     h, w = small.shape
-    around = cv2.GaussianBlur(much, (0, 0), max(GRID_PX * w / width / 2, 0.5), borderType=cv2.BORDER_REPLICATE)
+    reach = max(_DETAIL_NODES * GRID_PX * w / width, 0.5)
+    around = cv2.GaussianBlur(much, (0, 0), reach, borderType=cv2.BORDER_REPLICATE)
     gx, gy = node_places(width, height)
     column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
     row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
@@ -192,11 +217,11 @@ def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarr
 
 
 def _written(back: np.ndarray | None) -> list | None:
-    return None if back is None else [list(back.shape), _packed(np.round(back * 16).astype("<i4"))]
+    return None if back is None else [list(back.shape), _packed(np.round(back * STEPS).astype("<i4"))]
 
 
 def _read(v: list | None) -> np.ndarray | None:
-    return None if v is None else _unpacked(v[1], "<i4", v[0]).astype(np.float32) / 16
+    return None if v is None else _unpacked(v[1], "<i4", v[0]).astype(np.float32) / STEPS
 
 
 def _packed(a: np.ndarray) -> str:

@@ -3,8 +3,8 @@
 The facts hold it as {"set", "pitch", "origin", "shape", "nodes", "pose"} (written by arfx.analyse.flow): nodes is base64 of
 zlib of int32 [u, v] in 1/16 px, each the difference to the node before it in its row; pose is camera_from_world of the
 frame for which the set was made, null where there is none. {"forward", "backward"} are nodes of two more patterns that begin
-unbent at both ends of a stretch of the clip, "share" is that of the second in this frame. "detail" is base64 of zlib of uint8,
-how much there is to see around each node.
+unbent at both ends of a stretch of the clip, "share" is that of the second in this frame. "detail" is base64 of zlib of uint16,
+how much there is to see around each node, 255 * 16 = all.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def frame_field(
         u, v = decoded(found[way], gh, gw)
         size = np.full((gh, gw), float(cell_px))
         if detail > 0 and "detail" in found:
-            size *= detail_factor(np.frombuffer(zlib.decompress(base64.b64decode(found["detail"])), "u1").reshape(gh, gw), detail)
+            size *= detail_factor(decoded_detail(found["detail"], gh, gw), detail)
         field = Field(x0, y0, u, v, size)
         pose = None if found["pose"] is None else Pose.from_json(found["pose"])
     if pose is not None and nearer_finer > 0:
@@ -80,6 +80,12 @@ def decoded(text: str, gh: int, gw: int) -> tuple[np.ndarray, np.ndarray]:
     steps = np.frombuffer(zlib.decompress(base64.b64decode(text)), "<i4").reshape(2, gh, gw)
     u, v = np.cumsum(steps.astype(np.int64), axis=2) / 16.0
     return u, v
+
+
+def decoded_detail(text: str, gh: int, gw: int) -> np.ndarray:
+    """(gh, gw) float64, 0..255."""
+    out: np.ndarray = np.frombuffer(zlib.decompress(base64.b64decode(text)), "<u2").reshape(gh, gw) / 16.0
+    return out
 
 
 def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:

@@ -169,11 +169,13 @@ def _mix(held, near, light, strengths, ink):  # pragma: no cover - compiled
         er, eg, eb = _part(m2, 0) - mr, _part(m2, 16) - mg, _part(m2, 32) - mb
         along = (light[0, x] * _F(65535) - mr) * er + (light[1, x] * _F(65535) - mg) * eg + (light[2, x] * _F(65535) - mb) * eb
         like = along / (er * er + eg * eg + eb * eb + one)
-        like = min(max((like - half) * _F(3) + half * t, zero), one)
+        # a camera's edge, some 2 px wide, comes out 1 px wide: any steeper, and it would go from pixel to pixel in leaps
+        like = min(max((like - half) * _F(2) + half * t, zero), one)
         # alike cells run into each other, unlike ones keep their border, darker towards it
         mix = half * t * (one - apart) + apart * min(_F(3) * t, one) * like
         d = ((f1 + half * t * (_part(c2, 48) - f1)) * step - _F(_FLOW)) * much_flow
-        d += dark * apart * t + much_grain * light[3, x]
+        # the peak of t on the border as a whole pixel sees it
+        d += dark * apart * t * (one - _F(0.3) * t * t) + much_grain * light[3, x]
         pr, pg, pb = (r1 + mix * dr) * unit, (g1 + mix * dg) * unit, (b1 + mix * db) * unit
         pr, pg, pb = pr * pr, pg * pg, pb * pb
         pr, pg, pb = pr * (one - (one - pr) * d), pg * (one - (one - pg) * d), pb * (one - (one - pb) * d)

@@ -7,12 +7,15 @@ Source: Bousseau et al. 2006 by way of SYSTEMS.md S3 ("pigment"). Leaves out: we
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numba
 import numpy as np
 
 from arfx.stages.watercolor.sites import STEPS
 
 PAPER_PX = 512  # side of the paper's texture, repeated
+WOBBLE_PX = 256  # of the borders'
 _FAST = {"contract", "nsz", "arcp"}
 
 
@@ -40,12 +43,20 @@ def paper_grain(seed: int, grain_px: float) -> np.ndarray:
     return out
 
 
-def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float) -> np.ndarray:
-    """(2, PAPER_PX, PAPER_PX) float32 displacement, in whole 1/STEPS px, that repeats without a seam."""
-    rng = np.random.default_rng([seed, 0x30BB])
-    tile = np.stack([smooth_noise(PAPER_PX, wavelength_px, rng) for _ in range(2)])
+def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float, at: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a seam. at : (x, y) px of the
+    noise at which the first pixel lies"""
+    fy, fx = np.fft.fftfreq(WOBBLE_PX)[:, None], np.fft.rfftfreq(WOBBLE_PX)[None]
+    turn = np.exp(2j * np.pi * fy * at[1]) * np.exp(2j * np.pi * fx * at[0])
+    tile = np.fft.irfft2(_wobble_spectra(seed, wavelength_px) * turn, (WOBBLE_PX, WOBBLE_PX))
     out: np.ndarray = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.float32)
     return out
+
+
+@lru_cache(maxsize=2)
+def _wobble_spectra(seed: int, wavelength_px: float) -> np.ndarray:
+    rng = np.random.default_rng([seed, 0x30BB])
+    return np.stack([np.fft.rfft2(smooth_noise(WOBBLE_PX, wavelength_px, rng)) for _ in range(2)])
 
 
 def laid_out(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> np.ndarray:

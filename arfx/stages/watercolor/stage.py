@@ -37,15 +37,16 @@ from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, measured, virtual_edges
 from arfx.stages.watercolor.field import FACT, frame_field, ways
 from arfx.stages.watercolor.hold import held, steps_back
-from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, wobble_of
+from arfx.stages.watercolor.labels import Labels, Wobble, in_order, label
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
-from arfx.stages.watercolor.pigment import laid_out, paper_grain, turbulence, wobble_tile
+from arfx.stages.watercolor.pigment import laid_out, paper_grain, turbulence
 from arfx.stages.watercolor.printed import printed
 from arfx.stages.watercolor.rows import Cover, Picture, offset
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, Sites, sites_of
 from arfx.stages.watercolor.toon import EVEN, toon, toon_light
+from arfx.stages.watercolor.wobble import Wobbles
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
 _EVERY = 32  # rows of the object's layers that a frame is known by
@@ -71,7 +72,7 @@ class Prepared:
     """Of one clip, worker and level. grain : tile of the paper"""
 
     grain: np.ndarray
-    wobble: Wobble
+    wobbles: Wobbles
     surface: Surface
     cells: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
     pictures: Kept = field(default_factory=lambda: Kept(_KEPT_PICTURES))
@@ -110,10 +111,9 @@ class Watercolor:
         return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 40.0)
 
     def prepare(self, scene: Scene, level: Level) -> Prepared:
-        p, wobble = self.params, STILL
-        if p.pigment and p.wobble_px > 0:
-            wobble = wobble_of(wobble_tile(scene.seed, p.wobble_px, 4 * p.wobble_px + 6))
-        return Prepared(paper_grain(scene.seed, p.grain_px), wobble, surface_of(scene, scene.seed))
+        p = self.params
+        wobbles = Wobbles(scene.seed, p.wobble_px if p.pigment else 0.0)
+        return Prepared(paper_grain(scene.seed, p.grain_px), wobbles, surface_of(scene, scene.seed))
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
@@ -260,7 +260,7 @@ class Watercolor:
         cell, area = self._cell_px(level), scene.camera.rect.area
         most = int(min(2 * area + 4096, 12 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
-        wobble = prepared.wobble.at(*_shift(where))
+        wobble = prepared.wobbles.of_field(where)
         sites = in_order(sites_of(where, scene.seed, most, cell), rect, wobble)
         labels = self._labels(sites, rect, wobble, level)
         size = _size_at(where.size, where.x0, where.y0, sites.x, sites.y) if self.params.wash > 0 else np.zeros(0, np.float32)
@@ -296,8 +296,9 @@ class Watercolor:
 
         def make() -> Cells:
             sites = object_sites(prepared.surface, scene.camera, pose, cell, self.params.flow_px)
-            sites = in_order(sites, box, prepared.wobble)
-            labels = self._labels(sites, box, prepared.wobble, level, inside)
+            wobble = prepared.wobbles.of_object(scene.camera, pose, scene.world_from_anchor.translation_m)
+            sites = in_order(sites, box, wobble)
+            labels = self._labels(sites, box, wobble, level, inside)
             return self._described(sites, labels, np.full(len(sites), cell, np.float32), scene.seed + 1)
 
         key = ("object", _pose_key(pose), box, digest(inside.view(np.uint8)))
@@ -321,13 +322,6 @@ def _size_at(size, x0, y0, x, y):  # pragma: no cover - compiled
         i, j = np.int64(np.rint((y[k] / STEPS - y0) / GRID_PX)), np.int64(np.rint((x[k] / STEPS - x0) / GRID_PX))
         out[k] = size[min(max(i, 0), gh - 1), min(max(j, 0), gw - 1)]
     return out
-
-
-def _shift(where: Field) -> tuple[int, int]:
-    """By how much the things painted have moved, whole px."""
-    gh, gw = where.u.shape
-    x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
-    return round(float(np.median(where.u - x))), round(float(np.median(where.v - y)))
 
 
 def _pose_key(pose: Pose | None) -> bytes | None:

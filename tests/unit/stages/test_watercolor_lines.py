@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,11 +14,13 @@ from arfx.stages.watercolor import edges
 from arfx.stages.watercolor.cells import means_and_half
 from arfx.stages.watercolor.edges import printed_edges, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.hold import held, steps_back
-from arfx.stages.watercolor.labels import unlabelled
+from arfx.stages.watercolor.labels import STILL, Wobble, unlabelled
 from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
 from arfx.stages.watercolor.rows import Cover, Picture
-from arfx.stages.watercolor.sites import Field, still_field
+from arfx.stages.watercolor.sites import STEPS, Field, still_field
 from arfx.stages.watercolor.toon import toon, toon_light
+from arfx.stages.watercolor.wobble import Wobbles
+from tests.scenes import camera, facts, scene
 
 BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
 
@@ -173,3 +176,28 @@ def test_paper_and_wobble_repeat_without_a_seam_and_keep_to_their_bounds() -> No
     tile = paper_grain(1, 2.0)
     out = laid_out(tile, 500, -3, 700, 40)
     assert out[5, 20] == tile[2, 8] and out.shape == (40, 700)
+
+
+def test_borders_stray_with_the_things_between_pixels_too() -> None:
+    """What a place is displaced by differs from what the thing there was displaced by before by less than a twelfth of a pixel;
+    moved by whole pixels, by up to a seventh."""
+    wobbles, nodes = Wobbles(1, 1.5), still_field(200, 160, 8, 32)
+
+    def seen(wobble: Wobble) -> np.ndarray:
+        return laid_out(wobble.tile, wobble.x, wobble.y, 200, 160).astype(float) / STEPS
+
+    first = seen(wobbles.of_field(nodes))
+    rows, columns = np.indices((160, 200)).astype(np.float32)
+    for x, y in ((0.4, 0.0), (3.6, -1.3), (-0.5, 2.0)):
+        now = seen(wobbles.of_field(replace(nodes, u=nodes.u + x, v=nodes.v + y)))
+        for was, shown in zip(first, now, strict=True):
+            true = cv2.remap(was, columns + x, rows + y, cv2.INTER_CUBIC)[8:-8, 8:-8]
+            assert np.sqrt(np.mean((shown[8:-8, 8:-8] - true) ** 2)) < 1 / 12
+    cam, pose = camera(200, 160), facts(scene(camera(200, 160))).camera_from_world
+    assert pose is not None
+    near = replace(pose, translation_m=pose.translation_m + np.array([0.05, 0, 0]))
+    (x, y), (x2, y2) = (cam.project(p.translation_m[None])[0] for p in (pose, near))
+    one, other = (wobbles.of_object(cam, p, np.zeros(3)) for p in (pose, near))
+    assert abs(other.x - one.x - (x - x2)) < 1.3 and abs(other.y - one.y - (y - y2)) < 1.3 and abs(x - x2) > 5
+    behind = replace(pose, translation_m=-pose.translation_m)
+    assert (wobbles.of_object(cam, behind, np.zeros(3)).x, Wobbles(1, 0.0).at(5.5, 1)) == (0, STILL)

@@ -14,9 +14,12 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.anchors import with_anchors
+from arfx.analyse.flow import BackgroundMotion
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
+from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import Window
 from arfx.errors import ConfigError
@@ -160,7 +163,7 @@ def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
     image = picture(600, 800)
     held: list[int] = []
     for k in range(9):
-        most = base64.b64encode(zlib.compress(np.full(nodes.u.shape, 255, np.uint8).tobytes())).decode()
+        most = base64.b64encode(zlib.compress(np.full(nodes.u.shape, 255 * 16, np.uint16).tobytes())).decode()
         fact = {**fact_of(nodes, nodes.u + 3 * k, nodes.v), "detail": most}  # as many cells as can be asked for
         frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.reach)]
         seen = [FrameFacts(j, j / 30, extra={"watercolor": fact}) for j in range(len(frames))]
@@ -278,7 +281,8 @@ def fact_of(nodes: Field, u: np.ndarray, v: np.ndarray) -> dict[str, Any]:
 
 def test_in_a_pan_the_picture_goes_with_the_things() -> None:
     """Squared error between frames along the true motion, in noise: cells, washes, pigment and lines at most 1/50 of the
-    paper's (the goal); the paper's grain is left out, it stays where it is while the picture moves."""
+    paper's (the goal) where the motion is known, and nearly so where the analysis has measured it; the paper's grain is left
+    out, it stays where it is while the picture moves."""
     g = np.random.default_rng(5)
     size, step = (160, 120), 3
     world = np.stack([cv2.GaussianBlur(g.standard_normal((200, 300)), (0, 0), s) * s for s in (4, 7, 12)], -1)
@@ -287,19 +291,23 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
         cv2.circle(world, (25 * k, int(g.integers(20, 180))), int(g.integers(8, 25)), g.random(3).tolist(), -1, cv2.LINE_AA)
     world = cv2.GaussianBlur(world, (0, 0), 0.8)
     frames = [world[30:150, 40 + step * k : 200 + step * k] + g.normal(0, 2 / 255, (120, 160, 3)) for k in range(4)]
-    nodes = still_field(*size, 8, 96)
-    error = {}
-    for name, params in (("paper", WatercolorParams(formula="paper")), ("ours", WatercolorParams(grain=0, dry_brush=0))):
+    nodes, motion = still_field(*size, 8, 96), BackgroundMotion()
+    for k, frame in enumerate(frames):
+        motion.step(k, k / 30, np.clip(255 * frame.mean(-1), 0, 255).astype(np.uint8))
+    given = [FrameFacts(k, k / 30, extra={"watercolor": fact_of(nodes, nodes.u + step * k, nodes.v)}) for k in range(4)]
+    measured = with_anchors([FrameFacts(k, k / 30) for k in range(4)], motion.steps, camera(*size), Pose.identity(), 0.0)
+    ours, error = WatercolorParams(grain=0, dry_brush=0), []
+    for params, seen in ((WatercolorParams(formula="paper"), given), (ours, given), (ours, measured)):
         stage = Watercolor(params)
         prepared = stage.prepare(SCENE, stage.levels[1])
-        out = []
-        for k, frame in enumerate(frames):
-            fact = fact_of(nodes, nodes.u + step * k, nodes.v)
-            f = FrameFacts(k, k / 30, extra={"watercolor": fact})
-            out.append(np.sqrt(painted(np.clip(frame, 0, 1) ** 2, params, f, prepared=prepared, seed=k)))
+        out = [
+            np.sqrt(painted(np.clip(frame, 0, 1) ** 2, params, f, prepared=prepared, seed=k))
+            for k, (frame, f) in enumerate(zip(frames, seen, strict=True))
+        ]
         pairs = [(a[16:-16, 16 + step : -16], b[16:-16, 16 : -16 - step]) for a, b in itertools.pairwise(out)]
-        error[name] = np.mean([np.mean((a - b) ** 2) for a, b in pairs])
-    assert error["ours"] < error["paper"] / 50, error["paper"] / error["ours"]
+        error.append(np.mean([np.mean((a - b) ** 2) for a, b in pairs]))
+    # 1/113 and 1/48 measured; small as the picture is, much of it is near a border
+    assert error[1] < error[0] / 80 and error[2] < error[0] / 40, error[0] / error
 
 
 def test_held_lines_change_less_and_are_the_same_whoever_painted_the_frame_before() -> None:
