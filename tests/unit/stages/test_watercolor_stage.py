@@ -123,14 +123,17 @@ def test_nothing_is_painted_twice_and_what_is_kept_gives_the_same_bits() -> None
 
 
 def test_a_frame_is_known_by_every_one_of_its_samples() -> None:
-    for rows in (1, 2, 3, 640, 4100):  # of 64 samples; from 4096 on in bands
-        a = np.arange(64 * rows + 5, dtype=np.float32)
+    for rows in (0, 1, 2, 3, 4100):  # of 1024 samples; from 4096 on in bands
+        a = np.arange(1024 * rows + 7, dtype=np.float32) % 1021 - 3
         known = {digest(a)}
-        for at in (0, 31 * rows, 32 * rows, 64 * rows - 1, 64 * rows + 4):
+        places = {0, 1, 512 * rows, 1024 * rows - 1, 1024 * rows, 1024 * rows + 5, 1024 * rows + 6} - {-1}
+        for at in places:
             b = a.copy()
             b[at] = np.nextafter(b[at], np.float32(1e9))
             known.add(digest(b))
-        assert len(known) == 6 and digest(a.copy()) in known
+        assert len(known) == len(places) + 1 and digest(a.copy()) in known
+    row = np.arange(4096, dtype=np.float32)
+    assert len({digest(a) for a in (row, row[::-1], np.roll(row, 1024), row.reshape(64, 64), -row)}) == 5
 
 
 def test_bands_come_in_order_whoever_does_them_and_errors_come_out() -> None:
