@@ -5,7 +5,8 @@
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
 and gives the same bits. Cost: O(pixels). Memory: about 108 bytes a pixel while a frame is painted, 68 of them the layers that
 it reads (8K: 3.7 GB measured, with the program), and 12 for each of two kept pictures (none above 16 Mpx).
-Levels: draft has coarser cells by chamfer distance; high paints the patterns carried forward and backward and fades between
+Levels: draft has fewer, coarser cells with plain borders: a pixel takes its own cell's colour alone (a chamfer transform, as
+planned, costs four times the exact labels); high paints the patterns carried forward and backward and fades between
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 line_hold looks at the frame before as well (hold.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
@@ -32,7 +33,6 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.stages.lightmap.stage import Kept
 from arfx.stages.watercolor.cells import halved, means_and_half, neighbours, toned, washed
-from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, measured, virtual_edges
 from arfx.stages.watercolor.field import FACT, frame_field, ways
@@ -43,6 +43,7 @@ from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import laid_out, paper_grain, turbulence, wobble_tile
 from arfx.stages.watercolor.printed import printed
+from arfx.stages.watercolor.reference import reference_labels
 from arfx.stages.watercolor.rows import Cover, Picture, offset
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, Sites, sites_of
 from arfx.stages.watercolor.toon import EVEN, toon, toon_light
@@ -277,9 +278,7 @@ class Watercolor:
         return Cells(labels, flow, near, share)
 
     def _labels(self, sites: Sites, rect: Rect, wobble: Wobble, level: Level, mask: np.ndarray | None = None) -> Labels:
-        blend = BLEND_PX if self.params.pigment else 0.0
-        if level.name == "draft":
-            return chamfer_labels(sites, rect, blend > 0)
+        blend = BLEND_PX if self.params.pigment and level.name != "draft" else 0.0
         if level.name == "reference":
             moved = laid_out(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height)
             return reference_labels(sites, rect, moved.astype(np.float32), blend)
