@@ -52,7 +52,7 @@ def line_strength(
 ) -> np.ndarray:  # fmt: skip
     """(h, w) float32 strength of lines, 0..1.
 
-    small (3, h, w) : square roots of the picture at half size (cells.means_and_half)
+    small (3, h, w) : square roots of the picture at half size (cells.halved)
     low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches
     high fades out;  width_px, smooth_px : of the full picture;  virtual : of `virtual_edges`, on the same grid, its
     first pixel at (row, column) `at`

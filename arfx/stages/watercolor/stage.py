@@ -31,8 +31,9 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
+from arfx.stages.bands import Beside
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.watercolor.cells import halved, means_and_half, neighbours, toned, washed
+from arfx.stages.watercolor.cells import cell_colours, halved, neighbours, toned, washed
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, measured, virtual_edges
 from arfx.stages.watercolor.field import FACT, frame_field, ways
@@ -134,10 +135,14 @@ class Watercolor:
         earlier = None if before is None else _content(before[0], _box(before[1], before[0].rect), before[1], scene)
 
         def make() -> np.ndarray:
-            lines = None
-            if before is not None and earlier is not None:
-                lines = self._held_lines((now, facts, content), (*before, earlier), scene, prepared, level)
-            painted = [self._painted(now, box, facts, scene, prepared, level, *field, lines) for field, _ in fields]
+            # neither needs the cells: they are made beside them
+            picture = Beside(lambda: self._with_toon(now, box, facts, scene))
+            if before is None or earlier is None:
+                lines = Beside(lambda: self._lines(picture(), now, box, facts))
+            else:
+                of_both = (now, facts, content), (*before, earlier)
+                lines = Beside(lambda: self._held_lines(*of_both, scene, prepared, level))
+            painted = [self._painted(now, box, scene, prepared, level, *field, picture, lines) for field, _ in fields]
             if len(painted) == 1:
                 return painted[0]
             (_, first), (_, second) = fields
@@ -188,29 +193,30 @@ class Watercolor:
         return Picture(image, patch, *offset(box, now.rect))
 
     def _painted(
-        self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, where: Field,
-        pose: Any, sites_key: bytes, line: np.ndarray | None = None,
+        self, now: Layers, box: Rect, scene: Scene, prepared: Prepared, level: Level, where: Field, pose: Any,
+        sites_key: bytes, picture: Beside[Picture], lines: Beside[np.ndarray],
     ) -> np.ndarray:  # fmt: skip
-        """line : strength of lines where it is known already"""
         p, rect = self.params, now.rect
-        picture = self._with_toon(now, box, facts, scene)
         cells = prepared.cells.get((sites_key, rect), lambda: self._cells(where, rect, scene, prepared, level))
         cover = Cover(cells.labels)
         if not box.empty and pose is not None:
             cover, cells = self._with_object(now, box, cells, scene, prepared, level, pose)
-        colours, small = means_and_half(picture, cover, p.lines > 0 and line is None)
-        if line is None:
-            line = np.zeros((0, 0), np.float32)
-            if p.lines > 0:
-                made = measured(small, p.alpha, p.beta, p.line_smooth_px, p.yuv)
-                line = lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(now, box, facts))
+        colours = cell_colours(picture(), cover)
         root = washed(colours[:, :3], cells.near, cells.share, colours[:, 3], 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
         ink = np.array(p.ink_rgb, np.float32)
         if not p.pigment:
-            return paint_cells(cover, root * root, line, p.lines, ink)
+            return paint_cells(cover, root * root, lines(), p.lines, ink)
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
-        return paint(picture, cover, colours, root, cells.flow, prepared.grain, line, strengths, ink, rect.x0, rect.y0)
+        return paint(picture(), cover, colours, root, cells.flow, prepared.grain, lines(), strengths, ink, rect.x0, rect.y0)
+
+    def _lines(self, picture: Picture, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray:
+        """Strength of lines, empty where none are wanted."""
+        p = self.params
+        if p.lines <= 0:
+            return np.zeros((0, 0), np.float32)
+        made = measured(halved(picture), p.alpha, p.beta, p.line_smooth_px, p.yuv)
+        return lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(now, box, facts))
 
     def _before(self, window: Window) -> tuple[Layers, FrameFacts] | None:
         """The frame before, where lines are held and it shows the same things."""
