@@ -56,28 +56,6 @@ def cell_colours(picture: Picture, cover: Cover) -> np.ndarray:
     return out
 
 
-def halved(picture: Picture) -> np.ndarray:
-    """(3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded values) of the means of 2 x 2 pixels."""
-    h, w = picture.image.shape[:2]
-    small = np.empty((3, (h + 1) // 2, (w + 1) // 2), np.float32)
-    by_bands(lambda a, b: _halves(*picture.parts, a, b, small), h, 2)  # type: ignore[call-arg]
-    return small
-
-
-@numba.njit(cache=True, nogil=True)
-def _halves(image, patch, py, px, y0, y1, small):  # pragma: no cover - compiled
-    w, right = image.shape[1], px + patch.shape[1]
-    lines, both = np.empty((2, 3 * w), np.float32), np.empty(3 * w, np.float32)
-    for y in range(y0, y1, 2):
-        rows = min(2, y1 - y)
-        near = py < y + rows and y < py + patch.shape[0]
-        for k in range(rows):
-            if near:
-                line_of(image, patch, py, px, y + k, px, right, lines[k])
-        top, bottom, till = image[y].reshape(-1), image[y + rows - 1].reshape(-1), right if near else px
-        _halve(top, bottom, lines[0], lines[rows - 1], px, till, both, small, y // 2)
-
-
 @numba.njit(cache=True, nogil=True)
 def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
     for k in range(out.shape[0]):
@@ -118,27 +96,6 @@ def _add(line, a, sums):  # pragma: no cover - compiled
     for c in range(3):  # no number follows it
         sums[4 * a[last] + c] += line[3 * last + c]
     sums[4 * a[last] + 3] += 1.0
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _halve(top, bottom, near_top, near_bottom, left, right, both, small, y):  # pragma: no cover - compiled
-    """Row y of small, from two rows of the picture, of which pixels left ... right - 1 are near_top and near_bottom.
-    both (3 w,) is written."""
-    w, n = top.shape[0] // 3, small.shape[2]
-    zero, one, quarter = np.float32(0), np.float32(1), np.float32(0.25)
-    for i in range(3 * w):
-        both[i] = top[i] + bottom[i]
-    for i in range(3 * left, 3 * right):
-        both[_U(i)] = near_top[_U(i)] + near_bottom[_U(i)]
-    for c in range(3):
-        out = small[c, y]
-        for m in range(w // 2):
-            a = _U(6) * _U(m) + _U(c)
-            out[m] = both[a] + both[a + _U(3)]
-        if w % 2:
-            out[w // 2] = both[3 * (w - 1) + c] * np.float32(2)
-        for m in range(n):
-            out[m] = np.sqrt(min(max(out[m] * quarter, zero), one))
 
 
 def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

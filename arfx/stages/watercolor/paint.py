@@ -83,7 +83,8 @@ def paint(
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 linear: the picture with pigment.
 
-    cover : without borders each pixel has its own cell's colour;  mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
+    cover : without borders each pixel has its own cell's colour
+    mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
     flow (n,) : their turbulence;  grain : of `paper_grain`
     line (ceil(h / 2), ceil(w / 2)) : strength of lines, 0..1; empty = none
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines

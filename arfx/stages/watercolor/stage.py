@@ -33,12 +33,13 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.stages.bands import Beside
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.watercolor.cells import cell_colours, halved, neighbours, toned, washed
+from arfx.stages.watercolor.cells import cell_colours, neighbours, toned, washed
 from arfx.stages.watercolor.digest import digest
-from arfx.stages.watercolor.edges import lines_of, measured, virtual_edges
+from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.field import FACT, frame_field, ways
 from arfx.stages.watercolor.hold import held, steps_back
 from arfx.stages.watercolor.labels import STILL, Labels, Wobble, in_order, label, wobble_of
+from arfx.stages.watercolor.measure import measured
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
@@ -215,7 +216,7 @@ class Watercolor:
         p = self.params
         if p.lines <= 0:
             return np.zeros((0, 0), np.float32)
-        made = measured(halved(picture), p.alpha, p.beta, p.line_smooth_px, p.yuv)
+        made = measured(picture, yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
         return lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(now, box, facts))
 
     def _before(self, window: Window) -> tuple[Layers, FrameFacts] | None:
@@ -236,7 +237,7 @@ class Watercolor:
         def made(layers: Layers, facts: FrameFacts, key: Key) -> np.ndarray:
             def make() -> np.ndarray:
                 picture = self._with_toon(layers, _box(facts, layers.rect), facts, scene)
-                return measured(halved(picture), p.alpha, p.beta, p.line_smooth_px, p.yuv)
+                return measured(picture, yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
 
             found: np.ndarray = prepared.measures.get(key, make)
             return found
@@ -332,7 +333,14 @@ def _shift(where: Field) -> tuple[int, int]:
     """By how much the things painted have moved, whole px."""
     gh, gw = where.u.shape
     x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
-    return round(float(np.median(where.u - x))), round(float(np.median(where.v - y)))
+    return _middle(where.u - x), _middle(where.v - y)
+
+
+def _middle(a: np.ndarray) -> int:
+    """Median, whole."""
+    low, high = (a.size - 1) // 2, a.size // 2
+    ordered = np.partition(a, (low, high), axis=None)
+    return round(0.5 * float(ordered[low] + ordered[high]))
 
 
 def _pose_key(pose: Pose | None) -> bytes | None:

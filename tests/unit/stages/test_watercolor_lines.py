@@ -10,7 +10,6 @@ import pytest
 
 from arfx.core.light import DirectionalLight, Light
 from arfx.stages.watercolor import edges
-from arfx.stages.watercolor.cells import halved
 from arfx.stages.watercolor.edges import printed_edges, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.hold import held, steps_back
 from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
@@ -22,7 +21,7 @@ BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
 
 
 def line_strength(image: np.ndarray, *args: object) -> np.ndarray:
-    return edges.line_strength(halved(Picture(image.astype(np.float32))), *args)  # type: ignore[arg-type]
+    return edges.line_strength(Picture(image.astype(np.float32)), *args)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
