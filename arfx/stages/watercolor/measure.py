@@ -45,7 +45,7 @@ def _in_one_pass(image, patch, py, px, taps, luma, alpha, beta, ya, yb, out):  #
     half, ring, smooth = np.empty((1, 3, w), np.float32), np.empty((_RING, 3, w), np.float32), np.empty((4, 3, w), np.float32)
     lines, both = np.empty((2, 3 * image.shape[1]), np.float32), np.empty(3 * image.shape[1], np.float32)
     padded, slope = np.empty(w + 2 * REACH, np.float32), np.empty((6, w), np.float32)
-    first, last, numbers = max(ya - 1, 0), min(yb + 1, h), (luma, alpha, beta)
+    first, last, how = max(ya - 1, 0), min(yb + 1, h), (luma, alpha, beta)
     to_come = max(first - REACH, 0)
     for y in range(first, last):
         while to_come <= min(y + REACH, h - 1):
@@ -57,14 +57,10 @@ def _in_one_pass(image, patch, py, px, taps, luma, alpha, beta, ya, yb, out):  #
             down(ring, c, y, h - 1, taps, smooth[y % 4, c])
         m = y - 1
         if m >= ya:
-            _measure_row(
-                smooth[max(m - 1, 0) % 4], smooth[m % 4], smooth[y % 4], luma, alpha, beta, slope, out[0, m], out[1, m], out[2, m]
-            )
+            _measure_row(smooth[max(m - 1, 0) % 4], smooth[m % 4], smooth[y % 4], *how, slope, out[0, m], out[1, m], out[2, m])
     if yb == h:
         m = h - 1
-        _measure_row(
-            smooth[max(m - 1, 0) % 4], smooth[m % 4], smooth[m % 4], luma, alpha, beta, slope, out[0, m], out[1, m], out[2, m]
-        )
+        _measure_row(smooth[max(m - 1, 0) % 4], smooth[m % 4], smooth[m % 4], *how, slope, out[0, m], out[1, m], out[2, m])
 
 
 @numba.njit(cache=True, nogil=True)
