@@ -132,14 +132,17 @@ def _paint(
 ):  # fmt: skip  # pragma: no cover
     w = first.shape[1]
     lh, lw = line.shape
-    a, k, near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
+    both_a, both_k, both_near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
     # few arrays: where loops touch many, the compiler gives up proving that they do not overlap
     light = np.zeros((8, w + 1), np.float32)
     held, row = np.empty((4, w), np.uint64), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
         row_of(image, patch, py, px, y, light[0], light[1], light[2])
-        labels_of(first, own_first, mask, start, ly, lx, y, 0, w, a)
-        borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k, near)
+        a, k, near = first[y], second[y], inside[y]
+        if ly <= y < ly + mask.shape[0]:
+            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, both_a)
+            borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, both_k, both_near)
+            a, k, near = both_a, both_k, both_near
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
             held[0, x], held[1, x], held[2, x], held[3, x] = known[at], known[to], tinted[at], tinted[to]
@@ -157,10 +160,13 @@ def _paint_plain(
 ):  # pragma: no cover
     w = first.shape[1]
     lh, lw = line.shape
-    a, held = np.empty(w, np.int32), np.empty(w, np.uint64)
+    both, held = np.empty(w, np.int32), np.empty(w, np.uint64)
     light, row = np.zeros((5, w + 1), np.float32), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
-        labels_of(first, own_first, mask, start, ly, lx, y, 0, w, a)
+        a = first[y]
+        if ly <= y < ly + mask.shape[0]:
+            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, both)
+            a = both
         for x in range(w):
             held[x] = tinted[_U(a[x])]
         _grain_row(grain, y0 + y, x0, light[0, :w])
