@@ -3,8 +3,9 @@
 1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact mean of its pixels;
 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour, silhouette or crease are strong.
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
-and gives the same bits. Cost: O(pixels). Memory: about 108 bytes a pixel while a frame is painted, 68 of them the layers that
-it reads (8K: 3.7 GB measured, with the program), and 12 for each of two kept pictures (none above 16 Mpx).
+and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while a frame is painted, 68 of them the layers that
+it reads (8K, with the finest cells that detail asks for: 3.8 GB measured, with the program; 4 bytes a pixel less with even
+cells), and 12 for each of two kept pictures (none above 16 Mpx). Lines and toon are made beside the cells, on a free core.
 Levels: draft has fewer, coarser cells with plain borders: a pixel takes its own cell's colour alone (a chamfer transform, as
 planned, costs four times the exact labels); high paints the patterns carried forward and backward and fades between
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
