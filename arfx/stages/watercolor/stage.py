@@ -6,8 +6,8 @@ Labels are kept by the content of the field of sites, a whole picture by its con
 and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while a frame is painted, 68 of them the layers that
 it reads (8K, with the finest cells that detail asks for: 3.8 GB measured, with the program; 4 bytes a pixel less with even
 cells), and 12 for each of two kept pictures (none above 16 Mpx). Lines and toon are made beside the cells, on a free core.
-Levels: draft has fewer, coarser cells with plain borders: a pixel takes its own cell's colour alone (a chamfer transform, as
-planned, costs four times the exact labels); high paints the patterns carried forward and backward and fades between
+Levels: draft has fewer, coarser cells with plain borders: a pixel takes its own cell's colour alone (a chamfer
+transform costs four times the exact labels); high paints the patterns carried forward and backward and fades between
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 line_hold looks at the frame before as well (hold.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
@@ -334,14 +334,7 @@ def _shift(where: Field) -> tuple[int, int]:
     """By how much the things painted have moved, whole px."""
     gh, gw = where.u.shape
     x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
-    return _middle(where.u - x), _middle(where.v - y)
-
-
-def _middle(a: np.ndarray) -> int:
-    """Median, whole."""
-    low, high = (a.size - 1) // 2, a.size // 2
-    ordered = np.partition(a, (low, high), axis=None)
-    return round(0.5 * float(ordered[low] + ordered[high]))
+    return round(float(np.median(where.u - x))), round(float(np.median(where.v - y)))
 
 
 def _pose_key(pose: Pose | None) -> bytes | None:
