@@ -1,4 +1,5 @@
-"""Rows of a picture in bands, each on a thread of its own where a core is free. Kernels release the GIL.
+"""Rows of a picture in bands, each on a thread of its own where a core is free; and whole tasks beside each other. Kernels
+release the GIL.
 
 The bands depend on the picture alone, never on the machine, so that sums over bands are the same everywhere.
 """
@@ -7,9 +8,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
-from typing import Any, TypeVar
+from threading import Lock
+from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 BANDS = 4
@@ -56,3 +58,35 @@ def _take(shared: list[Any], out: dict[int, Any]) -> None:
     for work, spans, todo in tuple(shared):
         for k in todo:
             out[k] = work(*spans[k])
+
+
+class Beside(Generic[T]):
+    """Something that is made on another thread if a core is free before it is asked for, else by the one who asks first."""
+
+    def __init__(self, work: Callable[[], T]) -> None:
+        self._work: Callable[[], T] | None = work
+        self._lock, self._out, self._offered = Lock(), Future[T](), [self]
+        self._begun = _pool(os.getpid()).submit(_make_offered, self._offered) if _threads() > 1 else None
+
+    def make(self) -> None:
+        with self._lock:
+            work, self._work = self._work, None
+            if work is None:
+                return
+            try:
+                self._out.set_result(work())
+            except BaseException as why:
+                self._out.set_exception(why)
+
+    def __call__(self) -> T:
+        """Raises what the work raises."""
+        if self._begun is None or self._begun.cancel():
+            self.make()
+        out = self._out.result()
+        self._offered.clear()  # what never began may stay in the queue for a while: it holds no picture
+        return out
+
+
+def _make_offered(offered: list[Beside[Any]]) -> None:
+    for one in tuple(offered):
+        one.make()

@@ -32,19 +32,17 @@ def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     image : (h, w, 3) float32;  labels : (h, w) int32, 0 ... count - 1
     """
     whole = Labels(labels, np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), count)
-    return means_and_half(Picture(image), Cover(whole), False)[0][:, :3]
+    return cell_colours(Picture(image), Cover(whole))[:, :3]
 
 
-def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """(means (count, 4): as above, and the number of pixels; (3, ceil(h / 2), ceil(w / 2)) float32 square roots (near to coded
-    values) of the means of 2 x 2 pixels, empty where `half` is false): one pass over the picture."""
+def cell_colours(picture: Picture, cover: Cover) -> np.ndarray:
+    """(count, 4) float32: means as above, and the number of pixels."""
     h, w = picture.image.shape[:2]
-    small = np.empty((3, (h + 1) // 2, (w + 1) // 2) if half else (3, 0, 0), np.float32)
     count = cover.count
 
     def one(y0: int, y1: int) -> np.ndarray:
         total = np.zeros((count, 4))
-        _sum(*picture.parts, *cover.parts, y0, y1, total, small)  # type: ignore[call-arg]
+        _sum(*picture.parts, *cover.parts, y0, y1, total)  # type: ignore[call-arg]
         return total
 
     parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, 2)
@@ -55,29 +53,7 @@ def means_and_half(picture: Picture, cover: Cover, half: bool = True) -> tuple[n
         total = np.sum(parts, axis=0)
         out[:] = total
         out[:, :3] = total[:, :3] / np.maximum(total[:, 3:], 1)
-    return out, small
-
-
-def halved(picture: Picture) -> np.ndarray:
-    """The square roots of `means_and_half` alone."""
-    h, w = picture.image.shape[:2]
-    small = np.empty((3, (h + 1) // 2, (w + 1) // 2), np.float32)
-    by_bands(lambda a, b: _halves(*picture.parts, a, b, small), h, 2)  # type: ignore[call-arg]
-    return small
-
-
-@numba.njit(cache=True, nogil=True)
-def _halves(image, patch, py, px, y0, y1, small):  # pragma: no cover - compiled
-    w, right = image.shape[1], px + patch.shape[1]
-    lines, both = np.empty((2, 3 * w), np.float32), np.empty(3 * w, np.float32)
-    for y in range(y0, y1, 2):
-        rows = min(2, y1 - y)
-        near = py < y + rows and y < py + patch.shape[0]
-        for k in range(rows):
-            if near:
-                line_of(image, patch, py, px, y + k, px, right, lines[k])
-        top, bottom, till = image[y].reshape(-1), image[y + rows - 1].reshape(-1), right if near else px
-        _halve(top, bottom, lines[0], lines[rows - 1], px, till, both, small, y // 2)
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
@@ -91,31 +67,23 @@ def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _sum(
-    image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, y0, y1, total, small
+    image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, y0, y1, total
 ):  # pragma: no cover
-    """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1, y0 even. Where the object may lie rows are
-    put together in buffers."""
+    """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1. Where the object may lie rows are put
+    together in buffers."""
     w = first.shape[1]
     left, right = span_of(px, patch.shape[1], lx, mask.shape[1])
-    lines, numbers = np.empty((2, 3 * w), np.float32), np.empty(w, np.int32)
-    both, sums = np.empty(3 * w, np.float32), total.reshape(-1)
-    for y in range(y0, y1, 2):
-        rows = min(2, y1 - y)
-        near = (py < y + rows and y < py + patch.shape[0]) or (ly < y + rows and y < ly + mask.shape[0])
-        for k in range(rows):
-            line, a = image[y + k].reshape(-1), first[y + k]
-            if near:
-                line_of(image, patch, py, px, y + k, left, right, lines[k])
-                labels_of(first, own_first, mask, start, ly, lx, y + k, left, right, numbers)
-                _add(line[: 3 * left], a[:left], sums)
-                _add(lines[k, 3 * left : 3 * right], numbers[left:right], sums)
-                _add(line[3 * right :], a[right:], sums)
-            else:
-                _add(line, a, sums)
-        if small.shape[1] > 0:
-            # a row that has none below counts twice
-            top, bottom, till = image[y].reshape(-1), image[y + rows - 1].reshape(-1), right if near else left
-            _halve(top, bottom, lines[0], lines[rows - 1], left, till, both, small, y // 2)
+    buffer, numbers, sums = np.empty(3 * w, np.float32), np.empty(w, np.int32), total.reshape(-1)
+    for y in range(y0, y1):
+        line, a = image[y].reshape(-1), first[y]
+        if py <= y < py + patch.shape[0] or ly <= y < ly + mask.shape[0]:
+            line_of(image, patch, py, px, y, left, right, buffer)
+            labels_of(first, own_first, mask, start, ly, lx, y, left, right, numbers)
+            _add(line[: 3 * left], a[:left], sums)
+            _add(buffer[3 * left : 3 * right], numbers[left:right], sums)
+            _add(line[3 * right :], a[right:], sums)
+        else:
+            _add(line, a, sums)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -128,27 +96,6 @@ def _add(line, a, sums):  # pragma: no cover - compiled
     for c in range(3):  # no number follows it
         sums[4 * a[last] + c] += line[3 * last + c]
     sums[4 * a[last] + 3] += 1.0
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _halve(top, bottom, near_top, near_bottom, left, right, both, small, y):  # pragma: no cover - compiled
-    """Row y of small, from two rows of the picture, of which pixels left ... right - 1 are near_top and near_bottom.
-    both (3 w,) is written."""
-    w, n = top.shape[0] // 3, small.shape[2]
-    zero, one, quarter = np.float32(0), np.float32(1), np.float32(0.25)
-    for i in range(3 * w):
-        both[i] = top[i] + bottom[i]
-    for i in range(3 * left, 3 * right):
-        both[_U(i)] = near_top[_U(i)] + near_bottom[_U(i)]
-    for c in range(3):
-        out = small[c, y]
-        for m in range(w // 2):
-            a = _U(6) * _U(m) + _U(c)
-            out[m] = both[a] + both[a + _U(3)]
-        if w % 2:
-            out[w // 2] = both[3 * (w - 1) + c] * np.float32(2)
-        for m in range(n):
-            out[m] = np.sqrt(min(max(out[m] * quarter, zero), one))
 
 
 def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

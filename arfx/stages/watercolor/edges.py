@@ -15,7 +15,8 @@ import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.stages.bands import BANDS, by_bands
-from arfx.stages.watercolor.smooth import smoothed, taps_of
+from arfx.stages.watercolor.measure import measured
+from arfx.stages.watercolor.rows import Picture
 
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -47,42 +48,17 @@ def _difference(a: np.ndarray) -> np.ndarray:
 
 
 def line_strength(
-    small: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
+    picture: Picture, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
     virtual: np.ndarray | None = None, matrix: str = "bt601", at: tuple[int, int] = (0, 0),
 ) -> np.ndarray:  # fmt: skip
-    """(h, w) float32 strength of lines, 0..1.
+    """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1.
 
-    small (3, h, w) : square roots of the picture at half size (cells.means_and_half)
     low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches
     high fades out;  width_px, smooth_px : of the full picture;  virtual : of `virtual_edges`, on the same grid, its
     first pixel at (row, column) `at`
     """
-    return lines_of(measured(small, alpha, beta, smooth_px, matrix), low, high, width_px, virtual, at)
-
-
-def measured(small: np.ndarray, alpha: float, beta: float, smooth_px: float, matrix: str = "bt601") -> np.ndarray:
-    """(3, h, w) float32: the printed measure of the smoothed picture, and the direction across the edge (x, y)."""
-    sigma = max(smooth_px / 2, 0.3)
-    h, w = small.shape[1:]
-    made = np.empty((3, h, w), np.float32)
-    luma = yuv_matrix(matrix).astype(np.float32)
-    taps = taps_of(sigma)
-    reach = len(taps) - 1 if len(taps) else int(np.ceil(4 * sigma)) + 1
-    around = reach + 1  # rows that the smoothing may reach, and one for the slopes
-
-    def one(a: int, b: int) -> None:
-        """Smoothed by bands, with the rows around: what is measured is still in the cache."""
-        first, last = max(a - around, 0), min(b + around, h)
-        smooth = np.empty((3, last - first, w), np.float32)
-        if len(taps):
-            smoothed(small, taps, first, last, smooth)
-        else:
-            for c in range(3):
-                cv2.GaussianBlur(small[c, first:last], (0, 0), sigma, dst=smooth[c], borderType=cv2.BORDER_REPLICATE)
-        _measure(smooth, luma, np.float32(alpha), np.float32(beta), first, a, b, made)
-
-    by_bands(one, h)
-    return made
+    made = measured(picture, yuv_matrix(matrix), alpha, beta, smooth_px)
+    return lines_of(made, low, high, width_px, virtual, at)
 
 
 def lines_of(
@@ -107,48 +83,6 @@ def lines_of(
     most[0] = 0
     by_bands(lambda a, b: _hysteresis(most, parts, np.float32(low), np.float32(high), a, b, line), h)
     return line
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _measure(small, luma, alpha, beta, first, ya, yb, out):  # pragma: no cover - compiled
-    """out (3, h, w) : in rows ya ... yb - 1 the printed measure from central differences, per px of this grid, and the direction
-    across the edge. small (3, ...) : its first row is `first`"""
-    h, w = small.shape[1:]
-    half, third, one = np.float32(0.5), np.float32(1.0 / 3.0), np.float32(1)
-    y0, y1, y2 = luma[0]
-    u0, u1, u2 = luma[1]
-    v0, v1, v2 = luma[2]
-    slope = np.empty((6, w), np.float32)  # along x and y, of each colour
-    for y in range(ya, yb):
-        m = y - first
-        up, down = max(m - 1, 0), min(m + 1, h - 1)
-        for c in range(3):
-            _slopes(small[c, up], small[c, m], small[c, down], slope[2 * c], slope[2 * c + 1])
-        for x in range(w):
-            ax, ay, bx, by, cx, cy = slope[0, x], slope[1, x], slope[2, x], slope[3, x], slope[4, x], slope[5, x]
-            a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)
-            yx, yy = y0 * ax + y1 * bx + y2 * cx, y0 * ay + y1 * by + y2 * cy
-            ux, uy = u0 * ax + u1 * bx + u2 * cx, u0 * ay + u1 * by + u2 * cy
-            vx, vy = v0 * ax + v1 * bx + v2 * cx, v0 * ay + v1 * by + v2 * cy
-            of_y, of_u, of_v = np.sqrt(yx * yx + yy * yy), np.sqrt(ux * ux + uy * uy), np.sqrt(vx * vx + vy * vy)
-            of_yuv = (one - alpha) * of_y + alpha * half * (of_u + of_v)
-            out[0, y, x] = beta * of_yuv + (one - beta) * third * (a + b + c)
-            # across: the strongest channel's
-            gx, gy, most = bx if b > a else ax, by if b > a else ay, max(a, b)
-            gx, gy = cx if c > most else gx, cy if c > most else gy
-            scale = one / max(max(most, c), np.float32(1e-6))
-            out[1, y, x], out[2, y, x] = gx * scale, gy * scale
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _slopes(above, here, below, dx, dy):  # pragma: no cover - compiled
-    w, half, one, two = here.shape[0], np.float32(0.5), np.uint64(1), np.uint64(2)
-    for x in range(w):
-        dy[x] = (below[x] - above[x]) * half
-    for x in range(w - 2):
-        dx[np.uint64(x) + one] = (here[np.uint64(x) + two] - here[x]) * half
-    dx[0] = (here[min(1, w - 1)] - here[0]) * half
-    dx[w - 1] = (here[w - 1] - here[max(w - 2, 0)]) * half
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

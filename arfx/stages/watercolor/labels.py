@@ -212,7 +212,7 @@ def _label(
     half = np.int32(reach + TILE * STEPS // 2)
     every = np.arange(order.shape[0]).astype(np.int32)
     # how far around a block it looks at first: mostly enough
-    usual = side * STEPS * 2 + 2 * blend
+    usual = side * STEPS * 1.5 + 2 * blend
     for by in range(y_first + y0, min(y_last + y0, h), BLOCK):
         for bx in range(x0, w, BLOCK):
             mx, my = np.int32(bx * STEPS + STEPS * (BLOCK - 1) // 2), np.int32(by * STEPS + STEPS * (BLOCK - 1) // 2)

@@ -83,7 +83,8 @@ def paint(
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 linear: the picture with pigment.
 
-    cover : with borders;  mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
+    cover : without borders each pixel has its own cell's colour
+    mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
     flow (n,) : their turbulence;  grain : of `paper_grain`
     line (ceil(h / 2), ceil(w / 2)) : strength of lines, 0..1; empty = none
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
@@ -91,9 +92,19 @@ def paint(
     """
     h, w = cover.back.first.shape
     out = np.empty((h, w, 3), np.float32)
-    known, tinted = _table(mean, flow), _table(root, flow)
+    tinted, ink = _table(root, flow), ink_rgb.astype(np.float32)
+    if not cover.back.second.size:
+        b, own = cover.back, cover.own or cover.back
 
-    ink = ink_rgb.astype(np.float32)
+        def plain(ya: int, yb: int) -> None:
+            _paint_plain(
+                b.first, own.first, cover.mask, b.count, cover.y, cover.x, tinted, grain, line, strengths, ink, x0, y0, ya, yb,
+                out,
+            )  # fmt: skip
+
+        by_bands(plain, h)
+        return out
+    known = _table(mean, flow)
     parts = (*picture.parts, *cover.parts)
 
     def one(ya: int, yb: int) -> None:
@@ -121,14 +132,17 @@ def _paint(
 ):  # fmt: skip  # pragma: no cover
     w = first.shape[1]
     lh, lw = line.shape
-    a, k, near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
+    both_a, both_k, both_near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
     # few arrays: where loops touch many, the compiler gives up proving that they do not overlap
     light = np.zeros((8, w + 1), np.float32)
     held, row = np.empty((4, w), np.uint64), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
         row_of(image, patch, py, px, y, light[0], light[1], light[2])
-        labels_of(first, own_first, mask, start, ly, lx, y, 0, w, a)
-        borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k, near)
+        a, k, near = first[y], second[y], inside[y]
+        if ly <= y < ly + mask.shape[0]:
+            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, both_a)
+            borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, both_k, both_near)
+            a, k, near = both_a, both_k, both_near
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
             held[0, x], held[1, x], held[2, x], held[3, x] = known[at], known[to], tinted[at], tinted[to]
@@ -138,6 +152,50 @@ def _paint(
         _mix(held, near, light, strengths, ink)
         for x in range(w):
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[5, x], light[6, x], light[7, x]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _paint_plain(
+    first, own_first, mask, start, ly, lx, tinted, grain, line, strengths, ink, x0, y0, ya, yb, out
+):  # pragma: no cover
+    w = first.shape[1]
+    lh, lw = line.shape
+    both, held = np.empty(w, np.int32), np.empty(w, np.uint64)
+    light, row = np.zeros((5, w + 1), np.float32), np.empty(max(lw, 1), np.float32)
+    for y in range(ya, yb):
+        a = first[y]
+        if ly <= y < ly + mask.shape[0]:
+            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, both)
+            a = both
+        for x in range(w):
+            held[x] = tinted[_U(a[x])]
+        _grain_row(grain, y0 + y, x0, light[0, :w])
+        if lh > 0 and not line_row(line, y, row, light[1]):
+            light[1, :] = 0
+        _lay(held, light, strengths, ink)
+        for x in range(w):
+            out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[2, x], light[3, x], light[4, x]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _lay(held, light, strengths, ink):  # pragma: no cover - compiled
+    """One row of plain cells. held (w,), as in _table : colour of a pixel's cell
+    light (5, w + 1) : height of the paper, line; red, green, blue that come out
+    """
+    zero, one, unit = _F(0), _F(1), _F(1.0 / 65535)
+    step = _F(2 * _FLOW / 65535)
+    much_flow, much_grain, opacity, dry = strengths[2], strengths[3], strengths[4], strengths[5]
+    ir, ig, ib = ink
+    for x in range(held.shape[0]):
+        c, paper = held[x], light[0, x]
+        d = (_part(c, 48) * step - _F(_FLOW)) * much_flow + much_grain * paper
+        pr, pg, pb = _part(c, 0) * unit, _part(c, 16) * unit, _part(c, 32) * unit
+        pr, pg, pb = pr * pr, pg * pg, pb * pb
+        pr, pg, pb = pr * (one - (one - pr) * d), pg * (one - (one - pg) * d), pb * (one - (one - pb) * d)
+        s = min(max(light[1, x] * (one + dry * paper), zero), one) * opacity
+        light[2, x] = max(pr + s * (ir - pr), zero)
+        light[3, x] = max(pg + s * (ig - pg), zero)
+        light[4, x] = max(pb + s * (ib - pb), zero)
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

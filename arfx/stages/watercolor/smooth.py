@@ -1,4 +1,4 @@
-"""A Gaussian of few taps over rows of three planes, in steps of a vector unit: a third of what cv2.GaussianBlur takes for it.
+"""A Gaussian of few taps, row by row, in steps of a vector unit: a third of what cv2.GaussianBlur takes for it.
 
 Cost: O(samples). Borders are replicated.
 """
@@ -22,22 +22,8 @@ def taps_of(sigma: float) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def smoothed(planes, taps, first, last, out):  # pragma: no cover - compiled
-    """out (3, last - first, w) : rows first ... last - 1 of the planes (3, h, w), as if there were no others."""
-    w, n = planes.shape[2], last - first
-    padded, across = np.empty(w + 2 * REACH, np.float32), np.empty((n, w), np.float32)
-    for c in range(3):
-        for y in range(n):
-            _across(planes[c, first + y], padded, taps, across[y])
-        for y in range(n):
-            to = out[c, y]
-            _set(across[y], taps[0], to)
-            for k in range(1, REACH + 1):
-                _add_both(across[max(y - k, 0)], across[min(y + k, n - 1)], taps[k], to)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _across(row, padded, taps, out):  # pragma: no cover - compiled
+def across(row, padded, taps, out):  # pragma: no cover - compiled
+    """out (w,) : a row smoothed along itself. padded (w + 2 REACH,) is written"""
     w = row.shape[0]
     padded[:REACH] = row[0]
     padded[REACH : w + REACH] = row
@@ -49,6 +35,15 @@ def _across(row, padded, taps, out):  # pragma: no cover - compiled
         s += t2 * (padded[i + _U(3)] + padded[i + _U(7)]) + t3 * (padded[i + _U(2)] + padded[i + _U(8)])
         s += t4 * (padded[i + _U(1)] + padded[i + _U(9)]) + t5 * (padded[i] + padded[i + _U(10)])
         out[x] = s
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def down(ring, c, y, last, taps, out):  # pragma: no cover - compiled
+    """out (w,) : row y of plane c, from the rows around it, the last of which is `last`. ring (n, 3, w) : row k is k % n"""
+    n = ring.shape[0]
+    _set(ring[y % n, c], taps[0], out)
+    for k in range(1, REACH + 1):
+        _add_both(ring[max(y - k, 0) % n, c], ring[min(y + k, last) % n, c], taps[k], out)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

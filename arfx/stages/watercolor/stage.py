@@ -3,9 +3,11 @@
 1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact mean of its pixels;
 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour, silhouette or crease are strong.
 Labels are kept by the content of the field of sites, a whole picture by its content: what did not change is not made again,
-and gives the same bits. Cost: O(pixels). Memory: about 108 bytes a pixel while a frame is painted, 68 of them the layers that
-it reads (8K: 3.7 GB measured, with the program), and 12 for each of two kept pictures (none above 16 Mpx).
-Levels: draft has coarser cells by chamfer distance; high paints the patterns carried forward and backward and fades between
+and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while a frame is painted, 68 of them the layers that
+it reads (8K, with the finest cells that detail asks for: 3.8 GB measured, with the program; 4 bytes a pixel less with even
+cells), and 12 for each of two kept pictures (none above 16 Mpx). Lines and toon are made beside the cells, on a free core.
+Levels: draft has fewer, coarser cells with plain borders: a pixel takes its own cell's colour alone (a chamfer
+transform costs four times the exact labels); high paints the patterns carried forward and backward and fades between
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 line_hold looks at the frame before as well (hold.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
@@ -30,19 +32,21 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
+from arfx.stages.bands import Beside
 from arfx.stages.lightmap.stage import Kept
-from arfx.stages.watercolor.cells import halved, means_and_half, neighbours, toned, washed
-from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
+from arfx.stages.watercolor.cells import cell_colours, neighbours, toned, washed
 from arfx.stages.watercolor.digest import digest
-from arfx.stages.watercolor.edges import lines_of, measured, virtual_edges
+from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.field import FACT, frame_field, ways
 from arfx.stages.watercolor.hold import held, steps_back
 from arfx.stages.watercolor.labels import Labels, Wobble, in_order, label
+from arfx.stages.watercolor.measure import measured
 from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_of
 from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import laid_out, paper_grain, turbulence
 from arfx.stages.watercolor.printed import printed
+from arfx.stages.watercolor.reference import reference_labels
 from arfx.stages.watercolor.rows import Cover, Picture, offset
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, Sites, sites_of
 from arfx.stages.watercolor.toon import EVEN, toon, toon_light
@@ -133,10 +137,14 @@ class Watercolor:
         earlier = None if before is None else _content(before[0], _box(before[1], before[0].rect), before[1], scene)
 
         def make() -> np.ndarray:
-            lines = None
-            if before is not None and earlier is not None:
-                lines = self._held_lines((now, facts, content), (*before, earlier), scene, prepared, level)
-            painted = [self._painted(now, box, facts, scene, prepared, level, *field, lines) for field, _ in fields]
+            # neither needs the cells: they are made beside them
+            picture = Beside(lambda: self._with_toon(now, box, facts, scene))
+            if before is None or earlier is None:
+                lines = Beside(lambda: self._lines(picture(), now, box, facts))
+            else:
+                of_both = (now, facts, content), (*before, earlier)
+                lines = Beside(lambda: self._held_lines(*of_both, scene, prepared, level))
+            painted = [self._painted(now, box, scene, prepared, level, *field, picture, lines) for field, _ in fields]
             if len(painted) == 1:
                 return painted[0]
             (_, first), (_, second) = fields
@@ -187,29 +195,30 @@ class Watercolor:
         return Picture(image, patch, *offset(box, now.rect))
 
     def _painted(
-        self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, where: Field,
-        pose: Any, sites_key: bytes, line: np.ndarray | None = None,
+        self, now: Layers, box: Rect, scene: Scene, prepared: Prepared, level: Level, where: Field, pose: Any,
+        sites_key: bytes, picture: Beside[Picture], lines: Beside[np.ndarray],
     ) -> np.ndarray:  # fmt: skip
-        """line : strength of lines where it is known already"""
         p, rect = self.params, now.rect
-        picture = self._with_toon(now, box, facts, scene)
         cells = prepared.cells.get((sites_key, rect), lambda: self._cells(where, rect, scene, prepared, level))
         cover = Cover(cells.labels)
         if not box.empty and pose is not None:
             cover, cells = self._with_object(now, box, cells, scene, prepared, level, pose)
-        colours, small = means_and_half(picture, cover, p.lines > 0 and line is None)
-        if line is None:
-            line = np.zeros((0, 0), np.float32)
-            if p.lines > 0:
-                made = measured(small, p.alpha, p.beta, p.line_smooth_px, p.yuv)
-                line = lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(now, box, facts))
+        colours = cell_colours(picture(), cover)
         root = washed(colours[:, :3], cells.near, cells.share, colours[:, 3], 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
         ink = np.array(p.ink_rgb, np.float32)
         if not p.pigment:
-            return paint_cells(cover, root * root, line, p.lines, ink)
+            return paint_cells(cover, root * root, lines(), p.lines, ink)
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
-        return paint(picture, cover, colours, root, cells.flow, prepared.grain, line, strengths, ink, rect.x0, rect.y0)
+        return paint(picture(), cover, colours, root, cells.flow, prepared.grain, lines(), strengths, ink, rect.x0, rect.y0)
+
+    def _lines(self, picture: Picture, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray:
+        """Strength of lines, empty where none are wanted."""
+        p = self.params
+        if p.lines <= 0:
+            return np.zeros((0, 0), np.float32)
+        made = measured(picture, yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
+        return lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(now, box, facts))
 
     def _before(self, window: Window) -> tuple[Layers, FrameFacts] | None:
         """The frame before, where lines are held and it shows the same things."""
@@ -229,7 +238,7 @@ class Watercolor:
         def made(layers: Layers, facts: FrameFacts, key: Key) -> np.ndarray:
             def make() -> np.ndarray:
                 picture = self._with_toon(layers, _box(facts, layers.rect), facts, scene)
-                return measured(halved(picture), p.alpha, p.beta, p.line_smooth_px, p.yuv)
+                return measured(picture, yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
 
             found: np.ndarray = prepared.measures.get(key, make)
             return found
@@ -277,9 +286,7 @@ class Watercolor:
         return Cells(labels, flow, near, share)
 
     def _labels(self, sites: Sites, rect: Rect, wobble: Wobble, level: Level, mask: np.ndarray | None = None) -> Labels:
-        blend = BLEND_PX if self.params.pigment else 0.0
-        if level.name == "draft":
-            return chamfer_labels(sites, rect, blend > 0)
+        blend = BLEND_PX if self.params.pigment and level.name != "draft" else 0.0
         if level.name == "reference":
             moved = laid_out(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height)
             return reference_labels(sites, rect, moved.astype(np.float32), blend)

@@ -8,6 +8,8 @@ Source: SYSTEMS.md S3 step 4. Leaves out: highlights, shadows of the object on i
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numba
 import numpy as np
 
@@ -24,6 +26,11 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     up : (3,) stands in for the direction where no light has one.
     """
+    return _toon_light(light, tuple(up.tolist()))
+
+
+@lru_cache(maxsize=4)
+def _toon_light(light: Light, up: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     best, most = None, 0.0
     for li in light.lights:
         strength = float(np.sum(li.rgb))

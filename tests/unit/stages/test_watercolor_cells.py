@@ -7,12 +7,11 @@ import pytest
 
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.cells import means, neighbours, washed
-from arfx.stages.watercolor.chamfer import chamfer_labels, reference_labels
 from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.labels import SOLID, STILL, Wobble, in_order, label, wobble_of
 from arfx.stages.watercolor.pigment import laid_out
 from arfx.stages.watercolor.printed import jittered_sites, merged_by_colour
-from arfx.stages.watercolor.reference import cell_means, nearest_labels
+from arfx.stages.watercolor.reference import cell_means, nearest_labels, reference_labels
 from arfx.stages.watercolor.sites import STEPS, Field, Sites, sites_of, still_field
 
 FRAME = Rect.of(200, 150)
@@ -93,7 +92,7 @@ def test_cells_wider_than_float32_tells_apart() -> None:
 
 
 def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("arfx.stages.watercolor.chamfer._BRUTE", 0)
+    monkeypatch.setattr("arfx.stages.watercolor.reference._BRUTE", 0)
     sites = sites_of(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
     wobble = random_wobble(np.random.default_rng(0), 9)
     sites = in_order(sites, FRAME, wobble)
@@ -102,16 +101,13 @@ def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.Monke
     assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
 
 
-def test_no_sites_and_chamfer() -> None:
+def test_no_sites() -> None:
     none = Sites(
         *(np.zeros(0, np.float32) for _ in range(3)), np.zeros(0, np.int64), *(np.zeros(0, np.float32) for _ in range(2))
     )
-    for make in (label, chamfer_labels, reference_labels):
+    for make in (label, reference_labels):
         found = make(none, FRAME)
         assert found.count == 1 and not found.first.any()
-    sites = sites_of(still_field(200, 150, 8, 0), 1, 10**5)
-    away = chamfer_labels(sites, FRAME).first != label(sites, FRAME).first
-    assert away[16:-16, 16:-16].mean() < 0.12  # whole pixels and a 5 x 5 mask move borders, no more
 
 
 def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None:

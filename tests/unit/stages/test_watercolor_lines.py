@@ -11,12 +11,11 @@ import pytest
 
 from arfx.core.light import DirectionalLight, Light
 from arfx.stages.watercolor import edges
-from arfx.stages.watercolor.cells import means_and_half
 from arfx.stages.watercolor.edges import printed_edges, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.hold import held, steps_back
-from arfx.stages.watercolor.labels import STILL, Wobble, unlabelled
+from arfx.stages.watercolor.labels import STILL, Wobble
 from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
-from arfx.stages.watercolor.rows import Cover, Picture
+from arfx.stages.watercolor.rows import Picture
 from arfx.stages.watercolor.sites import STEPS, Field, still_field
 from arfx.stages.watercolor.toon import toon, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
@@ -26,8 +25,7 @@ BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
 
 
 def line_strength(image: np.ndarray, *args: object) -> np.ndarray:
-    whole = Cover(unlabelled(*image.shape[:2], 1, False))
-    return edges.line_strength(means_and_half(Picture(image.astype(np.float32)), whole)[1], *args)  # type: ignore[arg-type]
+    return edges.line_strength(Picture(image.astype(np.float32)), *args)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
