@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from arfx.core.rect import EMPTY, Rect
+from arfx.core.sheet import Sheet
 
 
 class Layer(StrEnum):
@@ -83,6 +86,49 @@ class Patch:
         return Layers(rect, {name: (self.rect, self.array)})[name]
 
 
+class Spans(Patch):
+    """IMAGE of which only some columns of each row were made; the rest stays as it was.
+
+    rect : where;  made : (h, w, 3), set in `columns` only;  columns : (h, 2) int32, first and behind the last, from rect's left
+    before : what IMAGE was, of any part of rect
+    """
+
+    def __init__(self, rect: Rect, made: np.ndarray, columns: np.ndarray, before: Deferred) -> None:
+        for name, value in (("rect", rect), ("made", made), ("columns", columns), ("before", before)):
+            object.__setattr__(self, name, value)
+
+    made: np.ndarray
+    columns: np.ndarray
+    before: Deferred
+
+    def parts(self) -> list[Rect]:
+        """Rectangles of the frame that hold all that was made."""
+        x = self.rect.x0
+        return [Rect(x + a, rows.y0, x + b, rows.y1) for rows, (a, b) in self._bands() if a < b]
+
+    @cached_property
+    def array(self) -> np.ndarray:  # type: ignore[override]
+        """(h, w, 3), complete."""
+        for rows, (a, b) in self._bands():
+            x = self.rect.x0
+            for x0, x1 in ((x, x + a), (x + b, self.rect.x1)) if a < b else ((x, self.rect.x1),):
+                rest = Rect(x0, rows.y0, x1, rows.y1)
+                if not rest.empty:
+                    self.made[rest.slices_in(self.rect)] = self.before(rest)
+        return self.made
+
+    def _bands(self) -> list[tuple[Rect, tuple[int, int]]]:
+        """Rows with the same columns."""
+        cuts = np.flatnonzero((np.diff(self.columns, axis=0) != 0).any(1)) + 1
+        ends = [0, *(int(y) for y in cuts), len(self.columns)]
+        r = self.rect
+        return [
+            (Rect(r.x0, r.y0 + top, r.x1, r.y0 + bottom), (int(self.columns[top, 0]), int(self.columns[top, 1])))
+            for top, bottom in pairwise(ends)
+            if top < bottom
+        ]
+
+
 @dataclass(frozen=True, eq=False)
 class Dimmed:
     """IMAGE of a frame after whose stage none reads it: as written in `part`, else PLATE with less light, not worked out yet.
@@ -125,6 +171,15 @@ class Layers:
                 seen[both.slices_in(self.rect)] = array[both.slices_in(where)]
         if seen.ndim == 3 and seen.strides[-1] == 0:  # one value for all channels
             seen = np.ascontiguousarray(seen)
+        seen.setflags(write=False)
+        return seen
+
+    def within(self, name: Layer, parts: Sequence[Rect]) -> np.ndarray:
+        """PLATE or IMAGE as `layers[name]`, of which only `parts` need be set: others may not be made at all."""
+        where, array = self.written[name]
+        if not isinstance(array, Sheet) or not where.contains(self.rect):
+            return self[name]
+        seen = array.within(self.rect, parts).view()
         seen.setflags(write=False)
         return seen
 

@@ -16,24 +16,24 @@ from arfx.core.rect import Rect
 TILE_PX = 8
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def object_radius(radius, coverage, depth, near, far, px_per_dioptre, focus, limit):  # pragma: no cover - compiled
     """radius (h, w) of covered pixels from their depth, m, held to near..far; -1 where nothing is; 0 where the
-    depth is not a distance. Returns the largest."""
+    depth is not a distance. Returns the least and the largest; (inf, -1) where there is none."""
     h, w = radius.shape
-    largest = np.float32(-1)
+    least, largest = np.float32(np.inf), np.float32(-1)
     for y in range(h):
+        line = radius[y]
         for x in range(w):
-            radius[y, x] = -1
-            if not coverage[y, x] > 0:
-                continue
             z = depth[y, x]
-            r = np.float32(0)
-            if z > 0:
-                r = min(px_per_dioptre * abs(focus - np.float32(1) / min(max(z, near), far)), limit)
-            radius[y, x] = r
+            r = min(px_per_dioptre * abs(focus - np.float32(1) / min(max(z, near), far)), limit)
+            r = r if z > 0 else np.float32(0)
+            line[x] = r if coverage[y, x] > 0 else np.float32(-1)
+        for x in range(w):
+            r = line[x]
             largest = max(largest, r)
-    return largest
+            least = min(least, r if r >= 0 else np.float32(np.inf))
+    return least, largest
 
 
 def continue_outside(radius: np.ndarray, coverage: np.ndarray, rect: Rect, reach_px: float) -> None:
@@ -45,10 +45,7 @@ def continue_outside(radius: np.ndarray, coverage: np.ndarray, rect: Rect, reach
     sums = _tile_sums(radius, coverage, lead_x, lead_y)
     mean, known = np.zeros(sums.shape[:2], np.float32), sums[..., 1] > 0
     mean[known] = sums[known, 0] / sums[known, 1]
-    for _ in range(int(np.ceil(reach_px / TILE_PX)) + 2):
-        if known.all():
-            break
-        mean, known = _grow(mean, known)
+    _grow(mean, known, int(np.ceil(reach_px / TILE_PX)) + 2)
     _fill(radius, mean, known, lead_x, lead_y)
 
 
@@ -66,23 +63,39 @@ def _tile_sums(radius, coverage, lead_x, lead_y):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _grow(mean, known):  # pragma: no cover - compiled
-    """One tile further: the mean of the known ones among the eight around."""
+def _grow(mean, known, steps):  # pragma: no cover - compiled
+    """So many tiles further, in place: each time the mean of the known ones among the eight around."""
     h, w = mean.shape
-    out, found = mean.copy(), known.copy()
+    edge, asked = np.empty((h * w, 2), np.int32), np.zeros((h, w), np.bool_)  # tiles found last, then those beside them
+    count = 0
     for y in range(h):
         for x in range(w):
             if known[y, x]:
-                continue
-            total, count = 0.0, 0
-            for j in range(max(y - 1, 0), min(y + 2, h)):
-                for i in range(max(x - 1, 0), min(x + 2, w)):
+                edge[count, 0], edge[count, 1] = y, x
+                count += 1
+    beside, value = np.empty((h * w, 2), np.int32), np.empty(h * w, np.float32)
+    for _ in range(steps):
+        found = 0
+        for k in range(count):
+            for j in range(max(edge[k, 0] - 1, 0), min(edge[k, 0] + 2, h)):
+                for i in range(max(edge[k, 1] - 1, 0), min(edge[k, 1] + 2, w)):
+                    if not known[j, i] and not asked[j, i]:
+                        asked[j, i] = True
+                        beside[found, 0], beside[found, 1] = j, i
+                        found += 1
+        if found == 0:
+            return
+        for k in range(found):
+            total, near = 0.0, 0
+            for j in range(max(beside[k, 0] - 1, 0), min(beside[k, 0] + 2, h)):
+                for i in range(max(beside[k, 1] - 1, 0), min(beside[k, 1] + 2, w)):
                     if known[j, i]:
                         total += mean[j, i]
-                        count += 1
-            if count > 0:
-                out[y, x], found[y, x] = total / count, True
-    return out, found
+                        near += 1
+            value[k] = total / near
+        for k in range(found):
+            mean[beside[k, 0], beside[k, 1]], known[beside[k, 0], beside[k, 1]] = value[k], True
+        edge, beside, count = beside, edge, found
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})

@@ -32,20 +32,20 @@ def _extremes(bits, y0, x0, y1, x1):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_real(
-    top, bottom, radius, image, patch, box, kept, boost, fade, cells, meta, lead_y, lead_x, near, held
+    top, bottom, begin, end, radius, image, patch, box, kept, boost, fade, cells, meta, lead_y, lead_x, near, held
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of the real scene; returns whether any of it is blurred.
+    """Rows top..bottom, columns begin..end (borders of tiles) of the real scene; returns whether any of it is blurred.
 
     image : (h, 3 w);  patch : in place of it within box = (x0, y0, x1, y1), whose borders are those of tiles
     radius : (h, w) px, >= 0;  kept : (h, w) share that is not cut out, (0, 0) = all
     """
     whole = kept.shape[0] == 0
     plain = whole and boost <= 0
-    width, bits = radius.shape[1], radius.view(np.int32)
+    width, bits = end, radius.view(np.int32)
     source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
     work = np.empty((10, width), np.float32)
-    left = -(lead_x & (TILE_PX - 1))
+    left = begin - ((begin + lead_x) & (TILE_PX - 1))
     blurred = False
     tiles = (width - left + TILE_PX - 1) // TILE_PX
     lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # rungs of each tile; -1 = nothing blurred

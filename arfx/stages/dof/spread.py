@@ -303,6 +303,9 @@ def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pr
     line[4 * lo : 4 * hi] = 0
     for k in range(table.shape[0]):
         rung, first, first_row, height, width, left, right = table[k]
+        left, right = max(left, lo), min(right, hi)
+        if left >= right:
+            continue
         stride = 4 * (width + 1)
         if rung == 0:
             at = first + (y - first_row) * stride
