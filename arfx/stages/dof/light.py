@@ -98,9 +98,15 @@ def lay_real(
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def _any_sharp(light, radius, coverage, y, begin, end):  # pragma: no cover - compiled
     """Whether a pixel of row y without a blur circle is covered, or gets light."""
+    circles, least = radius[y, begin:end], np.float32(np.inf)
+    for x in range(len(circles)):
+        least = min(least, circles[x])
+    if least > SHARP_PX:
+        return False
+    covered, shone = coverage[y, begin:end], light[4 * begin : 4 * end]
     found = False
-    for x in range(begin, end):
-        found |= (radius[y, x] <= SHARP_PX) & ((light[4 * x + 3] > 0) | (coverage[y, x] > 0))
+    for x in range(len(circles)):
+        found |= (circles[x] <= SHARP_PX) & ((shone[np.uintp(4 * x + 3)] > 0) | (covered[x] > 0))
     return found
 
 
@@ -108,17 +114,36 @@ def _any_sharp(light, radius, coverage, y, begin, end):  # pragma: no cover - co
 def _lay_blurred(flat, left, light, gap, begin, end, factors):  # pragma: no cover - compiled
     """Light of columns begin..end over a row of out, flat (3 w,), of which column begin is `left`. factors : (2, w) scratch"""
     inverse, through = factors[0, : end - begin], factors[1, : end - begin]
+    own, let = light[4 * begin : 4 * end], gap[4 * begin : 4 * end]
+    to = flat[3 * left : 3 * (left + end - begin)]
     one, zero = np.float32(1), np.float32(0)
-    for i in range(end - begin):
-        w = light[4 * (begin + i) + 3]
-        own = one / (w + gap[4 * (begin + i) + 3])
-        inverse[i] = own if w > 0 else zero
-        through[i] = max(one - w * own, zero) if w > 0 else one
-    for i in range(end - begin):
-        at, of = np.uintp(3 * (left + i)), np.uintp(4 * (begin + i))
-        flat[at] = flat[at] * through[i] + light[of] * inverse[i]
-        flat[at + 1] = flat[at + 1] * through[i] + light[of + 1] * inverse[i]
-        flat[at + 2] = flat[at + 2] * through[i] + light[of + 2] * inverse[i]
+    for i in range(len(inverse)):
+        w = own[np.uintp(4 * i + 3)]
+        share = one / (w + let[np.uintp(4 * i + 3)])
+        inverse[i] = share if w > 0 else zero
+        through[i] = max(one - w * share, zero) if w > 0 else one
+    for i in range(len(inverse)):
+        for c in range(3):
+            at, of = np.uintp(3 * i + c), np.uintp(4 * i + c)
+            to[at] = to[at] * through[i] + own[of] * inverse[i]
+
+
+@numba.njit(cache=True, nogil=True)
+def _uncover(line, state, begin, end, patch, from_x, until_x):  # pragma: no cover - compiled
+    """Columns begin..end of a row of out that are KEPT, where from_x..until_x holds a patch (n, 3): set to that."""
+    first, last = max(begin, from_x), min(end, until_x)
+    if first >= last:
+        return
+    found = np.uint8(0)
+    for x in range(first, last):
+        found |= state[x]
+    if found == KEPT:
+        line[first:last] = patch[first - from_x : last - from_x]
+        return
+    for x in range(first, last):
+        if state[x] == KEPT:
+            for c in range(3):
+                line[x, c] = patch[x - from_x, c]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -141,12 +166,16 @@ def lay_cut(
         light_of_row(gap, first + y, gap_values, gap_table, gap_lead_y, gap_lead_x, begin, end, between)
         from_x, until_x = (box[0], box[2]) if box[1] <= top + y < box[3] else (0, 0)  # columns of the patch
         if not _any_sharp(light, radius, coverage, y, begin, end):
-            for x in range(max(begin, from_x - left), min(end, until_x - left)):
-                if light[4 * x + 3] > 0 and state[y, left + x] == KEPT:
-                    for k in range(3):
-                        out[y, left + x, k] = patch[top + y - box[1], left + x - from_x, k]
-            for x in range(begin, end):
-                state[y, left + x] = LAID if light[4 * x + 3] > 0 else state[y, left + x]
+            x = begin
+            while x < end:
+                first_x = x
+                while x < end and light[4 * x + 3] > 0:
+                    x += 1
+                a, b = left + first_x, left + x
+                if x > first_x:
+                    _uncover(out[y], state[y], a, b, patch[top + y - box[1]] if until_x > from_x else out[y], from_x, until_x)
+                    state[y, a:b] = LAID
+                x += 1
             _lay_blurred(out[y].reshape(-1), left + begin, light, gap, begin, end, factors)
             continue
         for x in range(begin, end):
