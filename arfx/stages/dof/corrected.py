@@ -206,17 +206,17 @@ def _fronts(measured: DepthLayers, rect: Rect, at: Circles, ladder: Ladder, para
         box = _box(front.coverage, rect).pad(int(np.ceil(2 * largest)) + 1).clip(rect)
         part = box.slices_in(rect)
         radius, colour, coverage = (np.ascontiguousarray(a[part]) for a in (front.radius, front.colour, front.coverage))
-        cuts.append(_cut_out(box, radius, colour, coverage, np.float32(1), ladder, largest, params, box))
+        cuts.append(_cut_out(box, radius, colour, coverage, np.float32(1), ladder, largest, params, box, box))
     return cuts
 
 
 def _cut_out(
     rect: Rect, radius: np.ndarray, colour: np.ndarray, coverage: np.ndarray, opacity: np.float32, ladder: Ladder,
-    largest: float, params: DofParams, sharp: Rect,
+    largest: float, params: DofParams, held: Rect, sharp: Rect,
 ) -> CutOut:  # fmt: skip
     spread = Spread(rect, ladder, largest, params.blades, params.blade_turn_deg)
     gap = Spread(rect, ladder, largest, params.blades, params.blade_turn_deg)
-    continue_outside(radius, coverage, rect, 2 * largest)
+    continue_outside(radius, coverage, rect, held)
     spread.radius, gap.radius = radius, radius
     return CutOut(rect, colour, coverage, opacity, spread, gap, sharp)
 
@@ -243,7 +243,7 @@ def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder:
     colour[tiles.slices_in(rect)] = 0  # it is looked at in tiles that hold anything
     colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
     opacity, sharp = np.float32(facts.opacity), box if least <= SHARP_PX else EMPTY
-    return _cut_out(rect, padded, colour, coverage, opacity, ladder, max(float(largest), SHARP_PX), params, sharp)
+    return _cut_out(rect, padded, colour, coverage, opacity, ladder, max(float(largest), SHARP_PX), params, box, sharp)
 
 
 def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:
@@ -276,7 +276,7 @@ def _real_cut_outs(
         rect = box.pad(int(np.ceil(2 * largest)) + 1).clip(area)
         at = rect.slices_in(area)
         colour = sharp.crop(rect.shift(-area.x0, -area.y0)) * inside[at][..., None]
-        cuts.append(_cut_out(rect, radius[at].copy(), colour, inside[at], np.float32(1), ladder, largest, params, rect))
+        cuts.append(_cut_out(rect, radius[at].copy(), colour, inside[at], np.float32(1), ladder, largest, params, box, box))
     return cuts[::-1], kept
 
 
