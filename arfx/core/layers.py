@@ -106,16 +106,39 @@ class Spans(Patch):
         x = self.rect.x0
         return [Rect(x + a, rows.y0, x + b, rows.y1) for rows, (a, b) in self._bands() if a < b]
 
+    def only(self, rect: Rect) -> Spans:
+        """Nothing made outside of a rectangle."""
+        columns = self.columns.clip(rect.x0 - self.rect.x0, rect.x1 - self.rect.x0).astype(np.int32)
+        columns[: max(rect.y0 - self.rect.y0, 0)] = 0
+        columns[max(rect.y1 - self.rect.y0, 0) :] = 0
+        return Spans(self.rect, self.made, columns, self.before)
+
+    def holding(self, rect: Rect) -> Spans:
+        """With a rectangle inside this one, as it was where it was not made."""
+        columns = self.columns.copy()
+        for rows, (a, b) in self._bands():
+            both = rows.clip(rect)
+            if both.empty:
+                continue
+            x0, x1 = self.rect.x0 + a, self.rect.x0 + b
+            low, high = (min(both.x0, x0), max(both.x1, x1)) if a < b else (both.x0, both.x1)
+            for left, right in ((low, x0), (x1, high)) if a < b else ((low, high),):
+                self._keep(Rect(left, both.y0, right, both.y1))
+            columns[both.y0 - self.rect.y0 : both.y1 - self.rect.y0] = low - self.rect.x0, high - self.rect.x0
+        return Spans(self.rect, self.made, columns, self.before)
+
     @cached_property
     def array(self) -> np.ndarray:  # type: ignore[override]
         """(h, w, 3), complete."""
         for rows, (a, b) in self._bands():
             x = self.rect.x0
             for x0, x1 in ((x, x + a), (x + b, self.rect.x1)) if a < b else ((x, self.rect.x1),):
-                rest = Rect(x0, rows.y0, x1, rows.y1)
-                if not rest.empty:
-                    self.made[rest.slices_in(self.rect)] = self.before(rest)
+                self._keep(Rect(x0, rows.y0, x1, rows.y1))
         return self.made
+
+    def _keep(self, part: Rect) -> None:
+        if not part.empty:
+            self.made[part.slices_in(self.rect)] = self.before(part)
 
     def _bands(self) -> list[tuple[Rect, tuple[int, int]]]:
         """Rows with the same columns."""

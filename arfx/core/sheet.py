@@ -74,17 +74,19 @@ class Sheet:
 
     def _fill(self, part: Rect) -> None:
         if not part.empty:
-            self._pixels[part.slices_in(self.rect)] = self._new(part)
+            self._write(part, self._pixels[part.slices_in(self.rect)])
 
     def _new(self, part: Rect) -> np.ndarray:
-        pixels = self._read(part)
         if self._over is None:
-            return pixels
-        where, array = self._over
+            return self._read(part)
+        out = np.empty((part.height, part.width, 3), np.float32)
+        self._write(part, out)
+        return out
+
+    def _write(self, part: Rect, to: np.ndarray) -> None:
+        where, array = self._over or (EMPTY, self._pixels)
         both = where.clip(part)
-        if both == part:
-            return array[part.slices_in(where)]
+        if both != part:
+            to[:] = self._read(part)
         if not both.empty:
-            pixels = pixels.copy()
-            pixels[both.slices_in(part)] = array[both.slices_in(where)]
-        return pixels
+            to[both.slices_in(part)] = array[both.slices_in(where)]

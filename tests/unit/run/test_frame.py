@@ -145,7 +145,8 @@ def test_a_plate_is_converted_once() -> None:
     plate = Plate(Rect(0, 0, 50, 40), read)
     assert plate(Rect(5, 5, 20, 20)).shape == (15, 15, 3) and plate(Rect(6, 6, 9, 9)).shape == (3, 3, 3)
     assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(Rect(40, 30, 50, 40)).shape == (10, 10, 3)
-    assert asked == [Rect(5, 5, 20, 20), Rect(0, 0, 50, 40)], "what was asked for first, then all"
+    assert asked == [Rect(5, 5, 20, 20), Rect(0, 0, 30, 40), Rect(30, 0, 50, 40)], "first what was asked for, then bands"
+    assert plate.within(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3) and len(asked) == 3
 
 
 @pytest.mark.parametrize("opacity", [1.0, 0.25])
