@@ -17,7 +17,7 @@ class Sheet:
     """
 
     def __init__(self, rect: Rect, read: Callable[[Rect], np.ndarray], over: tuple[Rect, np.ndarray] | None = None) -> None:
-        self.rect, self._read, self._over = rect, read, over
+        self.rect, self._made_by, self._over = rect, read, over
         self._where, self._pixels = EMPTY, np.empty((0, 0, 3), np.float32)  # all that was made while `_made` is empty
         self._made: dict[int, tuple[int, int]] = {}  # number of a band -> its columns
 
@@ -71,6 +71,9 @@ class Sheet:
                 waiting = missing
             self._made[band] = low, high
         self._fill(waiting)
+
+    def _read(self, part: Rect) -> np.ndarray:
+        return self._made_by(part)
 
     def _fill(self, part: Rect) -> None:
         if not part.empty:

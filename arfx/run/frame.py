@@ -111,12 +111,12 @@ class Plate(Sheet):
     """A rectangle of a frame in linear light, converted where it is asked for. seconds : spent on that"""
 
     def __init__(self, rect: Rect, read: Callable[[Rect], np.ndarray]) -> None:
-        super().__init__(rect, self._timed)
-        self._convert, self.seconds = read, 0.0
+        super().__init__(rect, read)
+        self.seconds = 0.0
 
-    def _timed(self, rect: Rect) -> np.ndarray:
+    def _read(self, part: Rect) -> np.ndarray:
         start = time.perf_counter()
-        pixels = self._convert(rect)
+        pixels = super()._read(part)
         self.seconds += time.perf_counter() - start
         return pixels
 

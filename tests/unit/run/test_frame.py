@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+import weakref
 from typing import Any
 
 import numpy as np
@@ -147,6 +148,9 @@ def test_a_plate_is_converted_once() -> None:
     assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(Rect(40, 30, 50, 40)).shape == (10, 10, 3)
     assert asked == [Rect(5, 5, 20, 20), Rect(0, 0, 30, 40), Rect(30, 0, 50, 40)], "first what was asked for, then bands"
     assert plate.within(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3) and len(asked) == 3
+    gone = weakref.ref(plate)
+    del plate
+    assert gone() is None, "freed at once, not when Python next looks for cycles: it is as large as a picture"
 
 
 @pytest.mark.parametrize("opacity", [1.0, 0.25])
