@@ -128,7 +128,7 @@ class Spans(Patch):
         return Spans(self.rect, self.made, columns, self.before)
 
     @cached_property
-    def array(self) -> np.ndarray:  # type: ignore[override]
+    def array(self) -> np.ndarray:
         """(h, w, 3), complete."""
         for rows, (a, b) in self._bands():
             x = self.rect.x0

@@ -228,7 +228,9 @@ def _rgb_from_yuv(matrix: str) -> np.ndarray:
     return np.linalg.inv(yuv_from_rgb(matrix))
 
 
-def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, columns: np.ndarray, before: np.ndarray, after: np.ndarray) -> int:
+def _edit_yuv(
+    planes: list[np.ndarray], f: FrameFormat, r: Rect, columns: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> int:
     from arfx.media import kernels
     from arfx.media.curves import encode_curve
 

@@ -96,7 +96,9 @@ def _blank_odd(before, after):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def edit_luma(y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach):
+def edit_luma(
+    y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach
+):
     """Adds the luma difference to plane y in place; leaves the chroma differences of each line, reduced to chroma columns.
 
     rect : x0, y0, x1, y1;  columns : (h, 2), outside of which nothing is looked at, from x0

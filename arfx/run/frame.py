@@ -223,10 +223,10 @@ def _require_finite_spans(spans: Spans, name: Layer, stage: str, index: int) -> 
 @numba.njit(cache=True, nogil=True)
 def _finite_within(bits: np.ndarray, columns: np.ndarray) -> bool:  # pragma: no cover - compiled
     """As `_finite`, of rows (h, 3 w), columns (h, 2) of pixels."""
+    found = True
     for y in range(bits.shape[0]):
-        if not _finite(bits[y, 3 * columns[y, 0] : 3 * columns[y, 1]]):
-            return False
-    return True
+        found &= _finite(bits[y, 3 * columns[y, 0] : 3 * columns[y, 1]])
+    return found
 
 
 @numba.njit(cache=True, nogil=True)

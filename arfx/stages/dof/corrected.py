@@ -15,10 +15,10 @@ from arfx.stages.dof.cutout import continue_outside, object_radius
 from arfx.stages.dof.depth_layers import DepthLayers, depth_layers, dioptre_of
 from arfx.stages.dof.ladder import SHARP_PX, Ladder
 from arfx.stages.dof.layer import Columns, Light, Spread, hull, reached, strips
-from arfx.stages.dof.spread import TILE_PX
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.real_pixels import RealPixels
+from arfx.stages.dof.spread import TILE_PX
 from arfx.stages.dof.surfaces import GRID_PX, Real, plane_radius, square_radius
 from arfx.stages.dof.work import on_all_cores
 
@@ -153,10 +153,11 @@ def render(
         top, bottom = strip
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
         spread = base.rows(top, bottom, "base")
-        lights = [(cut, at) for k, cut in enumerate(cuts) if (at := cut.light(here, str(k))) is not None]
+        lights = [(cut, shed) for k, cut in enumerate(cuts) if (shed := cut.light(here, str(k))) is not None]
         a, b = spread.lo, spread.hi
-        for cut, at in lights:
-            a, b = hull((a, b), tuple(x + cut.rect.x0 - rect.x0 for x in at.columns))
+        for cut, shed in lights:
+            left = cut.rect.x0 - rect.x0
+            a, b = hull((a, b), (shed.columns[0] + left, shed.columns[1] + left))
         if a >= b:
             return
         columns[top:bottom] = a, b
@@ -165,7 +166,7 @@ def render(
             light.lay_real(out, state, image, top, a, b, *spread.parts, base.radius, sharp.patch, sharp.box, kept)
         else:
             out[:, a:b] = image[top:bottom, a:b]
-        if any([cut.lay(at, out, state, here, top, sharp) for cut, at in lights]):
+        if any([cut.lay(shed, out, state, here, top, sharp) for cut, shed in lights]):
             light.restore(out, state, image, top, a, b)
 
     first, last = out.y0 - rect.y0, out.y1 - rect.y0

@@ -267,7 +267,9 @@ def deposit_cut(
                 while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]):
                     after += 1
                 xb = min(left + after * TILE_PX, width)
-                _to_cells(lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], fade, work, cells, meta, lead_y, lead_x)
+                _to_cells(
+                    lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], fade, work, cells, meta, lead_y, lead_x
+                )
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):

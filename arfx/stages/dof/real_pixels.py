@@ -44,8 +44,8 @@ class RealPixels:
         image = now.within(Layer.IMAGE, parts)
         if not image.flags.c_contiguous:
             seen, image = image, np.empty(image.shape, np.float32)
-            for part in parts:
-                image[part.slices_in(now.rect)] = seen[part.slices_in(now.rect)]
+            for needed in parts:
+                image[needed.slices_in(now.rect)] = seen[needed.slices_in(now.rect)]
         return RealPixels(_frozen(image), _frozen(patch), (box.x0, box.y0, box.x1, box.y1))
 
     def with_all(self, real: np.ndarray) -> RealPixels:

@@ -112,7 +112,9 @@ def _depth(pose: Pose) -> float:
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, px_per_dioptre, focus, limit):  # pragma: no cover - compiled
+def plane_radius(
+    out, top, bottom, begin, end, x0, y0, nodes, background, px_per_dioptre, focus, limit
+):  # pragma: no cover - compiled
     """Rows top..bottom, columns begin..end of out (h, w): blur radius of the endless plane, px.
 
     x0, y0 : the rectangle's corner in the frame;  nodes : (gh, gw) dioptres of the plane every GRID_PX pixels
