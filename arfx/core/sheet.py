@@ -8,6 +8,7 @@ import numpy as np
 
 from arfx.core.rect import EMPTY, Rect
 
+NEARLY_ALL = 0.8  # of a rectangle: then all of it is made at once
 BAND_PX = 64  # rows of a band; bands begin at multiples of it in the frame
 
 
@@ -30,6 +31,8 @@ class Sheet:
     def within(self, rect: Rect, parts: Iterable[Rect]) -> np.ndarray:
         """(h, w, 3) of `rect`, a view, in which only `parts` are set."""
         parts = [p.clip(rect) for p in parts]
+        if sum(p.area for p in parts) >= NEARLY_ALL * rect.area:
+            parts = [rect]
         if self._where.empty and parts == [rect]:
             self._where, self._pixels = rect, self._new(rect)  # most often nothing else is asked for
         if self._made or not self._where.contains(rect):
