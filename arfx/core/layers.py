@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from arfx.core.rect import EMPTY, Rect
+from arfx.core.sheet import Sheet
 
 
 class Layer(StrEnum):
@@ -83,6 +86,72 @@ class Patch:
         return Layers(rect, {name: (self.rect, self.array)})[name]
 
 
+class Spans(Patch):
+    """IMAGE of which only some columns of each row were made; the rest stays as it was.
+
+    rect : where;  made : (h, w, 3), set in `columns` only;  columns : (h, 2) int32, first and behind the last, from rect's left
+    before : what IMAGE was, of any part of rect
+    """
+
+    def __init__(self, rect: Rect, made: np.ndarray, columns: np.ndarray, before: Deferred) -> None:
+        for name, value in (("rect", rect), ("made", made), ("columns", columns), ("before", before)):
+            object.__setattr__(self, name, value)
+
+    made: np.ndarray
+    columns: np.ndarray
+    before: Deferred
+
+    def parts(self) -> list[Rect]:
+        """Rectangles of the frame that hold all that was made."""
+        x = self.rect.x0
+        return [Rect(x + a, rows.y0, x + b, rows.y1) for rows, (a, b) in self._bands() if a < b]
+
+    def only(self, rect: Rect) -> Spans:
+        """Nothing made outside of a rectangle."""
+        columns = self.columns.clip(rect.x0 - self.rect.x0, rect.x1 - self.rect.x0).astype(np.int32)
+        columns[: max(rect.y0 - self.rect.y0, 0)] = 0
+        columns[max(rect.y1 - self.rect.y0, 0) :] = 0
+        return Spans(self.rect, self.made, columns, self.before)
+
+    def holding(self, rect: Rect) -> Spans:
+        """With a rectangle inside this one, as it was where it was not made."""
+        columns = self.columns.copy()
+        for rows, (a, b) in self._bands():
+            both = rows.clip(rect)
+            if both.empty:
+                continue
+            x0, x1 = self.rect.x0 + a, self.rect.x0 + b
+            low, high = (min(both.x0, x0), max(both.x1, x1)) if a < b else (both.x0, both.x1)
+            for left, right in ((low, x0), (x1, high)) if a < b else ((low, high),):
+                self._keep(Rect(left, both.y0, right, both.y1))
+            columns[both.y0 - self.rect.y0 : both.y1 - self.rect.y0] = low - self.rect.x0, high - self.rect.x0
+        return Spans(self.rect, self.made, columns, self.before)
+
+    @cached_property
+    def array(self) -> np.ndarray:
+        """(h, w, 3), complete."""
+        for rows, (a, b) in self._bands():
+            x = self.rect.x0
+            for x0, x1 in ((x, x + a), (x + b, self.rect.x1)) if a < b else ((x, self.rect.x1),):
+                self._keep(Rect(x0, rows.y0, x1, rows.y1))
+        return self.made
+
+    def _keep(self, part: Rect) -> None:
+        if not part.empty:
+            self.made[part.slices_in(self.rect)] = self.before(part)
+
+    def _bands(self) -> list[tuple[Rect, tuple[int, int]]]:
+        """Rows with the same columns."""
+        cuts = np.flatnonzero((np.diff(self.columns, axis=0) != 0).any(1)) + 1
+        ends = [0, *(int(y) for y in cuts), len(self.columns)]
+        r = self.rect
+        return [
+            (Rect(r.x0, r.y0 + top, r.x1, r.y0 + bottom), (int(self.columns[top, 0]), int(self.columns[top, 1])))
+            for top, bottom in pairwise(ends)
+            if top < bottom
+        ]
+
+
 @dataclass(frozen=True, eq=False)
 class Dimmed:
     """IMAGE of a frame after whose stage none reads it: as written in `part`, else PLATE with less light, not worked out yet.
@@ -125,6 +194,15 @@ class Layers:
                 seen[both.slices_in(self.rect)] = array[both.slices_in(where)]
         if seen.ndim == 3 and seen.strides[-1] == 0:  # one value for all channels
             seen = np.ascontiguousarray(seen)
+        seen.setflags(write=False)
+        return seen
+
+    def within(self, name: Layer, parts: Sequence[Rect]) -> np.ndarray:
+        """PLATE or IMAGE as `layers[name]`, of which only `parts` need be set: others may not be made at all."""
+        where, array = self.written[name]
+        if not isinstance(array, Sheet) or not where.contains(self.rect):
+            return self[name]
+        seen = array.within(self.rect, parts).view()
         seen.setflags(write=False)
         return seen
 

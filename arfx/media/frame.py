@@ -195,10 +195,16 @@ class Frame:
         _dim_yuv(planes_of(picture, f.layout), f, r, h, whole, opacity, bias, self._yuv_factors())
         return Frame(picture, f, self.index, self.pts, self.key)
 
-    def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
+    @property
+    def row_by_row(self) -> bool:
+        """Whether `edited` takes `columns`."""
+        return self.format.layout.kind == "yuv" and self.format.orientation == Orientation()
+
+    def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray, columns: np.ndarray | None = None) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before) inside `rect`.
 
         before, after : (h, w, 3) float32 linear RGB of the upright rectangle; equal pixels keep their bits.
+        columns : (h, 2) int32 of each row, outside of which neither is looked at; None = all. Only where `row_by_row`
         New values are clipped to the legal range; samples that already lay beyond it may stay there.
         Raises RenderError for a rectangle outside the picture, other shapes, or values that are not finite.
         """
@@ -210,7 +216,8 @@ class Frame:
         a = np.ascontiguousarray(f.orientation.coded(after), np.float32)
         picture = copy_picture(self.picture, f.layout)
         planes = planes_of(picture, f.layout)
-        bad = _edit_yuv(planes, f, r, b, a) if f.layout.kind == "yuv" else _edit_rgb(planes, f, r, b, a)
+        whole = np.tile(np.array([0, r.width], np.int32), (r.height, 1)) if columns is None else columns
+        bad = _edit_yuv(planes, f, r, whole, b, a) if f.layout.kind == "yuv" else _edit_rgb(planes, f, r, b, a)
         if bad:
             raise RenderError(f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not finite numbers")
         return Frame(picture, f, self.index, self.pts, self.key)
@@ -221,7 +228,9 @@ def _rgb_from_yuv(matrix: str) -> np.ndarray:
     return np.linalg.inv(yuv_from_rgb(matrix))
 
 
-def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:
+def _edit_yuv(
+    planes: list[np.ndarray], f: FrameFormat, r: Rect, columns: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> int:
     from arfx.media import kernels
     from arfx.media.curves import encode_curve
 
@@ -231,7 +240,7 @@ def _edit_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndar
     chroma = np.empty((2, r.height, -(-r.x1 >> sub_x) - (r.x0 >> sub_x)), np.float32)
     reach = np.empty((r.height, 2), np.int32)
     bad = kernels.edit_luma(
-        planes[0], rect, before.view(np.int32), after.view(np.int32), encode_curve(f.transfer),
+        planes[0], rect, columns, before.view(np.int32), after.view(np.int32), encode_curve(f.transfer),
         yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, f.width, sub_x, left, chroma, reach,
     )  # fmt: skip
     for plane, lines in zip(planes[1:3], chroma, strict=True):

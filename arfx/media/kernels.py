@@ -96,10 +96,13 @@ def _blank_odd(before, after):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach):
+def edit_luma(
+    y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach
+):
     """Adds the luma difference to plane y in place; leaves the chroma differences of each line, reduced to chroma columns.
 
-    rect : x0, y0, x1, y1;  *_bits : (h, w, 3) float32 linear light as int32;  to_yuv : (3, 3) from R'G'B'
+    rect : x0, y0, x1, y1;  columns : (h, 2), outside of which nothing is looked at, from x0
+    *_bits : (h, w, 3) float32 linear light as int32;  to_yuv : (3, 3) from R'G'B'
     factor : stored steps per unit of luma;  low, high : legal stored values;  step : log2 of the chroma step across
     cosited : a chroma sample lies on the left luma sample and takes a tent of differences, else a box
     chroma : (2, h, n) float32, set to Cb and Cr differences, -0.5..0.5, of the columns from x0 >> step on
@@ -120,10 +123,10 @@ def edit_luma(y, rect, before_bits, after_bits, curve, to_yuv, factor, low, high
     # (it does not where they stand together in one function); a pixel between them that does not change has difference 0
     for j in range(h):
         b, a = before_bits[j].reshape(-1), after_bits[j].reshape(-1)
-        if not _all_finite(b, a):
+        first, last = 3 * columns[j, 0], 3 * columns[j, 1]
+        if not _all_finite(b[first:last], a[first:last]):
             b, a = b.copy(), a.copy()
-            bad += _blank_odd(b, a)
-        first, last = 0, 3 * w
+            bad += _blank_odd(b[first:last], a[first:last])
         while first < last and b[first] == a[first]:
             first += 1
         while last > first and b[last - 1] == a[last - 1]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,11 +17,12 @@ import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import UNWRITTEN, Deferred, Dimmed, Layer, Layers, Patch
+from arfx.core.layers import UNWRITTEN, Dimmed, Layer, Layers, Patch, Spans
 from arfx.core.numerics import count_non_finite
 from arfx.core.plan import FramePlan
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.core.sheet import Sheet
 from arfx.core.stage import Level, Stage, Window
 from arfx.errors import RenderError
 from arfx.media.frame import Frame
@@ -34,7 +35,7 @@ class Canvas:
     read : what stages saw that look at earlier frames: they see that again, not what came of it
     """
 
-    plate: np.ndarray | Deferred
+    plate: np.ndarray | Sheet
     rect: Rect
     stored: dict[Layer, tuple[Rect, Any]] = field(default_factory=dict)
     read: dict[str, Layers] = field(default_factory=dict)
@@ -48,8 +49,10 @@ class Canvas:
 
     def put(self, name: Layer, rect: Rect, array: np.ndarray) -> None:
         """Write `array` over `rect`; what was there before stays outside it."""
-        where, _ = self.stored.get(name, (rect, array))
-        if where != rect and not rect.contains(where):
+        where, before = self.stored.get(name, (rect, array))
+        if isinstance(before, Sheet) and where.contains(rect):
+            self.stored[name] = (where, Sheet(where, before, (rect, array)))
+        elif where != rect and not rect.contains(where):
             whole = where.union(rect)
             merged = self.view(frozenset({name}), whole)[name].copy()
             merged[rect.slices_in(whole)] = array
@@ -74,45 +77,49 @@ class Canvas:
         return where, pixels
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameResult:
-    """rect : pixels of the picture that are new;  image : (h, w, 3) linear over it;  plate : the same pixels before
+    """rect : pixels of the picture that are new;  made : those, or what of the rectangle can differ from what was there
     dimmed : less light on the plate elsewhere, None = nothing;  seconds : by stage
     """
 
     rect: Rect
-    image: np.ndarray
-    plate: np.ndarray
+    made: Patch
     dimmed: Dimmed | None
     seconds: dict[str, float]
     canvas: Canvas
 
+    @property
+    def image(self) -> np.ndarray:
+        """(h, w, 3) linear over `rect`."""
+        return self.made.array[self.rect.slices_in(self.made.rect)]
+
     def onto(self, frame: Frame, changed: Rect) -> Frame:
         """The frame with what is new inside `changed` written into its planes."""
-        out = frame
+        out, made, plate = frame, self.made, self.canvas.view(frozenset({Layer.PLATE}), self.rect)
         if self.dimmed is not None and not (where := self.dimmed.rect.clip(changed)).empty:
             d = self.dimmed
             out = out.dimmed(where, d.left[where.slices_in(d.rect)], d.opacity, d.bias, self.rect.clip(where))
-        return out if self.rect.empty else out.edited(self.rect, self.plate, self.image)
+        if self.rect.empty:
+            return out
+        if isinstance(made, Spans) and frame.row_by_row:
+            plate = self.canvas.view(frozenset({Layer.PLATE}), made.rect)
+            return out.edited(made.rect, plate.within(Layer.PLATE, made.parts()), made.made, made.columns)
+        return out.edited(self.rect, plate[Layer.PLATE], self.image)
 
 
-class Plate:
-    """A rectangle of a frame in linear light, converted when it is asked for: what is asked for first, else all of it.
+class Plate(Sheet):
+    """A rectangle of a frame in linear light, converted where it is asked for. seconds : spent on that"""
 
-    seconds : spent on that
-    """
+    def __init__(self, rect: Rect, read: Callable[[Rect], np.ndarray]) -> None:
+        super().__init__(rect, read)
+        self.seconds = 0.0
 
-    def __init__(self, rect: Rect, read: Deferred) -> None:
-        self.rect, self._read, self.seconds = rect, read, 0.0
-        self._have, self._pixels = EMPTY, np.empty(0)
-
-    def __call__(self, rect: Rect) -> np.ndarray:
-        if self._have.empty or not self._have.contains(rect):
-            start = time.perf_counter()
-            self._have = rect if self._have.empty else self.rect
-            self._pixels = self._read(self._have)
-            self.seconds += time.perf_counter() - start
-        return self._pixels[rect.slices_in(self._have)]
+    def _read(self, part: Rect) -> np.ndarray:
+        start = time.perf_counter()
+        pixels = super()._read(part)
+        self.seconds += time.perf_counter() - start
+        return pixels
 
 
 _OWN = threading.local()
@@ -158,6 +165,8 @@ def run_frame(
         canvas.put(Layer.REAL_DEPTH, plan.rect, real_depth_m)
     seconds: dict[str, float] = {}
     dimmed: Dimmed | None = None
+    spans: Spans | None = None
+    painted = EMPTY  # where IMAGE was written before them
     may_dim = isinstance(plate, Plate) and not any(s.reach for s in stages.values())
 
     def spent() -> float:
@@ -181,18 +190,24 @@ def run_frame(
         made = stage.run(window, scene, prepared[stage.name], levels[stage.name], rng)
         for name, array in made.items():
             dimmed = array if isinstance(array, Dimmed) else dimmed
+            if isinstance(array, Spans) and window.last and array.rect.contains(plan.changed):
+                spans = array.only(step.out)
+                _require_finite_spans(spans, name, stage.name, facts.index)
+                continue
             where, pixels = canvas.take(name, array, step.need, step.out)
+            painted = painted.union(where) if name is Layer.IMAGE else painted
             if name is not Layer.DEPTH:  # infinite where nothing is
                 _require_finite(pixels, name, stage.name, facts.index, where)
         seconds[stage.name] = seconds.get(stage.name, 0.0) + spent() - start
+    if spans is not None:
+        return FrameResult(plan.changed, spans.holding(painted.clip(plan.changed)), None, seconds, canvas)
     if dimmed is None:
         rect = plan.changed
         image = canvas.view(frozenset({Layer.IMAGE}), rect)[Layer.IMAGE]
     else:
         rect = plan.changed.clip(dimmed.part.rect)
         image = dimmed.part.array[rect.slices_in(dimmed.part.rect)]
-    before = image if rect.empty else canvas.view(frozenset({Layer.PLATE}), rect)[Layer.PLATE]
-    return FrameResult(rect, image, before, dimmed, seconds, canvas)
+    return FrameResult(rect, Patch(rect, image), dimmed, seconds, canvas)
 
 
 def _require_finite(array: np.ndarray, layer: Layer, stage: str, index: int, rect: Rect) -> None:
@@ -211,6 +226,21 @@ def _require_finite(array: np.ndarray, layer: Layer, stage: str, index: int, rec
             f"frame {index}, first at x {x + rect.x0}, y {y + rect.y0}",
             "please report this with the job folder; --set or another level may avoid it",
         )
+
+
+def _require_finite_spans(spans: Spans, name: Layer, stage: str, index: int) -> None:
+    bits = spans.made.reshape(len(spans.made), -1).view(np.int32)
+    if not _finite_within(bits, spans.columns):
+        _require_finite(spans.array, name, stage, index, spans.rect)
+
+
+@numba.njit(cache=True, nogil=True)
+def _finite_within(bits: np.ndarray, columns: np.ndarray) -> bool:  # pragma: no cover - compiled
+    """As `_finite`, of rows (h, 3 w), columns (h, 2) of pixels."""
+    found = True
+    for y in range(bits.shape[0]):
+        found &= _finite(bits[y, 3 * columns[y, 0] : 3 * columns[y, 1]])
+    return found
 
 
 @numba.njit(cache=True, nogil=True)

@@ -7,17 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch, neutral
+from arfx.core.layers import Layer, Layers, Spans
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import deposit, light
 from arfx.stages.dof.cutout import continue_outside, object_radius
 from arfx.stages.dof.depth_layers import DepthLayers, depth_layers, dioptre_of
 from arfx.stages.dof.ladder import SHARP_PX, Ladder
-from arfx.stages.dof.layer import DARK, Spread, strips
+from arfx.stages.dof.layer import Columns, Light, Spread, hull, reached, strips
 from arfx.stages.dof.optics import Circles
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.real_pixels import RealPixels
+from arfx.stages.dof.spread import TILE_PX
 from arfx.stages.dof.surfaces import GRID_PX, Real, plane_radius, square_radius
 from arfx.stages.dof.work import on_all_cores
 
@@ -25,9 +26,22 @@ Optics = tuple[np.float32, np.float32, np.float32]  # px per dioptre, focus diop
 _NONE = np.empty((0, 0), np.float32)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class CutLight:
+    """Light of a cut-out on some rows: part : where in the frame;  columns : of the cut-out, where it is laid over anything"""
+
+    part: Rect
+    columns: Columns
+    own: Light
+    gap: Light
+
+
 @dataclass(frozen=True, eq=False)
 class CutOut:
-    """A layer over `rect`: premultiplied colour, coverage, opacity, its own light and what it lets through."""
+    """A layer over `rect`: premultiplied colour, coverage, opacity, its own light and what it lets through.
+
+    sharp : outside of it nothing is sharp that covers
+    """
 
     rect: Rect
     colour: np.ndarray
@@ -35,26 +49,40 @@ class CutOut:
     opacity: np.float32
     spread: Spread
     gap: Spread
+    sharp: Rect
 
     def deposit(self, strip: tuple[int, int]) -> None:
         radius, coverage = self.spread.radius, self.coverage
         self.spread.note(strip, deposit.deposit_cut(*strip, radius, self.colour, coverage, self.opacity, *self.spread.sink))
         self.gap.note(strip, deposit.deposit_gap(*strip, radius, coverage, self.opacity, *self.gap.sink))
 
-    def lay(self, out: np.ndarray, state: np.ndarray, rows: Rect, first: int, real: RealPixels) -> None:
-        """Put it over the rows `rows` (their rectangle in the frame) of out. first : of these rows in `real`"""
+    def light(self, rows: Rect, name: str) -> CutLight | None:
+        """What it sheds on the rows `rows` (their rectangle in the frame); None where it is not laid over any of them.
+
+        name : of this layer, for memory that is used again
+        """
         part = self.rect.clip(rows)
+        top, bottom, x0 = part.y0 - self.rect.y0, part.y1 - self.rect.y0, self.rect.x0
         if part.empty:
-            return
-        top, bottom = part.y0 - self.rect.y0, part.y1 - self.rect.y0
-        own, gap = self.spread.rows(top, bottom, "own"), self.gap.rows(top, bottom, "gap")
-        at = slice(part.y0 - rows.y0, part.y1 - rows.y0)
+            return None
+        own, sharp = self.spread.rows(top, bottom, f"own {name}"), self.sharp.clip(part)
+        a, b = hull((own.lo, own.hi), (sharp.x0 - x0, sharp.x1 - x0))
+        a, b = max(a, part.x0 - x0), min(b, part.x1 - x0)
+        if a >= b:
+            return None
+        return CutLight(part, (a, b), own, self.gap.rows(top, bottom, f"gap {name}"))
+
+    def lay(self, at: CutLight, out: np.ndarray, state: np.ndarray, rows: Rect, first: int, real: RealPixels) -> bool:
+        """Put it over the rows `rows` of out. first : of these rows in `real`. Returns whether it may be `light.TRIED`."""
+        top, bottom = at.part.y0 - self.rect.y0, at.part.y1 - self.rect.y0
+        to = slice(at.part.y0 - rows.y0, at.part.y1 - rows.y0)
         mine = slice(top, bottom)
-        light.lay_cut(
-            out[at], state[at], first + part.y0 - rows.y0, part.x0 - self.rect.x0, part.x1 - self.rect.x0, self.rect.x0 - rows.x0,
-            top, *own.parts, *gap.parts,
+        tried: bool = light.lay_cut(
+            out[to], state[to], first + at.part.y0 - rows.y0, *at.columns, self.rect.x0 - rows.x0,
+            top, *at.own.parts[:4], *at.gap.parts[:4],
             self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity, real.image, real.patch, real.box,
         )  # fmt: skip
+        return tried
 
 
 def depth_range(facts: FrameFacts) -> tuple[float, float]:
@@ -73,72 +101,96 @@ def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
 def render(
     now: Layers, facts: FrameFacts, frame: Rect, out: Rect, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder,
     params: DofParams,
-) -> Patch:  # fmt: skip
-    """IMAGE of a frame with a pose over `out`, or somewhat more of the same rows. frame : the whole picture"""
+) -> Spans:  # fmt: skip
+    """IMAGE of a frame with a pose over `out`, and somewhat more of the same rows. frame : the whole picture"""
     optics = np.float32(at.px_per_dioptre), np.float32(at.focus), np.float32(at.limit_px)
     largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if params.scope == "all" else 0.0
     real_blurs = largest > SHARP_PX
-    rect = now.rect if real_blurs else out  # where the real scene is sharp its pixels stay where they are
-    sharp = RealPixels.of(now.crop(rect), facts)
-    measured = _measured(now, sharp, real, at) if real_blurs else None
+    rect, everywhere = now.rect, real_blurs and (real.tiles is not None or bool(real.cut_outs))
+    rows = strips(rect)
+    nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
+    hot = [(0, rect.width if everywhere else 0)] * len(rows)  # columns of each strip that hold a circle of 1 px
+    if real_blurs and not everywhere:
+        hot = _hot_columns(rows, rect, at.radius_px(np.maximum(nodes, real.background)))
     base = Spread(rect, ladder, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
+    boxed = _object(now, facts, frame, optics, ladder, params)
+    lit = reached(rows, hot, base.reach, rect.width)
+    parts = []  # of the real scene, that are looked at
+    for (top, bottom), (a, b) in zip(rows, lit, strict=True):
+        strip = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
+        part = Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1)
+        under = EMPTY if boxed is None else boxed.rect.clip(strip)
+        part = Rect(part.x0, strip.y0, part.x1, strip.y1).union(Rect(under.x0, strip.y0, under.x1, strip.y1))
+        if not part.empty:
+            parts.append(part)
+    sharp = RealPixels.of(now, facts, parts)
+    measured = _measured(now, sharp, real, at) if real_blurs else None
     cuts, kept = _real_cut_outs(rect, sharp, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
     if measured is not None:
         sharp = sharp.with_all(measured.base)
         cuts = _fronts(measured, rect, at, ladder, params)
-    boxed = _object(now, facts, frame, optics, ladder, params)
     cuts += [boxed] if boxed else []
-    image = sharp.image
-    nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
-    background = np.float32(real.background)
-    on_nodes = at.radius_px(np.maximum(nodes, real.background))
-    rows = strips(rect)
+    image, background = sharp.image, np.float32(real.background)
 
-    def start(strip: tuple[int, int]) -> None:
-        if measured is None and _sharp_strip(strip, rect, on_nodes):
-            base.radius[slice(*strip)] = 0
+    def start(k: int) -> None:
+        (top, bottom), (a, b), (left, right) = rows[k], hot[k], lit[k]
+        base.radius[top:bottom, left:right] = 0
+        if a >= b:
             return
         if measured is not None:
-            base.radius[slice(*strip)] = measured.radius[slice(*strip)]
+            base.radius[top:bottom] = measured.radius[top:bottom]
         else:
-            plane_radius(base.radius, *strip, rect.x0, rect.y0, nodes, background, *optics)
+            plane_radius(base.radius, top, bottom, a, b, rect.x0, rect.y0, nodes, background, *optics)
         boost = np.float32(params.highlight_boost)
         flat = image.reshape(rect.height, -1), sharp.patch.reshape(len(sharp.patch), 3 * sharp.patch.shape[1])
-        base.note(strip, deposit.deposit_real(*strip, base.radius, *flat, sharp.box, kept, boost, *base.sink))
+        base.note(rows[k], deposit.deposit_real(top, bottom, a, b, base.radius, *flat, sharp.box, kept, boost, *base.sink))
 
-    if real_blurs:
-        on_all_cores(start, rows)
+    on_all_cores(start, [k for k, (a, b) in enumerate(lit) if a < b])
     on_all_cores(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
-    first, last = out.y0 - rect.y0, out.y1 - rect.y0
-    result = np.empty((last - first, *image.shape[1:]), np.float32)
+    result, columns = np.empty(image.shape, np.float32), np.zeros((rect.height, 2), np.int32)
 
     def finish(strip: tuple[int, int]) -> None:
         top, bottom = strip
-        out, state = result[top - first : bottom - first], np.zeros((bottom - top, rect.width), np.uint8)
-        spread = base.rows(top, bottom, "base") if real_blurs else DARK
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
-        if spread.lo >= spread.hi:
-            out[:] = image[top:bottom]
+        spread = base.rows(top, bottom, "base")
+        lights = [(cut, shed) for k, cut in enumerate(cuts) if (shed := cut.light(here, str(k))) is not None]
+        a, b = spread.lo, spread.hi
+        for cut, shed in lights:
+            left = cut.rect.x0 - rect.x0
+            a, b = hull((a, b), (shed.columns[0] + left, shed.columns[1] + left))
+        if a >= b:
+            return
+        columns[top:bottom] = a, b
+        out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
+        if spread.lo < spread.hi:
+            light.lay_real(out, state, image, top, a, b, *spread.parts, base.radius, sharp.patch, sharp.box, kept)
         else:
-            light.lay_real(out, state, image, top, *spread.parts, base.radius, sharp.patch, sharp.box, kept)
-        active = EMPTY
-        for cut in cuts:
-            cut.lay(out, state, here, top, sharp)
-            active = active.union(cut.rect.clip(here))
-        if not active.empty:
-            light.restore(out, state, image, top, active.x0 - rect.x0, active.x1 - rect.x0)
+            out[:, a:b] = image[top:bottom, a:b]
+        if any([cut.lay(shed, out, state, here, top, sharp) for cut, shed in lights]):
+            light.restore(out, state, image, top, a, b)
 
+    first, last = out.y0 - rect.y0, out.y1 - rect.y0
     on_all_cores(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
-    return Patch(Rect(rect.x0, out.y0, rect.x1, out.y1), result)
+    return Spans(rect, result, columns, lambda part: now.crop(part)[Layer.IMAGE])
 
 
-def _sharp_strip(strip: tuple[int, int], rect: Rect, on_nodes: np.ndarray) -> bool:
-    """Whether no pixel of the endless plane is blurred in a strip: its dioptres lie between those of the nodes around.
+def _hot_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarray) -> list[tuple[int, int]]:
+    """Columns of each strip outside which no pixel of the endless plane is blurred, from tile to tile: a pixel's dioptre lies
+    between those of the nodes around.
 
     on_nodes : (gh, gw) radius px on the direction grid
     """
-    y0, y1 = (rect.y0 + strip[0]) // GRID_PX, (rect.y0 + strip[1] - 1) // GRID_PX + 2
-    return bool(on_nodes[y0:y1, rect.x0 // GRID_PX : (rect.x1 - 1) // GRID_PX + 2].max() <= SHARP_PX)
+    out, g0 = [], rect.x0 // GRID_PX
+    hot = on_nodes[:, g0 : (rect.x1 - 1) // GRID_PX + 2] > SHARP_PX
+    for top, bottom in rows:
+        at = np.flatnonzero(hot[(rect.y0 + top) // GRID_PX : (rect.y0 + bottom - 1) // GRID_PX + 2].any(0))
+        if not len(at):
+            out.append((0, 0))
+            continue
+        x0, x1 = (int(at[0]) - 1 + g0) * GRID_PX, (int(at[-1]) + 1 + g0) * GRID_PX
+        part = Rect(x0, 0, x1, 1).align(TILE_PX, 1).clip(Rect(rect.x0, 0, rect.x1, 1))
+        out.append((part.x0 - rect.x0, part.x1 - rect.x0))
+    return out
 
 
 def _measured(now: Layers, sharp: RealPixels, real: Real, at: Circles) -> DepthLayers | None:
@@ -155,19 +207,19 @@ def _fronts(measured: DepthLayers, rect: Rect, at: Circles, ladder: Ladder, para
         box = _box(front.coverage, rect).pad(int(np.ceil(2 * largest)) + 1).clip(rect)
         part = box.slices_in(rect)
         radius, colour, coverage = (np.ascontiguousarray(a[part]) for a in (front.radius, front.colour, front.coverage))
-        cuts.append(_cut_out(box, radius, colour, coverage, np.float32(1), ladder, largest, params))
+        cuts.append(_cut_out(box, radius, colour, coverage, np.float32(1), ladder, largest, params, box, box))
     return cuts
 
 
 def _cut_out(
     rect: Rect, radius: np.ndarray, colour: np.ndarray, coverage: np.ndarray, opacity: np.float32, ladder: Ladder,
-    largest: float, params: DofParams,
+    largest: float, params: DofParams, held: Rect, sharp: Rect,
 ) -> CutOut:  # fmt: skip
     spread = Spread(rect, ladder, largest, params.blades, params.blade_turn_deg)
     gap = Spread(rect, ladder, largest, params.blades, params.blade_turn_deg)
-    continue_outside(radius, coverage, rect, 2 * largest)
+    continue_outside(radius, coverage, rect, held)
     spread.radius, gap.radius = radius, radius
-    return CutOut(rect, colour, coverage, opacity, spread, gap)
+    return CutOut(rect, colour, coverage, opacity, spread, gap, sharp)
 
 
 def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder: Ladder, params: DofParams) -> CutOut | None:
@@ -178,16 +230,21 @@ def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder:
     part = now.crop(box)
     radius = np.empty((box.height, box.width), np.float32)
     near, far = (np.float32(d) for d in depth_range(facts))
-    largest = float(object_radius(radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, *optics))
+    least, largest = object_radius(radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, *optics)
     if largest < 0:
         return None
     # sharp, it is still laid over the real scene anew where that is blurred
     rect = box if largest <= SHARP_PX else _around(facts, now.rect, frame, 2 * largest)
     padded = np.full((rect.height, rect.width), -1, np.float32)
     padded[box.slices_in(rect)] = radius
-    colour, coverage = (_spanning(now, layer, rect) for layer in (Layer.VIRTUAL, Layer.COVERAGE))
+    coverage = np.zeros(padded.shape, np.float32)
+    coverage[box.slices_in(rect)] = part[Layer.COVERAGE]
     coverage[padded < 0] = 0
-    return _cut_out(rect, padded, colour, coverage, np.float32(facts.opacity), ladder, max(largest, SHARP_PX), params)
+    colour, tiles = np.empty((*padded.shape, 3), np.float32), box.align(TILE_PX, TILE_PX).clip(rect)
+    colour[tiles.slices_in(rect)] = 0  # it is looked at in tiles that hold anything
+    colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
+    opacity, sharp = np.float32(facts.opacity), box if least <= SHARP_PX else EMPTY
+    return _cut_out(rect, padded, colour, coverage, opacity, ladder, max(float(largest), SHARP_PX), params, box, sharp)
 
 
 def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:
@@ -198,14 +255,6 @@ def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect
         rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1, rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,
     )  # fmt: skip
     return box.pad(int(np.ceil(reach_px)) + 1).clip(grown)
-
-
-def _spanning(now: Layers, layer: Layer, rect: Rect) -> np.ndarray:
-    """A layer over `rect`, nothing where it passes the layers' own rectangle."""
-    out, both = neutral(layer, rect), rect.clip(now.rect)
-    if not both.empty:
-        out[both.slices_in(rect)] = now.crop(both)[layer]
-    return out
 
 
 def _real_cut_outs(
@@ -228,7 +277,7 @@ def _real_cut_outs(
         rect = box.pad(int(np.ceil(2 * largest)) + 1).clip(area)
         at = rect.slices_in(area)
         colour = sharp.crop(rect.shift(-area.x0, -area.y0)) * inside[at][..., None]
-        cuts.append(_cut_out(rect, radius[at].copy(), colour, inside[at], np.float32(1), ladder, largest, params))
+        cuts.append(_cut_out(rect, radius[at].copy(), colour, inside[at], np.float32(1), ladder, largest, params, box, box))
     return cuts[::-1], kept
 
 

@@ -16,81 +16,110 @@ from arfx.core.rect import Rect
 TILE_PX = 8
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def object_radius(radius, coverage, depth, near, far, px_per_dioptre, focus, limit):  # pragma: no cover - compiled
     """radius (h, w) of covered pixels from their depth, m, held to near..far; -1 where nothing is; 0 where the
-    depth is not a distance. Returns the largest."""
+    depth is not a distance. Returns the least and the largest; (inf, -1) where there is none."""
     h, w = radius.shape
-    largest = np.float32(-1)
+    least, largest = np.float32(np.inf), np.float32(-1)
     for y in range(h):
+        line = radius[y]
         for x in range(w):
-            radius[y, x] = -1
-            if not coverage[y, x] > 0:
-                continue
             z = depth[y, x]
-            r = np.float32(0)
-            if z > 0:
-                r = min(px_per_dioptre * abs(focus - np.float32(1) / min(max(z, near), far)), limit)
-            radius[y, x] = r
+            r = min(px_per_dioptre * abs(focus - np.float32(1) / min(max(z, near), far)), limit)
+            r = r if z > 0 else np.float32(0)
+            line[x] = r if coverage[y, x] > 0 else np.float32(-1)
+        for x in range(w):
+            r = line[x]
             largest = max(largest, r)
-    return largest
+            least = min(least, r if r >= 0 else np.float32(np.inf))
+    return least, largest
 
 
-def continue_outside(radius: np.ndarray, coverage: np.ndarray, rect: Rect, reach_px: float) -> None:
-    """Fill radius (h, w), -1 outside, by the nearest tiles' mean up to at least `reach_px` away. In place.
+def continue_outside(radius: np.ndarray, coverage: np.ndarray, rect: Rect, held: Rect) -> None:
+    """Fill radius (h, w) of `rect`, -1 outside, by the nearest tiles' mean up to at least twice their radius away. In place.
 
+    held : outside of it nothing is covered
     Tiles lie on a grid of the frame, so that a pixel gets the same from any rectangle that holds what is near it.
+    Farther away no light of the layer comes together with what is let through there.
     """
     lead_x, lead_y = rect.x0 % TILE_PX, rect.y0 % TILE_PX
-    sums = _tile_sums(radius, coverage, lead_x, lead_y)
-    mean, known = np.zeros(sums.shape[:2], np.float32), sums[..., 1] > 0
-    mean[known] = sums[known, 0] / sums[known, 1]
-    for _ in range(int(np.ceil(reach_px / TILE_PX)) + 2):
-        if known.all():
-            break
-        mean, known = _grow(mean, known)
+    part = held.shift(-rect.x0, -rect.y0)
+    mean, left_px, known = _tile_means(radius, coverage, lead_x, lead_y, (part.x0, part.y0, part.x1, part.y1))
+    _grow(mean, left_px, known)
     _fill(radius, mean, known, lead_x, lead_y)
 
 
 @numba.njit(cache=True, nogil=True)
-def _tile_sums(radius, coverage, lead_x, lead_y):  # pragma: no cover - compiled
+def _tile_means(radius, coverage, lead_x, lead_y, held):  # pragma: no cover - compiled
+    """Of each tile: mean radius, how far it is to go on (px), and whether anything is in it."""
     h, w = radius.shape
-    out = np.zeros(((lead_y + h - 1) // TILE_PX + 1, (lead_x + w - 1) // TILE_PX + 1, 2), np.float64)
-    for y in range(h):
-        for x in range(w):
-            if radius[y, x] >= 0:
-                t = out[(y + lead_y) // TILE_PX, (x + lead_x) // TILE_PX]
-                t[0] += coverage[y, x] * radius[y, x]
-                t[1] += coverage[y, x]
-    return out
+    th, tw = (lead_y + h - 1) // TILE_PX + 1, (lead_x + w - 1) // TILE_PX + 1
+    mean, left_px, known = np.zeros((th, tw), np.float32), np.zeros((th, tw), np.float32), np.zeros((th, tw), np.bool_)
+    for j in range((held[1] + lead_y) // TILE_PX, (held[3] - 1 + lead_y) // TILE_PX + 1):
+        ya, yb = max(j * TILE_PX - lead_y, held[1]), min((j + 1) * TILE_PX - lead_y, held[3])
+        for i in range((held[0] + lead_x) // TILE_PX, (held[2] - 1 + lead_x) // TILE_PX + 1):
+            xa, xb = max(i * TILE_PX - lead_x, held[0]), min((i + 1) * TILE_PX - lead_x, held[2])
+            total, weight, most = np.float64(0), np.float64(0), np.float32(0)
+            for y in range(ya, yb):
+                for x in range(xa, xb):
+                    r, c = radius[np.uintp(y), np.uintp(x)], coverage[np.uintp(y), np.uintp(x)]
+                    c = c if r >= 0 else np.float32(0)
+                    total += c * r
+                    weight += c
+                    most = max(most, r)
+            if weight > 0:
+                mean[j, i], left_px[j, i], known[j, i] = total / weight, 2 * most, True
+    return mean, left_px, known
 
 
 @numba.njit(cache=True, nogil=True)
-def _grow(mean, known):  # pragma: no cover - compiled
-    """One tile further: the mean of the known ones among the eight around."""
+def _grow(mean, left_px, known):  # pragma: no cover - compiled
+    """Tile by tile outwards, two tiles farther than left_px, in place: each time the mean of the known ones among the eight
+    around. left_px : of a tile, how much farther it is to go on"""
     h, w = mean.shape
-    out, found = mean.copy(), known.copy()
+    edge, asked = np.empty((h * w, 2), np.int32), np.zeros((h, w), np.bool_)  # tiles found last, then those beside them
+    count = 0
     for y in range(h):
         for x in range(w):
             if known[y, x]:
+                edge[count, 0], edge[count, 1] = y, x
+                count += 1
+    beside, value = np.empty((h * w, 2), np.int32), np.empty((h * w, 2), np.float32)
+    while True:
+        found = 0
+        for k in range(count):
+            if left_px[edge[k, 0], edge[k, 1]] <= -2 * TILE_PX:
                 continue
-            total, count = 0.0, 0
-            for j in range(max(y - 1, 0), min(y + 2, h)):
-                for i in range(max(x - 1, 0), min(x + 2, w)):
+            for j in range(max(edge[k, 0] - 1, 0), min(edge[k, 0] + 2, h)):
+                for i in range(max(edge[k, 1] - 1, 0), min(edge[k, 1] + 2, w)):
+                    if not known[j, i] and not asked[j, i]:
+                        asked[j, i] = True
+                        beside[found, 0], beside[found, 1] = j, i
+                        found += 1
+        if found == 0:
+            return
+        for k in range(found):
+            total, near, most = 0.0, 0, np.float32(-np.inf)
+            for j in range(max(beside[k, 0] - 1, 0), min(beside[k, 0] + 2, h)):
+                for i in range(max(beside[k, 1] - 1, 0), min(beside[k, 1] + 2, w)):
                     if known[j, i]:
                         total += mean[j, i]
-                        count += 1
-            if count > 0:
-                out[y, x], found[y, x] = total / count, True
-    return out, found
+                        near += 1
+                        most = max(most, left_px[j, i])
+            value[k, 0], value[k, 1] = total / near, most - TILE_PX
+        for k in range(found):
+            j, i = beside[k, 0], beside[k, 1]
+            mean[j, i], left_px[j, i], known[j, i] = value[k, 0], value[k, 1], True
+        edge, beside, count = beside, edge, found
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _fill(radius, mean, known, lead_x, lead_y):  # pragma: no cover - compiled
     """Bilinear between the centres of known tiles."""
     h, w = radius.shape
     th, tw = mean.shape
-    step, half = np.float32(1.0 / TILE_PX), np.float32(0.5)
+    step, half, middle = np.float32(1.0 / TILE_PX), np.float32(0.5), TILE_PX // 2
     total, weight = np.empty(tw, np.float32), np.empty(tw, np.float32)  # of a row, by column of tiles
     for y in range(h):
         v = (np.float32(y + lead_y) + half) * step - half
@@ -100,13 +129,14 @@ def _fill(radius, mean, known, lead_x, lead_y):  # pragma: no cover - compiled
         for i in range(tw):
             above, below = (np.float32(1) - t) * np.float32(known[a, i]), t * np.float32(known[b, i])
             total[i], weight[i] = above * mean[a, i] + below * mean[b, i], above + below
-        for x in range(w):
-            if radius[y, x] >= 0:
+        for i in range(-1, tw):  # pixels from the middle of tile i to that of the next
+            p, q = max(i, 0), min(i + 1, tw - 1)
+            if weight[p] <= 0 and weight[q] <= 0:
                 continue
-            u = (np.float32(x + lead_x) + half) * step - half
-            i = int(np.floor(u))
-            s = u - np.float32(i)
-            p, q = min(max(i, 0), tw - 1), min(max(i + 1, 0), tw - 1)
-            share = weight[p] + (weight[q] - weight[p]) * s
-            if share > np.float32(1e-6):
-                radius[y, x] = (total[p] + (total[q] - total[p]) * s) / share
+            first = i * TILE_PX + middle - lead_x
+            for x in range(max(first, 0), min(first + TILE_PX, w)):
+                s = (np.float32(x - first) + half) * step
+                share = weight[p] + (weight[q] - weight[p]) * s
+                r = (total[p] + (total[q] - total[p]) * s) / share
+                known_here = radius[np.uintp(y), np.uintp(x)] >= 0 or share <= np.float32(1e-6)
+                radius[np.uintp(y), np.uintp(x)] = radius[np.uintp(y), np.uintp(x)] if known_here else r

@@ -32,20 +32,20 @@ def _extremes(bits, y0, x0, y1, x1):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_real(
-    top, bottom, radius, image, patch, box, kept, boost, fade, cells, meta, lead_y, lead_x, near, held
+    top, bottom, begin, end, radius, image, patch, box, kept, boost, fade, cells, meta, lead_y, lead_x, near, held
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of the real scene; returns whether any of it is blurred.
+    """Rows top..bottom, columns begin..end (borders of tiles) of the real scene; returns whether any of it is blurred.
 
     image : (h, 3 w);  patch : in place of it within box = (x0, y0, x1, y1), whose borders are those of tiles
     radius : (h, w) px, >= 0;  kept : (h, w) share that is not cut out, (0, 0) = all
     """
     whole = kept.shape[0] == 0
     plain = whole and boost <= 0
-    width, bits = radius.shape[1], radius.view(np.int32)
+    width, bits = end, radius.view(np.int32)
     source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
     work = np.empty((10, width), np.float32)
-    left = -(lead_x & (TILE_PX - 1))
+    left = begin - ((begin + lead_x) & (TILE_PX - 1))
     blurred = False
     tiles = (width - left + TILE_PX - 1) // TILE_PX
     lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # rungs of each tile; -1 = nothing blurred
@@ -60,11 +60,7 @@ def deposit_real(
             if extreme[1] <= SHARP_PX:
                 continue
             blurred = True
-            lowest[i], highest[i] = 0, 0
-            while lowest[i] < meta.shape[0] - 1 and extreme[0] >= fade[lowest[i], 1]:
-                lowest[i] += 1
-            while highest[i] < meta.shape[0] - 1 and extreme[1] > fade[highest[i], 0]:
-                highest[i] += 1
+            lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, meta.shape[0])
         after = 0
         for i in range(tiles):
             if i < after or highest[i] < 0:
@@ -79,10 +75,7 @@ def deposit_real(
                     after += 1
                 xb = min(left + after * TILE_PX, width)
                 part = light[ya - up : yb - up, 3 * (xa - along) : 3 * (xb - along)]
-                if highest[i] == lowest[i]:
-                    _sum_cells(lowest[i], ya, xa, radius, part, work, cells, meta, lead_y, lead_x)
-                else:
-                    _share_cells(lowest[i], ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x)
+                _to_cells(lowest[i], highest[i], ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x)
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
@@ -99,6 +92,26 @@ def deposit_real(
                     to[0], to[1], to[2], to[3] = red * k, green * k, blue * k, weight
             deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
     return blurred
+
+
+@numba.njit(cache=True, nogil=True)
+def _rungs(least, most, fade, rungs):  # pragma: no cover - compiled
+    """Lowest and highest rung that light of radii least..most goes to."""
+    low, high = 0, 0
+    while low < rungs - 1 and least >= fade[low, 1]:
+        low += 1
+    while high < rungs - 1 and most > fade[high, 0]:
+        high += 1
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _to_cells(low, high, ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+    """Tiles of weight 1 to rung low, or to low and low + 1 = high. part : (rows, 3 columns) light from row ya, column xa"""
+    if high == low:
+        _sum_cells(low, ya, xa, radius, part, work, cells, meta, lead_y, lead_x)
+    else:
+        _share_cells(low, ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -224,19 +237,47 @@ def deposit_cut(
 ):  # fmt: skip  # pragma: no cover - compiled
     """Rows top..bottom of a layer of premultiplied colour (h, w, 3), coverage (h, w). Returns whether there is any light."""
     width, found = radius.shape[1], False
-    source = np.empty((TILE_PX, TILE_PX, 4), np.float32)
+    bits, covered, ends = radius.view(np.int32), coverage.view(np.int32), np.empty(2, np.int32)
+    extreme = ends.view(np.float32)
+    source, work = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty((10, width), np.float32)
+    flat = colour.reshape(colour.shape[0], 3 * width)
+    left = -(lead_x & (TILE_PX - 1))
+    tiles = (width - left + TILE_PX - 1) // TILE_PX
+    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # rungs of a tile all covered; -1 = nothing in it
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
-        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
-            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
-            if extremes(coverage, ya, xa, yb, xb)[1] * opacity <= 0:
+        ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
+        for i in range(tiles):
+            xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
+            ends[0], ends[1] = _extremes(covered, ya, xa, yb, xb)
+            lowest[i], highest[i] = -1, -1
+            if extreme[1] * opacity <= 0:
+                continue
+            found = True
+            lowest[i], highest[i] = 0, 0
+            if extreme[0] * opacity >= 1:
+                ends[0], ends[1] = _extremes(bits, ya, xa, yb, xb)
+                lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, meta.shape[0])
+        after = 0
+        for i in range(tiles):
+            if i < after or highest[i] < 0:
+                continue
+            xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
+            if lowest[i] > 0 and highest[i] <= lowest[i] + 1:  # as of the real scene
+                after = i + 1
+                while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]):
+                    after += 1
+                xb = min(left + after * TILE_PX, width)
+                _to_cells(
+                    lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], fade, work, cells, meta, lead_y, lead_x
+                )
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
+                    to = source[np.uintp(y - ya), np.uintp(x - xa)]
                     for c in range(3):
-                        source[y - ya, x - xa, c] = colour[y, x, c] * opacity
-                    source[y - ya, x - xa, 3] = coverage[y, x] * opacity
+                        to[c] = colour[np.uintp(y), np.uintp(x), c] * opacity
+                    to[3] = coverage[np.uintp(y), np.uintp(x)] * opacity
             deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
-            found = True
     return found
 
 

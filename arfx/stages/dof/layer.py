@@ -26,6 +26,28 @@ def strips(rect: Rect) -> list[tuple[int, int]]:
     return [(a - rect.y0, b - rect.y0) for a, b in pairwise(cuts)]
 
 
+Columns = tuple[int, int]  # first and behind the last; none where they are not in this order
+
+
+def hull(a: Columns, b: Columns) -> Columns:
+    """All columns from the first to the last of both."""
+    if a[0] >= a[1]:
+        return b
+    return a if b[0] >= b[1] else (min(a[0], b[0]), max(a[1], b[1]))
+
+
+def reached(rows: list[tuple[int, int]], hot: list[Columns], reach: int, width: int) -> list[Columns]:
+    """Of each strip the columns that light of the strips' columns `hot` can reach, px, and the strips' own."""
+    out = []
+    for top, bottom in rows:
+        a, b = 0, 0
+        for (first, last), columns in zip(rows, hot, strict=True):
+            if first < bottom + reach and last > top - reach:
+                a, b = hull((a, b), columns)
+        out.append((max(a - reach, 0), min(b + reach, width)) if a < b else (0, 0))
+    return out
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Light:
     """Light of some rows of a layer, columns lo..hi outside of which it is 0; the rest as `spread.light_of_row` takes it."""
@@ -72,7 +94,7 @@ class Spread:
             first += width * height
         self.cells = np.zeros((first, 5), np.float32)
         self.far = [self._far(k) for k in range(self.rungs)]
-        self.reach = max(far + 2 << k for k, far in enumerate(self.far))
+        self.reach = max(far + 3 << k for k, far in enumerate(self.far))
 
     @property
     def sink(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int, np.ndarray, np.ndarray]:

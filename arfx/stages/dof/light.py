@@ -53,10 +53,10 @@ def _all_blurred(light, radius, y, lo, hi):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_real(
-    out, state, image, top, values, table, lead_y, lead_x, lo, hi, radius, patch, box, kept
+    out, state, image, top, begin, end, values, table, lead_y, lead_x, lo, hi, radius, patch, box, kept
 ):  # fmt: skip  # pragma: no cover - compiled
-    """out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w) = LAID; else the
-    composite's own bits, image (h, w, 3) from its row `top`.
+    """Columns begin..end of out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w)
+    = LAID; else the composite's own bits, image (h, w, 3) from its row `top`. lo..hi lies within begin..end.
 
     values … hi : of `Spread.rows`;  patch, box : the real scene in place of image, as `deposit_real`
     """
@@ -66,8 +66,8 @@ def lay_real(
         y = top + j
         light_of_row(light, y, values, table, lead_y, lead_x, lo, hi, between)
         from_x, until_x = (box[0], box[2]) if box[1] <= y < box[3] else (0, 0)  # columns of the patch
-        out[j, :lo] = image[y, :lo]
-        out[j, hi:] = image[y, hi:]
+        out[j, begin:lo] = image[y, begin:lo]
+        out[j, hi:end] = image[y, hi:end]
         if _all_blurred(light, radius, y, lo, hi):
             state[j, lo:hi] = LAID
             flat = out[j].reshape(-1)
@@ -96,47 +96,113 @@ def lay_real(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def _any_sharp(light, radius, coverage, y, begin, end):  # pragma: no cover - compiled
+    """Whether a pixel of row y without a blur circle is covered, or gets light."""
+    circles, least = radius[y, begin:end], np.float32(np.inf)
+    for x in range(len(circles)):
+        least = min(least, circles[x])
+    if least > SHARP_PX:
+        return False
+    covered, shone = coverage[y, begin:end], light[4 * begin : 4 * end]
+    found = False
+    for x in range(len(circles)):
+        found |= (circles[x] <= SHARP_PX) & ((shone[np.uintp(4 * x + 3)] > 0) | (covered[x] > 0))
+    return found
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS, error_model="numpy")
+def _lay_blurred(flat, left, light, gap, begin, end, factors):  # pragma: no cover - compiled
+    """Light of columns begin..end over a row of out, flat (3 w,), of which column begin is `left`. factors : (2, w) scratch"""
+    inverse, through = factors[0, : end - begin], factors[1, : end - begin]
+    own, let = light[4 * begin : 4 * end], gap[4 * begin : 4 * end]
+    to = flat[3 * left : 3 * (left + end - begin)]
+    one, zero = np.float32(1), np.float32(0)
+    for i in range(len(inverse)):
+        w = own[np.uintp(4 * i + 3)]
+        share = one / (w + let[np.uintp(4 * i + 3)])
+        inverse[i] = share if w > 0 else zero
+        through[i] = max(one - w * share, zero) if w > 0 else one
+    for i in range(len(inverse)):
+        for c in range(3):
+            at, of = np.uintp(3 * i + c), np.uintp(4 * i + c)
+            to[at] = to[at] * through[i] + own[of] * inverse[i]
+
+
+@numba.njit(cache=True, nogil=True)
+def _uncover(line, state, begin, end, patch, from_x, until_x):  # pragma: no cover - compiled
+    """Columns begin..end of a row of out that are KEPT, where from_x..until_x holds a patch (n, 3): set to that."""
+    first, last = max(begin, from_x), min(end, until_x)
+    if first >= last:
+        return
+    found = np.uint8(0)
+    for x in range(first, last):
+        found |= state[x]
+    if found == KEPT:
+        line[first:last] = patch[first - from_x : last - from_x]
+        return
+    for x in range(first, last):
+        if state[x] == KEPT:
+            for c in range(3):
+                line[x, c] = patch[x - from_x, c]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_cut(
-    out, state, top, begin, end, left, first, values, table, lead_y, lead_x, lo, hi,
-    gap_values, gap_table, gap_lead_y, gap_lead_x, gap_lo, gap_hi, radius, colour, coverage, opacity, image, patch, box,
+    out, state, top, begin, end, left, first, values, table, lead_y, lead_x,
+    gap_values, gap_table, gap_lead_y, gap_lead_x, radius, colour, coverage, opacity, image, patch, box,
 ):  # fmt: skip  # pragma: no cover - compiled
     """Put columns begin..end of a cut-out layer over out (rows, w, 3); its column 0 is `left` of out's.
 
-    first : row of the layer that is out's first;  values … hi, gap_values … : of its light and its gap, `Spread.rows`
-    state : set LAID where any of it is spread, else TRIED
+    first : row of the layer that is out's first;  values … lead_x, gap_values … : of its light and its gap, `Spread.rows`
+    state : set LAID where any of it is spread, else TRIED; returns whether any is set TRIED
     image, patch, box : the real scene, from row `top`, for pixels that hold the composite's bits as yet
+    colour is looked at where something covers.
     """
-    width = radius.shape[1]
+    width, tried = radius.shape[1], False
     light, gap = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
-    between = np.empty(4 * (width + ALIGN_PX), np.float32)
+    between, factors = np.empty(4 * (width + ALIGN_PX), np.float32), np.empty((2, width), np.float32)
     for y in range(out.shape[0]):
-        light_of_row(light, first + y, values, table, lead_y, lead_x, lo, hi, between)
-        light_of_row(gap, first + y, gap_values, gap_table, gap_lead_y, gap_lead_x, gap_lo, gap_hi, between)
+        light_of_row(light, first + y, values, table, lead_y, lead_x, begin, end, between)
+        light_of_row(gap, first + y, gap_values, gap_table, gap_lead_y, gap_lead_x, begin, end, between)
         from_x, until_x = (box[0], box[2]) if box[1] <= top + y < box[3] else (0, 0)  # columns of the patch
+        if not _any_sharp(light, radius, coverage, y, begin, end):
+            x = begin
+            while x < end:
+                first_x = x
+                while x < end and light[4 * x + 3] > 0:
+                    x += 1
+                a, b = left + first_x, left + x
+                if x > first_x:
+                    _uncover(out[y], state[y], a, b, patch[top + y - box[1]] if until_x > from_x else out[y], from_x, until_x)
+                    state[y, a:b] = LAID
+                x += 1
+            _lay_blurred(out[y].reshape(-1), left + begin, light, gap, begin, end, factors)
+            continue
         for x in range(begin, end):
-            w = light[4 * x + 3] if lo <= x < hi else np.float32(0)
+            w = light[4 * x + 3]
             c = coverage[y, x] * opacity
             sharp = radius[y, x] <= SHARP_PX
             if not (w > 0 or (sharp and c > 0)):
                 continue
-            total = w + (gap[4 * x + 3] if gap_lo <= x < gap_hi else np.float32(0))
             own = np.float32(1) if sharp else np.float32(0)
-            total += own
+            total = w + gap[4 * x + 3] + own
             if state[y, left + x] == KEPT:
                 i = left + x
                 for k in range(3):
                     out[y, i, k] = patch[top + y - box[1], i - from_x, k] if from_x <= i < until_x else image[top + y, i, k]
                 state[y, left + x] = TRIED
+                tried = True
             if w > 0:
                 state[y, left + x] = LAID
             w += own * c
             inverse = np.float32(1) / total
             through = max(np.float32(1) - w * inverse, np.float32(0))
             for k in range(3):
-                v = own * colour[y, x, k] * opacity
-                if lo <= x < hi:
-                    v += light[4 * x + k]
+                v = light[4 * x + k]
+                if own * c > 0:
+                    v += colour[y, x, k] * opacity
                 out[y, left + x, k] = out[y, left + x, k] * through + v * inverse
+    return tried
 
 
 @numba.njit(cache=True, nogil=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +27,8 @@ class RealPixels:
     box: tuple[int, int, int, int]
 
     @staticmethod
-    def of(now: Layers, facts: FrameFacts) -> RealPixels:
-        """Of a frame with a pose. Within the object's box what is behind it is made anew."""
+    def of(now: Layers, facts: FrameFacts, parts: Sequence[Rect]) -> RealPixels:
+        """Of a frame with a pose, where only `parts` of it are looked at. Within the object's box what is behind is made anew."""
         box = facts.drawn_box.align(TILE_PX, TILE_PX).clip(now.rect)
         part, bias = now.crop(box), np.array(facts.bias_rgb, np.float32)
         patch = np.empty((0, 0, 3), np.float32)
@@ -40,7 +41,12 @@ class RealPixels:
 
             on_all_cores(fill, strips(box))
             box = box.shift(-now.rect.x0, -now.rect.y0)
-        return RealPixels(_frozen(now[Layer.IMAGE]), _frozen(patch), (box.x0, box.y0, box.x1, box.y1))
+        image = now.within(Layer.IMAGE, parts)
+        if not image.flags.c_contiguous:
+            seen, image = image, np.empty(image.shape, np.float32)
+            for needed in parts:
+                image[needed.slices_in(now.rect)] = seen[needed.slices_in(now.rect)]
+        return RealPixels(_frozen(image), _frozen(patch), (box.x0, box.y0, box.x1, box.y1))
 
     def with_all(self, real: np.ndarray) -> RealPixels:
         """Another real scene (h, w, 3) in every pixel."""

@@ -301,14 +301,17 @@ def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pr
     lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
     line[4 * lo : 4 * hi] = 0
-    for k in range(table.shape[0]):
-        rung, first, first_row, height, width, left, right = table[k]
+    for part in range(table.shape[0]):
+        rung, first, first_row, height, width, left, right = table[part]
+        left, right = max(left, lo), min(right, hi)
+        if left >= right:
+            continue
         stride = 4 * (width + 1)
         if rung == 0:
             at = first + (y - first_row) * stride
-            own = values[at : at + stride]
-            for n in range(4 * left, 4 * right):
-                line[n] += own[n]
+            own, to = values[at + 4 * left : at + 4 * right], line[4 * left : 4 * right]
+            for n in range(len(to)):
+                to[n] += own[n]
             continue
         side, half = 1 << rung, 1 << rung - 1
         step = np.float32(1) / np.float32(side)
@@ -316,19 +319,31 @@ def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pr
         j = (y + lead_y - half) >> rung
         t = (np.float32(y + lead_y - half - (j << rung)) + np.float32(0.5)) * step
         a, b = min(max(j, 0), height - 1) - first_row, min(max(j + 1, 0), height - 1) - first_row
+        one, after = 4 * max(begin >> rung, 0), 4 * min(((end - 1) >> rung) + 2, width)
         up, down = first + a * stride, first + b * stride
-        upper, lower = values[up : up + stride], values[down : down + stride]
-        for n in range(4 * max(begin >> rung, 0), 4 * min(((end - 1) >> rung) + 2, width)):
-            between[n] = upper[n] + (lower[n] - upper[n]) * t
+        upper, lower, cells = values[up + one : up + after], values[down + one : down + after], between[one:after]
+        for n in range(len(cells)):
+            cells[n] = upper[n] + (lower[n] - upper[n]) * t
         # cells whose pixels, up to the next cell's middle, are all wanted and have a cell on both sides; then the rest
         first_whole, after_whole = max((begin + side - 1) >> rung, 0), min(end >> rung, width - 1)
-        for n in range(half):
-            t = (np.float32(2 * n) + np.float32(0.5)) * step
-            for i in range(first_whole, after_whole):
-                add_two_between(line, (i << rung) + half - lead_x + 2 * n, between, i, i + 1, t, step)
-        for i in range(begin >> rung, ((end - 1) >> rung) + 1):
-            if first_whole <= i < after_whole:
+        i = first_whole
+        while i < after_whole:
+            if not between[4 * i + 7] > 0 and not between[4 * i + 3] > 0:
+                i += 1
+                continue
+            run = i  # cells with light, up to one behind them
+            while i < after_whole and (between[4 * i + 3] > 0 or between[4 * i + 7] > 0):
+                i += 1
+            for n in range(half):
+                t = (np.float32(2 * n) + np.float32(0.5)) * step
+                for k in range(run, i):
+                    add_two_between(line, (k << rung) + half - lead_x + 2 * n, between, k, k + 1, t, step)
+        i = begin >> rung
+        while i < ((end - 1) >> rung) + 1:
+            if i == first_whole and after_whole > i:
+                i = after_whole
                 continue
             p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
             for n in range(max(begin - x, 0), min(end - x, side)):
                 add_between(line, x + half - lead_x + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
+            i += 1

@@ -112,14 +112,15 @@ def _depth(pose: Pose) -> float:
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def plane_radius(out, top, bottom, x0, y0, nodes, background, px_per_dioptre, focus, limit):  # pragma: no cover - compiled
-    """Rows top..bottom of out (h, w): blur radius of the endless plane, px.
+def plane_radius(
+    out, top, bottom, begin, end, x0, y0, nodes, background, px_per_dioptre, focus, limit
+):  # pragma: no cover - compiled
+    """Rows top..bottom, columns begin..end of out (h, w): blur radius of the endless plane, px.
 
     x0, y0 : the rectangle's corner in the frame;  nodes : (gh, gw) dioptres of the plane every GRID_PX pixels
     """
-    w = out.shape[1]
     step = np.float32(1.0 / GRID_PX)
-    g0, g1 = x0 // GRID_PX, (x0 + w - 1) // GRID_PX + 1
+    g0, g1 = (x0 + begin) // GRID_PX, (x0 + end - 1) // GRID_PX + 1
     line = np.empty(g1 - g0 + 1, np.float32)
     for j in range(top, bottom):
         iy = (y0 + j) // GRID_PX
@@ -129,13 +130,13 @@ def plane_radius(out, top, bottom, x0, y0, nodes, background, px_per_dioptre, fo
         for i in range(g0, g1):
             a, d = line[i - g0], (line[i + 1 - g0] - line[i - g0]) * step
             first = i * GRID_PX - x0
-            if first >= 0 and first + GRID_PX <= w:
+            if first >= begin and first + GRID_PX <= end:
                 whole = out[j, first : first + GRID_PX]
                 for k in range(GRID_PX):  # a fixed number, which the compiler makes one vector of
                     v = max(a + d * np.float32(k), background)
                     whole[k] = min(px_per_dioptre * abs(focus - v), limit)
                 continue
-            for x in range(max(first, 0), min(first + GRID_PX, w)):
+            for x in range(max(first, begin), min(first + GRID_PX, end)):
                 v = max(a + d * np.float32(x - first), background)
                 out[j, x] = min(px_per_dioptre * abs(focus - v), limit)
 

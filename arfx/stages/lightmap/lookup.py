@@ -9,6 +9,7 @@ perspective bends them by less than .02 px.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -35,27 +36,40 @@ def light_left(
     blocked : share of every directional light that something real takes already
     faint : darkening under it is left out, over 3 times as much kept whole, faded between;  strength : 0..1
     """
-    extra = (blocked,) if blocked is not None else ()
-    every = [*textures, *extra]
-    sizes = np.array([[t.dark.size, *t.dark.shape] for t in every], np.int64)
-    meta = np.column_stack([np.cumsum(sizes[:, 0]) - sizes[:, 0], sizes[:, 1:]])
-    texels = every[0].dark.ravel() if len(every) == 1 else np.concatenate([t.dark.ravel() for t in every])
+    every = (*textures, blocked) if blocked is not None else tuple(textures)
+    alone = np.float32(faint) / max(np.float32(shares.max()), np.float32(1e-6)) if len(every) == 1 else np.float32(0)
+    texels, meta, affine, dark_columns = _packed(every, float(alone))
     grey = bool((shares == shares[:, :1]).all())
-    nodes = anchor_from_camera.rotation.astype(np.float32) @ grid.reshape(-1, 3).T
+    # of the whole grid only the nodes around the rectangle
+    gx, gy = rect.x0 // GRID_PX, rect.y0 // GRID_PX
+    near = grid[gy : (rect.y1 - 1) // GRID_PX + 2, gx : (rect.x1 - 1) // GRID_PX + 2]
+    nodes = anchor_from_camera.rotation.astype(np.float32) @ near.reshape(-1, 3).T
     left = _look_up(
-        rect.x0, rect.y0, rect.width, rect.height, nodes.reshape(3, *grid.shape[:2]),
-        anchor_from_camera.translation_m.astype(np.float32), texels, meta,
-        np.array([t.texel_from_m for t in every], np.float32), shares[:, : 1 if grey else 3].astype(np.float32),
-        blocked is not None, np.float32(faint), np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
+        rect.x0 - gx * GRID_PX, rect.y0 - gy * GRID_PX, rect.width, rect.height, nodes.reshape(3, *near.shape[:2]),
+        anchor_from_camera.translation_m.astype(np.float32), texels, meta, dark_columns, affine,
+        shares[:, : 1 if grey else 3].astype(np.float32), blocked is not None, np.float32(faint),
+        np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
     )  # fmt: skip
     return np.broadcast_to(left, (rect.height, rect.width, 3))
 
 
+@lru_cache(maxsize=4)
+def _packed(every: tuple[PlaneTexture, ...], faint: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """All texels in one array, where each picture lies in it (offset, rows, columns), texels from metres, and `_dark_columns`:
+    pictures are kept while the light stays the same, and asked for again every frame."""
+    sizes = np.array([[t.dark.size, *t.dark.shape] for t in every], np.int64)
+    meta = np.column_stack([np.cumsum(sizes[:, 0]) - sizes[:, 0], sizes[:, 1:]])
+    texels = every[0].dark.ravel() if len(every) == 1 else np.concatenate([t.dark.ravel() for t in every])
+    affine = np.array([t.texel_from_m for t in every], np.float32)
+    return texels, meta, affine, _dark_columns(texels, meta, np.float32(faint))
+
+
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up(
-    x0, y0, width, height, nodes, origin, texels, meta, affine, shares, blocked, faint, rise, strength
+    x0, y0, width, height, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength
 ):  # pragma: no cover - compiled
-    """(h, w, c).  meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres;  shares (t, c)"""
+    """(h, w, c).  meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres;  shares (t, c)
+    dark_columns : of `_dark_columns`"""
     channels = shares.shape[1]
     out = np.ones((height, width, channels), np.float32)
     zero, one = np.float32(0), np.float32(1)
@@ -71,9 +85,6 @@ def _look_up(
     place, fu, fv = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
     dark, open_ = np.empty(width, np.float32), np.empty(width, np.float32)
     taken = np.empty((channels, width), np.float32)
-    dark_columns = _dark_columns(
-        texels, meta, faint / max(shares.max(), np.float32(1e-6)) if count == 1 and not blocked else zero
-    )
     spans = np.zeros((meta.shape[0], 2), np.int64)
     first, last = runs, 0
     for j in range(height):

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import itertools
+import weakref
 from typing import Any
 
 import numpy as np
 import pytest
 
-from arfx.core.layers import Layer
+from arfx.core.layers import Layer, Spans
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import Level
@@ -135,6 +136,59 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
     assert np.abs(samples(found.onto(picture, plan.changed))[0] - samples(picture)[0]).max() > 10
 
 
+class Streak:
+    """Brightens some columns of each row of IMAGE, and says which."""
+
+    name, reads, writes, reach = "streak", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 0
+
+    def demand(self, f: Any, s: Any, frame: Rect) -> Any:
+        from arfx.core.stage import Demand
+
+        return Demand(Rect(10, 10, 120, 100), "streak")
+
+    def needs(self, out: Rect, *_: Any) -> Rect:
+        return out
+
+    def cost(self, *_: Any) -> Any:
+        from arfx.core.cost import Cost
+
+        return Cost(0.0, 0.0)
+
+    def run(self, window: Any, *_: Any) -> dict[Layer, Spans]:
+        now = window.now
+        made, columns = (
+            np.full((now.rect.height, now.rect.width, 3), np.nan, np.float32),
+            np.zeros((now.rect.height, 2), np.int32),
+        )
+        for y in range(20, 60):
+            columns[y] = 11 + y // 2, 57 + y // 3
+            part = Rect(now.rect.x0 + columns[y, 0], now.rect.y0 + y, now.rect.x0 + columns[y, 1], now.rect.y0 + y + 1)
+            made[y, columns[y, 0] : columns[y, 1]] = 1.3 * now.crop(part)[Layer.IMAGE][0] + np.float32(0.02)
+        return {Layer.IMAGE: Spans(now.rect, made, columns, lambda r: now.crop(r)[Layer.IMAGE])}
+
+
+@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p10le", "gbrp"])
+def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_made_all(pixel_format: str) -> None:
+    stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite(), "streak": Streak()}
+    levels, prepared = {n: LEVEL for n in stages}, dict.fromkeys(stages)
+    f = FACTS.with_(model_box=Rect(42, 32, 58, 48))
+    plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
+    picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
+    asked: list[Rect] = []
+
+    def linear(rect: Rect) -> np.ndarray:
+        asked.append(rect)
+        return picture.linear(rect)
+
+    found = run_frame(Plate(plan.rect, linear), f, plan, SCENE, stages, levels, prepared)
+    whole = run_frame(picture.linear(plan.rect), f, plan, SCENE, stages, levels, prepared)
+    assert isinstance(found.made, Spans) and not isinstance(whole.made, Spans)
+    for a, b in zip(samples(found.onto(picture, plan.changed)), samples(whole.onto(picture, plan.changed)), strict=True):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(found.image, whole.image)
+    assert np.abs(samples(found.onto(picture, plan.changed))[0] - samples(picture)[0]).max() > 10
+
+
 def test_a_plate_is_converted_once() -> None:
     asked: list[Rect] = []
 
@@ -145,7 +199,11 @@ def test_a_plate_is_converted_once() -> None:
     plate = Plate(Rect(0, 0, 50, 40), read)
     assert plate(Rect(5, 5, 20, 20)).shape == (15, 15, 3) and plate(Rect(6, 6, 9, 9)).shape == (3, 3, 3)
     assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(Rect(40, 30, 50, 40)).shape == (10, 10, 3)
-    assert asked == [Rect(5, 5, 20, 20), Rect(0, 0, 50, 40)], "what was asked for first, then all"
+    assert asked == [Rect(5, 5, 20, 20), Rect(0, 0, 30, 40), Rect(30, 0, 50, 40)], "first what was asked for, then bands"
+    assert plate.within(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3) and len(asked) == 3
+    gone = weakref.ref(plate)
+    del plate
+    assert gone() is None, "freed at once, not when Python next looks for cycles: it is as large as a picture"
 
 
 @pytest.mark.parametrize("opacity", [1.0, 0.25])

@@ -104,7 +104,7 @@ def test_the_real_plane_has_the_depth_of_its_points() -> None:
     radius = np.empty((s.camera.height, s.camera.width), np.float32)
     f32 = np.float32
     plane_radius(
-        radius, 0, s.camera.height, 0, 0, real.base.dioptres(grid), f32(0), f32(1), f32(0), f32(np.inf)
+        radius, 0, s.camera.height, 0, s.camera.width, 0, 0, real.base.dioptres(grid), f32(0), f32(1), f32(0), f32(np.inf)
     )  # 1 px a dioptre from infinity
     at = np.rint(s.camera.project(pose.apply(points))).astype(int)
     np.testing.assert_allclose(radius[at[:, 1], at[:, 0]], 1 / z, rtol=4e-3)  # half a pixel beside the point
