@@ -71,7 +71,7 @@ def _look_up(
     """(h, w, c).  meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres;  shares (t, c)
     dark_columns : of `_dark_columns`"""
     channels = shares.shape[1]
-    out = np.ones((height, width, channels), np.float32)
+    out = np.empty((height, width, channels), np.float32)
     zero, one = np.float32(0), np.float32(1)
     step, count = np.float32(1.0 / GRID_PX), shares.shape[0]
     g0, g1 = x0 // GRID_PX, (x0 + width - 1) // GRID_PX + 1
@@ -100,10 +100,12 @@ def _look_up(
             if meta.shape[0] > count:
                 spans[count] = first, last
         if first >= last:
+            out[j] = one
             continue
         _ends(nodes, origin, iy, np.float32((y0 + j) % GRID_PX) * step, g0, ends)
         _places(ends, origin, first, last, px, py)
         start, stop = max(first * GRID_PX - lead, 0), min(last * GRID_PX - lead, width)
+        out[j, :start], out[j, stop:] = one, one
         taken[:, start:stop] = zero
         open_[start:stop] = one
         for m in range(meta.shape[0]):
