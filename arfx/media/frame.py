@@ -228,9 +228,9 @@ def _rgb_from_yuv(matrix: str) -> np.ndarray:
     return np.linalg.inv(yuv_from_rgb(matrix))
 
 
-def _seen(array: np.ndarray, dtype: type) -> np.ndarray:
-    """Bits of a contiguous array as int32, not to be written: whoever made it, it is one type to the compiler."""
-    out = np.ascontiguousarray(array, dtype).view(np.int32)
+def _bits(array: np.ndarray) -> np.ndarray:
+    """A contiguous array of 32 bits as int32, not to be written: whoever made it, it is one type to the compiler."""
+    out = array.view(np.int32)
     out.flags.writeable = False
     return out
 
@@ -247,7 +247,7 @@ def _edit_yuv(
     chroma = np.empty((2, r.height, -(-r.x1 >> sub_x) - (r.x0 >> sub_x)), np.float32)
     reach = np.empty((r.height, 2), np.int32)
     bad = kernels.edit_luma(
-        planes[0], rect, _seen(columns, np.int32), _seen(before, np.float32), _seen(after, np.float32), encode_curve(f.transfer),
+        planes[0], rect, _bits(columns), _bits(before), _bits(after), encode_curve(f.transfer),
         yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, f.width, sub_x, left, chroma, reach,
     )  # fmt: skip
     for plane, lines in zip(planes[1:3], chroma, strict=True):

@@ -6,7 +6,6 @@ with the neutral value (nothing virtual, no shadow) where no stage has written.
 
 from __future__ import annotations
 
-import threading
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -122,22 +121,9 @@ class Plate(Sheet):
         return pixels
 
 
-_OWN = threading.local()
-
-
 def rng_for(seed: int, index: int, stage: str) -> np.random.Generator:
-    """Random numbers keyed by (seed, frame, stage): the same whoever renders the frame, in whatever order.
-
-    Good until the same thread asks for others.
-    """
-    bits: Any = getattr(_OWN, "bits", None)
-    if bits is None:
-        bits = _OWN.bits = np.random.Philox(key=0)
-        _OWN.fresh = bits.state
-    # the state is set: a new Philox asks the system for entropy first, key or not, which takes longer than some stages
-    key = np.array([seed, (index << 32) | zlib.crc32(stage.encode())], np.uint64)
-    bits.state = {**_OWN.fresh, "state": {**_OWN.fresh["state"], "key": key}}
-    return np.random.Generator(bits)
+    """Random numbers keyed by (seed, frame, stage): the same whoever renders the frame, in whatever order."""
+    return np.random.Generator(np.random.Philox(key=[seed, (index << 32) | zlib.crc32(stage.encode())]))
 
 
 def run_frame(

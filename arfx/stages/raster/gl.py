@@ -88,7 +88,7 @@ class GlRenderer:
         rotation = np.ascontiguousarray(pose.rotation)
         eye = pose.inverse().translation_m
         h, w, per = rect.height, rect.width, self.k**2
-        directions, _ = hits.world_directions(lens, 1, 1, h, w, rotation)
+        directions, _ = hits.world_directions(lens[1:-1, 1:-1], rotation)
         texels = gl_resolve.texel_map(lens, h, w, self.k, scale, shift, rows_px, columns_px, not self.camera.distorted)
         self.context.make_current()
         view, projection = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix, self._projection(place, near, far)

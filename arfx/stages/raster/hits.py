@@ -17,31 +17,26 @@ _CLEAR = 1.0 / 512.0
 
 
 @numba.njit(cache=True, nogil=True)
-def world_directions(lens, rows_start, cols_start, height, width, rotation):  # pragma: no cover - compiled
-    """Directions (h * w, 3) float32 in world axes from the table's (x/z, y/z); camera z of each is 1. And which are valid."""
-    out = np.empty((height * width, 3), np.float32)
-    valid = np.empty(height * width, np.bool_)
-    k = 0
-    for i in range(height):
-        for j in range(width):
-            x, y = lens[rows_start + i, cols_start + j, 0], lens[rows_start + i, cols_start + j, 1]
+def world_directions(inner, rotation):  # pragma: no cover - compiled
+    """Directions (n * m, 3) float32 in world axes from those in the camera, (n, m, 2) x/z, y/z; camera z of each is 1. And
+    which are valid."""
+    n, m = inner.shape[:2]
+    out = np.empty((n * m, 3), np.float32)
+    valid = np.empty(n * m, np.bool_)
+    for i in range(n):
+        for j in range(m):
+            k, x, y = i * m + j, inner[i, j, 0], inner[i, j, 1]
             valid[k] = np.isfinite(x) and np.isfinite(y)
             for c in range(3):
                 out[k, c] = rotation[0, c] * x + rotation[1, c] * y + rotation[2, c]
-            k += 1
     return out, valid
 
 
 @numba.njit(cache=True, nogil=True)
-def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cover - compiled
-    """Directions of `offsets` (s, 2) px around `pixels` (k,), from a table with one pixel of margin.
-
-    Returns them in the camera (k, s, 2), in the world (k * s, 3), and which are valid (k * s,).
-    """
+def sample_directions(lens, pixels, width, offsets):  # pragma: no cover - compiled
+    """Directions (k, s, 2) in the camera of `offsets` (s, 2) px around `pixels` (k,), from a table with one pixel of margin."""
     s = offsets.shape[0]
     inner = np.empty((pixels.shape[0], s, 2), np.float32)
-    out = np.empty((pixels.shape[0] * s, 3), np.float32)
-    valid = np.empty(pixels.shape[0] * s, np.bool_)
     for a in range(pixels.shape[0]):
         i, j = pixels[a] // width + 1, pixels[a] % width + 1
         for b in range(s):
@@ -51,11 +46,7 @@ def sample_directions(lens, pixels, width, offsets, rotation):  # pragma: no cov
             y = lens[i, j, 1] + 0.5 * dx * (lens[i, j + 1, 1] - lens[i, j - 1, 1])
             y += 0.5 * dy * (lens[i + 1, j, 1] - lens[i - 1, j, 1])
             inner[a, b, 0], inner[a, b, 1] = x, y
-            k = a * s + b
-            valid[k] = np.isfinite(x) and np.isfinite(y)
-            for c in range(3):
-                out[k, c] = rotation[0, c] * x + rotation[1, c] * y + rotation[2, c]
-    return inner, out, valid
+    return inner
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -111,7 +111,7 @@ class RayRenderer:
         if not m.layered:
             surface.write_centres(*(*seen, edge, lens, rotation, pixel, h, w, eye_world, self.glows, *self._surfaces, *arrays))
         else:
-            directions, valid = hits.world_directions(lens, 1, 1, h, w, rotation)
+            directions, valid = hits.world_directions(lens[1:-1, 1:-1], rotation)
             acc, depth, ident, masked = self._trace(eye, directions, valid, seen, pixel)
             edge |= masked  # a mean of opacities says little about where a cut-out ends: sampled instead
             hits.resolve_centres(h, w, edge, acc, depth, ident, directions, eye_world, *arrays)
@@ -121,7 +121,7 @@ class RayRenderer:
         count = len(self.offsets)
         for start in range(0, len(pixels), max(_TILE_RAYS // count, 1)):
             some = pixels[start : start + max(_TILE_RAYS // count, 1)]
-            inside, rays, ok = hits.sample_directions(lens, some, w, self.offsets, rotation)
+            inside = hits.sample_directions(lens, some, w, self.offsets)
             slot = np.full(h * w, -1, np.int32)
             slot[some] = np.arange(len(some))
             found = nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
@@ -131,6 +131,7 @@ class RayRenderer:
                 place = (w, lens, rotation, footprint, eye_world, self.glows)
                 surface.write_edges(*(some, inside, self.order, *met, *place, *self._surfaces, *arrays))
                 continue
+            rays, ok = hits.world_directions(inside, rotation)
             s_acc, s_depth, s_ident, _ = self._trace(eye, rays, ok, found, footprint)
             assert ident is not None
             hits.resolve_edges(

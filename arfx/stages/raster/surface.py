@@ -37,6 +37,16 @@ def _texel(texels, table, t, level, tu, tv, share):  # pragma: no cover - compil
 
 
 @numba.njit(inline="always")
+def _in_world(rotation, x, y):  # pragma: no cover - compiled
+    """Direction (x, y, 1) of the camera in world axes, float32. rotation : camera from world"""
+    return (
+        np.float32(rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0]),
+        np.float32(rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1]),
+        np.float32(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2]),
+    )
+
+
+@numba.njit(inline="always")
 def _surface(
     face, b1, b2, z, dx, dy, dz, pixel,
     faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
@@ -154,9 +164,7 @@ def write_centres(
                 material[y, x, 3] = 0
                 continue
             lx, ly, z = lens[i + 1, j + 1, 0], lens[i + 1, j + 1, 1], depth[k]
-            dx = np.float32(rotation[0, 0] * lx + rotation[1, 0] * ly + rotation[2, 0])
-            dy = np.float32(rotation[0, 1] * lx + rotation[1, 1] * ly + rotation[2, 1])
-            dz = np.float32(rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2])
+            dx, dy, dz = _in_world(rotation, lx, ly)
             _, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
                 prim[k], bary_u[k], bary_v[k], z, dx, dy, dz, pixel,
                 faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
@@ -196,9 +204,7 @@ def write_edges(
             if prim[k] < 0:
                 continue
             lx, ly = samples[a, i, 0], samples[a, i, 1]
-            dx = np.float32(rotation[0, 0] * lx + rotation[1, 0] * ly + rotation[2, 0])
-            dy = np.float32(rotation[0, 1] * lx + rotation[1, 1] * ly + rotation[2, 1])
-            dz = np.float32(rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2])
+            dx, dy, dz = _in_world(rotation, lx, ly)
             _, r1, g1, b1, x1, y1, z1, metallic1, rough1, specular1, er1, eg1, eb1 = _surface(
                 prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel,
                 faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
@@ -218,9 +224,7 @@ def write_edges(
                     chosen, z = prim[k], depth[k]
                     break
         lx, ly = lens[y + np.uintp(2), x + np.uintp(2), 0], lens[y + np.uintp(2), x + np.uintp(2), 1]
-        dx = np.float32(rotation[0, 0] * lx + rotation[1, 0] * ly + rotation[2, 0])
-        dy = np.float32(rotation[0, 1] * lx + rotation[1, 1] * ly + rotation[2, 1])
-        dz = np.float32(rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2])
+        dx, dy, dz = _in_world(rotation, lx, ly)
         inverse = np.float32(1) / hits
         coverage[y, x], depth_out[y, x], object_id[y, x] = hits / np.float32(count), z, part[np.uintp(chosen)] + 1
         albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r * inverse, g * inverse, b * inverse

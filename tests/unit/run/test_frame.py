@@ -174,13 +174,7 @@ def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_mad
     f = FACTS.with_(model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
-    asked: list[Rect] = []
-
-    def linear(rect: Rect) -> np.ndarray:
-        asked.append(rect)
-        return picture.linear(rect)
-
-    found = run_frame(Plate(plan.rect, linear), f, plan, SCENE, stages, levels, prepared)
+    found = run_frame(Plate(plan.rect, picture.linear), f, plan, SCENE, stages, levels, prepared)
     whole = run_frame(picture.linear(plan.rect), f, plan, SCENE, stages, levels, prepared)
     assert isinstance(found.made, Spans) and not isinstance(whole.made, Spans)
     for a, b in zip(samples(found.onto(picture, plan.changed)), samples(whole.onto(picture, plan.changed)), strict=True):
