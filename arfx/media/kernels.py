@@ -10,6 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.core.compiled import uncounted
 from arfx.media.curves import FAST, apply_curve
 from arfx.media.lines import add_steps, chroma_span, clipped_differences, coded_line, reduce_line, taps, to_luma_and_chroma
 
@@ -22,18 +23,29 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, c
     scale : y offset, y factor, chroma offset, chroma factor;  matrix : R from Cr, G from Cb, G from Cr, B from Cb
     Chroma is interpolated linearly between its true positions, from samples outside the rectangle too.
     """
-    x0, y0, x1, y1 = rect
-    w = x1 - x0
+    w = rect[2] - rect[0]
+    few, cb, cr = np.empty(w + 2, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
+    coded, light, base, mantissa = np.empty((3, w), np.float32), np.empty((3, w), np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
+    _linear_lines(
+        y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, (few, cb, cr), (coded, light), (base, mantissa)
+    )
+
+
+@uncounted(fastmath=FAST)
+def _linear_lines(
+    y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, chroma, colours, rooms
+):
     # a line at a time in steps without branches, of which the compiler makes vector code
-    coded, light = np.empty((3, w), np.float32), np.empty((3, w), np.float32)
-    base, mantissa = np.empty(w, np.float32), np.empty(w, np.float32)
+    x0, y0, x1, y1 = rect
     c0, c1 = chroma_span(x0, x1, steps[0], chroma_size[0])
-    few, cb, cr = np.empty(c1 - c0, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
+    few, cb, cr = chroma[0][: c1 - c0], chroma[1], chroma[2]
+    coded, light = colours
+    base, mantissa = rooms
     for j in range(y1 - y0):
         coded_line(y, u, v, y0 + j, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded)
         for c in range(3):
             apply_curve(coded[c], curve, base, mantissa, light[c])
-        for k in range(w):
+        for k in range(x1 - x0):
             out[j, k, 0], out[j, k, 1], out[j, k, 2] = light[0, k], light[1, k], light[2, k]
 
 
@@ -80,18 +92,17 @@ def _all_finite(before, after):
 
 
 @numba.njit(cache=True, nogil=True)
-def _blank_odd(before, after):
-    """Sets pixels with a value that is not finite to 0 in both lines, in place; returns how many."""
-    infinite = np.int32(0x7F800000)
-    bad = 0
+def _blank_odd(before, after, clean_before, clean_after):
+    """Copies both lines with 0 for pixels that have a value that is not finite; returns how many."""
+    infinite, bad = np.int32(0x7F800000), 0
     for k in range(0, before.shape[0], 3):
         odd = False
         for c in range(k, k + 3):
             odd |= ((before[c] & infinite) == infinite) | ((after[c] & infinite) == infinite)
-        if odd:
-            bad += 1
-            before[k : k + 3] = 0
-            after[k : k + 3] = 0
+        bad += odd
+        for c in range(k, k + 3):
+            clean_before[c] = np.int32(0) if odd else before[c]
+            clean_after[c] = np.int32(0) if odd else after[c]
     return bad
 
 
@@ -110,23 +121,38 @@ def edit_luma(
     Beyond the rectangle the difference is zero, beyond the picture its edge goes on. Returns how many pixels of `after` or
     `before` are not finite; those are left alone.
     """
-    x0, y0, x1, y1 = rect
-    h, w, n = y1 - y0, x1 - x0, chroma.shape[2]
-    bad = 0
+    w = rect[2] - rect[0]
     before, after = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
     base, mantissa = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
-    dy = np.empty(w, np.float32)
-    low_tap, high_tap, weights = taps(step, cosited and step > 0)
+    clean_b, clean_a, dy = np.empty(3 * w, np.int32), np.empty(3 * w, np.int32), np.empty(w, np.float32)
+    tapped = taps(step, cosited and step > 0)
+    wide = np.empty((2, (chroma.shape[2] << step) + tapped[1] - tapped[0]), np.float32)
+    return _edit_lines(
+        y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, chroma, reach, tapped,
+        wide, (before, after, base, mantissa), (clean_b, clean_a), dy,
+    )  # fmt: skip
+
+
+@uncounted(fastmath=FAST)
+def _edit_lines(
+    y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, chroma, reach, tapped,
+    wide, rooms, cleans, dy,
+):  # fmt: skip
+    x0, y0, x1, y1 = rect
+    h, n = y1 - y0, chroma.shape[2]
+    bad = 0
+    before, after, base, mantissa = rooms
+    clean_b, clean_a = cleans
+    low_tap, high_tap, weights = tapped
     start = ((x0 >> step) << step) + low_tap  # luma column of the first tap
-    wide = np.empty((2, (n << step) + high_tap - low_tap), np.float32)
     # a line at a time from the first pixel that changes to the last, in steps of which the compiler makes vector code
     # (it does not where they stand together in one function); a pixel between them that does not change has difference 0
     for j in range(h):
         b, a = before_bits[j].reshape(-1), after_bits[j].reshape(-1)
         first, last = 3 * columns[j, 0], 3 * columns[j, 1]
         if not _all_finite(b[first:last], a[first:last]):
-            b, a = b.copy(), a.copy()
-            bad += _blank_odd(b[first:last], a[first:last])
+            bad += _blank_odd(b[first:last], a[first:last], clean_b[first:last], clean_a[first:last])
+            b, a = clean_b, clean_a
         while first < last and b[first] == a[first]:
             first += 1
         while last > first and b[last - 1] == a[last - 1]:
@@ -162,11 +188,16 @@ def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, low, 
     height : of the picture;  cosited : a sample lies on the top luma sample of its group, else in the middle
     Only samples on the grid inside the rectangle, grown to that grid, can change.
     """
+    total = np.empty(lines.shape[1], np.float32)
+    _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, low, high, taps(steps[1], cosited and steps[1] > 0), total)
+
+
+@uncounted(fastmath=FAST)
+def _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, low, high, tapped, total):
     x0, y0, _, y1 = rect
     sx, sy = steps
     ca, n = x0 >> sx, lines.shape[1]
-    low_tap, high_tap, weights = taps(sy, cosited and sy > 0)
-    total = np.empty(n, np.float32)
+    low_tap, high_tap, weights = tapped
     for r in range(y0 >> sy, -(-y1 >> sy)):
         a, b = n, 0
         for k in range(low_tap, high_tap):

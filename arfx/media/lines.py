@@ -7,6 +7,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.core.compiled import uncounted
 from arfx.media.curves import FAST
 
 
@@ -16,16 +17,16 @@ def chroma_span(x0, x1, step, columns):
     return max((x0 >> step) - 1, 0), min(((x1 - 1) >> step) + 2, columns)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@uncounted(fastmath=FAST)
 def coded_line(y, u, v, row, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded):
-    """coded (3, w) = R'G'B' of one line from column x0 on; other arguments as in `linear_from_yuv`.
+    """coded (3, w or more) = R'G'B' of w pixels of one line from column x0 on; other arguments as in `linear_from_yuv`.
 
     few (n,), cb, cr (w,) : room to work in, n of the columns' `chroma_span`
     """
     sx, sy = steps
     cw, ch = chroma_size
     yo, yf, co, cf = scale
-    w = coded.shape[1]
+    w = cb.shape[0]
     c0, c1 = chroma_span(x0, x0 + w, sx, cw)
     c = np.float32(row / (1 << sy)) if cosited[1] else np.float32((row + 0.5) / (1 << sy) - 0.5)
     c = min(max(c, np.float32(0)), np.float32(ch - 1))
@@ -56,7 +57,7 @@ def _between(above, below, part, offset, factor, out):
         out[i] = (a + part * (b - a) - offset) * factor
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@uncounted(fastmath=FAST)
 def _widen(few, c0, columns, step, cosited, x0, out):
     """Chroma at the luma columns x0 ... of one line, linear between samples. few : those of the chroma columns from c0 on"""
     n = out.shape[0]

@@ -14,6 +14,7 @@ from functools import lru_cache
 import numba
 import numpy as np
 
+from arfx.core.compiled import uncounted
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.lightmap.plane import PlaneTexture
@@ -21,6 +22,7 @@ from arfx.stages.viewing import GRID_PX
 
 _NOWHERE = np.float32(1e9)  # on the plane, metres: as far from every picture as can be
 _BENT = np.float32(0.01)  # relative change of distance over a run: places are off by up to a quarter of it times the run
+_UNSEEN = 0.001  # share of the light: of white, less than half a step of 10 bits
 _TOGETHER = 4  # runs that are tested at once
 
 
@@ -35,10 +37,11 @@ def light_left(
     textures, shares (t, 3) : the ambient light first, then the directional ones; each one's part of the plane's light
     blocked : share of every directional light that something real takes already
     faint : darkening under it is left out, over 3 times as much kept whole, faded between;  strength : 0..1
+    Where what is kept of the only light is less than _UNSEEN, it need not be looked up.
     """
     every = (*textures, blocked) if blocked is not None else tuple(textures)
-    alone = np.float32(faint) / max(np.float32(shares.max()), np.float32(1e-6)) if len(every) == 1 else np.float32(0)
-    texels, meta, affine, dark_columns = _packed(every, float(alone))
+    alone = _shows_from(faint, strength) / max(float(shares.max()), 1e-6) if len(every) == 1 else 0.0
+    texels, meta, affine, dark_columns = _packed(every, alone)
     grey = bool((shares == shares[:, :1]).all())
     # of the whole grid only the nodes around the rectangle
     gx, gy = rect.x0 // GRID_PX, rect.y0 // GRID_PX
@@ -51,6 +54,14 @@ def light_left(
         np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
     )  # fmt: skip
     return np.broadcast_to(left, (rect.height, rect.width, 3))
+
+
+@lru_cache(maxsize=4)
+def _shows_from(faint: float, strength: float) -> float:
+    """The least darkening of which, faded as `light_left` tells, more is kept than _UNSEEN."""
+    t = np.linspace(0, 1, 200)
+    dark = faint * (1 + 2 * t)
+    return float(np.interp(_UNSEEN, strength * dark * t * t * (3 - 2 * t), dark))
 
 
 @lru_cache(maxsize=4)
@@ -70,22 +81,31 @@ def _look_up(
 ):  # pragma: no cover - compiled
     """(h, w, c).  meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres;  shares (t, c)
     dark_columns : of `_dark_columns`"""
-    channels = shares.shape[1]
-    out = np.empty((height, width, channels), np.float32)
+    out = np.empty((height, width, shares.shape[1]), np.float32)
+    runs = (x0 + width - 1) // GRID_PX + 1 - x0 // GRID_PX
+    borders = np.empty((18, runs + 1), np.float32)
+    room = np.empty((7 + shares.shape[1], (runs + 1) * GRID_PX), np.float32)  # one piece: quicker than a line here and there
+    _look_up_lines(
+        x0, y0, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength, out,
+        (borders[:6], borders[6:12], borders[12:]), (room[0], room[1]), room[2].view(np.int32), room[7:],
+        (room[3], room[4], room[5], room[6]), np.zeros((meta.shape[0], 2), np.int64),
+    )  # fmt: skip
+    return out
+
+
+@uncounted(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _look_up_lines(
+    x0, y0, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength, out, borders, places,
+    place, taken, lines, spans,
+):  # pragma: no cover - compiled  # fmt: skip
+    height, width, channels = out.shape
     zero, one = np.float32(0), np.float32(1)
     step, count = np.float32(1.0 / GRID_PX), shares.shape[0]
-    g0, g1 = x0 // GRID_PX, (x0 + width - 1) // GRID_PX + 1
-    runs, lead = g1 - g0, x0 - g0 * GRID_PX
-    ends, above, below = (
-        np.empty((6, runs + 1), np.float32),
-        np.empty((6, runs + 1), np.float32),
-        np.empty((6, runs + 1), np.float32),
-    )
-    px, py = np.empty(runs * GRID_PX, np.float32), np.empty(runs * GRID_PX, np.float32)
-    place, fu, fv = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
-    dark, open_ = np.empty(width, np.float32), np.empty(width, np.float32)
-    taken = np.empty((channels, width), np.float32)
-    spans = np.zeros((meta.shape[0], 2), np.int64)
+    g0 = x0 // GRID_PX
+    runs, lead = (x0 + width - 1) // GRID_PX + 1 - g0, x0 - g0 * GRID_PX
+    ends, above, below = borders
+    px, py = places
+    fu, fv, dark, open_ = lines
     first, last = runs, 0
     for j in range(height):
         iy = (y0 + j) // GRID_PX
@@ -159,7 +179,6 @@ def _look_up(
             out[j, start + i, 0] = one - min(dark[i] * r[i], one)
             out[j, start + i, 1] = one - min(dark[i] * g[i], one)
             out[j, start + i, 2] = one - min(dark[i] * b[i], one)
-    return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
@@ -185,7 +204,7 @@ def _dark_columns(texels, meta, faint):  # pragma: no cover - compiled
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@uncounted(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _ends(nodes, origin, iy, fy, g0, ends):  # pragma: no cover - compiled
     """ends (6, n) : of the runs of GRID_PX pixels of one line, from node g0 on: direction, distance along it (0 = does not
     meet the plane), plane x and y."""
@@ -203,7 +222,7 @@ def _ends(nodes, origin, iy, fy, g0, ends):  # pragma: no cover - compiled
         y[i] = origin[1] + s * dy[i] if meets else _NOWHERE
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@uncounted(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
     """px, py : where the pixels of the runs first ... last - 1 see the plane; as far from every picture as can be if nowhere."""
     step = np.float32(1.0 / GRID_PX)
@@ -225,7 +244,7 @@ def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
             py[at + i] = origin[1] + s * (ends[1, q] + f * (ends[1, q + 1] - ends[1, q])) if meets else _NOWHERE
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover - compiled
     """Half-open range of runs of GRID_PX lines outside which a picture has nothing dark. above, below (3, n) : their borders,
     distance, plane x and y"""
@@ -238,7 +257,7 @@ def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover
     return first, max(last, first)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@uncounted(error_model="numpy")
 def _may_be_dark(above, below, a, b, affine, dark_columns, columns):  # pragma: no cover - compiled
     """Whether pixels between the ends a and b of runs may see something dark. dark_columns (rows, 2), one picture's"""
     meets = (above[0, a] > 0) + (above[0, b] > 0) + (below[0, a] > 0) + (below[0, b] > 0)
