@@ -200,11 +200,14 @@ class Frame:
         """Whether `edited` takes `columns`."""
         return self.format.layout.kind == "yuv" and self.format.orientation == Orientation()
 
-    def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray, columns: np.ndarray | None = None) -> Frame:
+    def edited(
+        self, rect: Rect, before: np.ndarray, after: np.ndarray, columns: np.ndarray | None = None, in_place: bool = False
+    ) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before) inside `rect`.
 
         before, after : (h, w, 3) float32 linear RGB of the upright rectangle; equal pixels keep their bits.
         columns : (h, 2) int32 of each row, outside of which neither is looked at; None = all. Only where `row_by_row`
+        in_place : this frame's own samples are changed; only for one that `dimmed` or `edited` made
         New values are clipped to the legal range; samples that already lay beyond it may stay there.
         Raises RenderError for a rectangle outside the picture, other shapes, or values that are not finite.
         """
@@ -214,7 +217,7 @@ class Frame:
             raise RenderError(f"frame {self.index}: edit of {shape} pixels given {before.shape} before, {after.shape} after")
         b = np.ascontiguousarray(f.orientation.coded(before), np.float32)
         a = np.ascontiguousarray(f.orientation.coded(after), np.float32)
-        picture = copy_picture(self.picture, f.layout)
+        picture = self.picture if in_place else copy_picture(self.picture, f.layout)
         planes = planes_of(picture, f.layout)
         whole = np.tile(np.array([0, r.width], np.int32), (r.height, 1)) if columns is None else columns
         bad = _edit_yuv(planes, f, r, whole, b, a) if f.layout.kind == "yuv" else _edit_rgb(planes, f, r, b, a)

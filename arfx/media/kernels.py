@@ -10,9 +10,18 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.core.compiled import uncounted
+from arfx.core.compiled import UNCOUNTED
 from arfx.media.curves import FAST, apply_curve
-from arfx.media.lines import add_steps, chroma_span, clipped_differences, coded_line, reduce_line, taps, to_luma_and_chroma
+from arfx.media.lines import (
+    add_steps,
+    chroma_span,
+    clipped_differences,
+    coded_line,
+    line_room,
+    reduce_line,
+    taps,
+    to_luma_and_chroma,
+)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -23,29 +32,22 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, c
     scale : y offset, y factor, chroma offset, chroma factor;  matrix : R from Cr, G from Cb, G from Cr, B from Cb
     Chroma is interpolated linearly between its true positions, from samples outside the rectangle too.
     """
-    w = rect[2] - rect[0]
-    few, cb, cr = np.empty(w + 2, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
-    coded, light, base, mantissa = np.empty((3, w), np.float32), np.empty((3, w), np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
-    _linear_lines(
-        y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, (few, cb, cr), (coded, light), (base, mantissa)
-    )
+    room = line_room(11, rect[2] - rect[0])
+    _linear_lines(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, room)
 
 
-@uncounted(fastmath=FAST)
-def _linear_lines(
-    y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, chroma, colours, rooms
-):
+@numba.njit(**UNCOUNTED, fastmath=FAST)
+def _linear_lines(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, room):
     # a line at a time in steps without branches, of which the compiler makes vector code
     x0, y0, x1, y1 = rect
-    c0, c1 = chroma_span(x0, x1, steps[0], chroma_size[0])
-    few, cb, cr = chroma[0][: c1 - c0], chroma[1], chroma[2]
-    coded, light = colours
-    base, mantissa = rooms
+    w, (c0, c1) = x1 - x0, chroma_span(x0, x1, steps[0], chroma_size[0])
+    coded, light = room[:3], room[3:6]
+    few, cb, cr, base, mantissa = room[6, : c1 - c0], room[7, :w], room[8, :w], room[9], room[10]
     for j in range(y1 - y0):
         coded_line(y, u, v, y0 + j, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded)
         for c in range(3):
-            apply_curve(coded[c], curve, base, mantissa, light[c])
-        for k in range(x1 - x0):
+            apply_curve(coded[c, :w], curve, base, mantissa, light[c])
+        for k in range(w):
             out[j, k, 0], out[j, k, 1], out[j, k, 2] = light[0, k], light[1, k], light[2, k]
 
 
@@ -122,27 +124,24 @@ def edit_luma(
     `before` are not finite; those are left alone.
     """
     w = rect[2] - rect[0]
-    before, after = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
-    base, mantissa = np.empty(3 * w, np.float32), np.empty(3 * w, np.float32)
-    clean_b, clean_a, dy = np.empty(3 * w, np.int32), np.empty(3 * w, np.int32), np.empty(w, np.float32)
+    room, clean = line_room(5, 3 * w), np.empty((2, 3 * w), np.int32)
     tapped = taps(step, cosited and step > 0)
     wide = np.empty((2, (chroma.shape[2] << step) + tapped[1] - tapped[0]), np.float32)
     return _edit_lines(
         y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, chroma, reach, tapped,
-        wide, (before, after, base, mantissa), (clean_b, clean_a), dy,
+        wide, room, clean,
     )  # fmt: skip
 
 
-@uncounted(fastmath=FAST)
+@numba.njit(**UNCOUNTED, fastmath=FAST)
 def _edit_lines(
     y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, chroma, reach, tapped,
-    wide, rooms, cleans, dy,
+    wide, room, clean,
 ):  # fmt: skip
-    x0, y0, x1, y1 = rect
+    x0, y0, _, y1 = rect
     h, n = y1 - y0, chroma.shape[2]
     bad = 0
-    before, after, base, mantissa = rooms
-    clean_b, clean_a = cleans
+    before, after, base, mantissa, dy = room[0], room[1], room[2], room[3], room[4]
     low_tap, high_tap, weights = tapped
     start = ((x0 >> step) << step) + low_tap  # luma column of the first tap
     # a line at a time from the first pixel that changes to the last, in steps of which the compiler makes vector code
@@ -151,8 +150,8 @@ def _edit_lines(
         b, a = before_bits[j].reshape(-1), after_bits[j].reshape(-1)
         first, last = 3 * columns[j, 0], 3 * columns[j, 1]
         if not _all_finite(b[first:last], a[first:last]):
-            bad += _blank_odd(b[first:last], a[first:last], clean_b[first:last], clean_a[first:last])
-            b, a = clean_b, clean_a
+            bad += _blank_odd(b[first:last], a[first:last], clean[0, first:last], clean[1, first:last])
+            b, a = clean[0], clean[1]
         while first < last and b[first] == a[first]:
             first += 1
         while last > first and b[last - 1] == a[last - 1]:
@@ -189,10 +188,12 @@ def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, low, 
     Only samples on the grid inside the rectangle, grown to that grid, can change.
     """
     total = np.empty(lines.shape[1], np.float32)
-    _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, low, high, taps(steps[1], cosited and steps[1] > 0), total)
+    _edit_chroma_lines(
+        plane, lines, reach, rect, height, steps, factor, low, high, taps(steps[1], cosited and steps[1] > 0), total
+    )
 
 
-@uncounted(fastmath=FAST)
+@numba.njit(**UNCOUNTED, fastmath=FAST)
 def _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, low, high, tapped, total):
     x0, y0, _, y1 = rect
     sx, sy = steps

@@ -103,8 +103,8 @@ class FrameResult:
             return out
         if isinstance(made, Spans) and frame.row_by_row:
             plate = self.canvas.view(frozenset({Layer.PLATE}), made.rect)
-            return out.edited(made.rect, plate.within(Layer.PLATE, made.parts()), made.made, made.columns)
-        return out.edited(self.rect, plate[Layer.PLATE], self.image)
+            return out.edited(made.rect, plate.within(Layer.PLATE, made.parts()), made.made, made.columns, out is not frame)
+        return out.edited(self.rect, plate[Layer.PLATE], self.image, in_place=out is not frame)
 
 
 class Plate(Sheet):

@@ -44,7 +44,7 @@ from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
 from arfx.run.warm import warming
-from arfx.run.worker import keep_memory
+from arfx.run.worker import keep_memory, open_context
 from arfx.stages import STAGES
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
@@ -328,6 +328,9 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
     if workers is None:
         workers, threads = default_workers(total * planned.inputs.camera.rect.area, planned.any_thread)
     workers = min(workers, len(tasks))
+    if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
+        context = open_context(str(folder.path), planned.key)
+        context.facts, context.plans = planned.facts, planned.plans
     if workers <= 1:
         results = run_serial(tasks, progress)
     else:

@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
@@ -45,7 +45,10 @@ _OPENING = threading.Lock()  # what threads share is made once
 
 @dataclass
 class Context:
-    """What a worker keeps between chunks of one job: the scene and what each stage prepared, nothing per frame."""
+    """What a worker keeps between chunks of one job: the scene and what each stage prepared.
+
+    facts, plans : of every frame, where the process that made them renders too; None = they are read chunk by chunk
+    """
 
     config: JobConfig
     info: ClipInfo
@@ -56,6 +59,8 @@ class Context:
     previews: frozenset[int]
     depth: DepthMaps | None = None
     prepared: dict[tuple[str, str], Any] = field(default_factory=dict)
+    facts: Sequence[FrameFacts] | None = None
+    plans: Sequence[FramePlan] | None = None
 
     def prepare(self, wanted: set[tuple[str, str]]) -> None:
         """wanted : (stage, level)"""
@@ -121,8 +126,7 @@ def render_chunk(
     place = JobFolder(Path(folder))
     reach = max((s.reach for s in context.stages.values()), default=0)
     begin = max(first - reach, 0)
-    facts = {f.index: f for f in map(FrameFacts.from_json, read_lines(place.facts, begin + 1, last + 1))}  # line 0: header
-    plans = {p.index: p for p in map(FramePlan.from_json, read_lines(place.plan, begin, last))}
+    facts, plans = _told(context, place, begin, last)
     start = time.perf_counter()
     needed = {(s.stage, s.level) for p in plans.values() for s in p.steps}
     if needed - context.prepared.keys():  # a chunk without work need not wait for another's preparation
@@ -162,6 +166,16 @@ def render_chunk(
     except OSError as e:
         raise disk_error(e, final) from None
     return {"first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "pid": os.getpid()}
+
+
+def _told(context: Context, place: JobFolder, first: int, last: int) -> tuple[dict[int, FrameFacts], dict[int, FramePlan]]:
+    """Facts and plans of frames first ... last."""
+    if context.facts is not None and context.plans is not None:
+        facts, plans = context.facts[first : last + 1], context.plans[first : last + 1]
+    else:
+        facts = [FrameFacts.from_json(d) for d in read_lines(place.facts, first + 1, last + 1)]  # line 0: header
+        plans = [FramePlan.from_json(d) for d in read_lines(place.plan, first, last)]
+    return {f.index: f for f in facts}, {p.index: p for p in plans}
 
 
 def _changed(context: Context, index: int) -> RenderError:

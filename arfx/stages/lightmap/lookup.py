@@ -14,7 +14,7 @@ from functools import lru_cache
 import numba
 import numpy as np
 
-from arfx.core.compiled import uncounted
+from arfx.core.compiled import UNCOUNTED
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.lightmap.plane import PlaneTexture
@@ -23,7 +23,7 @@ from arfx.stages.viewing import GRID_PX
 _NOWHERE = np.float32(1e9)  # on the plane, metres: as far from every picture as can be
 _BENT = np.float32(0.01)  # relative change of distance over a run: places are off by up to a quarter of it times the run
 _UNSEEN = 0.001  # share of the light: of white, less than half a step of 10 bits
-_TOGETHER = 4  # runs that are tested at once
+_TOGETHER = 2  # runs that are tested at once
 
 
 def light_left(
@@ -93,7 +93,7 @@ def _look_up(
     return out
 
 
-@uncounted(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(**UNCOUNTED, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up_lines(
     x0, y0, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength, out, borders, places,
     place, taken, lines, spans,
@@ -132,24 +132,10 @@ def _look_up_lines(
             k = meta.shape[0] - 1 - m  # what is blocked comes last in the list and first here
             rows, columns = meta[k, 1], meta[k, 2]
             part = texels[meta[k, 0] : meta[k, 0] + rows * columns]
-            last_u, last_v, across = np.float32(columns - 1.01), np.float32(rows - 1.01), np.int32(columns)
-            ux, uy, u0 = affine[k, 0, 0], affine[k, 0, 1], affine[k, 0, 2]
-            wx, wy, w0 = affine[k, 1, 0], affine[k, 1, 1], affine[k, 1, 2]
             i0, i1 = max(spans[k, 0] * GRID_PX - lead, 0), min(spans[k, 1] * GRID_PX - lead, width)
             n = max(i1 - i0, 0)
-            xs, ys = px[lead + i0 : lead + i0 + n], py[lead + i0 : lead + i0 + n]
-            for i in range(n):
-                u = min(max(ux * xs[i] + uy * ys[i] + u0, zero), last_u)
-                v = min(max(wx * xs[i] + wy * ys[i] + w0, zero), last_v)
-                iu, iv = np.int32(u), np.int32(v)
-                fu[i], fv[i] = u - np.float32(iu), v - np.float32(iv)
-                place[i] = iv * across + iu
-            for i in range(n):
-                a = np.uintp(place[i])
-                c = np.uintp(place[i] + across)
-                e = part[a] + fu[i] * (part[a + np.uintp(1)] - part[a])
-                f = part[c] + fu[i] * (part[c + np.uintp(1)] - part[c])
-                dark[i] = e + fv[i] * (f - e)
+            _cells(px[lead + i0 : lead + i0 + n], py[lead + i0 : lead + i0 + n], affine[k], rows, columns, place, fu, fv)
+            _bilinear(part, np.int32(columns), place[:n], fu, fv, dark)
             seen = open_[i0 : i0 + n]
             if k == count:
                 for i in range(n):
@@ -182,6 +168,33 @@ def _look_up_lines(
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _cells(xs, ys, affine, rows, columns, place, fu, fv):  # pragma: no cover - compiled
+    """Of plane places xs, ys (n,) the texel at the cell's low corner, by number, and how far in the cell they lie."""
+    zero = np.float32(0)
+    last_u, last_v, across = np.float32(columns - 1.01), np.float32(rows - 1.01), np.int32(columns)
+    ux, uy, u0 = affine[0, 0], affine[0, 1], affine[0, 2]
+    wx, wy, w0 = affine[1, 0], affine[1, 1], affine[1, 2]
+    for i in range(xs.shape[0]):
+        u = min(max(ux * xs[i] + uy * ys[i] + u0, zero), last_u)
+        v = min(max(wx * xs[i] + wy * ys[i] + w0, zero), last_v)
+        iu, iv = np.int32(u), np.int32(v)
+        fu[i], fv[i] = u - np.float32(iu), v - np.float32(iv)
+        place[i] = iv * across + iu
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _bilinear(part, across, place, fu, fv, dark):  # pragma: no cover - compiled
+    """dark (n,) : bilinear value of the picture `part` in those cells."""
+    one = np.uintp(1)
+    for i in range(place.shape[0]):
+        a = np.uintp(place[i])
+        c = np.uintp(place[i] + across)
+        e = part[a] + fu[i] * (part[a + one] - part[a])
+        f = part[c] + fu[i] * (part[c + one] - part[c])
+        dark[i] = e + fv[i] * (f - e)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _add(out, dark, share):  # pragma: no cover - compiled
     for i in range(out.shape[0]):
         out[i] += share * dark[i]
@@ -204,7 +217,7 @@ def _dark_columns(texels, meta, faint):  # pragma: no cover - compiled
     return out
 
 
-@uncounted(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(**UNCOUNTED, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _ends(nodes, origin, iy, fy, g0, ends):  # pragma: no cover - compiled
     """ends (6, n) : of the runs of GRID_PX pixels of one line, from node g0 on: direction, distance along it (0 = does not
     meet the plane), plane x and y."""
@@ -213,16 +226,22 @@ def _ends(nodes, origin, iy, fy, g0, ends):  # pragma: no cover - compiled
         above, below, out = nodes[c, iy, g0 : g0 + n], nodes[c, iy + 1, g0 : g0 + n], ends[c]
         for i in range(n):
             out[i] = above[i] + fy * (below[i] - above[i])
-    dx, dy, dz, far, x, y = ends[0], ends[1], ends[2], ends[3], ends[4], ends[5]
-    for i in range(n):
-        s = -origin[2] / dz[i]
-        meets = dz[i] < np.float32(0)
-        far[i] = s if meets else np.float32(0)
-        x[i] = origin[0] + s * dx[i] if meets else _NOWHERE
-        y[i] = origin[1] + s * dy[i] if meets else _NOWHERE
+    _meet(ends[0], ends[1], ends[2], origin[0], origin[1], origin[2], ends[3], ends[4], ends[5])
 
 
-@uncounted(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _meet(dx, dy, dz, ox, oy, oz, far, x, y):  # pragma: no cover - compiled
+    """Where rays (n,) from o meet the plane: distance and place. Without branches, of which the compiler makes vector code."""
+    for i in range(dx.shape[0]):
+        towards = dz[i] < np.float32(0)
+        s = -oz / dz[i]
+        u, v = ox + s * dx[i], oy + s * dy[i]
+        far[i] = s if towards else np.float32(0)
+        x[i] = u if towards else _NOWHERE
+        y[i] = v if towards else _NOWHERE
+
+
+@numba.njit(**UNCOUNTED, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
     """px, py : where the pixels of the runs first ... last - 1 see the plane; as far from every picture as can be if nowhere."""
     step = np.float32(1.0 / GRID_PX)
@@ -231,9 +250,12 @@ def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
         at = q * GRID_PX
         s, t = far[q], far[q + 1]
         if min(s, t) > np.float32(0) and abs(t - s) <= _BENT * min(s, t):
-            dx, dy = (x[q + 1] - x[q]) * step, (y[q + 1] - y[q]) * step
+            x0, y0, first_px = x[q], y[q], np.uintp(at)
+            dx, dy = (x[q + 1] - x0) * step, (y[q + 1] - y0) * step
             for i in range(GRID_PX):
-                px[at + i], py[at + i] = x[q] + np.float32(i) * dx, y[q] + np.float32(i) * dy
+                px[first_px + np.uintp(i)] = x0 + np.float32(i) * dx
+            for i in range(GRID_PX):
+                py[first_px + np.uintp(i)] = y0 + np.float32(i) * dy
             continue
         for i in range(GRID_PX):
             f = np.float32(i) * step
@@ -244,7 +266,7 @@ def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
             py[at + i] = origin[1] + s * (ends[1, q] + f * (ends[1, q + 1] - ends[1, q])) if meets else _NOWHERE
 
 
-@uncounted(error_model="numpy")
+@numba.njit(**UNCOUNTED, error_model="numpy")
 def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover - compiled
     """Half-open range of runs of GRID_PX lines outside which a picture has nothing dark. above, below (3, n) : their borders,
     distance, plane x and y"""
@@ -257,7 +279,7 @@ def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover
     return first, max(last, first)
 
 
-@uncounted(error_model="numpy")
+@numba.njit(**UNCOUNTED, error_model="numpy")
 def _may_be_dark(above, below, a, b, affine, dark_columns, columns):  # pragma: no cover - compiled
     """Whether pixels between the ends a and b of runs may see something dark. dark_columns (rows, 2), one picture's"""
     meets = (above[0, a] > 0) + (above[0, b] > 0) + (below[0, a] > 0) + (below[0, b] > 0)
