@@ -43,7 +43,7 @@ def _bounds(camera: Camera, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest (x/z, y/z) of the ideal picture of `rect`, generously; infinite where the lens folds."""
     border = np.array([[rect.x0 - 1.0, rect.y0 - 1.0], [rect.x1, rect.y1]])
     if camera.distorted:  # straight lines bulge: points along all sides
-        x, y = (np.linspace(*border[:, axis], 9) for axis in (0, 1))
+        x, y = np.linspace(rect.x0 - 1, rect.x1, 9), np.linspace(rect.y0 - 1, rect.y1, 9)
         border = np.concatenate(
             [np.stack([x, np.full(9, v)], 1) for v in (y[0], y[-1])] + [np.stack([np.full(9, u), y], 1) for u in (x[0], x[-1])]
         )

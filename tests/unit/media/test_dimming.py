@@ -80,6 +80,15 @@ def test_where_nothing_is_taken_every_bit_stays() -> None:
         assert all(np.array_equal(a, b) for a, b in zip(samples(whole), samples(f), strict=True))
 
 
+def test_a_frame_of_our_own_is_edited_in_place_to_the_same_samples() -> None:
+    f, rect = frame("yuv420p", 61, 45, smooth=True), Rect(7, 4, 50, 40)
+    before = f.linear(rect)
+    made = [f.dimmed(f.rect, shares(f.rect, True), OPACITY, NO_BIAS, rect) for _ in range(2)]
+    apart, own = made[0].edited(rect, before, before * 0.5), made[1].edited(rect, before, before * 0.5, in_place=True)
+    assert own.picture is made[1].picture and apart.picture is not made[0].picture
+    assert all(np.array_equal(a, b) for a, b in zip(samples(apart), samples(own), strict=True))
+
+
 @pytest.mark.parametrize("turn", TURNS)
 def test_the_shares_are_upright(turn: object) -> None:
     f = frame("yuv420p", 38, 30, smooth=True, turn=turn)  # type: ignore[arg-type]
@@ -88,6 +97,25 @@ def test_the_shares_are_upright(turn: object) -> None:
     got, want = f.dimmed(rect, left, OPACITY, NO_BIAS, hole), through_linear(f, rect, left, NO_BIAS, hole)
     for a, b in zip(samples(got), samples(want), strict=True):
         assert np.abs(a - b).max() <= 1
+
+
+@pytest.mark.parametrize("name", ["yuv420p", "yuv411p", "yuv444p"])
+@pytest.mark.parametrize(("first", "last"), [(0, 9), (70, 75), (130, 301), (0, 301), (299, 301)])
+@pytest.mark.parametrize("hole", [EMPTY, Rect(60, 3, 150, 9), Rect(0, 0, 301, 5)])
+def test_only_what_lies_between_the_first_and_the_last_dark_pixel_changes(name: str, first: int, last: int, hole: Rect) -> None:
+    """Lines are longer than the blocks in which they are searched; a hole may cut what is dark in two, or cover it."""
+    f = frame(name, 301, 12, smooth=True)
+    for grey in (True, False):
+        left = np.ones((12, 301, 1 if grey else 3), np.float32)
+        left[2:11, first:last] = shares(Rect(first, 2, last, 11), grey) * np.float32(0.6)
+        for bias in (NO_BIAS, np.full(3, 0.01)):
+            got, want = f.dimmed(f.rect, left, OPACITY, bias, hole), through_linear(f, f.rect, left, bias, hole)
+            for a, b in zip(samples(got), samples(want), strict=True):
+                assert np.abs(a - b).max() <= 1
+            left_alone = np.ones((12, 301), bool)
+            left_alone[2:11, first:last] = False
+            left_alone[hole.y0 : hole.y1, hole.x0 : hole.x1] = True
+            assert np.array_equal(samples(got)[0][left_alone], samples(f)[0][left_alone])
 
 
 def test_more_light_than_there_was_is_kept_below_white() -> None:

@@ -9,7 +9,7 @@ import pytest
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
-from arfx.stages.lightmap.lookup import light_left
+from arfx.stages.lightmap.lookup import _UNSEEN, _shows_from, light_left
 from arfx.stages.lightmap.plane import PlaneTexture
 from arfx.stages.viewing import direction_grid, viewing
 
@@ -88,3 +88,30 @@ def test_every_pixel_is_what_it_is_plainly(seed: int) -> None:
     # cv2.remap reads places to 1/32 of a texel, of 0.04 a texel at most
     np.testing.assert_allclose(got, want, atol=2e-3)
     assert (got[want == 1] == 1).mean() > 0.99, "pixels that lose nothing keep their bits"
+
+
+@pytest.mark.parametrize("strength", [1.0, 0.4])
+@pytest.mark.parametrize("faint", [0.005, 0.02, 0.1])
+def test_what_is_not_looked_up_could_not_be_seen(faint: float, strength: float) -> None:
+    """The darkening from which on it is: just above _UNSEEN is kept of it; and a ramp loses no more than that anywhere."""
+    dark = _shows_from(faint, strength)
+    t = (dark - faint) / (2 * faint)
+    assert strength * dark * t * t * (3 - 2 * t) == pytest.approx(_UNSEEN, rel=0.05)
+    ramp = np.zeros((64, 256), np.float32)
+    ramp[2:-2, 2:-2] = np.linspace(0, 3 * faint, 252, dtype=np.float32)
+    texture = PlaneTexture(ramp, np.array([[500.0, 0, 128], [0, 500, 32]]))
+    cam, above = camera(False), Pose(rotation_from_euler_deg(180, 0, 0), np.array([0, 0, 0.4]))
+    grid, one = direction_grid(cam), np.ones((1, 3), np.float32)
+    got = light_left(cam.rect, grid, above, [texture], one, None, faint, strength)
+    taken = plainly_of(texture, cam, grid, above)
+    t = np.clip((taken - faint) * 0.5 / faint, 0, 1)
+    want = strength * t * t * (3 - 2 * t) * taken
+    assert np.abs((1 - got[..., 0]) - want).max() <= _UNSEEN + 1e-4
+    assert (got < 1).any() and (got[want < _UNSEEN / 2] == 1).mean() > 0.9
+
+
+def plainly_of(texture: PlaneTexture, cam: Camera, grid: np.ndarray, anchor_from_camera: Pose) -> np.ndarray:
+    d = viewing(grid, cam.rect).astype(float) @ anchor_from_camera.rotation.T
+    place = anchor_from_camera.translation_m[:2] - anchor_from_camera.translation_m[2] / d[..., 2:] * d[..., :2]
+    uv = (place @ texture.texel_from_m[:, :2].T + texture.texel_from_m[:, 2]).astype(np.float32)
+    return np.asarray(cv2.remap(texture.dark, uv[..., 0], uv[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
