@@ -13,7 +13,7 @@ from arfx.media.curves import FAST
 
 @numba.njit(cache=True, nogil=True)
 def line_room(lines, width):
-    """(lines, width + 2 or more) float32 to work in: one piece, of whole cache lines, is up to a third quicker than many."""
+    """(lines, width + 2 or more) float32 to work in, each of whole cache lines."""
     return np.empty((lines, (width + 17) // 16 * 16), np.float32)
 
 

@@ -1,4 +1,5 @@
-"""Render one chunk: the unit of work. What it needs it reads from the job folder; it is sent a range, never pixels."""
+"""Render one chunk: the unit of work. What it needs it reads from the job folder, unless this process has just written
+it; it is sent a range, never pixels."""
 
 from __future__ import annotations
 

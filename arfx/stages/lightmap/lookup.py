@@ -84,7 +84,7 @@ def _look_up(
     out = np.empty((height, width, shares.shape[1]), np.float32)
     runs = (x0 + width - 1) // GRID_PX + 1 - x0 // GRID_PX
     borders = np.empty((18, runs + 1), np.float32)
-    room = np.empty((7 + shares.shape[1], (runs + 1) * GRID_PX), np.float32)  # one piece: quicker than a line here and there
+    room = np.empty((7 + shares.shape[1], (runs + 1) * GRID_PX), np.float32)
     _look_up_lines(
         x0, y0, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength, out,
         (borders[:6], borders[6:12], borders[12:]), (room[0], room[1]), room[2].view(np.int32), room[7:],
