@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from arfx.core.machine import processor_name, usable_cores
 from arfx.core.places import cache_folder
 
 TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
@@ -133,17 +133,8 @@ class Prices:
 
 def prices_file() -> Path:
     """Where this machine's price list lies: in the user's cache folder, under a name of processor and cores."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    name = "".join(c if c.isalnum() else "-" for c in f"{platform.machine()}-{_processor()}-{cores}")
+    name = "".join(c if c.isalnum() else "-" for c in f"{platform.machine()}-{processor_name()}-{usable_cores()}")
     return cache_folder() / f"costs-{name}.json"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return platform.processor() or "unknown"
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
 
 
 def load_prices(file: Path | None = None) -> Prices:

@@ -19,11 +19,13 @@ from typing import Any
 import numpy as np
 
 import arfx
+from arfx.core.machine import processor_name, usable_cores
 from arfx.errors import ArfxError
+from arfx.run.memory import free_mb
 
 PACKAGES = (
     "numpy", "opencv-contrib-python-headless", "av", "scipy", "numba", "scikit-image", "trimesh", "embreex",
-    "pyrender-maintained", "pyopengl", "flip-evaluator", "matplotlib", "pydantic", "click", "rich", "pillow", "pyyaml",
+    "pyrender-maintained", "pyopengl", "flip-evaluator", "matplotlib", "psutil", "pydantic", "click", "rich", "pillow", "pyyaml",
 )  # fmt: skip
 LOW_MEMORY_MB, LOW_DISK_MB = 1500, 2000  # a 1080p job peaks near 700 MB a worker; an hour of 1080p H.264 takes a few GB
 
@@ -149,9 +151,8 @@ def _picture_format(name: str) -> Check:
 
 
 def _resources(folder: Path) -> list[Check]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    out = [Check("machine", "cores", True, f"{cores} usable of {os.cpu_count()}")]
-    free = _free_memory_mb()
+    out = [Check("machine", "cores", True, f"{usable_cores()} usable of {os.cpu_count()}, {processor_name()}")]
+    free = free_mb()
     if free is not None:
         ok = free >= LOW_MEMORY_MB
         out.append(Check("machine", "memory", ok, f"{free:.0f} MB free", "" if ok else "close programs, or --workers 1"))
@@ -163,17 +164,3 @@ def _resources(folder: Path) -> list[Check]:
     ok = disk >= LOW_DISK_MB
     out.append(Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", "" if ok else "free space for outputs"))
     return out
-
-
-def _free_memory_mb() -> float | None:
-    """Memory that can be had without swapping, the container's limit included; None where the system does not say."""
-    try:
-        rows = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
-        free = float(rows["MemAvailable"].split()[0]) / 1024
-    except (OSError, KeyError, ValueError):
-        return None
-    try:
-        limit, used = (Path(f"/sys/fs/cgroup/memory.{n}").read_text().strip() for n in ("max", "current"))
-        return free if limit == "max" else min(free, (float(limit) - float(used)) / 2**20)
-    except (OSError, ValueError):
-        return free

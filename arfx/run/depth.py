@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from arfx.analyse.depth_scale import DepthScale, depth_scale, print_ratios
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
+from arfx.core.machine import usable_cores
 from arfx.core.pose import Pose
 from arfx.core.real_depth import KEY, RealDepth, real_depth_of, tile_ranges
 from arfx.core.rect import Rect
@@ -74,7 +74,7 @@ def with_depth(
 
     told: dict[int, _Told] = {}
     ratios: list[np.ndarray] = []
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
+    with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
         for done, (number, (what, some)) in enumerate(zip(used, pool.map(read, used), strict=True), 1):
             told[number] = what
             ratios += some

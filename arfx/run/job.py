@@ -20,6 +20,7 @@ from arfx.config.sections import JobConfig
 from arfx.core.cost import Prices, load_prices
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.machine import usable_cores
 from arfx.core.marker import anchor_marker
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
@@ -133,7 +134,7 @@ def default_workers(pixels: int, any_thread: bool) -> tuple[int, bool]:
     Threads where the stages allow it and the cores are few; else processes, but one only for a short job, in which
     starting others would take longer than they save.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     if any_thread and cores <= MOST_THREADS:
         return cores, True
     return (cores if pixels > SHORT_JOB_PX else 1), False

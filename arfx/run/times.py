@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from arfx.run.memory import peak_mb
 
 CHECKPOINT, ANALYSIS, CHUNK = "checkpoint", "analysis", "chunk"
 
@@ -59,9 +60,11 @@ class WorkLog:
     def note(
         self, work: str, key: str, seconds: Mapping[str, float], walls: Mapping[str, float] | None = None, **more: Any
     ) -> None:
-        """walls : of the earlier processes without whose work this would not be. Raises OSError."""
+        """walls : of the earlier processes without whose work this would not be;  more["rss_mb"] : most memory of the process
+        that did it, where that was another. Raises OSError."""
         here = {self.process: time.perf_counter() - self.began}
-        row = {"work": work, "key": key, **more, "seconds": seconds, "walls": {**(walls or {}), **here}, "rss_mb": peak_rss_mb()}
+        peak = max(peak_mb(), more.pop("rss_mb", 0.0))
+        row = {"work": work, "key": key, **more, "seconds": seconds, "walls": {**(walls or {}), **here}, "rss_mb": peak}
         with self.path.open("ab+") as f:
             end = f.seek(0, os.SEEK_END)
             if end:
@@ -85,7 +88,7 @@ class WorkLog:
                 walls[process] = max(walls.get(process, 0.0), s)
         return Spent(
             seconds, stages, tuple(key for work, key in wanted if work == CHUNK and (work, key) not in last),
-            sum(walls.values()), len(walls), max(peak_rss_mb(), *(row["rss_mb"] for row in used), 0.0),
+            sum(walls.values()), len(walls), max(peak_mb(), *(row["rss_mb"] for row in used), 0.0),
         )  # fmt: skip
 
 
@@ -126,8 +129,3 @@ class AnalysisClock:
             return self._checkpoint.stat().st_mtime_ns
         except OSError:
             return None
-
-
-def peak_rss_mb() -> float:
-    """The most memory that this process or one that it waited for held."""
-    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1024

@@ -36,6 +36,7 @@ from arfx.run.depth import job_depth, real_depth_layer
 from arfx.run.folder import JobFolder, disk_error, read_lines
 from arfx.run.frame import Canvas, Plate, run_frame
 from arfx.run.inputs import job_model, make_scene
+from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.preview import save_preview
 from arfx.run.source import source_at
@@ -82,6 +83,8 @@ def keep_memory() -> None:
     """
     import ctypes
 
+    if os.name != "posix":
+        return
     trim_threshold, mmap_threshold, arena_max = -1, -3, -8  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX of malloc.h
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
@@ -118,7 +121,7 @@ def render_chunk(
     """Render frames first … last into the file `target`, which appears when it is whole.
 
     alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads of their own
-    Returns seconds by stage, decode and encode seconds, and counts.
+    Returns seconds by stage, decode and encode seconds, counts, and the most memory that this process held.
     Raises RenderError (frames missing in the source, a full disk, a stage that failed).
     """
     keep_memory()
@@ -166,7 +169,9 @@ def render_chunk(
         aside.replace(final)
     except OSError as e:
         raise disk_error(e, final) from None
-    return {"first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "pid": os.getpid()}
+    return {
+        "first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "pid": os.getpid(), "rss_mb": peak_mb(),
+    }  # fmt: skip
 
 
 def _told(context: Context, place: JobFolder, first: int, last: int) -> tuple[dict[int, FrameFacts], dict[int, FramePlan]]:

@@ -13,6 +13,8 @@ from functools import cache
 from threading import Lock
 from typing import Any, Generic, TypeVar
 
+from arfx.core.machine import usable_cores
+
 T = TypeVar("T")
 BANDS = 4
 _SMALL = 64  # rows: below it threads cost more than they save
@@ -24,7 +26,7 @@ def _pool(pid: int) -> ThreadPoolExecutor:
 
 
 def _threads() -> int:
-    return max(min(os.cpu_count() or 1, BANDS), 1)
+    return max(min(usable_cores(), BANDS), 1)
 
 
 def by_bands(work: Callable[[int, int], T], height: int, unit: int = 1, least: int = _SMALL) -> list[T]:

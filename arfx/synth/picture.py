@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 
+from arfx.core.machine import usable_cores
 from arfx.core.pose import Pose
 from arfx.synth.tracer import probe, render_rows, unhidden
 from arfx.synth.world import Moment, World
@@ -26,7 +26,7 @@ class Picture:
         if samples is None and (scene.lens.aperture_m > 0 or scene.lens.shutter_s > 0):
             self.side = max(self.side, 4)  # fewer than 16 moments or lens points leave separate copies of an edge
         self._rays: dict[tuple[float, float], np.ndarray] = {}
-        self._pool = ThreadPoolExecutor(max(min(os.cpu_count() or 1, 8), 1))
+        self._pool = ThreadPoolExecutor(min(usable_cores(), 8))
 
     def rays(self, dx: float, dy: float) -> np.ndarray:
         """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where the lens maps nothing."""

@@ -1,0 +1,37 @@
+"""Memory of this process and of the machine, on every system."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import psutil
+
+_CONTAINER = Path("/sys/fs/cgroup")
+
+
+def peak_mb() -> float:
+    """The most that this process held so far; what it holds now where the system keeps no record; 0 where it tells nothing."""
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        try:
+            held = psutil.Process().memory_info()
+        except (psutil.Error, OSError):
+            return 0.0
+        return float(getattr(held, "peak_wset", held.rss)) / 2**20
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / (2**20 if sys.platform == "darwin" else 2**10)  # bytes there, KiB elsewhere
+
+
+def free_mb() -> float | None:
+    """What can be had without swapping, a container's limit included; None where the system does not say."""
+    try:
+        free = psutil.virtual_memory().available / 2**20
+    except (psutil.Error, OSError, RuntimeError):
+        return None
+    try:
+        limit, used = (float((_CONTAINER / f"memory.{n}").read_text(encoding="ascii")) for n in ("max", "current"))
+    except (OSError, ValueError):  # no control groups here, or no limit ("max")
+        return free
+    return min(free, (limit - used) / 2**20)
