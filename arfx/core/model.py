@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -57,12 +58,14 @@ class Model:
     """All parts of a model. up : "x", "y" or "z", which file axis points up; source : path, for messages.
 
     notices : what was left out or repaired while reading, for the user
+    files : all files that it was read from, the model's own first
     """
 
     parts: tuple[Part, ...]
     up: str = "y"
     source: str = ""
     notices: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
     @cached_property
     def bounds(self) -> np.ndarray:

@@ -7,8 +7,6 @@ on whether 1 means clear or solid.
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +25,13 @@ def material_of(mesh: Any, path: Path, two_sided: bool, factors: dict[str, Any],
     kind = type(given).__name__
     if given is None or _is_placeholder(given):
         return Material(base_colour=(1.0, 1.0, 1.0, 1.0) if has_colours else (0.8, 0.8, 0.8, 1.0), double_sided=two_sided)
-    if kind == "PBRMaterial":
-        return _from_pbr(given, path, factors)
-    return _from_simple(given, path, two_sided)
+    made = _from_pbr(given, path, factors) if kind == "PBRMaterial" else _from_simple(given, path, two_sided)
+    numbers = [*made.base_colour, *made.emissive, made.metallic, made.roughness, made.specular, made.alpha_cutoff]
+    written = getattr(given, "kwargs", None) or {}  # of an MTL file: trimesh has rounded them to 8 bits by now
+    numbers += [_first_number(v, 0.0) for key in ("kd", "d", "ns") for v in np.ravel(written.get(key, 0.0))]
+    if not np.isfinite(numbers).all():
+        raise InputError(f"model {path}: material {made.name!r} holds numbers that are not finite", "export it again")
+    return made
 
 
 def _from_pbr(given: Any, path: Path, factors: dict[str, Any]) -> Material:
@@ -69,9 +71,9 @@ def _from_simple(given: Any, path: Path, two_sided: bool) -> Material:
     texture = _texture(getattr(given, "image", None), "RGBA", path)
     return Material(
         name=str(getattr(given, "name", None) or "default"),
-        base_colour=(float(rgb[0]), float(rgb[1]), float(rgb[2]), min(max(alpha, 0.0), 1.0)),
+        base_colour=(float(rgb[0]), float(rgb[1]), float(rgb[2]), float(np.clip(alpha, 0.0, 1.0))),
         base_texture=texture,
-        roughness=float(np.clip((2.0 / (max(shininess, 0.0) + 2.0)) ** 0.25, 0.05, 1.0)),
+        roughness=float(np.clip((2.0 / (np.clip(shininess, 0.0, None) + 2.0)) ** 0.25, 0.05, 1.0)),
         alpha_mode=BLEND if alpha < 1.0 else OPAQUE,
         double_sided=two_sided,
     )
@@ -107,14 +109,13 @@ def _linear(raw: np.ndarray, already: bool) -> np.ndarray:
     return c
 
 
-def precise_factors(path: Path) -> dict[str, Any]:
+def precise_factors(header: dict[str, Any]) -> dict[str, Any]:
     """By material name, what trimesh rounds to 8 bits or leaves out of a glTF file: base colour, emissive strength.
 
-    Empty for other files, and for names that are not unique.
+    header : JSON of a glTF file, {} of other files. Left out: names that are not unique.
     """
     try:
-        header = _gltf_header(path)
-        materials = header.get("materials", []) if header else []
+        materials = header.get("materials", [])
         names = [m.get("name") for m in materials]
         out: dict[str, Any] = {}
         for m in materials:
@@ -128,20 +129,8 @@ def precise_factors(path: Path) -> dict[str, Any]:
             own["specular"] = float(ext.get("KHR_materials_specular", {}).get("specularFactor", 1.0)) * f0 / 0.08
             out[m["name"]] = own
         return out
-    except (OSError, ValueError, TypeError, AttributeError, KeyError, struct.error):
+    except (ValueError, TypeError, AttributeError, KeyError):
         return {}  # only a refinement: trimesh has read the file, so its own values stand
-
-
-def _gltf_header(path: Path) -> dict[str, Any] | None:
-    if path.suffix.lower() == ".gltf":
-        return json.loads(path.read_text("utf-8"))
-    if path.suffix.lower() != ".glb":
-        return None
-    with path.open("rb") as f:
-        head = f.read(20)
-        if head[:4] != b"glTF":
-            return None
-        return json.loads(f.read(struct.unpack("<I", head[12:16])[0]))
 
 
 def _texture(image: Any, mode: str, path: Path) -> np.ndarray | None:

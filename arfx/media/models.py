@@ -7,6 +7,7 @@ Leaves out: skins, animation, morph targets, normal and occlusion textures, text
 
 from __future__ import annotations
 
+import io
 import logging
 from pathlib import Path
 from typing import Any
@@ -15,20 +16,24 @@ import numpy as np
 
 from arfx.core.model import Model, Part
 from arfx.core.numerics import normalise
-from arfx.errors import ConfigError, InputError
+from arfx.core.opener import read_bytes
+from arfx.errors import ArfxError, ConfigError, InputError
+from arfx.media.gltf import MAX_FACES, check_gltf, gltf_header
+from arfx.media.model_files import ModelFolder, known_pictures
 from arfx.media.model_materials import material_of, precise_factors, vertex_colours
 from arfx.media.model_normals import smooth_by_angle
 
-# Up axis by file type: glTF says y (section 3.4), COLLADA and OBJ exporters default to it; scans and CAD use z.
-_UP = {".glb": "y", ".gltf": "y", ".obj": "y", ".dae": "y", ".ply": "z", ".stl": "z"}
+# Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters default to it; scans and
+# CAD use z. Others that trimesh knows are left out: archives, which may unpack to anything, and formats without faces.
+_UP = {"glb": "y", "gltf": "y", "obj": "y", "dae": "y", "ply": "z", "stl": "z", "off": "z"}
+_BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}  # told from the content, whatever the name says
 # Formats whose winding nobody promises: both sides are shown.
-_TWO_SIDED = (".ply", ".stl", ".obj", ".off", ".dae")
+_TWO_SIDED = ("ply", "stl", "obj", "off", "dae")
 # Beyond this float32 coordinates, which both renderers use, step by more than a thousandth of a unit times extent.
 MAX_EXTENT = 1e9
 # Squared double area below which a triangle has no plane, as a share of the model's extent to the fourth power:
 # float32 coordinates are exact to 6e-8 of the extent, so a height below that is rounding.
 _DEGENERATE = (6e-8) ** 4
-MAX_FACES = 20_000_000
 
 
 def load_model(path: Path | str | None, up: str | None = None) -> Model:
@@ -46,14 +51,30 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     if up not in (None, "x", "y", "z"):
         raise ConfigError(f"unknown up axis {up!r}", "x, y or z")
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"model file {path} does not exist" if not path.exists() else f"model {path} is not a file")
-    scene = _read(path)
-    notices: list[str] = []
-    parts = _parts(scene, path, notices)
+    data = read_bytes(path, "model")
+    if not data:
+        raise InputError(f"model file {path} is empty")
+    kind = _kind(path, data)
+    header = gltf_header(data, kind, path)
+    notices = check_gltf(header, path)
+    folder = ModelFolder(path)
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
+    try:
+        parts = _read(data, kind, folder, header, notices)
+    except ArfxError:
+        raise
+    except ImportError as e:
+        raise InputError(f"cannot read model {path}: {e}", "convert it to GLB, OBJ, PLY or STL") from e
+    except Exception as e:  # trimesh's parsers raise whatever they stumble over, and hand on what they did not look at
+        what = f"{type(e).__name__}: {e}".strip(": ").split("\n")[0][:300]
+        raise InputError(f"cannot read model {path} ({what})", "the file is damaged or not what its name says") from e
+    finally:
+        log.setLevel(level)
     if not parts:
         raise InputError(f"model {path} has no faces", "a mesh with triangles is needed; points and lines cannot be rendered")
-    model = Model(tuple(parts), up or _UP.get(path.suffix.lower(), "z"), str(path), tuple(notices))
+    model = Model(tuple(parts), up or _UP[kind], str(path), tuple(notices), tuple(folder.files))
     low, high = model.bounds
     extent = float((high - low).max())
     if not extent > 0 or extent > MAX_EXTENT or np.abs(model.bounds).max() > MAX_EXTENT:
@@ -64,32 +85,34 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     return model
 
 
-def _read(path: Path) -> Any:
+def _kind(path: Path, data: bytes) -> str:
+    kind = _BEGINNINGS.get(data[:4]) or path.suffix.lower().removeprefix(".")
+    if kind == "glb" and data[:4] != b"glTF" and data.lstrip()[:1] == b"{":
+        kind = "gltf"
+    if kind not in _UP:
+        raise InputError(f"cannot read model {path}: {path.suffix or 'no suffix'} is not a format that is read",
+                         "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file")  # fmt: skip
+    if kind == "dae" and (b"<!ENTITY" in data or b"\0" in data[:200]):
+        raise InputError(f"cannot read model {path}: it defines XML entities, or is not UTF-8", "export it again")
+    return kind
+
+
+def _read(data: bytes, kind: str, folder: ModelFolder, header: dict[str, Any], notices: list[str]) -> list[Part]:
     import trimesh
 
-    if path.stat().st_size == 0:
-        raise InputError(f"model file {path} is empty")
-    log = logging.getLogger("trimesh")
-    level = log.level
-    log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
-    try:
-        return trimesh.load_scene(path, process=False)
-    except ImportError as e:
-        raise InputError(f"cannot read model {path}: {e}", "convert it to GLB, OBJ, PLY or STL") from e
-    except Exception as e:  # trimesh's parsers raise whatever they stumble over
-        what = f"{type(e).__name__}: {e}".strip(": ")
-        known = path.suffix.lower() in _UP
-        raise InputError(
-            f"cannot read model {path} ({what})",
-            "the file is damaged or not what its name says" if known else "a GLB, glTF, OBJ, PLY or STL file",
-        ) from e
-    finally:
-        log.setLevel(level)
+    refused: list[str] = []
+    with known_pictures(refused), np.errstate(all="ignore"):
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=folder, process=False)  # type: ignore[arg-type]
+        parts = _parts(scene, folder.path, kind, header, notices)
+    for why in folder.left_out.values():
+        notices.append(f"model {folder.path.name}: left out {why}")
+    if refused:
+        notices.append(f"model {folder.path.name}: {len(refused)} textures left out: {refused[0]}")
+    return parts
 
 
-def _parts(scene: Any, path: Path, notices: list[str]) -> list[Part]:
-    two_sided = path.suffix.lower() in _TWO_SIDED
-    factors = precise_factors(path)
+def _parts(scene: Any, path: Path, kind: str, header: dict[str, Any], notices: list[str]) -> list[Part]:
+    factors = precise_factors(header)
     materials: dict[int, Any] = {}  # parts of one file material share their textures
     parts: list[Part] = []
     dropped = skipped = 0
@@ -99,7 +122,7 @@ def _parts(scene: Any, path: Path, notices: list[str]) -> list[Part]:
         if not hasattr(mesh, "faces"):
             skipped += 1
             continue
-        part, lost = _part(mesh, np.asarray(world_from_mesh, float), path, two_sided, factors, materials)
+        part, lost = _part(mesh, np.asarray(world_from_mesh, float), path, kind in _TWO_SIDED, factors, materials)
         dropped += lost
         if part is not None:
             parts.append(part)

@@ -161,9 +161,9 @@ def test_refusals(tmp_path: Path, name: str, content: str, message: str) -> None
 
 
 def test_missing_file_folder_and_bad_axis(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="no such file"):
         load_model(tmp_path / "no.glb")
-    with pytest.raises(InputError, match="not a file"):
+    with pytest.raises(InputError, match="is a folder"):
         load_model(tmp_path)
     with pytest.raises(ConfigError, match="no model"):
         load_model(None)

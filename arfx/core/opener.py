@@ -1,0 +1,163 @@
+"""The door for every file from outside: a regular file of a bounded size, taken by its path alone.
+
+A name is never an address, a protocol or a pattern. Devices, pipes, sockets and folders are refused before they are opened.
+Files that libraries read themselves (FFmpeg, OpenCV) pass `regular` first; what the formats may hold is checked by their readers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from arfx.errors import InputError
+
+MIB = 1 << 20
+# kind of file, as messages call it -> (largest size in MiB, why this much)
+LIMITS: dict[str, tuple[int, str]] = {
+    "clip": (1 << 24, "read frame by frame: 16 TiB, the largest file of ext4"),
+    "depth": (1 << 24, "read map by map, as a clip"),
+    "depth map": (256, "8192 x 4096 px of 32-bit float twice over"),
+    "model": (1024, "20 million faces as binary arrays"),
+    "model part": (1024, "buffers and textures of a model, as the model itself"),
+    "image": (512, "an environment of 8192 x 4096 px of 32-bit float RGB, with room"),
+    "picture": (512, "a camera's largest raw-sized TIFF"),
+    "camera file": (1, "thousands of times a calibration; YAML takes seconds for a megabyte"),
+    "job file": (1, "thousands of settings"),
+    "scene": (1, "thousands of objects"),
+    "marker map": (8, "tens of thousands of markers"),
+    "poses": (256, "a million lines"),
+    "tradeoff": (64, "every level of every stage on thousands of frames"),
+}
+DEEPEST = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse
+LARGEST_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
+_DOTTED = re.compile(r"(?:[^\s.=]+[ \t]*\.[ \t]*){64}")  # tomllib takes the square of a dotted key's parts
+
+
+def regular(path: Path | str, kind: str) -> Path:
+    """The path, if it names a regular file no larger than LIMITS[kind].
+
+    Raises InputError: missing, a folder, a device or pipe, too large, not permitted.
+    """
+    path = Path(path)
+    try:
+        _checked(path.stat(), path, kind)
+    except (OSError, ValueError) as e:  # ValueError: a NUL in the name
+        raise _unreadable(path, kind, e) from None
+    return path
+
+
+def read_bytes(path: Path | str, kind: str) -> bytes:
+    """The whole file. Raises InputError as `regular` does."""
+    path = regular(path, kind)
+    try:
+        # not blocking: what was a file a moment ago may be a pipe now
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(handle, "rb") as f:
+            _checked(os.fstat(handle), path, kind)
+            data = f.read(LIMITS[kind][0] * MIB + 1)  # files of /proc say that they hold nothing
+    except OSError as e:
+        raise _unreadable(path, kind, e) from None
+    if len(data) > LIMITS[kind][0] * MIB:
+        raise _too_large(path, kind, len(data))
+    return data
+
+
+def read_text(path: Path | str, kind: str) -> str:
+    """The whole file as UTF-8, without a byte order mark. Raises InputError also where it is not text."""
+    data = read_bytes(path, kind)
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as e:
+        raise InputError(f"{kind} {path} is not text (byte {e.start} is not UTF-8)", "save it as UTF-8") from None
+
+
+def av_name(path: Path | str) -> str:
+    """How FFmpeg is told a file: `12:30.mp4` and `http:x.mkv` are names."""
+    return f"file:{os.fspath(path)}"
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Raises ValueError that says what is wrong: no TOML, nested too deep, a number out of range."""
+    if _DOTTED.search(text):
+        raise ValueError("a key of more than 64 parts")
+    try:
+        tree = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(f"nested deeper than {DEEPEST}") from None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as e:  # Python's own limit of digits, or a date that does not exist
+        raise ValueError(_digits(e)) from None
+    return bounded(tree)
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Raises ValueError that says what is wrong: no JSON, nested too deep, a number out of range, NaN."""
+    try:
+        tree = json.loads(text, parse_constant=_no_constant, parse_float=_finite)
+    except RecursionError:
+        raise ValueError(f"nested deeper than {DEEPEST}") from None
+    except json.JSONDecodeError:
+        raise
+    except ValueError as e:
+        raise ValueError(_digits(e)) from None
+    return bounded(tree)
+
+
+def bounded(tree: Any) -> Any:
+    """The same tree, if it is at most DEEPEST deep and its integers are below LARGEST_INTEGER. Raises ValueError."""
+    level = [tree]
+    for _ in range(DEEPEST + 1):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                inner += value.values()
+            elif isinstance(value, list):
+                inner += value
+            elif isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+                raise ValueError("an integer of more than 64 bits")
+        level = inner
+        if not level:
+            return tree
+    raise ValueError(f"nested deeper than {DEEPEST}")
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is not a number of JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f"{text[:40]} is out of range")
+    return value
+
+
+def _digits(e: ValueError) -> str:
+    return "an integer of more than 64 bits" if "integer string conversion" in str(e) else str(e)
+
+
+def _checked(told: os.stat_result, path: Path, kind: str) -> None:
+    if not stat.S_ISREG(told.st_mode):
+        is_folder = stat.S_ISDIR(told.st_mode)
+        what = "is a folder" if is_folder else "is not a regular file (a device, pipe or socket)"
+        raise InputError(f"{kind} {path} {what}", "give a file")
+    if told.st_size > LIMITS[kind][0] * MIB:
+        raise _too_large(path, kind, told.st_size)
+
+
+def _too_large(path: Path, kind: str, size: int) -> InputError:
+    limit, _ = LIMITS[kind]
+    return InputError(f"{kind} {path} holds more than {limit} MiB ({size / MIB:.0f} MiB)", f"at most {limit} MiB")
+
+
+def _unreadable(path: Path, kind: str, e: OSError | ValueError) -> InputError:
+    if isinstance(e, FileNotFoundError):
+        return InputError(f"{kind} {path}: no such file", "check the path")
+    return InputError(f"{kind} {path} cannot be read: {getattr(e, 'strerror', None) or e}", "check the path and its permissions")

@@ -1,0 +1,127 @@
+"""The JSON of a glTF file, looked at before anything is made of it: what would hang or fill the memory, and what is left out."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from arfx.core.opener import parse_json
+from arfx.errors import InputError
+
+MAX_FACES = 5_000_000  # of all instances together: 1.5 GB while the edges are looked for
+MAX_PARTS = 10_000  # mesh instances: each is a part with a transform of its own, a hundred parts take a second
+_LISTS = ("accessors", "bufferViews", "buffers", "images", "materials", "meshes", "nodes", "scenes", "textures")
+_COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # glTF 2.0 section 3.6.2.2
+_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}
+
+
+def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
+    """The JSON of a .glb or .gltf, {} for other kinds. Raises InputError."""
+    if kind not in ("glb", "gltf"):
+        return {}
+    text = data
+    if kind == "glb":
+        if len(data) < 20 or data[:4] != b"glTF":
+            raise _damaged(path, "it does not begin as a GLB file")
+        text = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
+    try:
+        header = parse_json(text)
+    except ValueError as e:
+        raise _damaged(path, f"its JSON: {e}") from None
+    if not isinstance(header, dict):
+        raise _damaged(path, "its JSON is no object")
+    for name in _LISTS:
+        rows = header.get(name, [])
+        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            raise _damaged(path, f"{name} is no list of objects")
+    return header
+
+
+def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
+    """Notices of what is left out. Raises InputError: damaged, or more faces or parts than can be handled."""
+    try:
+        faces = _faces_of_meshes(header, path)
+        _count_instances(header, faces, path)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as e:
+        raise _damaged(path, f"{type(e).__name__}: {e}") from e
+    left_out = [
+        f"{len(header[key])} {what}{'s' if len(header[key]) > 1 else ''}"
+        for key, what in (("animations", "animation"), ("skins", "skin"))
+        if isinstance(header.get(key), list) and header[key]
+    ]
+    if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):
+        left_out.append("morph targets")
+    return [f"model {path.name}: {' and '.join(left_out)} left out: it is shown as it stands at rest"] if left_out else []
+
+
+def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]]:
+    """(faces, primitives) of every mesh."""
+    accessors, views = header.get("accessors", []), header.get("bufferViews", [])
+    sizes = []
+    for number, a in enumerate(accessors):
+        if a.get("componentType") not in _COMPONENTS or a.get("type") not in _SHAPES:
+            raise _damaged(path, f"accessor {number} is of type {a.get('componentType')} {a.get('type')!r}")
+        count = _whole(a["count"])
+        size = count * _COMPONENTS[a["componentType"]] * _SHAPES[a["type"]]
+        if "bufferView" in a and "byteStride" not in (view := views[_index(a["bufferView"], views)]):
+            if _whole(a.get("byteOffset", 0)) + size > _whole(view["byteLength"]):
+                raise _damaged(path, f"accessor {number} is longer than its buffer")
+        elif count > 3 * MAX_FACES:
+            raise _damaged(path, f"accessor {number} counts {count}")
+        sizes.append(count)
+    out = []
+    for number, mesh in enumerate(header.get("meshes", [])):
+        total = 0
+        for p in mesh["primitives"]:
+            for name, at in p["attributes"].items():
+                a = accessors[_index(at, accessors)]
+                if a["type"] != _TYPES.get(name, a["type"]):
+                    raise _damaged(path, f"mesh {number}: {name} is of type {a['type']}, not {_TYPES[name]}")
+            index = p.get("indices", p["attributes"].get("POSITION"))
+            if "indices" in p and (accessors[_index(index, accessors)]["componentType"] not in (5121, 5123, 5125)):
+                raise _damaged(path, f"mesh {number}: indices are not whole numbers from 0 on")
+            if "material" in p:
+                _index(p["material"], header.get("materials", []))
+            total += 0 if index is None else sizes[_index(index, accessors)] // (3 if p.get("mode", 4) == 4 else 1)
+        out.append((total, len(mesh["primitives"])))
+    return out
+
+
+def _count_instances(header: dict[str, Any], of_mesh: list[tuple[int, int]], path: Path) -> None:
+    """Walks the nodes as a tree, which they have to be."""
+    nodes, scenes = header.get("nodes", []), header.get("scenes", [])
+    roots = scenes[_index(header.get("scene", 0), scenes)].get("nodes", []) if scenes else []
+    waiting, seen = deque(roots), set()
+    faces = parts = 0
+    while waiting:
+        at = _index(waiting.pop(), nodes)
+        if at in seen:
+            raise _damaged(path, f"node {at} is below itself or below two others: nodes must form a tree")
+        seen.add(at)
+        waiting.extend(nodes[at].get("children", []))
+        if "mesh" in nodes[at]:
+            f, p = of_mesh[_index(nodes[at]["mesh"], of_mesh)]
+            faces, parts = faces + f, parts + p
+    if faces > MAX_FACES:
+        raise InputError(f"model {path} has {faces} faces with all its instances", f"at most {MAX_FACES}: simplify it first")
+    if parts > MAX_PARTS:
+        raise InputError(f"model {path} shows its meshes {parts} times", f"at most {MAX_PARTS}: join them first")
+
+
+def _index(value: Any, rows: list) -> int:
+    if _whole(value) >= len(rows):
+        raise IndexError(f"number {value} of {len(rows)}")
+    return int(value)
+
+
+def _whole(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ValueError(f"{value!r} is no whole number from 0 on")
+    return value
+
+
+def _damaged(path: Path, what: str) -> InputError:
+    return InputError(f"cannot read model {path}: {what}", "the file is damaged or not what its name says")

@@ -1,0 +1,91 @@
+"""The files that a model is made of: only from its own folder, and every picture of a known kind.
+
+trimesh is given bytes and asks here for whatever they name: buffers, MTL files, textures.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from arfx.core.opener import read_bytes
+from arfx.errors import InputError
+
+# What Pillow may open: left to itself it also takes formats for which it starts other programs (EPS: Ghostscript).
+PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
+_one_at_a_time = threading.RLock()
+
+
+class ModelFolder:
+    """Answers trimesh as one of its resolvers. files : all that was read;  left_out : by name, why it was not."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.file_name = path.name  # OBJ: the name of a mesh that has none
+        self.folder = path.absolute().parent.resolve()
+        self.files: list[Path] = [path]
+        self.left_out: dict[str, str] = {}
+
+    def get(self, name: str) -> bytes:
+        """The file that a model calls `name`. Raises InputError: not in the folder, not a regular file, too large."""
+        try:
+            found = self._find(name)
+            data = read_bytes(found, "model part")
+        except InputError as e:
+            self.left_out[name] = e.message
+            raise InputError(f"model {self.path} refers to {e.message}", e.hint) from None
+        if found not in self.files:
+            self.files.append(found)
+        return data
+
+    __getitem__ = get
+
+    def _find(self, name: str) -> Path:
+        """Exporters write names with %20, and paths of the machine that they ran on: the file may lie beside the model."""
+        name = name.strip()
+        bare = re.split(r"[/\\]", unquote(name))[-1]
+        outside = False
+        for candidate in dict.fromkeys((name, unquote(name), name.replace("\\", "/"), bare)):
+            with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
+                real = (self.folder / candidate).resolve()
+                if real.exists():
+                    if real.is_relative_to(self.folder) and real != self.folder:
+                        return real
+                    outside = True
+        shown = name if len(name) < 200 else f"{name[:200]}…"
+        if outside:
+            raise InputError(f"{shown}, which lies outside its folder {self.folder}", "put it into the model's folder")
+        raise InputError(f"{shown}, which is not in its folder {self.folder}", "put it there")
+
+
+@contextlib.contextmanager
+def known_pictures(refused: list[str]) -> Iterator[None]:
+    """While it lasts Pillow opens PICTURES alone, for whoever calls it; trimesh has no way to be told.
+
+    refused : gets the reason of each picture that could not be opened
+    """
+    from PIL import Image
+
+    def only_known(source: Any, mode: Any = "r", formats: Any = None) -> Any:
+        try:
+            return given(source, mode, formats=PICTURES if formats is None else formats)
+        except Image.UnidentifiedImageError:
+            refused.append("not a " + ", ".join(PICTURES[:-1]) + f" or {PICTURES[-1]} picture")
+            raise
+        except Exception as e:
+            refused.append(str(e))
+            raise
+
+    with _one_at_a_time:
+        given = Image.open
+        Image.open = functools.wraps(given)(only_known)  # type: ignore[assignment]
+        try:
+            yield
+        finally:
+            Image.open = given
