@@ -24,6 +24,7 @@ from arfx.errors import ArfxError
 from arfx.measure.timed_runs import Runs, Watch
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.codecs import CODECS
+from arfx.media.containers import create
 from arfx.media.frames import ClipReader, Frame
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
@@ -130,7 +131,7 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
     plane = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
     corners = np.array([[0, 0], [board, 0], [board, board], [0, board]], np.float32) - 0.5
     noise = g.normal(0, 2, (4, height, width, 3)).astype(np.float32)
-    with av.open(str(path), "w") as out:
+    with create(path) as out:
         stream: Any = out.add_stream("libx264", rate=30, options={"crf": "18", "preset": "veryfast"})
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for i in range(frames):

@@ -23,6 +23,7 @@ from arfx.core.marker import FAMILIES
 from arfx.core.numerics import divide
 from arfx.measure.sharpness import edge_blur_px, tilt_deg
 from arfx.media.clip import ClipInfo
+from arfx.media.containers import open_video
 from arfx.media.frames import ClipReader, Frame
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
@@ -100,7 +101,7 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
 
 def presentation_times(info: ClipInfo) -> list[int]:
     """Presentation times of the packets in stream ticks, sorted; reads the index, decodes nothing."""
-    with av.open(str(info.path), metadata_errors="replace") as container:
+    with open_video(info.path) as container:
         stream = container.streams[info.stream_index]
         times = []
         try:

@@ -12,6 +12,7 @@ import av
 
 from arfx.core.colour import SRGB, Transfer
 from arfx.errors import InputError
+from arfx.media.containers import check_size, open_video
 from arfx.media.frame import FrameFormat
 from arfx.media.orient import Orientation, matrix_from_side_data, orientation_of
 from arfx.media.planes import PixelLayout, working_layout
@@ -119,21 +120,6 @@ class ClipInfo:
         return ClipInfo(**d)
 
 
-def open_clip(path: Path) -> Any:
-    """The opened container. Raises InputError: no such file, a folder, not a video."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file", "check the path")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder", "give a video file")
-    try:
-        return av.open(str(path), metadata_errors="replace")
-    except (av.error.FFmpegError, OSError) as e:
-        raise InputError(
-            f"{path} cannot be read as a video: {getattr(e, 'strerror', None) or e}",
-            "a file that FFmpeg can decode; a recording that was cut off before its index was written may be repairable",
-        ) from e
-
-
 def video_stream(container: Any, path: Path) -> Any:
     """The first video stream that is not a cover picture. Raises InputError if there is none."""
     for s in container.streams.video:
@@ -160,10 +146,11 @@ def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
     Raises InputError: missing, not a video, no video stream, HDR transfer, nothing decodable.
     """
     path = Path(path)
-    with open_clip(path) as container:
+    with open_video(path) as container:
         stream = video_stream(container, path)
         if stream.codec_context is None:
             raise InputError(f"{path}: no decoder for its video", "convert it to H.264 first")
+        check_size(stream.codec_context.width, stream.codec_context.height, path)
         first = _first_picture(container, stream, path)
         return _info(container, stream, first, path, transfer)
 

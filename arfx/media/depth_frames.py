@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from arfx.errors import InputError
+from arfx.media.containers import check_size, open_video
 
 TIFF = (".tif", ".tiff")
 VIDEO = (".mkv", ".nut", ".avi", ".mov", ".mp4")
@@ -67,7 +68,7 @@ class DepthVideo:
     def _seek(self, number: int) -> None:
         at = self.reading
         if at.container is None:
-            at.container = av.open(str(self.path))
+            at.container = open_video(self.path, "depth")
         stream = at.container.streams.video[0]
         at.container.seek(self.pts[number], stream=stream, backward=True)
         at.frames, at.last = at.container.decode(stream), None
@@ -97,7 +98,7 @@ def open_frames(path: Path) -> DepthVideo | DepthPages:
             raise InputError(f"depth {path} cannot be read as a TIFF", "16-bit or float pages")
         return DepthPages(path, count)
     try:
-        with av.open(str(path)) as container:
+        with open_video(path, "depth") as container:
             if not container.streams.video:
                 raise InputError(f"depth {path} holds no video", "one stream of 16-bit grey: FFV1 gray16")
             stream = container.streams.video[0]
@@ -106,10 +107,11 @@ def open_frames(path: Path) -> DepthVideo | DepthPages:
                 raise InputError(
                     f"depth {path} holds {kind} pictures, not depth", "grey of 16 bits or float: FFV1 gray16 in .mkv"
                 )
+            check_size(stream.codec_context.width, stream.codec_context.height, path, "depth")
             base = stream.time_base
             listed = sorted({p.pts for p in container.demux(stream) if p.pts is not None})
     except av.FFmpegError as e:
-        raise InputError(f"depth {path} cannot be opened as a video: {e}") from None
+        raise InputError(f"depth {path} cannot be read as a video: {e}") from None
     if not listed or base is None:
         raise InputError(f"depth {path} holds no frame with a time")
     times = tuple(float((pts - listed[0]) * base) for pts in listed)

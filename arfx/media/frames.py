@@ -8,7 +8,8 @@ from typing import Any
 import av
 
 from arfx.errors import InputError
-from arfx.media.clip import ClipInfo, open_clip
+from arfx.media.clip import ClipInfo
+from arfx.media.containers import open_video
 from arfx.media.frame import Frame, FrameFormat
 from arfx.media.planes import repacked
 
@@ -50,7 +51,7 @@ class ClipReader:
 
     def _open(self) -> Any:
         self.close()
-        self._container = open_clip(self.info.path)
+        self._container = open_video(self.info.path)
         stream = self._container.streams[self.info.stream_index]
         stream.thread_type = "AUTO"
         if self._threads:

@@ -20,8 +20,10 @@ from typing import Any
 
 import av
 
+from arfx.core.opener import av_name
 from arfx.errors import RenderError
-from arfx.media.clip import ClipInfo, open_clip
+from arfx.media.clip import ClipInfo
+from arfx.media.containers import create, open_video
 from arfx.media.copy_streams import add_copied_stream, copied_packets, plain_metadata
 from arfx.media.output import OutputPlan
 from arfx.media.writer import remove_output, write_failed
@@ -78,7 +80,7 @@ def _forget(part: Path) -> None:
 
 def _packets_of(chunk: Path) -> Any:
     """The opened file for reading packets only: FFmpeg would else decode a picture of each to tell its format (14 ms)."""
-    return av.open(str(chunk), options={"skip_frame": "all"})
+    return av.open(av_name(chunk), options={"skip_frame": "all"})
 
 
 def _order_of(chunks: Sequence[Path], count: int) -> _Order:
@@ -128,12 +130,12 @@ def _remux(
     start_s: float | None, end_s: float | None,
 ) -> None:  # fmt: skip
     with contextlib.ExitStack() as stack:
-        source = stack.enter_context(open_clip(info.path))
-        first = stack.enter_context(av.open(str(chunks[0])))
+        source = stack.enter_context(open_video(info.path))
+        first = stack.enter_context(av.open(av_name(chunks[0])))
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
         if plan.container in ("mp4", "mov"):
             options |= {"movflags": "faststart", "movie_timescale": str(_timescale(info, source, plan))}
-        out = av.open(str(part), "w", format=plan.container, container_options=options)
+        out = create(part, plan.container, container_options=options)
         try:
             out.metadata.update(plain_metadata(source.metadata))
             streams: dict[int, Any] = {}

@@ -15,6 +15,7 @@ import numpy as np
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS
+from arfx.media.containers import create
 from arfx.media.frame import SWS_MATRIX, Frame
 from arfx.media.images import write_exr, write_png
 from arfx.media.output import OutputPlan
@@ -71,7 +72,7 @@ class ChunkWriter:
         plan, info = self.plan, self.info
         kind = {".nut": "nut", ".mkv": "matroska"}[chunk_suffix(plan)]
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}  # no random identifiers: same frames, same bytes
-        self._container = av.open(str(self.part), "w", format=kind, container_options=options)
+        self._container = create(self.part, kind, container_options=options)
         rate = Fraction(info.fps or 25).limit_denominator(1001)
         s = self._container.add_stream(CODECS[plan.codec].encoder, rate=rate, options=dict(plan.options))
         ctx = s.codec_context

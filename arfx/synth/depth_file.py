@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from arfx.errors import RenderError
+from arfx.media.containers import create
 from arfx.synth.description import SceneFile
 from arfx.synth.encode import CLOCK_HZ
 from arfx.synth.truth import DEPTH_UNIT_M
@@ -50,7 +51,7 @@ class DepthFile:
         self._out: av.container.OutputContainer | None = None
         if path.suffix == ".mkv":
             try:
-                self._out = av.open(str(path), "w")
+                self._out = create(path)
             except OSError as e:
                 raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
             self._stream = self._out.add_stream("ffv1", rate=Fraction(scene.clip.fps).limit_denominator(1001))

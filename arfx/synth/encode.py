@@ -16,6 +16,7 @@ import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
 from arfx.errors import RenderError
+from arfx.media.containers import create
 from arfx.synth.description import SceneFile
 
 CLOCK_HZ = 90_000
@@ -32,7 +33,7 @@ class ClipFile:
         lossless = path.name.endswith(".mkv")
         self._subsampled = not lossless and w % 2 == 0 and h % 2 == 0
         try:
-            self._out = av.open(str(path), "w", options={} if lossless else {"movie_timescale": str(CLOCK_HZ)})
+            self._out = create(path, options={} if lossless else {"movie_timescale": str(CLOCK_HZ)})
         except OSError as e:
             raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
         rate = Fraction(clip.fps).limit_denominator(1001)

@@ -84,7 +84,7 @@ def test_what_holds_no_depth_is_refused(tmp_path: Path, video: Path) -> None:
     with pytest.raises(InputError, match="holds yuv420p pictures, not depth"):
         open_depth(colour)
     (tmp_path / "broken.mkv").write_bytes(b"nothing of the kind")
-    with pytest.raises(InputError, match="cannot be opened as a video"):
+    with pytest.raises(InputError, match="cannot be read as a video"):
         open_depth(tmp_path / "broken.mkv")
     (tmp_path / "broken.tif").write_bytes(b"nothing of the kind")
     with pytest.raises(InputError, match="cannot be read as a TIFF"):

@@ -1,0 +1,103 @@
+"""Clips that are lists of other files, names that look like protocols, pictures that pose as clips."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from arfx.errors import InputError
+from arfx.media.clip import probe
+from arfx.media.containers import CONTAINERS, check_size
+from arfx.media.depth_frames import open_frames
+from arfx.media.frames import ClipReader
+from arfx.media.join import join_chunks
+from arfx.media.output import plan_output
+from arfx.media.writer import ChunkWriter, chunk_suffix
+from tests.unit.media.clips import make_clip
+
+PTS = [512 * i for i in range(6)]
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_clip(tmp_path_factory.mktemp("clips") / "a.mp4", PTS)
+
+
+@pytest.fixture
+def listener() -> socket.socket:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        s.listen()
+        s.setblocking(False)
+        yield s
+        with pytest.raises(BlockingIOError):
+            s.accept()  # nobody called
+
+
+@pytest.mark.parametrize("name", ["list.mp4", "list.mkv", "list.ffconcat", "list.m3u8", "list.mpd", "list.sdp", "list.txt"])
+def test_a_list_of_other_files_is_refused_whatever_its_name(
+    clip: Path, tmp_path: Path, name: str, listener: socket.socket
+) -> None:
+    (tmp_path / "a.mp4").write_bytes(clip.read_bytes())
+    url = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+    for other in ("a.mp4", url):
+        for text in (
+            f"ffconcat version 1.0\nfile '{other}'\n",
+            f"\ufeffffconcat version 1.0\nfile '{other}'\n",
+            f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:1,\n{other}\n#EXT-X-ENDLIST\n",
+            f'<?xml version="1.0"?><MPD xmlns="urn:mpeg:dash:schema:mpd:2011"><Period><BaseURL>{other}</BaseURL></Period></MPD>',
+            "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
+        ):
+            (tmp_path / name).write_text(text)
+            with pytest.raises(InputError, match="cannot be read as a video: it is text"):
+                probe(tmp_path / name)
+            if name.endswith((".mp4", ".mkv")):
+                with pytest.raises(InputError, match="cannot be read as a video: it is text"):
+                    open_frames(tmp_path / name)
+
+
+def test_formats_that_open_other_files_are_not_listed() -> None:
+    assert not {"concat", "hls", "dash", "imf", "sdp", "rtsp", "image2", "lavfi", "vobsub", "tty", "webm_dash_manifest"} & set(
+        CONTAINERS
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["12:30.mp4", "http:x.mp4", "tcp:127.0.0.1.mp4", "concat:a|b.mp4", "a%03d.mp4", "pipe:0.mp4", "out 1:2.mp4"]
+)
+def test_names_are_never_protocols(clip: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = Path(name)  # relative: a folder before it would hide the colon
+    path.write_bytes(clip.read_bytes())
+    info = probe(path)
+    plan = plan_output(info, Path("o " + name))
+    chunk = Path(name + chunk_suffix(plan))
+    with ClipReader(info) as reader, ChunkWriter(plan, info, chunk) as writer:
+        for frame in reader.frames():
+            writer.write(frame)
+    join_chunks([chunk], PTS, plan, info, Path("o " + name))
+    assert probe(Path("o " + name)).frame_count_stated == len(PTS)
+
+
+@pytest.mark.parametrize("kind", ["TIFF", "PNG", "JPEG", "BMP", "WEBP", "PPM"])
+def test_a_picture_is_no_clip(tmp_path: Path, kind: str) -> None:
+    Image.fromarray(np.full((16, 16, 3), 90, np.uint8)).save(tmp_path / "a.mp4", kind)
+    with pytest.raises(InputError, match="it is a picture"):
+        probe(tmp_path / "a.mp4")
+    Image.fromarray(np.full((16, 16, 3), 90, np.uint8)).save(tmp_path / f"a.{kind.lower()}", kind)
+    with pytest.raises(InputError, match="it is a picture"):
+        probe(tmp_path / f"a.{kind.lower()}")
+
+
+def test_empty_files_devices_and_huge_pictures_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").touch()
+    with pytest.raises(InputError, match="it is empty"):
+        probe(tmp_path / "a.mp4")
+    with pytest.raises(InputError, match="not a regular file"):
+        probe("/dev/zero")
+    with pytest.raises(InputError, match="at most 8192"):
+        check_size(100_000, 16, tmp_path)
