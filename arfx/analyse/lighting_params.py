@@ -56,10 +56,14 @@ class LightParams:
             raise ConfigError(f"light.albedos {self.albedos!r} is unknown", f"one of {', '.join(ALBEDOS)}")
         if self.given and len(self.given) not in (2, 5):
             raise ConfigError(f"light.given has {len(self.given)} numbers", "azimuth, elevation in degrees; or these and R, G, B")
+        if self.given and not abs(self.given[0]) <= 1e6:
+            raise ConfigError(f"a light's azimuth is in degrees, not {self.given[0]:g}")
         if self.given and not -90 <= self.given[1] <= 90:
             raise ConfigError(f"a light's elevation is between -90 and 90 degrees, not {self.given[1]:g}")
-        if any(c < 0 for c in self.given[2:]) or (len(self.given) == 5 and not any(self.given[2:])):
-            raise ConfigError("a light's colour has a value above 0 and none below", "for example 45,60,1,0.9,0.8")
+        if not all(0 <= c <= 1e6 for c in self.given[2:]) or (len(self.given) == 5 and not any(self.given[2:])):
+            raise ConfigError(
+                "a light's colour has a value above 0 and none below, at most a million", "for example 45,60,1,0.9,0.8"
+            )
         if self.given and self.environment is not None:
             raise ConfigError("a light and an environment are given", "one of --light and --environment")
         if not 0 <= self.ink < self.paper <= 1:

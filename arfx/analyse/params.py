@@ -46,9 +46,10 @@ class AnalyseParams:
     def __post_init__(self) -> None:
         if self.static not in STATIC:
             raise ConfigError(f"static is {self.static!r}", "one of " + ", ".join(STATIC))
-        for name in ("search_interval_s", "min_side_px", "reduced_px", "reduced_search_every"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"analysis: {name} must be above 0, is {getattr(self, name)}")
-        for name in ("max_gap_s", "fade_frames", "smoothing", "loss_search_frames"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"analysis: {name} must not be below 0, is {getattr(self, name)}")
+        for name, low, high in (
+            ("search_interval_s", 1e-6, 1e6), ("loss_search_frames", 0, 1e6), ("reduced_search_every", 1, 1e6),
+            ("reduced_px", 1000, 1e9), ("min_side_px", 1e-3, 8192), ("max_gap_s", 0, 1e6), ("fade_frames", 0, 1e6),
+            ("smoothing", 0, 1000),
+        ):  # fmt: skip
+            if not low <= getattr(self, name) <= high:
+                raise ConfigError(f"analyse.{name} must be between {low:g} and {high:g}, is {getattr(self, name):g}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from arfx.config.locate import KeyPath, pointed
 from arfx.config.sections import JobConfig
-from arfx.errors import ConfigError, InputError
+from arfx.core.opener import parse_toml, read_text
+from arfx.errors import ConfigError
 
 _PATHS: tuple[KeyPath, ...] = (
     ("input", "clip"),
@@ -29,6 +31,10 @@ _PATHS: tuple[KeyPath, ...] = (
     ("output", "path"),
     ("pipeline", "tradeoff"),
 )
+
+
+_LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
+_MOST_PARTS = 8  # of a --set key: settings have two
 
 
 def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[str, type]) -> JobConfig:
@@ -86,13 +92,10 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
 def _read(file: Path | None) -> tuple[str, dict[str, Any]]:
     if file is None:
         return "", {}
+    text = read_text(file, "job file")
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
-        raise InputError(f"job file {file} cannot be read: {getattr(e, 'strerror', None) or e}") from None
-    try:
-        return text, tomllib.loads(text)
-    except tomllib.TOMLDecodeError as e:
+        return text, parse_toml(text)
+    except ValueError as e:
         raise ConfigError(f"{file}: not valid TOML: {e}") from None
 
 
@@ -102,6 +105,8 @@ def _params(name: str, kind: type, table: dict[str, Any], problem: Any) -> Any:
     for key, value in table.items():
         if key not in fields:
             problem((name, key), f"{_noun(name)} has no setting {key!r}", near(key, fields))
+        elif (bad := _absurd(value)) is not None:
+            problem((name, key), f"{name}.{key}: {bad:g} is no number to work with", f"between -{_LARGEST:g} and {_LARGEST:g}")
         else:
             good[key] = value
     try:
@@ -112,7 +117,17 @@ def _params(name: str, kind: type, table: dict[str, Any], problem: Any) -> Any:
             key = str(error["loc"][0]) if error["loc"] else ""
             problem((name, key), f"{name}.{key}: {_plain(error['msg'])}")
     except ConfigError as e:
-        problem((name,), str(e))
+        named = next((k for k in good if re.search(rf"\b{re.escape(k)}\b", e.message)), None)
+        problem((name,) if named is None else (name, named), str(e))
+    return None
+
+
+def _absurd(value: Any) -> float | None:
+    """The first number of a value that is not finite or too large for any setting."""
+    if isinstance(value, (list, tuple)):
+        return next((bad for bad in map(_absurd, value) if bad is not None), None)
+    if isinstance(value, (int, float)) and not abs(value) <= _LARGEST:
+        return float(value)
     return None
 
 
@@ -167,11 +182,19 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
     key, equals, value = text.partition("=")
     parts = [p.strip() for p in key.split(".")]
     if not equals or len(parts) < 2 or not all(parts):
-        raise ConfigError(f"--set {text!r} is not STAGE.KEY=VALUE", "for example --set output.crf=20")
+        raise ConfigError(f"--set {_short(text)!r} is not STAGE.KEY=VALUE", "for example --set output.crf=20")
+    if len(parts) > _MOST_PARTS:
+        raise ConfigError(f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE")
     try:
-        return parts, tomllib.loads(f"x = {value.strip()}")["x"]
+        return parts, parse_toml(f"x = {value.strip()}")["x"]
     except tomllib.TOMLDecodeError:
         return parts, value.strip()
+    except ValueError as e:
+        raise ConfigError(f"--set {_short(text)}: {e}") from None
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 80 else f"{text[:80]}…"
 
 
 def put_setting(tree: dict[str, Any], parts: Sequence[str], value: Any, words: str) -> None:

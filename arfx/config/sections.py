@@ -38,6 +38,7 @@ class _TimeValue(float):
 
 
 Length = Annotated[float, _via(_length, _LengthValue)]
+Turn = Annotated[float, Field(ge=-1e6, le=1e6)]
 Time = Annotated[float, _via(lambda t: _TimeValue(time_s(t)), _TimeValue)]
 
 
@@ -66,7 +67,9 @@ class InputSection(Section):
     depth: Path | None = Field(
         default=None, description="real depth: a folder of maps (16-bit PNG or PGM, TIFF, EXR), one map, or a file of many"
     )
-    depth_scale: float | None = Field(default=None, gt=0, description="stored values to a metre; default 1000, of EXR 1")
+    depth_scale: float | None = Field(
+        default=None, ge=1e-6, le=1e9, description="stored values to a metre; default 1000, of EXR 1"
+    )
     depth_start: Time | None = Field(default=None, description="when the first map was taken, from the clip's first frame")
     depth_align: Literal["marker", "none"] = Field(
         default="marker", description="marker: the maps' scale is what makes the markers' planes true; none: as stated"
@@ -87,9 +90,9 @@ class ModelSection(Section):
     anchor: Literal["marker", "plane"] = Field(
         default="marker", description="what the model stands on: a marker, or the dominant level plane of the depth input"
     )
-    scale: float = Field(default=1.0, gt=0, description="metres per file unit")
+    scale: float = Field(default=1.0, ge=1e-12, le=1e12, description="metres per file unit")
     fit: Length | None = Field(default=None, description="largest extent after scaling; overrides scale")
-    rotate: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="degrees about marker x, y, z, in this order")
+    rotate: tuple[Turn, Turn, Turn] = Field(default=(0.0, 0.0, 0.0), description="degrees about marker x, y, z, in this order")
     offset: tuple[Length, Length, Length] = Field(default=(0.0, 0.0, 0.0), description="lengths along marker x, y, z")
     up: Literal["x", "y", "z"] | None = Field(default=None, description="file axis that points up; default by file type")
 
@@ -98,17 +101,17 @@ class PipelineSection(Section):
     stages: list[str] | Literal["auto"] = Field(default="auto", description="effects allowed, in order; auto = those that exist")
     quality: Literal["draft", "standard", "high", "reference"] = Field(default="standard", description="level of every effect")
     budget: Time | None = Field(default=None, gt=0, description="seconds for the whole job: levels are the best that keep it")
-    fps: float | None = Field(default=None, gt=0, description="the same as a rate: frames of the clip per second of work")
-    max_error: float | None = Field(default=None, ge=0, description="levels are the cheapest within it, mean grey levels")
+    fps: float | None = Field(default=None, gt=0, le=1e6, description="the same as a rate: frames of the clip per second of work")
+    max_error: float | None = Field(default=None, ge=0, le=255, description="levels are the cheapest within it, mean grey levels")
     tradeoff: Path | None = Field(default=None, description="tradeoff.json of this clip, for its errors; default shipped ones")
     skip: bool = Field(default=True, description="leave out what a frame does not call for; false forces every stage")
-    seed: int = Field(default=0, ge=0, description="seed of all random numbers")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random numbers")
 
 
 class OutputSection(Section):
     path: Path | None = Field(default=None, description="output file, or frames/%06d.png")
     codec: str | None = Field(default=None, description="h264, h265, av1, prores, ffv1, png, exr; default by file name")
-    crf: float | None = Field(default=None, description="constant rate factor of the codec")
+    crf: float | None = Field(default=None, ge=-1e3, le=1e3, description="constant rate factor of the codec")
     preset: str | None = Field(default=None, description="encoder preset")
     pixel_format: str | None = Field(default=None, description="FFmpeg pixel format, such as yuv444p10le")
 

@@ -11,6 +11,8 @@ import numpy as np
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
 
+SMALLEST_M, LARGEST_M = 1e-4, 1e3  # of a marker: a tenth of a millimetre is the nearest that anything is projected
+
 
 @dataclass(frozen=True, slots=True)
 class MarkerSpec:
@@ -37,13 +39,18 @@ class MarkerSpec:
     @staticmethod
     def parse(text: str) -> MarkerSpec:
         """FAMILY:ID:SIZE such as 36h11:3:165mm. Raises ConfigError."""
-        m = re.fullmatch(r"([^:]+):(\d+):(.+)", text.strip())
+        m = re.fullmatch(r"([^:]+):(\d{1,9}):(.+)", text.strip())
         if not m:
             raise ConfigError(f"marker {text!r} is not FAMILY:ID:SIZE", "for example 36h11:3:165mm or 4X4_50:0:50mm")
         family = canonical_family(m[1])
         size = length_m(m[3], what=f"size of marker {text!r}")
-        if size <= 0:
-            raise ConfigError(f"marker {text!r}: the size must be above 0")
+        if not SMALLEST_M <= size <= LARGEST_M:
+            raise ConfigError(
+                f"marker {text!r}: the size must be between {SMALLEST_M:g} m and {LARGEST_M:g} m, is {size:g} m"
+                if size > 0
+                else f"marker {text!r}: the size must be above 0",
+                "the length of the black square's side: 165mm",
+            )
         if int(m[2]) >= FAMILIES[family]:
             raise ConfigError(f"marker {text!r}: {family} has ids 0 to {FAMILIES[family] - 1}")
         return MarkerSpec(family, int(m[2]), size)

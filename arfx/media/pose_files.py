@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from arfx.core.opener import read_text
 from arfx.core.pose import Pose
 from arfx.errors import InputError
 
 _NEAR_SHARE = 0.75  # a frame takes a pose that is at most this share of the poses' usual distance in time away
+_FARTHEST = 1e12  # metres or seconds: times count from 1970, nothing is farther than that in metres
 _UNIT = 1e-2  # from 1, of a quaternion's length
 
 
@@ -51,10 +53,7 @@ class CameraPath:
 
 def load_poses(path: Path) -> CameraPath:
     """Raises InputError: missing, a line that is no pose, times that do not rise."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
-        raise InputError(f"poses {path} cannot be read: {e}", "text lines of tx ty tz qx qy qz qw") from None
+    text = read_text(path, "poses")
     rows, columns = [], 0
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split("#")[0].replace(",", " ").split()
@@ -68,7 +67,7 @@ def load_poses(path: Path) -> CameraPath:
         if (
             len(values) not in (7, 8)
             or (columns and len(values) != columns)
-            or not np.isfinite(values).all()
+            or not (np.abs(values) <= _FARTHEST).all()
             or (abs(length - 1) > _UNIT)
         ):
             raise InputError(

@@ -3,12 +3,12 @@ measured on a clip."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from arfx.core.opener import parse_json, read_text
 from arfx.errors import InputError
 
 UNKNOWN = 255.0  # grey levels: no two pictures differ by more
@@ -32,20 +32,21 @@ class Errors:
 
 def shipped_errors() -> Errors:
     """The largest mean error found on the sample scenes."""
-    return _read(Path(__file__).with_name("default_errors.json"))
+    return _read(Path(__file__).with_name("default_errors.json").read_text(encoding="utf-8"))
 
 
 def errors_of_clip(file: Path) -> Errors:
     """From a tradeoff.json; what that did not measure, from the shipped table. Raises InputError."""
+    text = read_text(file, "tradeoff")
     try:
-        own, shipped = _read(file), shipped_errors()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as e:
+        own, shipped = _read(text), shipped_errors()
+    except (ValueError, KeyError, TypeError, AttributeError) as e:
         raise InputError(f"{file} is not a tradeoff.json: {e}", "make one: arfx tradeoff CLIP … --report DIR") from None
     return Errors({**shipped.by_level, **own.by_level}, own.source)
 
 
-def _read(file: Path) -> Errors:
-    document = json.loads(file.read_text(encoding="utf-8"))
+def _read(text: str) -> Errors:
+    document = parse_json(text)
     found: dict[str, dict[str, float]] = {}
     for stage, levels in document["errors"].items():
         for level, value in levels.items():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,10 +15,11 @@ from arfx.core.colour import Transfer
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
+from arfx.core.opener import parse_json, parse_toml, read_text, regular
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Placement, Scene
-from arfx.core.units import length_m
+from arfx.core.units import LONGEST_M, length_m
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import load_camera
 from arfx.media.clip import ClipInfo, probe
@@ -100,9 +99,9 @@ def panorama(config: JobConfig) -> np.ndarray | None:
 def job_model(config: JobConfig) -> Model:
     """The job's model; read once in a process, unless the file changes. Raises as load_model does."""
     path = config.model.file
-    if path is None or not path.is_file():
+    if path is None:
         return load_model(path, config.model.up)  # which says what is wrong
-    stat = path.stat()
+    stat = regular(path, "model").stat()
     return _model_of(path, config.model.up, stat.st_mtime_ns, stat.st_size)
 
 
@@ -181,16 +180,17 @@ def marker_map(config: JobConfig) -> dict[str, Pose] | None:
     path = config.input.marker_map
     if path is None:
         return None
+    text = read_text(path, "marker map")
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        poses = _wpilib_layout(json.loads(text)) if path.suffix == ".json" else _toml_layout(tomllib.loads(text))
-    except (OSError, UnicodeDecodeError) as e:
-        raise InputError(f"marker map {path} cannot be read: {getattr(e, 'strerror', None) or e}") from None
-    except (KeyError, TypeError, ValueError) as e:
+        poses = _wpilib_layout(parse_json(text)) if text.lstrip()[:1] == "{" else _toml_layout(parse_toml(text))
+    except (KeyError, TypeError, ValueError, AttributeError, ConfigError) as e:
         raise InputError(
-            f"marker map {path} is not understood: {e!r}",
+            f"marker map {path} is not understood: {getattr(e, 'message', repr(e))[:300]}",
             '[[marker]] with spec = "36h11:3:165mm", position = ["0m", "0m", "0m"], rotate_deg = [0, 0, 0]; or WPILib JSON',
         ) from None
+    for key, pose in poses.items():
+        if not (np.abs(pose.matrix) <= LONGEST_M).all() or np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max() > 1e-3:
+            raise InputError(f"marker map {path}: the pose of {key} is no rotation and place", "a unit quaternion, metres")
     missing = [m.key for m in config.markers if m.key not in poses]
     if missing:
         raise InputError(f"marker map {path} does not hold {missing[0]}", "it holds " + ", ".join(poses))
@@ -202,7 +202,9 @@ def _toml_layout(document: dict) -> dict[str, Pose]:
     for row in document["marker"]:
         spec = row["spec"] if str(row["spec"]).count(":") == 2 else f"{row['spec']}:1m"
         position = np.array([length_m(str(v)) for v in row["position"]])
-        out[MarkerSpec.parse(spec).key] = Pose(rotation_from_euler_deg(*row.get("rotate_deg", (0, 0, 0))), position)
+        with np.errstate(invalid="ignore"):
+            rotation = rotation_from_euler_deg(*row.get("rotate_deg", (0, 0, 0)))
+        out[MarkerSpec.parse(spec).key] = Pose(rotation, position)
     return out
 
 

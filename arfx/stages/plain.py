@@ -32,8 +32,8 @@ class PlainParams:
     sky: float = 0.35
 
     def __post_init__(self) -> None:
-        if not (self.gain >= 0 and np.isfinite(self.gain)):
-            raise ConfigError(f"plain.gain must be 0 or more, is {self.gain:g}")
+        if not 0 <= self.gain <= 1e4:
+            raise ConfigError(f"plain.gain must be between 0 and 10000, is {self.gain:g}")
         if not 0 <= self.sky <= 1:
             raise ConfigError(f"plain.sky must be between 0 and 1, is {self.sky:g}")
 

@@ -6,7 +6,6 @@ lengths carry a unit when written as text ("120mm") and are metres when written 
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,8 +13,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
+from arfx.core.opener import parse_toml, read_text
 from arfx.core.units import length_m
-from arfx.errors import ArfxError, ConfigError, InputError
+from arfx.errors import ArfxError, ConfigError
 
 
 def _length(value: Any) -> Any:
@@ -303,8 +303,8 @@ class SceneFile(Part):
 def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
     """A scene from TOML text. Raises ConfigError listing every wrong key with its line."""
     try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as e:
+        tree = parse_toml(text)
+    except ValueError as e:
         raise ConfigError(f"{where} is not TOML: {e}") from None
     try:
         return SceneFile.model_validate(tree)
@@ -320,8 +320,4 @@ def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
 
 def load_scene(path: Path) -> SceneFile:
     """A scene file; picture files in it are found beside it. Raises InputError, ConfigError."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
-        raise InputError(f"cannot read scene {path}: {e}", "a scene.toml; see sample_scenes/") from None
-    return parse_scene(text, str(path))
+    return parse_scene(read_text(path, "scene"), str(path))

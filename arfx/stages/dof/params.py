@@ -64,23 +64,23 @@ class DofParams:
         _one_of("lens", self.lens, ("given", "footage"))
         if self.lens == "footage" and self.scope == "all":
             raise ConfigError("dof.lens = footage blurs what is blurred already", "with it goes dof.scope = virtual")
-        if not (self.sensor_width_mm > 0 and math.isfinite(self.sensor_width_mm)):
-            raise ConfigError(f"dof.sensor_width_mm must be above 0, is {self.sensor_width_mm:g}")
+        if not 0 < self.sensor_width_mm <= 1e4:
+            raise ConfigError(f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}")
         not_below_0 = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "max_radius_px", "highlight_boost",
                        "near_m", "far_m")  # fmt: skip
         for name in not_below_0:
             value = getattr(self, name)
-            if not (value >= 0 and math.isfinite(value)):
-                raise ConfigError(f"dof.{name} must be 0 or more, is {value:g}")
+            if not 0 <= value <= 1e6:
+                raise ConfigError(f"dof.{name} must be 0 or more and at most 1000000, is {value:g}")
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
-        if not (self.coc_mm > 0 and math.isfinite(self.coc_mm)):
-            raise ConfigError(f"dof.coc_mm must be above 0, is {self.coc_mm:g}")
+        if not 0 < self.coc_mm <= 1e3:
+            raise ConfigError(f"dof.coc_mm must be above 0 and at most 1000, is {self.coc_mm:g}")
         if self.mean_px < 1 or self.mean_px % 2 == 0 or self.mean_px > 63:
             raise ConfigError(f"dof.mean_px must be odd, 1 to 63, is {self.mean_px}")
         for time, fnumber in fnumber_keys(self.fnumber):
-            if not fnumber > 0:
-                raise ConfigError(f"dof.fnumber must be above 0, is {fnumber:g} at {time:g} s")
+            if not fnumber >= 1e-3:
+                raise ConfigError(f"dof.fnumber must be above 0 (0.001 or more), is {fnumber:g} at {time:g} s")
         focus_keys(self.focus)
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,7 +77,7 @@ def test_a_frozen_job_reads_back_as_the_same_job(tmp_path: Path) -> None:
     [
         ("aperture = 4", "apperture = 4", 17, "did you mean 'aperture'?"),
         ("aperture = 4", 'aperture = "wide"', 17, "valid number"),
-        ("aperture = 4", "blades = 2", 16, "must be 3 or more"),
+        ("aperture = 4", "blades = 2", 17, "must be 3 or more"),
         ("[dof]", "[dov]", 16, "did you mean 'dof'?"),
         ("end =", "ende =", 3, "did you mean 'end'?"),
         ('"36h11:4:165.1mm"', '"36h11:4:165.1"', 9, "25mm"),
@@ -123,3 +124,45 @@ def test_line_of_falls_back_to_the_nearest_parent() -> None:
     assert line_of(GOOD, ("marker", 1)) == 8
     assert line_of(GOOD, ("dof", "blades")) == 16
     assert line_of(GOOD, ("nothing",)) == 0
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e300, 10**15])
+def test_numbers_that_no_setting_can_have_are_refused_with_their_own_name(tmp_path: Path, value: float) -> None:
+    with pytest.raises(ConfigError) as e:
+        load(None, {"dof": {"aperture": value}}, TABLE)
+    assert "dof.aperture" in str(e.value) and "command line" in str(e.value)
+    shown = str(value) if math.isfinite(value) else f"{value}".replace("Infinity", "inf")
+    with pytest.raises(ConfigError) as e:
+        load(write(tmp_path, GOOD.replace("aperture = 4", f"aperture = {shown}")), {"dof": {"blades": 5}}, TABLE)
+    assert "dof.aperture" in str(e.value) and "job.toml:17" in str(e.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["x = " + "9" * 5000, "x = " + "[" * 2000, ".".join("a" * 200) + " = 1", "[input]\nend = 1979-99-99"]
+)
+def test_toml_beyond_what_a_job_holds_is_one_message(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError, match=r"job\.toml: not valid TOML") as e:
+        load(write(tmp_path, text), {}, TABLE)
+    assert len(str(e.value)) < 300
+    if text.startswith("x"):
+        with pytest.raises(ConfigError, match="--set"):
+            parse_setting("dof.aperture=" + text[4:])
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("model", "scale", 1e300), ("model", "scale", 1e-300), ("model", "rotate", [1e300, 0, 0]), ("model", "fit", "1e300m"),
+        ("model", "offset", ["1e300m", "0m", "0m"]), ("input", "end", "9" * 400), ("input", "end", "9" * 5000 + ":00"),
+        ("input", "start", "1e300"), ("input", "depth_scale", 1e-300), ("pipeline", "seed", 2**64), ("pipeline", "fps", 1e300),
+        ("output", "crf", -1e300), ("pipeline", "budget", "9" * 400 + "h"),
+    ],
+)  # fmt: skip
+def test_sections_refuse_absurd_numbers_by_name(section: str, key: str, value: object) -> None:
+    with pytest.raises(ConfigError, match=rf"{section}\.{key}"):
+        load(None, {section: {key: value}}, TABLE)
+
+
+def test_a_set_key_of_many_parts_is_refused() -> None:
+    with pytest.raises(ConfigError, match="5000 parts"):
+        parse_setting(".".join("a" * 5000) + "=1")

@@ -79,3 +79,40 @@ def test_the_middle_of_the_base_stands_on_the_marker_whichever_axis_is_up(up: st
     world = vertices @ m[:3, :3].T + m[:3, 3]
     assert world[:, 2].min() == pytest.approx(0) and world[3, 2] == pytest.approx(0.08) and np.linalg.det(m[:3, :3]) > 0
     np.testing.assert_allclose((world.min(0) + world.max(0))[:2] / 2, [0.01, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("key", ["smoothing", "max_gap_s", "search_interval_s"])
+@pytest.mark.parametrize("value", ["inf", "nan", "1e300", "-1"])
+def test_analysis_numbers_are_refused_before_the_analysis(tmp_path: Path, key: str, value: str) -> None:
+    (tmp_path / "job.toml").write_text(f"[analyse]\n{key} = {value}\n")
+    with pytest.raises(ConfigError, match=rf"analyse\.{key}") as e:
+        load(tmp_path / "job.toml", {}, parameters())
+    assert "job.toml:2" in str(e.value)
+
+
+@pytest.mark.parametrize("size", ["1e-300m", "1e300m", "0.00001mm"])
+def test_a_marker_of_absurd_size_is_refused(size: str) -> None:
+    with pytest.raises(ConfigError, match=r"the size|no length"):
+        load(None, {"marker": [{"spec": f"36h11:3:{size}"}]}, parameters())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '[[marker]]\nspec = "36h11:3"\nposition = ["0m","0m","0m"]\nrotate_deg = [inf, 0, 0]\n',
+        '[[marker]]\nspec = "36h11:3"\nposition = [1, 2, 3]\n',
+        '{"tags": [{"ID": 3, "pose": {"translation": {"x": 1e308, "y": 0, "z": 0},'
+        ' "rotation": {"quaternion": {"W": 1, "X": 0, "Y": 0, "Z": 0}}}}]}',
+        '{"tags": [{"ID": 3, "pose": {"translation": {"x": 0, "y": 0, "z": 0},'
+        ' "rotation": {"quaternion": {"W": 5, "X": 0, "Y": 9, "Z": 0}}}}]}',
+        '{"tags": [' + "[" * 5000,
+        '{"tags": [{"ID": ' + "9" * 5000 + "}]}",
+        '{"tags": 5}',
+        "x = " + "[" * 5000,
+    ],
+)
+def test_hostile_layouts_are_one_message(tmp_path: Path, text: str) -> None:
+    (tmp_path / "map.toml").write_text(text)
+    with pytest.raises((InputError, ConfigError)) as e:
+        marker_map(job(tmp_path, tmp_path / "map.toml"))  # type: ignore[arg-type]
+    assert "map.toml" in str(e.value) and len(str(e.value)) < 600
