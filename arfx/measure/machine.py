@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 import arfx
+from arfx.core import compiled
 from arfx.core.machine import processor_name, usable_cores
 from arfx.errors import ArfxError
 from arfx.run.memory import free_mb
@@ -47,7 +48,7 @@ class Check:
 
 def examine(folder: Path) -> list[Check]:
     """All checks; `folder` is where outputs would be written (its free space is looked at)."""
-    return [*_python(), *_packages(), *_renderers(), *_codecs(), *_resources(folder)]
+    return [*_python(), *_packages(), *_renderers(), *_codecs(), *_resources(folder), _compiled()]
 
 
 def sound(checks: list[Check]) -> bool:
@@ -164,3 +165,11 @@ def _resources(folder: Path) -> list[Check]:
     ok = disk >= LOW_DISK_MB
     out.append(Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", "" if ok else "free space for outputs"))
     return out
+
+
+def _compiled() -> Check:
+    kept = compiled.kept_in(Path(arfx.__file__).parent / "media")
+    if compiled.lasting():
+        return Check("machine", "compiled code", True, f"kept in {kept}")
+    fix = "set NUMBA_CACHE_DIR to a folder that can be written"
+    return Check("machine", "compiled code", False, "cannot be kept: every run compiles for about a minute", fix)

@@ -1,0 +1,100 @@
+"""Where compiled code is kept."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from arfx.core import compiled
+
+
+@pytest.fixture
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package's folder with compiled code in it, and a home; nothing is remembered from other tests."""
+    home = tmp_path / "home"
+    home.mkdir()
+    for name in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("HOME", "USERPROFILE"):
+        monkeypatch.setenv(name, str(home))
+    beside = tmp_path / "package" / "__pycache__"
+    beside.mkdir(parents=True)
+    (beside / "a.f-1.py311.nbi").write_bytes(b"index")
+    (beside / "a.f-1.py311.1.nbc").write_bytes(b"code")
+    for cached in (compiled.kept_in, compiled._folder_of_this_run):
+        cached.cache_clear()
+    yield beside.parent
+    for cached in (compiled.kept_in, compiled._folder_of_this_run):
+        cached.cache_clear()
+
+
+def unwritable(monkeypatch: pytest.MonkeyPatch, *folders: Path) -> None:
+    """The root user may write anywhere: permissions alone would test nothing for it."""
+    filled = compiled._filled
+
+    def refuses(place: Path, came: list[Path]) -> bool:
+        return not any(place.is_relative_to(folder) for folder in folders) and filled(place, came)
+
+    monkeypatch.setattr(compiled, "_filled", refuses)
+
+
+def test_compiled_code_lies_beside_the_modules(tree: Path) -> None:
+    assert compiled.kept_in(tree) == tree / "__pycache__"
+    assert compiled.lasting()
+
+
+def test_a_named_folder_comes_first_and_holds_what_came_with_the_package(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "named"))
+    kept = compiled.kept_in(tree)
+    assert kept.is_relative_to(tmp_path / "named")
+    assert {p.name: p.read_bytes() for p in kept.iterdir()} == {"a.f-1.py311.nbi": b"index", "a.f-1.py311.1.nbc": b"code"}
+
+
+def test_a_read_only_package_uses_the_users_folder_and_what_was_compiled_since_stays(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unwritable(monkeypatch, tree)
+    kept = compiled.kept_in(tree)
+    assert kept.is_relative_to(tmp_path / "home")
+    (kept / "a.f-1.py311.nbi").write_bytes(b"index of more")
+    compiled.kept_in.cache_clear()
+    assert compiled.kept_in(tree) == kept and (kept / "a.f-1.py311.nbi").read_bytes() == b"index of more"
+    (tree / "__pycache__" / "a.f-1.py311.1.nbc").write_bytes(b"code of another release")
+    compiled.kept_in.cache_clear()
+    assert (compiled.kept_in(tree) / "a.f-1.py311.1.nbc").read_bytes() == b"code of another release"
+
+
+def test_where_nothing_can_be_written_a_folder_of_this_run_is_used_and_passed_on(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "home" / "named"))
+    unwritable(monkeypatch, tree, tmp_path / "home", Path(compiled.__file__).parent)
+    kept = compiled.kept_in(tree)
+    assert (kept / "a.f-1.py311.1.nbc").read_bytes() == b"code"
+    assert not compiled.lasting()
+    assert kept.is_relative_to(os.environ["NUMBA_CACHE_DIR"])
+
+
+def test_every_module_loads_where_neither_the_package_nor_the_home_can_be_written(tmp_path: Path) -> None:
+    code = """
+import pathlib, tempfile, sys
+made = tempfile.TemporaryFile
+def refuse(*a, dir=None, **k):
+    if dir is not None and not str(dir).startswith(sys.argv[1]):
+        raise PermissionError(13, "Permission denied", str(dir))
+    return made(*a, dir=dir, **k)
+tempfile.TemporaryFile = refuse
+import arfx.core.rect, arfx.media.lines, arfx.stages.composite
+"""
+    got = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    assert got.returncode == 0, got.stderr
+    assert not list(tmp_path.iterdir()), "the folder of the run stays behind"
