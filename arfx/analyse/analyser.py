@@ -18,6 +18,7 @@ from arfx.analyse.detect import Candidate
 from arfx.analyse.edge_blur import EdgeBlur
 from arfx.analyse.edge_domain import EdgeRefiner
 from arfx.analyse.flow import BackgroundMotion
+from arfx.analyse.fold import Fold
 from arfx.analyse.footage_lens import footage_lens, to_json, with_lens
 from arfx.analyse.lighting import lighted
 from arfx.analyse.lighting_params import LightParams
@@ -40,7 +41,7 @@ AROUND = 2.4  # sizes of the marker: so far its pose tells the motion of what is
 __all__ = ["AnalyseParams", "Analyser", "Analysis", "LightParams"]
 
 
-class Analyser:
+class Analyser(Fold):
     """Feed frames in order with `step`, then call `finish`.
 
     markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
@@ -51,6 +52,8 @@ class Analyser:
     light : read the light too, from the pictures that `step` then needs;  panorama : of LightParams.environment
     Raises ConfigError for no marker, the same one twice, or a map that lacks one.
     """
+
+    given = frozenset({"markers", "params", "marker_map", "light", "panorama", "_folds"})
 
     def __init__(
         self,
@@ -136,33 +139,6 @@ class Analyser:
             out = self._refiner.refine(len(self._records), luma, every, self.camera)
         n = len(found.sightings)
         return out[:n], out[n:]
-
-    def state(self) -> dict:
-        """JSON-able checkpoint; an Analyser made with the same arguments continues from it to the same facts."""
-        return {
-            "records": [r.to_json() for r in self._records], "tracker": self._tracker.state(), "cut": self._cut.state(),
-            "flow": self._flow.state(), "survey": self._survey.state(), "others": dict(self._others),
-            "refiner": self._refiner.state(), "meter": self._meter.state(), "ever_seen": self._ever_seen,
-            "camera": self.camera.to_json(), "motion": None if self._motion is None else self._motion.state(),
-            "edges": None if self._edges is None else self._edges.state(),
-        }  # fmt: skip
-
-    def restore(self, state: dict) -> None:
-        """Continue from a checkpoint of `state`."""
-        self._records = [Record.from_json(r) for r in state["records"]]
-        self._tracker.restore(state["tracker"])
-        self._cut.restore(state["cut"])
-        self._flow.restore(state["flow"])
-        self._survey.restore(state["survey"])
-        self._refiner.restore(state["refiner"])
-        self._meter.restore(state["meter"])
-        if self._motion is not None:
-            self._motion.restore(state["motion"])
-        if self._edges is not None:
-            self._edges.restore(state["edges"])
-        self._others = Counter(state["others"])
-        self._ever_seen = state["ever_seen"]
-        self.camera = Camera.from_json(state["camera"])
 
     def finish(self) -> Analysis:
         """All facts. Raises NothingToDoError if no configured marker was ever seen, saying what was."""

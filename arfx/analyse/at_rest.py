@@ -8,6 +8,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from arfx.analyse.fold import Fold
+
 WIDTH_PX = 480  # of the reduced pictures
 INTERVAL_S = 0.33
 POINTS = 80
@@ -17,7 +19,7 @@ _LEAST_POINTS = 8
 _WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
 
-class RestCheck:
+class RestCheck(Fold):
     """Fed the frames in order. moved_px : the farthest that the middle corner was seen from its place, clip px"""
 
     def __init__(self) -> None:

@@ -11,13 +11,12 @@ Source: SYSTEMS.md S1, "Which frame are the lights fixed in?".
 
 from __future__ import annotations
 
-import base64
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 
 import cv2
 import numpy as np
 
+from arfx.analyse.fold import Fold
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
@@ -36,7 +35,7 @@ AT_REST = 0.45  # share of points: moving shadows and what a hand moves beside t
 _MIN_POINTS = 6
 
 
-class BackgroundFlow:
+class BackgroundFlow(Fold):
     """Collects corner flow: pairs of frames with matched points, in full-resolution px."""
 
     def __init__(self) -> None:
@@ -94,27 +93,6 @@ class BackgroundFlow:
         if len(self.samples) > MAX_SAMPLES:
             self.samples = self.samples[::2]
             self._stride *= 2
-
-    def state(self) -> dict:
-        image = None
-        if self._image is not None:
-            image = [list(self._image.shape), base64.b64encode(zlib.compress(self._image.tobytes())).decode()]
-        return {
-            "image": image, "points": [p.tolist() for p in self._points], "index": self._index,
-            "time_s": None if np.isinf(self._time_s) else self._time_s, "count": self._count, "stride": self._stride,
-            "samples": [{**s, "from": s["from"].tolist(), "to": s["to"].tolist()} for s in self.samples],
-        }  # fmt: skip
-
-    def restore(self, state: dict) -> None:
-        image = state["image"]
-        self._image = None
-        if image is not None:
-            data = zlib.decompress(base64.b64decode(image[1]))
-            self._image = np.frombuffer(data, np.uint8).reshape(image[0]).copy()
-        self._points = [np.array(p, np.float32).reshape(-1, 2) for p in state["points"]]
-        self._index, self._count, self._stride = state["index"], state["count"], state["stride"]
-        self._time_s = -np.inf if state["time_s"] is None else state["time_s"]
-        self.samples = [{**s, "from": np.array(s["from"]), "to": np.array(s["to"])} for s in state["samples"]]
 
 
 def _tracked(before: np.ndarray, now: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from arfx.analyse.detect import cells_per_side
+from arfx.analyse.fold import Fold
 from arfx.analyse.records import Seen
 from arfx.core.numerics import divide, normalise
 
@@ -95,7 +96,7 @@ def _deviation(profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: fl
     return s if s <= _LARGEST * half and abs(mean.sum()) > _FAINT and stray < _STRAY else np.nan
 
 
-class EdgeBlur:
+class EdgeBlur(Fold):
     """readings : (frame, marker key, (4,) blur of its sides px, corners (4, 2) px) in order"""
 
     def __init__(self) -> None:
@@ -107,11 +108,3 @@ class EdgeBlur:
             blur = side_blurs(luma, s.corners_px, cells_per_side(family), table)
             if np.isfinite(blur).any():
                 self.readings.append((frame, s.key, blur, s.corners_px))
-
-    def state(self) -> list:
-        return [[k, key, [None if np.isnan(b) else b for b in blur], c.tolist()] for k, key, blur, c in self.readings]
-
-    def restore(self, state: list) -> None:
-        self.readings = [
-            (k, key, np.array([np.nan if b is None else b for b in blur], float), np.array(c, float)) for k, key, blur, c in state
-        ]

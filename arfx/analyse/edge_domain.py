@@ -14,6 +14,7 @@ import numpy as np
 
 from arfx.analyse.corners import linear_table, refine_corners
 from arfx.analyse.detect import Candidate, cells_per_side
+from arfx.analyse.fold import Fold
 from arfx.analyse.records import Seen
 from arfx.core.camera import Camera
 
@@ -24,7 +25,7 @@ FRAMES = 120  # or after so many with a marker in them, by what there is: edges 
 _SKEWED = 0.1
 
 
-class EdgeRefiner:
+class EdgeRefiner(Fold):
     """Refines sightings; `transfer` is "auto" until decided."""
 
     def __init__(self, transfer: str = AUTO) -> None:
@@ -67,16 +68,6 @@ class EdgeRefiner:
             return []
         out, self._other, self._ready = self._other, [], False
         return out
-
-    def state(self) -> dict:
-        other = [[k, [s.to_json() for s in seen]] for k, seen in self._other]
-        return {"transfer": self.transfer, "skews": [list(s) for s in self._skews], "other": other}
-
-    def restore(self, state: dict) -> None:
-        self.transfer = state["transfer"]
-        self._table = linear_table(LIGHT if self.transfer == AUTO else self.transfer)
-        self._skews = [(a, b) for a, b in state["skews"]]
-        self._other = [(k, tuple(Seen.from_json(s) for s in seen)) for k, seen in state["other"]]
 
 
 @cache

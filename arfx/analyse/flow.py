@@ -12,14 +12,14 @@ motion of the whole and its neighbours stand in. The flow is good to a tenth of 
 
 from __future__ import annotations
 
-import base64
-import zlib
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from arfx.analyse.flow_refine import refined
+from arfx.analyse.fold import Fold
+from arfx.core.codec import stored
 
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
 STEPS = 16  # to a px: places of nodes are whole numbers of them
@@ -40,6 +40,7 @@ _LOST = 0.25  # less than this share of agreement: the frame has nothing to do w
 _SPREAD_NODES = 1.5
 
 
+@stored
 @dataclass(frozen=True, eq=False)
 class MotionStep:
     """A frame at which a new set of sites begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
@@ -61,8 +62,10 @@ def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     return gx, gy
 
 
-class BackgroundMotion:
+class BackgroundMotion(Fold):
     """Collects MotionSteps, in order."""
+
+    given = frozenset({"hold_px"})
 
     def __init__(self, hold_px: float = HOLD_PX) -> None:
         self.hold_px = hold_px
@@ -124,24 +127,6 @@ class BackgroundMotion:
         agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
         trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
         return _refined_at_nodes(_at_nodes(back, trust, width, height), small, self._reference, trust, width, height), agreed
-
-    def state(self) -> dict:
-        """JSON-able; `restore` continues from it exactly."""
-        return {
-            "hold_px": self.hold_px, "size": list(self._size),
-            "reference": None if self._reference is None else [list(self._reference.shape), _packed(self._reference)],
-            "steps": [[s.index, s.key, _written(s.back), list(s.detail.shape), _packed(s.detail)] for s in self.steps],
-            "last": _written(self._last),
-        }  # fmt: skip
-
-    def restore(self, state: dict) -> None:
-        self.hold_px, self._size = state["hold_px"], (state["size"][0], state["size"][1])
-        held = state["reference"]
-        self._reference = None if held is None else _unpacked(held[1], "u1", held[0])
-        self._last = _read(state["last"])
-        self.steps = [
-            MotionStep(i, _read(back), key, _unpacked(detail, "u1", shape)) for i, key, back, shape, detail in state["steps"]
-        ]
 
 
 def _shrunk(luma: np.ndarray) -> np.ndarray:
@@ -214,19 +199,3 @@ def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarr
         missed = np.linalg.norm(flow - terms @ motion, axis=1)
         robust = weight / (1 + (missed / 0.5) ** 2)
     return motion
-
-
-def _written(back: np.ndarray | None) -> list | None:
-    return None if back is None else [list(back.shape), _packed(np.round(back * STEPS).astype("<i4"))]
-
-
-def _read(v: list | None) -> np.ndarray | None:
-    return None if v is None else _unpacked(v[1], "<i4", v[0]).astype(np.float32) / STEPS
-
-
-def _packed(a: np.ndarray) -> str:
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(a).tobytes())).decode()
-
-
-def _unpacked(text: str, kind: str, shape: list[int]) -> np.ndarray:
-    return np.frombuffer(zlib.decompress(base64.b64decode(text)), kind).reshape(shape).copy()

@@ -10,8 +10,6 @@ Source: Tan, Chen, Sun 2010, eq. (7), (8); SYSTEMS.md S1. Cost: some 5 us per ob
 
 from __future__ import annotations
 
-import base64
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -92,16 +90,6 @@ class LightMap:
     def at(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(value (..., 3), variance (..., 3)) at unit normals (..., 3), between the vertices."""
         return self.sphere.interpolate(self.value, normals), self.sphere.interpolate(self.variance, normals)
-
-    def state(self) -> dict:
-        """JSON-able, exact."""
-        data = np.column_stack([self.value, self.variance, self.age_s])
-        return {"data": base64.b64encode(zlib.compress(data.tobytes(), 1)).decode(), "ignored": self.ignored}
-
-    def restore(self, state: dict) -> None:
-        data = np.frombuffer(zlib.decompress(base64.b64decode(state["data"]))).reshape(-1, 7)
-        self.value, self.variance, self.age_s = data[:, :3].copy(), data[:, 3:6].copy(), data[:, 6].copy()
-        self.ignored = state["ignored"]
 
 
 def changes(seen: Sequence[Observation], params: Params = Params()) -> np.ndarray:

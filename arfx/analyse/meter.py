@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from arfx.analyse.fold import Fold
 from arfx.analyse.photometry import Patches, cells, place, reduced
 from arfx.analyse.records import Seen
 from arfx.analyse.surroundings import Look, look
@@ -33,11 +34,13 @@ class Picture(Protocol):
     def reduced(self, width: int) -> np.ndarray: ...
 
 
-class LightMeter:
+class LightMeter(Fold):
     """readings : (frame, marker key, Patches) in order;  looks : of the surroundings
 
     formula : "corrected" or "paper", how the surroundings are folded
     """
+
+    given = frozenset({"_formula"})
 
     def __init__(self, formula: str = "corrected") -> None:
         self._formula = formula
@@ -64,17 +67,3 @@ class LightMeter:
                 self.looks.append(look(frame, small, (largest.corners_px + 0.5) * shrink - 0.5, self._formula))
             if len(self.looks) > MOST_LOOKS:
                 self.looks, self._interval_s = self.looks[::2], 2 * self._interval_s
-
-    def state(self) -> dict:
-        """JSON-able, exact."""
-        return {
-            "readings": [[k, key, p.to_json()] for k, key, p in self.readings],
-            "looks": [[one.frame, one.cube.tolist(), one.plane.tolist()] for one in self.looks],
-            "next_s": None if np.isinf(self._next_s) else self._next_s, "interval_s": self._interval_s,
-        }  # fmt: skip
-
-    def restore(self, state: dict) -> None:
-        self.readings = [(k, key, Patches.from_json(p)) for k, key, p in state["readings"]]
-        self.looks = [Look(k, np.array(cube, float), np.array(plane, float)) for k, cube, plane in state["looks"]]
-        self._next_s = -np.inf if state["next_s"] is None else state["next_s"]
-        self._interval_s = state["interval_s"]

@@ -21,6 +21,7 @@ from scipy.special import ndtri
 
 from arfx.analyse import photometry_kernels as kernels
 from arfx.analyse.detect import cells_per_side, dictionary
+from arfx.core.codec import stored
 from arfx.core.numerics import HALF_GREY
 
 # black top left, top right, bottom left, bottom right, then white in the same order
@@ -29,6 +30,7 @@ CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sR
 _SHARES = np.linspace(0, 1, 257)
 
 
+@stored
 @dataclass(frozen=True, eq=False)
 class Patches:
     """One marker in one frame. white : (8,) bool, paper cells
@@ -45,19 +47,6 @@ class Patches:
     clipped: np.ndarray
     highlight: np.ndarray
     not_finite: int = 0
-
-    def to_json(self) -> dict:
-        return {
-            "mean": self.mean.tolist(), "variance": self.variance.tolist(), "count": self.count.tolist(),
-            "clipped": self.clipped.tolist(), "highlight": self.highlight.tolist(), "not_finite": self.not_finite,
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict) -> Patches:
-        return Patches(
-            np.array(d["mean"], float), np.array(d["variance"], float), WHITE.copy(), np.array(d["count"], int),
-            np.array(d["clipped"], float), np.array(d["highlight"], float), d["not_finite"],
-        )  # fmt: skip
 
 
 WHITE = np.arange(PATCHES) >= PATCHES // 2

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from arfx.core.codec import stored
 from arfx.core.facts import FrameFacts
 from arfx.core.pose import Pose
 
 
+@stored
 @dataclass(frozen=True)
 class Seen:
     """One marker print in one frame. corners_px : (4, 2);  sigma_px : predicted;  blur_px : nan where unknown."""
@@ -25,15 +27,8 @@ class Seen:
     def side_px(self) -> float:
         return float(np.linalg.norm(self.corners_px - np.roll(self.corners_px, -1, 0), axis=1).mean())
 
-    def to_json(self) -> list:
-        blur = None if np.isnan(self.blur_px) else self.blur_px
-        return [self.key, self.corners_px.tolist(), self.sigma_px, blur, self.inverted]
 
-    @staticmethod
-    def from_json(v: list) -> Seen:
-        return Seen(v[0], np.array(v[1], float), v[2], float("nan") if v[3] is None else v[3], v[4])
-
-
+@stored
 @dataclass(frozen=True)
 class Record:
     """One frame. unlike : CutSignal's two numbers;  rivals : further prints with a key that is in `seen` too."""
@@ -44,15 +39,6 @@ class Record:
     rivals: tuple[Seen, ...]
     whole: bool
     unlike: tuple[float, float]
-
-    def to_json(self) -> list:
-        seen, rivals = ([s.to_json() for s in group] for group in (self.seen, self.rivals))
-        return [self.index, self.time_s, seen, rivals, self.whole, list(self.unlike)]
-
-    @staticmethod
-    def from_json(v: list) -> Record:
-        seen, rivals = (tuple(Seen.from_json(s) for s in group) for group in (v[2], v[3]))
-        return Record(v[0], v[1], seen, rivals, v[4], (v[5][0], v[5][1]))
 
 
 @dataclass(frozen=True)

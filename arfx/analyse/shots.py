@@ -7,13 +7,13 @@ alone among its neighbours (a whip pan is unlike for many frames), and no marker
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
+from arfx.analyse.fold import Fold
 from arfx.core.numerics import divide
 
 THUMBNAIL = (32, 18)
@@ -22,7 +22,7 @@ _STANDS_OUT = 3.0
 _CALM = 0.6  # of a cut's unlikeness: on one side of it at least, frames follow each other with less
 
 
-class CutSignal:
+class CutSignal(Fold):
     """Unlikeness of successive frames, 0 (same up to brightness and contrast) to 2."""
 
     def __init__(self) -> None:
@@ -37,13 +37,6 @@ class CutSignal:
         self._last = [*self._last, thumb][-2:]
         first, second = [*values, 0.0, 0.0][:2]
         return first, second
-
-    def state(self) -> list[str]:
-        return [base64.b64encode(t.tobytes()).decode() for t in self._last]
-
-    def restore(self, state: list[str]) -> None:
-        shape = (THUMBNAIL[1], THUMBNAIL[0])
-        self._last = [np.frombuffer(base64.b64decode(s), np.uint8).reshape(shape).copy() for s in state]
 
 
 def unlikeness(a: np.ndarray, b: np.ndarray) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 
 from arfx.analyse import environment
 from arfx.analyse.icosphere import icosphere
+from arfx.core.codec import stored
 from arfx.core.cube import face_directions, solid_angles
 from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
@@ -25,6 +26,7 @@ RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
 
 
+@stored
 @dataclass(frozen=True, eq=False)
 class Look:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA axes (environment.py)

@@ -7,11 +7,12 @@ from collections import Counter
 import numpy as np
 
 from arfx.analyse.detect import SURVEY_FAMILIES, MarkerDetector
+from arfx.analyse.fold import Fold
 
 _FIRST, _GROWTH = 3, 2  # looks at processed frames 3, 6, 12, 24 ...: few even in a long clip
 
 
-class Survey:
+class Survey(Fold):
     """Counts markers of all families in a few frames."""
 
     def __init__(self) -> None:
@@ -42,9 +43,3 @@ class Survey:
             return -self.counts[key], SURVEY_FAMILIES.index(key.rsplit(":", 1)[0]), key
 
         return sorted(self.counts, key=rank)
-
-    def state(self) -> dict:
-        return {"looked": self.looked, "next_frame": self.next_frame, "counts": dict(self.counts)}
-
-    def restore(self, state: dict) -> None:
-        self.looked, self.next_frame, self.counts = state["looked"], state["next_frame"], Counter(state["counts"])

@@ -19,13 +19,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.analyse.detect import Candidate, MarkerDetector
+from arfx.analyse.fold import Fold
 from arfx.analyse.params import AnalyseParams
+from arfx.core.codec import stored
 from arfx.core.rect import Rect
 
 SHRINK = 0.4  # a tracked marker is no smaller than this share of what it was in the last frame
 SURE_PX = 32.0  # with smaller sides it is a matter of luck, and of what else is in the picture, which contour OpenCV takes
 
 
+@stored
 @dataclass
 class Track:
     """Where a marker was last: quad_px (4, 2), its speed px/s, when, and for how many frames it has been missing."""
@@ -67,8 +70,10 @@ class Found:
     searched_px: int
 
 
-class Tracker:
+class Tracker(Fold):
     """State from frame to frame of the search for the configured keys ("36h11:3")."""
+
+    given = frozenset({"keys", "params", "detector"})
 
     def __init__(self, keys: Sequence[str], params: AnalyseParams) -> None:
         self.keys = tuple(keys)
@@ -157,22 +162,6 @@ class Tracker:
             self.tracks[key] = Track(best.quad_px, speed, time_s)
         others = tuple(sorted({c.key for c in every} - set(self.keys)))
         return Found(tuple(chosen), tuple(rivals), others, whole, searched)
-
-    def state(self) -> dict:
-        """JSON-able."""
-        return {
-            "frames": self.frames, "lost_frames": self.lost_frames, "nothing": [self.nothing_before, self.nothing_here],
-            "last_whole_s": None if math.isinf(self.last_whole_s) else self.last_whole_s,
-            "tracks": {
-                k: [t.quad_px.tolist(), t.speed_px_s.tolist(), t.time_s, t.missing] for k, t in self.tracks.items()
-            },
-        }  # fmt: skip
-
-    def restore(self, state: dict) -> None:
-        self.frames, self.lost_frames = state["frames"], state["lost_frames"]
-        self.nothing_before, self.nothing_here = state["nothing"]
-        self.last_whole_s = -math.inf if state["last_whole_s"] is None else state["last_whole_s"]
-        self.tracks = {k: Track(np.array(q), np.array(v), t, m) for k, (q, v, t, m) in state["tracks"].items()}
 
 
 def _merged(rects: Iterable[Rect]) -> list[Rect]:

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from arfx.core.codec import stored
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.errors import InputError
@@ -18,6 +19,7 @@ BROWN = "brown"  # OpenCV k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]: Bro
 FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant")
 
 
+@stored
 @dataclass(frozen=True, eq=False)
 class Camera:
     """Intrinsics of one picture size.

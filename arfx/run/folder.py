@@ -22,7 +22,7 @@ from arfx.errors import ConfigError, RenderError
 _MARK = "job.toml"
 _OURS = {
     _MARK, "inputs.json", "frames.json", "facts.jsonl", "plan.jsonl", "chunks", "timings.jsonl", "previews",
-    "report.json", "plan_summary.json", "analysis.checkpoint.json",
+    "report.json", "plan_summary.json", "analysis.checkpoint", "analysis.checkpoint.json",  # as it once was
 }  # fmt: skip
 
 
@@ -40,7 +40,7 @@ class JobFolder:
     timings = property(lambda self: self.path / "timings.jsonl")
     previews = property(lambda self: self.path / "previews")
     report = property(lambda self: self.path / "report.json")
-    checkpoint = property(lambda self: self.path / "analysis.checkpoint.json")
+    checkpoint = property(lambda self: self.path / "analysis.checkpoint")
 
     def open(self, resume: bool, overwrite: bool) -> None:
         """Make the folder, or keep what an earlier job left in it (resume), or clear that (overwrite).
@@ -78,9 +78,14 @@ class JobFolder:
 
 def write_text(path: Path, text: str) -> None:
     """Write aside, then rename: the file is whole or absent. Raises RenderError."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """As `write_text`."""
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        aside.write_text(text, encoding="utf-8")
+        aside.write_bytes(data)
         aside.replace(path)
     except OSError as e:
         aside.unlink(missing_ok=True)

@@ -249,7 +249,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
     span = (config.input.start, config.input.end)
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
     if config.model.anchor == "plane":
-        done = analyse_plane(inputs, span, clock, light_wanted(config), folds_wanted(config))
+        done = analyse_plane(inputs, span, clock, light_wanted(config), folds_wanted(config), folder, analysis_key)
     else:
         done = analyse_clip(
             inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.at_rest import RestCheck
+from arfx.analyse.fold import Fold
 from arfx.analyse.lighting import lighted
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.meter import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter
+from arfx.analyse.meter import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter, Picture
 from arfx.analyse.real_planes import ScenePlane, facing_up, scene_planes
 from arfx.analyse.records import Analysis
 from arfx.analyse.surroundings import look
@@ -26,11 +27,9 @@ from arfx.core.real_depth import real_depth_of
 from arfx.core.real_plane import RealPlane
 from arfx.errors import NothingToDoError
 from arfx.media.depth_maps import DepthMaps
-from arfx.media.frames import ClipReader
-from arfx.run.ahead import Ahead
-from arfx.run.analysis import Pass, Progress
+from arfx.run.analysis import Pass, Progress, read_clip
+from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
-from arfx.run.span import Span
 
 ANCHOR = "plane"  # in place of a marker's key
 MAPS = 4  # that planes are looked for in, over the clip
@@ -80,36 +79,45 @@ def stand_on(planes: Sequence[ScenePlane], poses: Sequence[Pose]) -> Stand:
     return Stand(plane.world_from_plane, plane)
 
 
+class PlaneFold(Fold):
+    """What is taken from the frames before the plane is known. watch : whether the camera rests;  look : at the surroundings
+
+    times : seconds of the frames;  looks : (number of the frame, small picture of it)
+    """
+
+    given = frozenset({"_watch", "_look"})
+
+    def __init__(self, watch: bool, look: bool) -> None:
+        self._watch, self._look = watch, look
+        self.times: list[float] = []
+        self.rest = RestCheck()
+        self.looks: list[tuple[int, np.ndarray]] = []
+        self._next_look_s = -np.inf
+
+    def step(self, index: int, time_s: float, luma: np.ndarray, picture: Picture, following: object = None) -> None:
+        if self._watch:
+            self.rest.step(time_s, luma)
+        if self._look and time_s >= self._next_look_s:
+            self._next_look_s = time_s + SURROUNDINGS_S
+            self.looks.append((index, picture.reduced(SURROUNDINGS_PX)))
+        self.times.append(time_s)
+
+
 def analyse_plane(
     inputs: Inputs, span_s: tuple[float | None, float | None], progress: Progress, light: LightParams | None,
-    folds: frozenset[str],
+    folds: frozenset[str], folder: JobFolder | None = None, key: str = "",
 ) -> Pass:  # fmt: skip
     """Every frame's pose over the dominant plane, whose middle is the world's origin.
 
+    folder, key : as of `analyse_clip`
     Raises NothingToDoError: no plane, or a camera that moves and no poses.
     """
     info, camera, maps = inputs.info, inputs.camera, inputs.depth
     assert maps is not None
     reader_path = inputs.poses
-    span = Span(span_s, info.time_base)
-    times: list[float] = []
-    rest, looks = RestCheck(), []
-    next_look_s, analyse_s = -np.inf, 0.0
-    with ClipReader(info) as reader, Ahead(reader.frames()) as frames:
-        for frame in span.inside(frames):
-            start = time.perf_counter()
-            if reader_path is None:
-                rest.step(frame.time_s, frame.luma())
-            if light is not None and frame.time_s >= next_look_s:
-                next_look_s = frame.time_s + SURROUNDINGS_S
-                looks.append((len(times), frame.reduced(SURROUNDINGS_PX)))
-            analyse_s += time.perf_counter() - start
-            span.take(frame)
-            times.append(frame.time_s)
-            progress("analyse", len(times), None)
-        truncated, decode_s = reader.truncated, frames.seconds
-    span.whole &= not truncated
-    span.require_any(info.path)
+    seen = PlaneFold(reader_path is None, light is not None)
+    span, truncated, decode_s, analyse_s = read_clip(info, span_s, seen, progress, folder, key)
+    times, rest = seen.times, seen.rest
     start = time.perf_counter()
     from_start_s = span.from_start_s()
     poses: list[Pose | None]
@@ -139,7 +147,7 @@ def analyse_plane(
     if light is not None:
         meter = LightMeter()
         square = MarkerSpec(ANCHOR, 0, LOOK_M)
-        for k, small in looks:
+        for k, small in seen.looks:
             pose = facts[k].camera_from_world
             if pose is None or min(small.shape[:2]) < 3:
                 continue

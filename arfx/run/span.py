@@ -6,19 +6,22 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
+from arfx.analyse.fold import Fold
 from arfx.errors import NothingToDoError
 from arfx.media.frame import Frame
 
 _ROUNDING_S = 1e-9
 
 
-class Span:
+class Span(Fold):
     """Seconds from the clip's first frame, ends included; None = no end.
 
     pts : presentation times of the frames that were taken, in the clip's time base: who takes a frame calls `take`
     keys : which of them decoding can begin at
     origin : of the clip's first frame;  before : frames of the clip before the span;  whole : it reaches to the clip's end
     """
+
+    given = frozenset({"_start_s", "_end_s", "_time_base"})
 
     def __init__(self, span_s: tuple[float | None, float | None], time_base: Fraction) -> None:
         self._start_s, self._end_s = span_s

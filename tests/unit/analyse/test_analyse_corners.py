@@ -151,6 +151,6 @@ def test_edges_too_poor_to_tell_are_taken_for_light_after_a_while() -> None:
     refiner = EdgeRefiner()
     poor = Candidate("36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]]))
     for k in range(FRAMES):
-        assert refiner.transfer == AUTO and len(refiner.state()["other"]) == k
+        assert refiner.transfer == AUTO and len(refiner.state()["_other"]) == k
         refiner.refine(k, np.full((240, 320), 90, np.uint8), [poor], CAM)
-    assert refiner.transfer == LIGHT and not refiner.state()["other"] and not refiner.corrections()
+    assert refiner.transfer == LIGHT and not refiner.state()["_other"] and not refiner.corrections()

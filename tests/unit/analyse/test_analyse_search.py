@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 from arfx.analyse.analyser import AnalyseParams, Analyser
 from arfx.analyse.detect import MarkerDetector
 from arfx.analyse.tracker import Tracker
+from arfx.core import codec
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
@@ -79,7 +78,7 @@ def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_i
         first, second = Tracker([M.key], AnalyseParams()), Tracker([M.key], AnalyseParams())
         for k in range(stop):
             first.step(k / 30, clip[k], lambda k=k: clip[k + 1])  # type: ignore[misc]
-        second.restore(json.loads(json.dumps(first.state())))
+        second.restore(codec.loads(codec.dumps(first.state())))
         assert seen(second, stop, True) == ahead[stop:]
 
 
@@ -136,7 +135,7 @@ def test_checkpoint_continues_to_the_same_facts() -> None:
     run(whole, 0, 16)
     run(first, 0, 9)
     second = Analyser((M,), CAM)
-    second.restore(json.loads(json.dumps(first.state())))
+    second.restore(codec.loads(codec.dumps(first.state())))
     run(second, 9, 16)
     a, b = whole.finish(), second.finish()
     assert [f.to_json() for f in a.facts] == [f.to_json() for f in b.facts]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import cv2
 import numpy as np
 import pytest
 
 from arfx.analyse.analyser import Analyser, Analysis
-from arfx.analyse.edge_blur import EdgeBlur, side_blurs
+from arfx.analyse.edge_blur import side_blurs
 from arfx.core.colour import SRGB
 from arfx.core.lens_fit import lens_from_blur
 from arfx.core.pose import Pose, rotation_from_euler_deg
@@ -53,15 +51,6 @@ def test_a_shallow_focus_is_found_and_every_frame_is_told() -> None:
     assert fit["known"] and fit == found.facts[20].extra["footage_lens"] == found.summary["footage_lens"]
     assert fit["focus"] == pytest.approx(1 / 0.45, abs=0.12) and abs(fit["focus"] - 1 / 0.45) < 1.5 * fit["focus_ci95"]
     assert fit["px_per_dioptre"] == pytest.approx(3.2, rel=0.12)
-
-
-def test_a_checkpoint_keeps_what_was_measured() -> None:
-    one, two = EdgeBlur(), EdgeBlur()
-    one.readings = [(3, MARKER.key, np.array([0.5, np.nan, 1.0, 0.7]), np.eye(4)[:, :2])]
-    two.restore(json.loads(json.dumps(one.state())))
-    assert two.readings[0][:2] == (3, MARKER.key)
-    np.testing.assert_array_equal(two.readings[0][2], one.readings[0][2])
-    np.testing.assert_array_equal(two.readings[0][3], one.readings[0][3])
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -186,16 +184,6 @@ def test_smoothing_sees_both_ways() -> None:
     assert abs(float(light.sphere.interpolate(maps[-1][0], UP[0])[0]) - 0.5) < 0.01
     deviation = [float(np.sqrt(light.sphere.interpolate(v, side[0])[0])) for _, v in maps]
     assert deviation[0] > deviation[29] > deviation[45]
-
-
-def test_state_survives_json() -> None:
-    light = LightMap()
-    light.add(UP, np.full((1, 3), 0.5), np.full((1, 3), 1e-6))
-    light.add(UP, np.full((1, 3), np.nan), np.full((1, 3), 1e-6))
-    other = LightMap()
-    other.restore(json.loads(json.dumps(light.state())))
-    assert (other.value == light.value).all() and (other.variance == light.variance).all()
-    assert (other.age_s == light.age_s).all() and other.ignored == 1
 
 
 def test_unknown_formula_is_named() -> None:

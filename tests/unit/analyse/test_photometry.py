@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 
 import cv2
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.detect import MarkerDetector
-from arfx.analyse.photometry import WHITE, Patches, cells, measure, stack
+from arfx.analyse.photometry import WHITE, cells, measure, stack
 from arfx.core.colour import SRGB
 
 INK, PAPER = 0.05, 0.88
@@ -175,11 +174,8 @@ def test_blur_leads_away_from_the_edges() -> None:
     assert (np.abs(far.mean - expected()) < 3 * np.sqrt(far.variance)).all()
 
 
-def test_stack_and_json() -> None:
+def test_stack() -> None:
     p = measure(rendered(), (0, 0), QUAD, cells("36h11", 3))
-    again = Patches.from_json(json.loads(json.dumps(p.to_json())))
-    for name in ("mean", "variance", "white", "count", "clipped", "highlight"):
-        assert np.array_equal(getattr(p, name), getattr(again, name))
     intensity, variance, clipped = stack([p, None])
     assert np.array_equal(intensity[0], p.mean) and np.isnan(intensity[1]).all() and np.isnan(variance[1]).all()
     assert clipped.shape == (2, 8)
