@@ -73,10 +73,11 @@ def write_clip(
     codec: str = "libx264",
     pixel_format: str = "yuv420p",
     audio: bool = False,
+    container: dict[str, str] | None = None,
 ) -> Path:
     """A clip whose frame i shows the marker at pose_at(i), except in `absent`."""
     camera = camera or clip_camera()
-    with av.open(str(path), "w") as out:
+    with av.open(str(path), "w", container_options=container or {}) as out:
         stream = out.add_stream(codec, rate=30)
         stream.width, stream.height, stream.pix_fmt = camera.width, camera.height, pixel_format
         stream.time_base = stream.codec_context.time_base = time_base

@@ -121,7 +121,8 @@ class Checkpoint:
             saved = codec.loads(self._path.read_bytes())
         except (OSError, ValueError):
             return None
-        return saved["state"] if saved["of"] == self._of else None
+        right = isinstance(saved, dict) and saved.get("of") == self._of and isinstance(saved.get("state"), dict)
+        return saved["state"] if right else None
 
     def due(self) -> bool:
         return time.monotonic() - self._last > CHECKPOINT_S * max(self._cost_s, 1.0)
