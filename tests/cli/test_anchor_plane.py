@@ -8,7 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.files import write_facts
+from arfx.analyse.lighting_params import LightParams
+from arfx.config.load import load
+from arfx.core import codec
 from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg
+from arfx.run import analysis
+from arfx.run.folder import JobFolder
+from arfx.run.inputs import open_inputs
+from arfx.run.parameters import parameters
+from arfx.run.real_scene import analyse_plane
 from tests.cli.conftest import Material, Run
 from tests.cli.test_process import frames
 from tests.clips import SIZE, clip_camera, write_clip
@@ -70,6 +79,37 @@ def test_given_poses_hold_it_in_place(material: Material, still: Path, arfx: Run
     plain = frames(still)[0][1].astype(float)
     at = [np.argwhere(np.abs(f.astype(float) - plain).max(-1) > 40).mean(0)[1] for _, f in frames(tmp_path / "out.mkv")]
     assert 12 < at[0] - at[15] < 30
+
+
+def test_an_interrupted_analysis_leaves_the_same_bytes(
+    material: Material, still: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(analysis, "CHECKPOINT_S", -1.0)
+    cv2.imwrite(str(tmp_path / "one.png"), depth_map())
+    document = {
+        "input": {"clip": str(still), "camera": str(material.camera), "depth": str(tmp_path / "one.png")},
+        "model": {"file": str(material.model), "fit": "8cm", "anchor": "plane"}, "output": {"path": str(tmp_path / "out.mp4")},
+    }  # fmt: skip
+    inputs = open_inputs(load(None, document, parameters()))
+    light = LightParams()
+
+    def analysed(job: Path, stop: int | None) -> tuple[bytes, list[int]]:
+        def progress(phase: str, done: int, total: int | None) -> None:
+            if done == stop:
+                raise KeyboardInterrupt
+
+        done = analyse_plane(inputs, (None, None), progress, light, frozenset({"environment"}), JobFolder(job), "key")
+        write_facts(tmp_path / "facts.jsonl", done.analysis.facts, done.analysis)
+        return (tmp_path / "facts.jsonl").read_bytes(), done.span.pts
+
+    whole = analysed(tmp_path, None)
+    (tmp_path / "analysis.checkpoint").unlink()
+    for stop in (2, 9, 17):
+        with pytest.raises(KeyboardInterrupt):
+            analysed(tmp_path, stop)
+        saved = codec.loads((tmp_path / "analysis.checkpoint").read_bytes())
+        assert len(saved["state"]["fold"]["times"]) == stop - 1
+    assert analysed(tmp_path, None) == whole
 
 
 @pytest.mark.parametrize(

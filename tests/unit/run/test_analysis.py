@@ -69,12 +69,12 @@ def written(done: Pass, path: Path) -> tuple[Any, ...]:
     return path.read_bytes(), done.span.pts, done.span.keys, done.span.whole, done.truncated
 
 
-EVERYTHING: frozenset[str] = frozenset({"flow", "environment", "lens"})
+ASKED: frozenset[str] = frozenset({"environment", "lens"})
 
 
 @pytest.mark.parametrize(
     ("make", "folds", "stops"),
-    [(gap, EVERYTHING, (2, 3, 13, 23, 39)), (cut_short, frozenset(), (5, 21)), (begins_again, frozenset(), (2, 6))],
+    [(gap, ASKED, (2, 3, 13, 23, 39)), (cut_short, frozenset(), (5, 21)), (begins_again, frozenset(), (2, 6))],
     ids=lambda v: getattr(v, "__name__", ""),
 )
 def test_an_interrupted_analysis_leaves_the_same_bytes(
