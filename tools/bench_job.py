@@ -124,7 +124,7 @@ def arfx_command(clip: Path, model: Path, lens: Path, out: Path, workers: int | 
     # the ball is a tenth of the frame: pi r^2 = COVERED of it at the marker's distance
     diameter_mm = 2e3 * float(np.sqrt(COVERED * WIDTH * HEIGHT / np.pi)) * DISTANCE_M / FOCAL_PX * 0.93
     return [
-        sys.executable, "-m", "arfx_cli.main", "process", str(clip), "--camera", str(lens), "--marker", str(MARKER),
+        sys.executable, "-m", "arfx_cli", "process", str(clip), "--camera", str(lens), "--marker", str(MARKER),
         "--model", str(model), "--fit", f"{diameter_mm:.1f}mm", "-o", str(out), "--overwrite", "--json", *more,
     ]  # fmt: skip
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from arfx.analyse.files import read_facts
 from arfx.config.load import load
+from arfx.core import interrupt
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError, NothingToDoError
@@ -63,6 +64,7 @@ def verify(
     output = work / "out.mkv"  # lossless, so that what is judged does not depend on an encoder's settings
     config = load(made / "job.toml", {"output": {"path": str(output), "codec": "ffv1"}}, parameters())
     report = process(config, Options(work / "job", overwrite=True, workers=workers, progress=progress, notice=notice))
+    interrupt.go_on()
     job = JobFolder(work / "job")
     facts = list(read_facts(job.facts))
     if len(facts) != len(truth.frames):

@@ -14,6 +14,7 @@ import av
 import cv2
 import numpy as np
 
+from arfx.core.places import check_name
 from arfx.errors import InputError
 from arfx.media.containers import check_size, open_video
 
@@ -84,6 +85,7 @@ class DepthPages:
 
     def stored(self, number: int) -> np.ndarray:
         """(h, w[, channels]) as stored. Raises InputError where the page cannot be read."""
+        check_name(self.path)
         done, pages = cv2.imreadmulti(str(self.path), number, 1, flags=cv2.IMREAD_UNCHANGED)
         if not done or len(pages) != 1:
             raise InputError(f"depth {self.path}: page {number} cannot be read", "TIFF with 16-bit or float pages")

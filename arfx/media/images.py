@@ -13,6 +13,7 @@ import av
 import numpy as np
 
 from arfx.core.colour import SRGB, Transfer
+from arfx.core.places import check_name
 from arfx.errors import InputError, RenderError
 
 
@@ -56,6 +57,7 @@ def load_image(path: Path, transfer: Transfer = SRGB) -> np.ndarray:
         except (av.error.FFmpegError, StopIteration) as e:
             raise InputError(f"{path} cannot be read as an EXR image: {e}") from e
         return np.repeat(a[..., None], 3, -1) if a.ndim == 2 else np.ascontiguousarray(a[..., :3])
+    check_name(path)
     raw: np.ndarray | None = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if raw is None:
         raise InputError(f"{path} cannot be read as an image", "PNG, JPEG, TIFF, HDR or EXR")

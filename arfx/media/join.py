@@ -20,6 +20,7 @@ from typing import Any
 
 import av
 
+from arfx.core import interrupt
 from arfx.core.opener import av_name
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
@@ -64,7 +65,8 @@ def join_chunks(
         remove_output(part)
         order = _order_of(chunks, len(pts))
         _remux(chunks, pts, order, plan, info, part, start_s, end_s)
-        part.replace(out)
+        with interrupt.completing():
+            part.replace(out)
     except (av.error.FFmpegError, OSError, ValueError) as e:
         _forget(part)
         raise write_failed(out, e) from e
@@ -225,14 +227,15 @@ def _join_folders(chunks: Sequence[Path], count: int, out: Path) -> None:
         if images != count:
             raise RenderError(f"the chunks hold {images} images, the clip has {count} frames", "render the job again")
         (part / "times.txt").write_text("".join(times))
-        if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
-            folder.rmdir()
-        if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step
-            for f in part.iterdir():
-                f.replace(folder / f.name)
-            part.rmdir()
-        else:
-            part.replace(folder)
+        with interrupt.completing():
+            if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
+                folder.rmdir()
+            if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step
+                for f in part.iterdir():
+                    f.replace(folder / f.name)
+                part.rmdir()
+            else:
+                part.replace(folder)
     except OSError as e:
         _forget(part)
         raise write_failed(out, e) from e

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Generic, TypeVar
 
+from arfx.core import interrupt
+
 T = TypeVar("T")
 _LOOK_S = 0.05  # how soon a thread whose items nobody takes any more sees that
 
@@ -37,7 +39,8 @@ class Ahead(Generic[T]):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None) -> None:
         self._left.set()
-        self._thread.join()
+        with interrupt.held():  # what it reads from is closed behind this
+            self._thread.join()
 
     def __iter__(self) -> Ahead[T]:
         return self
@@ -91,8 +94,9 @@ class Behind(Generic[T]):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None) -> None:
         self._left = kind is not None
-        self._waiting.put(None)
-        self._thread.join()
+        with interrupt.held():
+            self._waiting.put(None)
+            self._thread.join()
         if kind is None and self._error is not None:
             raise self._error
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import itertools
 import os
 import queue
-import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from arfx.core import interrupt
 from arfx.errors import RenderError
 from arfx.run.chunks import stretches, taken
 from arfx.run.source import release
@@ -90,10 +90,10 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
 
 
 def _start(counter: Any) -> None:
-    """In each worker: leave Ctrl-C to the parent, and keep libraries from starting a thread per core each."""
+    """In each worker: leave Ctrl-C to the parent, end with it, and keep libraries from starting a thread per core each."""
     global _counter
     _counter = counter
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    interrupt.in_worker()
     import cv2
 
     cv2.setNumThreads(1)
@@ -127,7 +127,8 @@ def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int],
         os.environ.setdefault(name, "1")
     pool = futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(counter,))
     try:
-        waiting = {pool.submit(_render, task) for task in tasks}
+        with interrupt.starting_workers():
+            waiting = {pool.submit(_render, task) for task in tasks}
         while waiting:
             ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
             progress(counter.value)

@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ from arfx.analyse.files import read_facts, write_facts
 from arfx.analyse.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
+from arfx.core import interrupt
 from arfx.core.cost import Prices, load_prices
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
@@ -352,31 +352,18 @@ def _join(planned: Planned, chunks: list[Chunk]) -> None:
 
 @contextlib.contextmanager
 def _interruptible(folder: JobFolder) -> Iterator[Callable[[], None]]:
-    """Ctrl-C and disk errors in the body become one message. Yields a check to be called often: a library may swallow
-    the KeyboardInterrupt that is raised inside one of its callbacks, so it is raised again there."""
-    pressed = False
-
-    def handler(*_: object) -> None:
-        nonlocal pressed
-        pressed = True
-        raise KeyboardInterrupt
-
-    def check() -> None:
-        if pressed:
-            raise KeyboardInterrupt
-
-    here = threading.current_thread() is threading.main_thread()
-    ours = here and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if ours:
-        signal.signal(signal.SIGINT, handler)
-    try:
-        yield check
-    except KeyboardInterrupt:
-        raise JobInterruptedError(
-            f"interrupted; what is done is kept in {folder.path}", "the same command with --resume goes on"
-        ) from None
-    except OSError as e:
-        raise disk_error(e, Path(e.filename) if e.filename else folder.path) from None
-    finally:
-        if ours:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Signals and disk errors in the body become one message. Yields a check to be called often."""
+    with interrupt.caught((signal.SIGINT,)):
+        try:
+            interrupt.go_on()
+            yield interrupt.check
+        except (KeyboardInterrupt, Exception) as e:
+            if interrupt.came() or isinstance(e, KeyboardInterrupt):  # whatever a library has made of it
+                error = JobInterruptedError(
+                    f"{interrupt.cause()}; what is done is kept in {folder.path}", "the same command with --resume goes on"
+                )
+                error.exit_code = interrupt.exit_code() or error.exit_code
+                raise error from None
+            if isinstance(e, OSError):
+                raise disk_error(e, Path(e.filename) if e.filename else folder.path) from None
+            raise

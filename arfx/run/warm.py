@@ -27,7 +27,7 @@ QUICK = ("draft", "standard")  # levels whose frame is made sooner than a clip i
 
 @contextlib.contextmanager
 def warming(config: JobConfig, inputs: Inputs, wanted: bool) -> Iterator[None]:
-    """Warm up while the body runs; the end waits for it. wanted : False = do nothing."""
+    """Warm up while the body runs; the end waits for it, but one who stops the job does not. wanted : False = do nothing."""
     if not wanted:
         yield
         return
@@ -35,8 +35,10 @@ def warming(config: JobConfig, inputs: Inputs, wanted: bool) -> Iterator[None]:
     thread.start()
     try:
         yield
-    finally:
+    except Exception:
         thread.join()
+        raise
+    thread.join()
 
 
 def _quietly(config: JobConfig, inputs: Inputs) -> None:

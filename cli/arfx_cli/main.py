@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import gc
 import importlib
 import os
-import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import click
 
 from arfx import __version__
-from arfx.errors import ArfxError
+from arfx.core import interrupt
+from arfx.core.places import check_name
+from arfx.errors import ArfxError, JobInterruptedError
 
-# A tenth of a short command went into looking for garbage among the libraries' own objects: several times while they are
-# imported, and again at exit, where it all goes anyway.
+# A tenth of a short command went into looking for garbage among the libraries' own objects, while they are imported.
 _OBJECTS_BETWEEN_COLLECTIONS = 200_000
-atexit.register(gc.freeze)
 
 # command -> (module, one-line help). The module is imported only when its command runs.
 COMMANDS = {
@@ -39,7 +38,8 @@ COMMANDS = {
 }
 EXIT_CODES = (
     "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to work on; "
-    "5 rendering failed; 130 interrupted, resumable."
+    "5 rendering failed; 130 interrupted (Ctrl-C), 143 stopped by SIGTERM, 129 by SIGHUP: these three resumable. "
+    "A signal that comes when the output is complete changes nothing: exit 0. A second one ends arfx at once."
 )
 
 
@@ -52,7 +52,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), "command")  # noqa: B009
+        with interrupt.held():
+            command: click.Command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), "command")  # noqa: B009
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -81,46 +82,53 @@ def cli() -> None:
     """
 
 
-def _terminated(*_: object) -> None:
-    """Leave by the way on which temporary folders are removed."""
-    sys.exit(143)
-
-
 def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point. Exits with the codes of EXIT_CODES; ARFX_DEBUG=1 shows tracebacks."""
-    debug = os.environ.get("ARFX_DEBUG") == "1"
+    """Run a command. Exits with the codes of EXIT_CODES; ARFX_DEBUG=1 shows tracebacks."""
     # numpy's own threads wait by spinning: beside rendering threads they took a third of the processor, for small matrices
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with contextlib.suppress(ValueError):  # not the main thread
-        signal.signal(signal.SIGTERM, _terminated)
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS, 10, 100)
-    try:
-        code = cli.main(args=list(sys.argv[1:] if argv is None else argv), prog_name="arfx", standalone_mode=False)
-    except ArfxError as e:
-        if debug:
-            raise
-        click.echo(f"error: {e}", err=True)
-        sys.exit(e.exit_code)
-    except click.ClickException as e:
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    with interrupt.caught():
+        try:
+            for name in arguments:
+                check_name(name)
+            if not {"-h", "--help", "--version"} & set(arguments):
+                with contextlib.suppress(OSError):  # a folder that is no more
+                    check_name(Path.cwd())
+            code = cli.main(args=arguments, prog_name="arfx", standalone_mode=False)
+            with interrupt.completing():  # a signal that came before counts, also one that a library swallowed
+                pass
+        except (Exception, KeyboardInterrupt) as e:
+            code = _said(e)
+        interrupt.settle()
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _said(e: BaseException) -> int:
+    """Say what went wrong in one message. Returns the exit code; raises `e` again where tracebacks are wanted."""
+    if interrupt.came() and not isinstance(e, JobInterruptedError):  # whatever a library has made of it
+        e = KeyboardInterrupt()
+    debug = os.environ.get("ARFX_DEBUG") == "1"
+    if isinstance(e, (KeyboardInterrupt, click.Abort)):
+        code = interrupt.exit_code() or 130
+        click.echo(interrupt.cause(), err=True)
+        return code
+    if isinstance(e, click.ClickException):
         e.show()
-        sys.exit(e.exit_code)
-    except (KeyboardInterrupt, click.Abort):
-        click.echo("interrupted", err=True)
-        sys.exit(130)
-    except BrokenPipeError:
-        sys.exit(0)
-    except OSError as e:
-        if debug:
-            raise
+        return e.exit_code
+    if debug:
+        raise e
+    if isinstance(e, ArfxError):
+        click.echo(f"error: {e}", err=True)
+        return e.exit_code
+    if isinstance(e, OSError):
         click.echo(f"error: {e.strerror or e}{f': {e.filename}' if e.filename else ''}", err=True)
-        sys.exit(5)
-    except Exception as e:  # a fault of arfx itself: one message all the same
-        if debug:
-            raise
+    else:  # a fault of arfx itself: one message all the same
         click.echo(f"error: arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it", err=True)
-        sys.exit(5)
-    sys.exit(code if isinstance(code, int) else 0)
+    return 5
 
 
 if __name__ == "__main__":
-    main()
+    from arfx_cli.__main__ import start
+
+    start()

@@ -62,7 +62,7 @@ def arfx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Run:
         if not (apart or env):
             return here(list(args), cwd or tmp_path)
         p = subprocess.run(
-            [sys.executable, "-m", "arfx_cli.main", *args], cwd=cwd or tmp_path, capture_output=True, text=True,
+            [sys.executable, "-m", "arfx_cli", *args], cwd=cwd or tmp_path, capture_output=True, text=True,
             env={**os.environ, **(env or {})}, check=False, timeout=300,
         )  # fmt: skip
         return Result(p.returncode, p.stdout, p.stderr)

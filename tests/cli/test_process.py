@@ -114,7 +114,7 @@ def test_workers_and_threads_give_the_same_bytes(material: Material, arfx: Run, 
 def test_a_killed_job_resumes_and_gives_the_same_bytes(material: Material, arfx: Run, tmp_path: Path) -> None:
     whole = arfx(*material.arguments("-o", "whole.mp4", "--workers", "1"), apart=True)
     assert whole.code == 0, whole.err
-    command = [sys.executable, "-m", "arfx_cli.main", *material.arguments("-o", "out.mp4", "--workers", "1")]
+    command = [sys.executable, "-m", "arfx_cli", *material.arguments("-o", "out.mp4", "--workers", "1")]
     chunks = tmp_path / "out.mp4.job" / "chunks"
 
     def finished() -> list[str]:
@@ -147,7 +147,7 @@ def test_a_killed_job_resumes_and_gives_the_same_bytes(material: Material, arfx:
 
 @pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_leaves_a_resumable_job(material: Material, arfx: Run, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "arfx_cli.main", *material.arguments("-o", "out.mp4", "--workers", "2")]
+    command = [sys.executable, "-m", "arfx_cli", *material.arguments("-o", "out.mp4", "--workers", "2")]
     p = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     limit = time.monotonic() + 120
     while not (tmp_path / "out.mp4.job" / "plan.jsonl").exists() and p.poll() is None and time.monotonic() < limit:

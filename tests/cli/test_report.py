@@ -19,9 +19,7 @@ def job(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("reported")
     arguments = material.arguments("-o", "out.mp4", "--job", "job", "--report", "rep", "--end", "0.6s")
-    done = subprocess.run(
-        [sys.executable, "-m", "arfx_cli.main", *arguments], cwd=folder, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-m", "arfx_cli", *arguments], cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return folder
 

@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("synth")
     (folder / "scene.toml").write_text(SCENE)
-    command = [sys.executable, "-m", "arfx_cli.main", "synth", "scene.toml", "-o", "out", "--json"]
+    command = [sys.executable, "-m", "arfx_cli", "synth", "scene.toml", "-o", "out", "--json"]
     p = subprocess.run(command, cwd=folder, capture_output=True, text=True, env={**os.environ}, check=False, timeout=300)
     assert p.returncode == 0, p.stderr
     (folder / "stdout.json").write_text(p.stdout)

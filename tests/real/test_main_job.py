@@ -34,7 +34,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
         "process", str(CLIPS / "fieldvideo_long.mp4"), "--camera", str(CLIPS / "camera.json"), "--marker", "36h11:3:165.1mm",
         "--marker", "36h11:4:165.1mm", "--model", str(DUCK), "--fit", "15cm", "-o", str(d / "out.mp4"), "--json",
     ]  # fmt: skip
-    p = subprocess.run([sys.executable, "-m", "arfx_cli.main", *args], capture_output=True, text=True, check=False)
+    p = subprocess.run([sys.executable, "-m", "arfx_cli", *args], capture_output=True, text=True, check=False)
     assert p.returncode == 0, p.stderr
     return json.loads(p.stdout), d / "out.mp4"
 

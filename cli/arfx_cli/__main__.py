@@ -1,0 +1,35 @@
+"""Starts the command: signals are caught and streams made safe before anything heavy is imported.
+
+The process ends here too, with the exit code alone: nothing that goes on in libraries while Python is taken down changes it.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from arfx.core import interrupt
+from arfx_cli import streams
+
+
+def start() -> None:
+    """The `arfx` command. Does not return."""
+    interrupt.catch()
+    streams.make_safe()
+    code: Any = 1
+    try:
+        with interrupt.held():  # what is imported by halves may fail later, with another message
+            from arfx_cli.main import main
+        main()
+    except SystemExit as e:
+        code = e.code
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{interrupt.cause()}\n")
+        code = interrupt.exit_code() or 130
+    except BaseException:  # ARFX_DEBUG
+        sys.excepthook(*sys.exc_info())
+    interrupt.leave(streams.closing_code(code if isinstance(code, int) else int(code is not None)))
+
+
+if __name__ == "__main__":
+    start()
