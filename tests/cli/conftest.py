@@ -51,6 +51,18 @@ class Result:
 Run = Callable[..., Result]
 
 
+def at_a_moment(
+    folder: Path, phase: str, call: int, number: int, arguments: list[str], group: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """Runs the command in `folder` and a session of its own; at the call of the progress of `phase` with this number, from 1,
+    it sends the signal to itself, or to all of its processes. Returns when none of them is left that holds standard error."""
+    command = [sys.executable, str(Path(__file__).with_name("at_a_moment.py")), phase, str(call), str(int(number))]
+    return subprocess.run(
+        [*command, "group" if group else "self", *arguments], cwd=folder, capture_output=True, text=True, check=False,
+        timeout=300, start_new_session=True,
+    )  # fmt: skip
+
+
 @pytest.fixture
 def arfx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Run:
     """Runs the command in this process, or, with `apart` or an environment of its own, in one that it has to itself.
