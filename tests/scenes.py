@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from arfx.core.camera import Camera
@@ -13,8 +15,9 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Placement, Scene
 
 
+@cache
 def box_model(size: float = 1.0, material: Material | None = None) -> Model:
-    """An axis-aligned cube with flat normals, z up."""
+    """An axis-aligned cube with flat normals, z up. One and the same each time: what stages keep of a model is made once."""
     faces, vertices, normals = [], [], []
     for axis in range(3):
         for sign in (-1, 1):

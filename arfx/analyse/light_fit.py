@@ -212,8 +212,12 @@ def paper_lights(light_map: np.ndarray, level: int, threshold: float, epsilon_de
     sphere = icosphere(level)
     upper = sphere.centres[:, 2] >= 0
     n, M = sphere.centres[upper], values[sphere.faces[upper]].mean(1)
-    near = n @ n.T > np.cos(np.radians(epsilon_deg))
-    np.fill_diagonal(near, False)
-    rival = np.where(near, M[None], -np.inf).max(1)
-    peak = (threshold < M) & (rival < M)
-    return n[peak][np.argsort(-M[peak], kind="stable")]
+    free, peaks = threshold < M, []
+    for i in np.argsort(-M, kind="stable"):
+        if free[i]:  # not yet close to one that is as bright: few are, and only theirs are compared with all
+            near = n @ n[i] > np.cos(np.radians(epsilon_deg))
+            near[i] = False
+            if (M[near] < M[i]).all():
+                peaks.append(i)
+            free &= ~near | (M[i] < M)
+    return n[peaks]

@@ -13,6 +13,7 @@ from arfx.core.layers import Layer, Layers, Patch
 from arfx.core.model import Material
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
+from arfx.core.stage import Window, level_named
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import run_frame
 from arfx.stages import STAGES
@@ -59,7 +60,7 @@ def shot(kind: str = "plain", width: int = 320, height: int = 240, fit_m: float 
 def compose(s: Scene, f: FrameFacts, plate: np.ndarray) -> Shot:
     """Run the stages before dof on the whole frame."""
     stages = {name: STAGES[name]() for name in MAKING}
-    levels = {name: stages[name].levels[-2 if name == "raster" else -1] for name in MAKING}
+    levels = {name: level_named(stages[name].levels, "high" if name == "raster" else "standard") for name in MAKING}
     plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect, skip=False)
     prepared = {name: stages[name].prepare(s, levels[name]) for name in MAKING}
     made = run_frame(plate, f, plan, s, stages, levels, prepared)
@@ -71,7 +72,6 @@ def blurred(at: Shot, level: str, seconds: list[float] | None = None, **params: 
     """IMAGE (h, w, 3) of dof over the whole frame."""
     import time
 
-    from arfx.core.stage import Window, level_named
     from arfx.run.frame import rng_for
 
     stage = Dof(DofParams(**params))  # type: ignore[arg-type]

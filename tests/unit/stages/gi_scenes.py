@@ -33,6 +33,7 @@ LAMP = Light((0.4, 0.4, 0.4), (DirectionalLight((0.5, 0.5, 0.7), (0.5, 0.5, 0.5)
 CAMERA = Camera(160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]))
 
 
+@cache
 def ball(material: Material, subdivisions: int = 3) -> Model:
     b = trimesh.creation.icosphere(subdivisions=subdivisions)
     part = Part(np.array(b.vertices), np.array(b.faces, np.int32), np.array(b.vertices), material)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,9 @@ RADIUS_M = 0.06
 DARK = Light((0.0, 0.0, 0.0), ())
 
 
+@cache
 def ball_model(subdivisions: int = 4) -> Model:
-    """A ball of 20 x 4^subdivisions triangles, normals of the true sphere."""
+    """A ball of 20 x 4^subdivisions triangles, normals of the true sphere. One model, whose ambient shadow is made once."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     part = Part(np.array(ball.vertices), np.array(ball.faces, np.int32), np.array(ball.vertices), Material(specular=0.0))
     return Model((part,), up="z", source="ball")
