@@ -112,7 +112,7 @@ def calibrate(
     limit_s : after this the scenes that are left are passed over (what has runs is fitted)
     output : time what is not a stage's too: editing planes, encoding, joining
     """
-    workers, threads = default_workers(1, True)
+    workers, threads = default_workers(1)
     crowd = min(workers, MOST_THREADS) if threads else 1
     began = time.perf_counter()
     timed: dict[str, Runs] = defaultdict(Runs)

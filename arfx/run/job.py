@@ -87,7 +87,6 @@ class Planned:
     log: WorkLog
     plan_s: float = 0.0
     stage_names: list[str] = field(default_factory=list)
-    any_thread: bool = True  # no stage is bound to the thread that prepared it
     prices: Prices = field(default_factory=Prices)
     levels: dict[str, Any] = field(default_factory=dict)  # how they were chosen
     predicted: dict[str, Any] = field(default_factory=dict)  # seconds of the whole job
@@ -128,14 +127,14 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     return report
 
 
-def default_workers(pixels: int, any_thread: bool) -> tuple[int, bool]:
+def default_workers(pixels: int) -> tuple[int, bool]:
     """How many workers, and whether they are threads of this process: one per usable core.
 
-    Threads where the stages allow it and the cores are few; else processes, but one only for a short job, in which
-    starting others would take longer than they save.
+    Threads where the cores are few; else processes, but one only for a short job, in which starting others would take
+    longer than they save.
     """
     cores = usable_cores()
-    if any_thread and cores <= MOST_THREADS:
+    if cores <= MOST_THREADS:
         return cores, True
     return (cores if pixels > SHORT_JOB_PX else 1), False
 
@@ -209,10 +208,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         [RealPlane.from_json(p) for p in meta["real_planes"]],
     )  # fmt: skip
     start = time.perf_counter()
-    any_thread = not any(getattr(s, "one_thread", False) for s in stages.values())
-    planned = Planned(
-        inputs, folder, job_key, analysis_key, facts, [], scene, meta, log, 0.0, list(stages), any_thread, load_prices()
-    )
+    planned = Planned(inputs, folder, job_key, analysis_key, facts, [], scene, meta, log, 0.0, list(stages), load_prices())
     terms = _terms(planned, options)
     if fresh:
         choose(planned, stages, wish, errors, terms, options.notice)
@@ -228,7 +224,7 @@ def _terms(planned: Planned, options: Options) -> Terms:
     spent = planned.log.spent(planned.analysis_key, [])
     workers, threads = options.workers, False
     if workers is None:
-        workers, threads = default_workers(frames * inputs.camera.rect.area, planned.any_thread)
+        workers, threads = default_workers(frames * inputs.camera.rect.area)
     workers = max(min(workers, len(borders(frames))), 1)
     decode_s = spent.seconds.get("decode", 0.0)
     return Terms(
@@ -327,7 +323,7 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
     progress(0)
     workers, threads = options.workers, False
     if workers is None:
-        workers, threads = default_workers(total * planned.inputs.camera.rect.area, planned.any_thread)
+        workers, threads = default_workers(total * planned.inputs.camera.rect.area)
     workers = min(workers, len(tasks))
     if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
         context = open_context(str(folder.path), planned.key)

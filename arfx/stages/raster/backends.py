@@ -1,7 +1,6 @@
 """Which back ends exist, which open here, and why not.
 
-Probing OpenGL opens a context in this process, which it then keeps (one context per process, FINDINGS.md); nothing is
-probed before it is asked for.
+Probing OpenGL opens a context in this process, which keeps it; nothing is probed before it is asked for.
 """
 
 from __future__ import annotations
@@ -71,11 +70,6 @@ def choose_backend(wanted: str = "auto") -> Backend:
     from arfx.stages.raster.gl import GlRenderer
 
     return Backend("pyrender", GlRenderer, GL_SAMPLES)
-
-
-def may_use_opengl(wanted: str) -> bool:
-    """Could `choose_backend` return OpenGL? Opens nothing."""
-    return wanted == "pyrender" or (wanted == "auto" and _graphics_card())
 
 
 def _graphics_card() -> bool:

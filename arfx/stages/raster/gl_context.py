@@ -1,8 +1,8 @@
-"""The one OpenGL context of this process: EGL, else OSMesa, through pyrender's platforms.
+"""The one OpenGL context of this process, EGL, else OSMesa, through pyrender's platforms, and the one thread that uses it.
 
-FINDINGS.md says why each odd line is here: PyOpenGL fixes its platform at import; pyrender's viewer would pull in pyglet and
-a display; OSMesa recompiles shaders every frame unless its context is an int; deleting one context kills the others, and
-none survives a fork. So the context is opened once, kept, and never deleted.
+A context is current in one thread at a time: all OpenGL work of a process is handed to a single thread, whoever asks.
+The context is opened on first use, stays current there, and is never deleted: EGL's displays are shared, so that ending one
+ends others, and a driver may be unloaded before Python is done. A spawned process opens its own; none survives a fork.
 """
 
 from __future__ import annotations
@@ -11,10 +11,15 @@ import ctypes
 import os
 import sys
 import types
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from arfx.errors import RenderError
+
+Made = TypeVar("Made")
 
 FIX = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6), or use the rays back end, which needs no OpenGL"
 _LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
@@ -22,29 +27,50 @@ _LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",
 
 @dataclass
 class GlContext:
-    """pyrender : the module;  platform : its EGL or OSMesa platform, current in this thread;  detail : for reports
+    """pyrender : the module;  platform : its EGL or OSMesa platform;  detail : for reports
     software : rendered by the processor (llvmpipe and its kin)
     """
 
     pyrender: Any
     platform: Any
     detail: str
-    pid: int
     software: bool = True
-
-    def make_current(self) -> None:
-        """Raises RenderError in a forked child: the driver would hang."""
-        if self.pid != os.getpid():
-            raise RenderError("an OpenGL context was carried into a forked process", "start workers with the spawn method")
-        self.platform.make_current()
 
 
 _context: GlContext | None = None
 _failure = ""
+_thread = ThreadPoolExecutor(1, "opengl")  # starts with the first work; Python's end waits for the draw that it is at
+_discarded: deque[Callable[[], None]] = deque()
+_pid = os.getpid()
+
+
+def on_gl_thread(work: Callable[..., Made], *args: Any) -> Made:
+    """work(*args) on the thread that has the context; returns what it returns, raises what it raises.
+
+    Not to be called from that thread. Raises RenderError in a forked process, which has neither thread nor context.
+    """
+    if _pid != os.getpid():
+        raise RenderError("OpenGL was carried into a forked process", "start workers with the spawn method")
+    return _thread.submit(_after_discarded, work, args).result()
+
+
+def discard(free: Callable[[], None]) -> None:
+    """Call `free` on the OpenGL thread before its next work. Takes no lock: a finalizer may run anywhere."""
+    _discarded.append(free)
+
+
+def _after_discarded(work: Callable[..., Made], args: tuple[Any, ...]) -> Made:
+    while _discarded:
+        _discarded.popleft()()
+    return work(*args)
 
 
 def open_context() -> GlContext:
     """The context of this process, opened on first use. Raises RenderError with what each platform answered."""
+    return on_gl_thread(_opened)
+
+
+def _opened() -> GlContext:
     global _context, _failure
     if _context is not None:
         return _context
@@ -79,8 +105,8 @@ def _missing(name: str) -> str:
 
 
 def _open(name: str) -> GlContext:
-    os.environ["PYOPENGL_PLATFORM"] = name
-    if "pyrender.viewer" not in sys.modules:
+    os.environ["PYOPENGL_PLATFORM"] = name  # PyOpenGL looks at it once, when it is imported
+    if "pyrender.viewer" not in sys.modules:  # the real one imports pyglet, which wants a display
         stub = types.ModuleType("pyrender.viewer")
         stub.Viewer = None  # type: ignore[attr-defined]
         stub.__all__ = ["Viewer"]  # type: ignore[attr-defined]
@@ -109,10 +135,12 @@ def _open(name: str) -> GlContext:
     renderer = GL.glGetString(GL.GL_RENDERER) or b""
     software = any(word in renderer.decode().lower() for word in ("llvmpipe", "softpipe", "swrast", "software"))
     detail = f"{name}, OpenGL {version.decode()}, {renderer.decode()}"
-    return GlContext(pyrender, platform, detail, os.getpid(), software)
+    platform.delete_context = lambda: None  # its __del__ would call it at Python's end
+    return GlContext(pyrender, platform, detail, software)
 
 
 def _plain_context_ids(contextdata: Any) -> None:
+    """Make OSMesa's contexts ints: pyrender keeps shaders by context, and two pointers to one context are not equal."""
     given = contextdata.getContext
 
     def as_int(context: Any = None) -> Any:

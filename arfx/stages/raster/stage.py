@@ -22,7 +22,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Level, Window
 from arfx.errors import ConfigError
-from arfx.stages.raster.backends import BACKENDS, choose_backend, may_use_opengl
+from arfx.stages.raster.backends import BACKENDS, choose_backend
 from arfx.stages.raster.rays import OUTPUTS
 
 
@@ -64,11 +64,6 @@ class Raster:
 
     def __init__(self, params: RasterParams | None = None) -> None:
         self.params = params or RasterParams()
-
-    @property
-    def one_thread(self) -> bool:
-        """An OpenGL context belongs to the thread that opened it."""
-        return may_use_opengl(self.params.backend)
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.camera_from_world is None or facts.opacity <= 0:
