@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
+
+from arfx.errors import RenderError
 
 # As `arfx` does, before numpy reads it: two test processes with a pool of threads each get in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -18,3 +21,24 @@ def ctrl_c() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tests marked `opengl` run where a context opens in this process, and are skipped with the reason elsewhere."""
+    if item.get_closest_marker("opengl"):
+        from arfx.stages.raster.gl_context import open_context
+
+        try:
+            item.user_properties.append(("OpenGL", open_context().detail))
+        except RenderError as e:
+            pytest.skip(e.message)
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """What ran by OpenGL, or why nothing did: nobody has to look for it among the skips."""
+    stats = terminalreporter.stats
+    told = {v for group in ("passed", "failed") for r in stats.get(group, ()) for k, v in r.user_properties if k == "OpenGL"}
+    reasons = {r.longrepr[2].removeprefix("Skipped: ") for r in stats.get("skipped", ()) if isinstance(r.longrepr, tuple)}
+    told |= {f"not tested, because {reason}" for reason in reasons if "OpenGL" in reason}
+    for line in sorted(told):
+        terminalreporter.write_line(f"OpenGL: {line}")

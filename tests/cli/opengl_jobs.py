@@ -22,7 +22,7 @@ from arfx.stages.raster import backends, gl_context, gl_draw
 from arfx.synth import demo
 from arfx_cli.main import main
 
-SCENES = FIRST, *OTHERS = "0001-orbit", "0006-wide-lens-upright", "0022-before-and-behind"
+SCENES = FIRST, *OTHERS = "0001-orbit", "0006-wide-lens-upright", "0003-several-tilted-markers"
 FRAMES = 4  # in two chunks
 BACKEND = "raster.backend=pyrender"
 
@@ -56,7 +56,8 @@ def jobs(folder: Path) -> Iterator[tuple[str, list[str]]]:
     # now `auto`, as where a graphics card runs OpenGL
     backends._graphics_card = lambda: True
     gl_context.open_context().software = False
-    demo.DEMO_SCENE = demo.DEMO_SCENE.replace("frames = 72", "frames = 4")
+    shorter = demo.DEMO_SCENE.replace("frames = 72", f"frames = {FRAMES}")
+    demo.DEMO_SCENE = shorter.replace("width = 640\nheight = 360", "width = 384\nheight = 216")
     yield "demo", ["demo", "-o", str(folder / "demo")]
 
 

@@ -11,6 +11,7 @@ def test_one_json_document(arfx: Run) -> None:
     document = r.json
     assert document["ok"] is True
     by_name = {c["name"]: c for c in document["checks"]}
+    assert by_name["auto"]["ok"] and by_name["auto"]["detail"].startswith(("takes pyrender: ", "takes rays: "))
     assert by_name["rays"]["ok"] and by_name["h264"]["ok"] and by_name["h264"]["essential"]
     assert {"group", "name", "ok", "detail", "fix", "essential"} == set(by_name["python"])
 

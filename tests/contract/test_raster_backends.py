@@ -16,10 +16,9 @@ from arfx.core.scene import Placement, Scene
 from arfx.media.models import load_model
 from arfx.stages.raster import Raster
 from tests.scenes import box_model
-from tests.unit.stages.raster_scenes import PLAIN, camera, gl_problem, in_front, render, square
+from tests.unit.stages.raster_scenes import PLAIN, camera, in_front, render, square
 
 MODELS = Path(__file__).parents[2].parent / "shared" / "data" / "models" / "mikedh-trimesh"
-needs_gl = pytest.mark.skipif(bool(gl_problem()), reason=gl_problem() or "opens")
 POSES = {"above": in_front(1.0, 35, 25), "near": in_front(0.6, -20, 140), "far": in_front(3.0, 60, -70)}
 
 
@@ -71,7 +70,7 @@ def hold_against(model: Model, pose_name: str, lens: str) -> None:
     assert np.median(np.linalg.norm(gl[Layer.POSITION] - rays[Layer.POSITION], axis=-1)[inner]) < 1e-4
 
 
-@needs_gl
+@pytest.mark.opengl
 @pytest.mark.parametrize("lens", ["ideal", "barrel"])
 @pytest.mark.parametrize("pose", list(POSES))
 @pytest.mark.parametrize("name", list(own_models()))
@@ -79,7 +78,7 @@ def test_back_ends_agree(name: str, pose: str, lens: str) -> None:
     hold_against(own_models()[name], pose, lens)
 
 
-@needs_gl
+@pytest.mark.opengl
 @pytest.mark.real
 @pytest.mark.skipif(not MODELS.is_dir(), reason=f"sample models are absent ({MODELS})")
 @pytest.mark.parametrize("name", ["Duck.glb", "CesiumMilkTruck.glb", "suzanne.ply", "featuretype.STL"])
@@ -87,7 +86,7 @@ def test_back_ends_agree_on_real_models(name: str) -> None:
     hold_against(load_model(MODELS / name), "above", "barrel")
 
 
-@needs_gl
+@pytest.mark.opengl
 def test_a_picture_shifted_by_half_a_pixel_would_be_noticed() -> None:
     model = own_models()["box"]
     good = POSES["above"]
@@ -98,7 +97,7 @@ def test_a_picture_shifted_by_half_a_pixel_would_be_noticed() -> None:
     assert np.abs(a - b).sum() > 0.2 * rim
 
 
-@needs_gl
+@pytest.mark.opengl
 @pytest.mark.parametrize("lens", ["ideal", "barrel"])
 def test_opengl_over_a_rectangle_is_the_crop_of_the_whole(lens: str) -> None:
     """The same bits: the stage draws the model's whole box, whatever part of it is asked for."""
@@ -111,7 +110,7 @@ def test_opengl_over_a_rectangle_is_the_crop_of_the_whole(lens: str) -> None:
             assert np.array_equal(part[name], whole[name][rect.slices]), name
 
 
-@needs_gl
+@pytest.mark.opengl
 def test_memory_stays_flat_over_many_renders() -> None:
     scene = Scene(camera(), box_model(0.3, PLAIN), np.eye(4))
     stage = Raster()

@@ -21,14 +21,12 @@ GL_SAMPLES = {"draft": 4, "standard": 9, "high": 16}
 
 @dataclass(frozen=True)
 class Backend:
-    """name;  renderer(mesh, camera, samples) makes a Renderer;  samples : of a pixel, by level
-    notice : why auto did not take OpenGL, or empty
-    """
+    """name;  renderer(mesh, camera, samples) makes a Renderer;  samples : of a pixel, by level;  why : this one was chosen"""
 
     name: str
     renderer: Callable[..., Any]
     samples: Mapping[str, int]
-    notice: str = ""
+    why: str
 
 
 @dataclass(frozen=True)
@@ -49,12 +47,10 @@ def choose_backend(wanted: str = "auto") -> Backend:
     """
     if wanted not in ("auto", *BACKENDS):
         raise ConfigError(f"unknown raster back end {wanted!r}", "one of auto, " + ", ".join(BACKENDS))
-    from arfx.stages.raster.rays import RayRenderer
-
     if wanted == "rays":
-        return Backend("rays", RayRenderer, RAY_SAMPLES)
+        return _rays("asked for")
     if wanted == "auto" and not _graphics_card():
-        return Backend("rays", RayRenderer, RAY_SAMPLES, "no graphics card here: the raster back end is rays")
+        return _rays("there is no graphics card here")
     from arfx.stages.raster.gl_context import open_context
 
     try:
@@ -62,14 +58,19 @@ def choose_backend(wanted: str = "auto") -> Backend:
     except RenderError as e:
         if wanted == "pyrender":
             raise
-        return Backend("rays", RayRenderer, RAY_SAMPLES, f"{e.message}: the raster back end is rays")
+        return _rays(e.message)
     if wanted == "auto" and context.software:
-        return Backend(
-            "rays", RayRenderer, RAY_SAMPLES, f"OpenGL runs in software ({context.detail}): the raster back end is rays"
-        )
+        return _rays("OpenGL runs in software here")
     from arfx.stages.raster.gl import GlRenderer
 
-    return Backend("pyrender", GlRenderer, GL_SAMPLES)
+    why = "asked for" if wanted == "pyrender" else "OpenGL runs on a graphics card here"
+    return Backend("pyrender", GlRenderer, GL_SAMPLES, why)
+
+
+def _rays(why: str) -> Backend:
+    from arfx.stages.raster.rays import RayRenderer
+
+    return Backend("rays", RayRenderer, RAY_SAMPLES, why)
 
 
 def _graphics_card() -> bool:
@@ -81,8 +82,11 @@ def _graphics_card() -> bool:
 
 
 def backend_report() -> list[BackendState]:
-    """State of every back end here, for `arfx doctor`."""
-    return [_pyrender_state(), _rays_state()]
+    """State of every back end here, and which of them `auto` takes, for `arfx doctor`."""
+    states = {s.name: s for s in (_pyrender_state(), _rays_state())}
+    taken = choose_backend()
+    auto = BackendState("auto", states[taken.name].opens, f"takes {taken.name}: {taken.why}", states[taken.name].fix)
+    return [*states.values(), auto]
 
 
 def _pyrender_state() -> BackendState:

@@ -143,8 +143,4 @@ def _drawn(work: Callable[..., Made], *args: Any) -> Made:
     try:
         return on_gl_thread(work, *args)
     except Error as e:
-        said = getattr(e, "description", None) or getattr(e, "err", None) or e
-        said = said.decode() if isinstance(said, bytes) else said
-        raise RenderError(
-            f"OpenGL failed: {type(e).__name__} {said}", "the rays back end needs no OpenGL: --set raster.backend=rays"
-        ) from e
+        raise RenderError(f"OpenGL failed: {e!r}", "the rays back end needs no OpenGL: --set raster.backend=rays") from e

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,8 +12,7 @@ from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Window, level_named
-from arfx.errors import RenderError
-from arfx.stages.raster import Raster, RasterParams, choose_backend
+from arfx.stages.raster import Raster, RasterParams
 from tests.scenes import facts
 
 LENSES = {
@@ -27,21 +23,7 @@ LENSES = {
 PLAIN = Material(base_colour=(0.2, 0.4, 0.6, 1.0), metallic=0.25, roughness=0.5, double_sided=True)
 
 
-@cache
-def gl_problem() -> str:
-    try:
-        choose_backend("pyrender")
-        return ""
-    except RenderError as e:
-        return e.message
-
-
-def backends() -> list[Any]:
-    """Parameters for pytest: pyrender is skipped, with the reason, where no OpenGL context opens."""
-    return [
-        pytest.param("rays"),
-        pytest.param("pyrender", marks=pytest.mark.skipif(bool(gl_problem()), reason=gl_problem() or "opens")),
-    ]
+BOTH = [pytest.param("rays"), pytest.param("pyrender", marks=pytest.mark.opengl)]
 
 
 def camera(lens: str = "ideal", width: int = 320, height: int = 240) -> Camera:

@@ -18,9 +18,7 @@ from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.rays import hammersley
 from arfx.stages.raster.textures import StackBuilder, pyramid
 from tests.scenes import box_model, facts
-from tests.unit.stages.raster_scenes import LENSES, PLAIN, backends, camera, in_front, quad, render, scene_of, square
-
-BOTH = backends()
+from tests.unit.stages.raster_scenes import BOTH, LENSES, PLAIN, camera, in_front, quad, render, scene_of, square
 
 
 def projected(scene: Scene, pose: Pose, points: np.ndarray) -> np.ndarray:
@@ -296,11 +294,32 @@ def test_settings_and_choice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gl_context, "open_context", refuse)
     monkeypatch.setattr(backends_module, "_graphics_card", lambda: True)
     chosen = choose_backend("auto")
-    assert chosen.name == "rays" and "libEGL" in chosen.notice
+    assert chosen.name == "rays" and "libEGL" in chosen.why
     with pytest.raises(RenderError, match="libEGL"):
         choose_backend("pyrender")
     state = {s.name: s for s in backend_report()}
     assert not state["pyrender"].opens and "apt-get" in state["pyrender"].fix and state["rays"].opens
+    assert state["auto"].opens and "takes rays: no OpenGL context opens here" in state["auto"].detail
+
+
+@pytest.mark.parametrize(
+    ("card", "software", "taken"),
+    [
+        (True, False, "takes pyrender: OpenGL runs on a graphics card here"),
+        (True, True, "takes rays: OpenGL runs in software here"),
+        (False, True, "takes rays: there is no graphics card here"),
+    ],
+)
+def test_auto_takes_opengl_on_a_graphics_card_alone(
+    monkeypatch: pytest.MonkeyPatch, card: bool, software: bool, taken: str
+) -> None:
+    from arfx.stages.raster import gl_context
+
+    opened = gl_context.GlContext(None, None, "egl, OpenGL 4.6", software)
+    monkeypatch.setattr(gl_context, "open_context", lambda: opened)
+    monkeypatch.setattr(backends_module, "_graphics_card", lambda: card)
+    state = {s.name: s for s in backend_report()}
+    assert state["auto"].detail == taken and state["auto"].opens
 
 
 def test_empty_where_nothing_is(monkeypatch: pytest.MonkeyPatch) -> None:
