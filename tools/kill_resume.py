@@ -60,7 +60,7 @@ def digests(folder: Path) -> dict[str, str]:
 def main() -> int:
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("-n", type=int, default=50, help="kills")
-    ask.add_argument("--phase", choices=PHASES, default="analyse", help="that kills aim at; some come later")
+    ask.add_argument("--phase", choices=PHASES, default="analyse", help="in which kills come")
     ask.add_argument("--within", type=float, default=1e9, help="seconds, so much at most between the phase's start and the kill")
     ask.add_argument("--seed", type=int, default=0)
     ask.add_argument("--checkpoint", type=float, default=0.2, help="seconds between two of the analysis")
@@ -70,7 +70,7 @@ def main() -> int:
     given = o.arguments[o.arguments[:1] == ["--"] :]
 
     def follow(folder: Path, chunks: int, more: list[str], after_s: float | None) -> tuple[str, dict[str, float], int]:
-        """(phase at the end, seconds of each, exit code). after_s : killed so long after the phase aimed at began"""
+        """(phase at the end, seconds of each, exit code). after_s : killed so long after its phase began"""
         folder.mkdir(exist_ok=True)
         job = JobFolder(folder / "job")
         pid = start([*given, "-o", str(folder / "out.mp4"), "--job", str(job.path), *more], folder, o.checkpoint)
@@ -80,8 +80,7 @@ def main() -> int:
             now, before = phase(job, chunks), last
             last = time.monotonic()
             took[now] += last - before
-            aimed = sum(took[p] for p in PHASES[PHASES.index(o.phase) :])
-            if after_s is not None and aimed > after_s:
+            if after_s is not None and now == o.phase and took[now] > after_s:
                 os.killpg(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
                 return now, took, -9
