@@ -9,6 +9,7 @@ everything imported. By hand: it takes minutes. Exit code 1 where anything diffe
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import os
 import random
@@ -38,10 +39,12 @@ def phase(job: JobFolder, chunks: int) -> str:
 
 def start(arguments: list[str], folder: Path, checkpoint_s: float) -> int:
     if pid := os.fork():
+        with contextlib.suppress(OSError):  # whoever comes first
+            os.setpgid(pid, pid)
         return pid
     code = 99
     try:
-        os.setsid()  # worker processes are killed with it
+        os.setpgid(0, 0)  # worker processes are killed with it
         log = os.open(folder / "log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.dup2(log, 1)
         os.dup2(log, 2)
@@ -103,7 +106,9 @@ def main() -> int:
             again = ["--resume"] if (folder / "job").exists() else []
             more = rng.uniform(0, min(took[o.phase], o.within)) if sum(kills.values()) < o.n else None
             when, _, code = follow(folder, chunks, again, more)
-            kills[when] += code == -9
+            if code == -9:
+                kills[when] += 1
+                print(f"{sum(kills.values())} kills", end="\r", flush=True)
         runs += 1
         if code or digests(folder) != good:
             bad += 1
