@@ -30,7 +30,7 @@ from arfx.analyse.solve import solve
 from arfx.analyse.survey import Survey
 from arfx.analyse.tracker import Found, Tracker
 from arfx.core.camera import Camera
-from arfx.core.facts import FrameFacts
+from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.marker import MarkerSpec, anchor_marker
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
@@ -141,12 +141,18 @@ class Analyser(Fold):
         return out[:n], out[n:]
 
     def finish(self) -> Analysis:
-        """All facts. Raises NothingToDoError if no configured marker was ever seen, saying what was."""
+        """All facts. Raises NothingToDoError if no configured marker was ever seen, saying what was, or none has a pose."""
         if not self._records:
             raise NothingToDoError("the clip holds no frame", "is it empty, or does --start lie behind its end?")
         if not self._ever_seen:
             raise self._nothing()
         analysis = solve(self._records, self.markers, self.camera, self.params, self.marker_map, self._flow.samples)
+        if all(f.status == ABSENT for f in analysis.facts):
+            seen = sum(bool(r.seen) for r in self._records)
+            raise NothingToDoError(
+                f"markers were seen in {seen} of {len(self._records)} frames, but no pose fits, or none lasts for three frames",
+                "are the marker's size and the camera calibration right, and of this clip?",
+            )
         if self.light is not None:
             analysis = lighted(analysis, self._meter, self.markers, self.light, self.panorama, "environment" in self._folds)
         if self._motion is not None:

@@ -22,6 +22,8 @@ from arfx.analyse.geometry import Observed, huber_cost, residuals, view_jacobian
 from arfx.analyse.motion_noise import AXES, GROUPS, LEAST, MOST, learn_density
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
+# Between two frames: what moves is unknown after ten seconds as after a day, whose cube leaves no digits for the corners.
+LONGEST_STEP_S = 10.0
 PASSES = 4  # linearisations between two estimates of the motion's noise
 _STIFF = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6, LEAST])  # start of the second attempt: hardly any motion but sideways
 _LOOSE = 1e-8  # share of a shake in which its axes go their own ways: 1e-4 of its size, and nothing is singular
@@ -49,7 +51,7 @@ def smooth_poses(
     """
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
-    dt = np.maximum(np.diff(times_s), 1e-4)
+    dt = np.clip(np.diff(times_s), 1e-4, LONGEST_STEP_S)
     raw = _Chain(rotation, translation, seen, dt, centre)
     # Twice: from the raw poses, and from a path that hardly moves. Where the corners do not fix a tilt (a frontal
     # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff path finds the one between.

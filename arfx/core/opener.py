@@ -19,7 +19,7 @@ from arfx.errors import InputError
 
 MIB = 1 << 20
 # kind of file, as messages call it -> (largest size in MiB, why this much)
-LIMITS: dict[str, tuple[int, str]] = {
+LIMITS: dict[str, tuple[float, str]] = {
     "clip": (1 << 24, "read frame by frame: 16 TiB, the largest file of ext4"),
     "depth": (1 << 24, "read map by map, as a clip"),
     "depth map": (256, "8192 x 4096 px of 32-bit float twice over"),
@@ -27,7 +27,7 @@ LIMITS: dict[str, tuple[int, str]] = {
     "model part": (1024, "buffers and textures of a model, as the model itself"),
     "image": (512, "an environment of 8192 x 4096 px of 32-bit float RGB, with room"),
     "picture": (512, "a camera's largest raw-sized TIFF"),
-    "camera file": (1, "thousands of times a calibration; YAML takes seconds for a megabyte"),
+    "camera file": (0.25, "a hundred times a calibration; YAML takes seconds and 100 MB for that much"),
     "job file": (1, "thousands of settings"),
     "scene": (1, "thousands of objects"),
     "marker map": (8, "tens of thousands of markers"),
@@ -60,7 +60,7 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(handle, "rb") as f:
             _checked(os.fstat(handle), path, kind)
-            data = f.read(LIMITS[kind][0] * MIB + 1)  # files of /proc say that they hold nothing
+            data = f.read(int(LIMITS[kind][0] * MIB) + 1)  # files of /proc say that they hold nothing
     except OSError as e:
         raise _unreadable(path, kind, e) from None
     if len(data) > LIMITS[kind][0] * MIB:
@@ -154,7 +154,7 @@ def _checked(told: os.stat_result, path: Path, kind: str) -> None:
 
 def _too_large(path: Path, kind: str, size: int) -> InputError:
     limit, _ = LIMITS[kind]
-    return InputError(f"{kind} {path} holds more than {limit} MiB ({size / MIB:.0f} MiB)", f"at most {limit} MiB")
+    return InputError(f"{kind} {path} holds more than {limit:g} MiB ({size / MIB:.3g} MiB)", f"at most {limit:g} MiB")
 
 
 def _unreadable(path: Path, kind: str, e: OSError | ValueError) -> InputError:

@@ -18,7 +18,9 @@ import numpy as np
 import yaml
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
+from arfx.core.opener import DEEPEST, bounded, parse_json, read_text
 from arfx.errors import ArfxError, InputError
+from arfx.media.camera_checks import check_camera, check_matrix
 
 SUPPORTED = (
     "OpenCV YAML or JSON (camera_matrix, distortion_coefficients, image_width, image_height), ROS camera_info YAML, "
@@ -51,7 +53,22 @@ COLMAP_CENTRE_PX = 0.5  # the middle of the top left pixel is (0.5, 0.5) there a
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML, with OpenCV's `!!opencv-matrix` read as the mapping that it is."""
+    """Plain YAML, with OpenCV's `!!opencv-matrix` read as the mapping that it is.
+
+    No aliases, of which a few lines unfold to gigabytes, and no deep nesting, on which the library recurses.
+    """
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases (*name) are not read: write the value out")
+        if self.depth > DEEPEST:
+            raise yaml.YAMLError(f"nested deeper than {DEEPEST}")
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
 
 def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict:
@@ -76,12 +93,7 @@ def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> Camera
         name, _, chosen = file.name.rpartition("#")
         file = file.with_name(name)
     where = str(path)
-    try:
-        text = file.read_bytes().decode("utf-8-sig")
-    except OSError as e:
-        raise InputError(f"camera file {where}: {e.strerror or e}", "give the file that `arfx calibrate` wrote") from None
-    except UnicodeDecodeError:
-        raise InputError(f"camera file {where} is not text", f"supported: {SUPPORTED}") from None
+    text = read_text(file, "camera file")
     if (rows := _colmap_rows(text)) is not None:
         return _from_colmap(rows, chosen, where)
     document = _parse(text, where)
@@ -96,12 +108,12 @@ def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> Camera
 def _parse(text: str, where: str) -> Mapping[str, Any]:
     try:
         if text.lstrip().startswith("{"):
-            document = json.loads(text)
+            document = parse_json(text)
         else:  # OpenCV writes "%YAML:1.0", which is not a YAML directive; messages echoed by ROS end in "---"
             body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
             parts = [p for p in yaml.load_all(body, _Loader) if p is not None]
-            document = parts[0] if parts else None
-    except (ValueError, yaml.YAMLError) as e:
+            document = bounded(parts[0] if parts else None)
+    except (ValueError, TypeError, yaml.YAMLError) as e:  # TypeError: a key that is a list
         first = str(e).splitlines()[0] if str(e) else type(e).__name__
         raise InputError(f"camera file {where} is neither valid YAML nor JSON: {first}", f"supported: {SUPPORTED}") from None
     if not isinstance(document, Mapping):
@@ -177,9 +189,10 @@ def _camera(matrix: np.ndarray, distortion: np.ndarray, size: tuple[int, int], m
         distortion = np.concatenate([distortion, np.zeros(4 - distortion.size)])
     if model == FISHEYE and distortion.size > 4 and not np.any(distortion[4:]):
         distortion = distortion[:4]
-    if np.isfinite(matrix).all() and abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
-        raise InputError(f"camera file {where}: the camera matrix has skew {matrix[0, 1]:g}", "calibrate without skew")
-    return Camera(*size, matrix, distortion, model, where)
+    check_matrix(matrix, where)
+    camera = Camera(*size, matrix, distortion, model, where)
+    check_camera(camera)
+    return camera
 
 
 def _choose(cameras: Mapping[str, Any], chosen: str, where: str) -> Any:
@@ -226,7 +239,7 @@ def _numbers(value: Any, where: str, what: str) -> np.ndarray | None:
         return None
     try:
         flat = [_number(v) for v in np.asarray(value, object).ravel()]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"camera file {where}: {what} is not a list of numbers", "numbers, row by row") from None
     return np.array(flat, float)
 

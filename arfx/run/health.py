@@ -118,6 +118,8 @@ def _light(light: dict[str, Any] | None) -> Rows:
     condition = max((c for c in photometry["condition"] if c is not None), default=None)
     ok = photometry["verdict"] == "measured"
     rows = [check("photometry condition number", condition, 1e6, ok, f"bias taken for 0: {photometry['reason']}")]
+    if "verdict" not in light:  # no frame with a pose that lasts
+        return rows
     # what the markers' normals say of a direction beside ambient light; a given light does not need it
     known = light["verdict"] != "refused"
     rows.append(check("light direction", light["verdict"], "measured or given", known, light["reason"]))

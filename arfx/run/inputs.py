@@ -21,6 +21,7 @@ from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Placement, Scene
 from arfx.core.units import LONGEST_M, length_m
 from arfx.errors import ConfigError, InputError
+from arfx.media.camera_checks import camera_doubts
 from arfx.media.cameras import load_camera
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps
@@ -132,6 +133,7 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
         )
     else:
         loaded = load_camera(config.input.camera)
+        notices += camera_doubts(loaded)
         camera = loaded.scaled_to(info.width, info.height)
         if camera is not loaded:
             notices.append(f"camera calibration scaled from {loaded.width}x{loaded.height} to {info.width}x{info.height}")

@@ -7,8 +7,10 @@ import pytest
 
 from arfx.analyse.analyser import AnalyseParams, Analyser
 from arfx.analyse.detect import MarkerDetector
+from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.tracker import Tracker
 from arfx.core import codec
+from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
@@ -189,3 +191,17 @@ def test_camera_of_another_size_is_scaled() -> None:
     a = Analyser((M,), camera(1920, 1080, 1800.0))
     a.step(0, 0.0, frame((M, at(400, 300))))
     assert (a.camera.width, a.camera.fx) == (960, 900.0)
+
+
+@pytest.mark.parametrize("change", ["fx", "distortion", "size"])
+def test_markers_that_no_pose_fits_are_nothing_to_work_on(change: str) -> None:
+    cam = {
+        "fx": Camera(960, 540, np.array([[1e308, 0, 480], [0, 1e308, 270], [0, 0, 1]])),
+        "distortion": Camera(960, 540, CAM.matrix, np.array([1e9, 0, 0, 0])),
+    }.get(change, CAM)
+    marker = MarkerSpec("36h11", 3, 1e-300 if change == "size" else 0.1)
+    a = Analyser((marker,), cam, light=LightParams())
+    for k in range(6):
+        a.step(k, k / 15, frame((M, at(300 + 6 * k, 200)), seed=k))
+    with np.errstate(all="ignore"), pytest.raises(NothingToDoError, match="in 6 of 6 frames, but no pose fits"):
+        a.finish()

@@ -221,3 +221,15 @@ def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -
     assert opacity[90:].min() == 1 and all(f.camera_from_world is None for f in a.facts[60:85])
     plain = analysed(rec, smoothing=0.0).facts
     assert all(f.camera_from_world == f.raw_camera_from_world for f in plain if f.status == "measured")
+
+
+@pytest.mark.parametrize("gap_s", [30.0, 1e3, 1e7])
+def test_gaps_of_minutes_and_months_between_frames_leave_poses_as_true(gap_s: float) -> None:
+    times = T.copy()
+    for k in range(1, N, 7):
+        times[k:] += gap_s
+    truth = MOVING["swing"]
+    got = analysed(records(CAM, truth, times, {M: Pose.identity()}, 0.2))
+    turn, shift = pose_errors(got.facts, truth, raw=False)
+    before_turn, before_shift = pose_errors(got.facts, truth, raw=True)
+    assert len(turn) == N and rms(turn) < 1.2 * rms(before_turn) and rms(shift) < 1.2 * rms(before_shift)

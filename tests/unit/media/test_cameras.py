@@ -185,7 +185,7 @@ def test_wrong_files_get_one_clear_error(tmp_path: Path, text: str, says: str) -
 
 
 def test_missing_and_binary_files(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         load_camera(tmp_path / "none.yaml")
     (tmp_path / "b.yaml").write_bytes(b"\x89PNG\xff\xfe")
     with pytest.raises(InputError, match="not text"):
