@@ -16,6 +16,7 @@ from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material
 from arfx.errors import InputError
 
+_BRIGHTEST = 1e6  # emission, where white paper in full light is 1
 MAX_TEXTURE_PX = 8192  # an 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse
 
 
@@ -29,8 +30,10 @@ def material_of(mesh: Any, path: Path, two_sided: bool, factors: dict[str, Any],
     numbers = [*made.base_colour, *made.emissive, made.metallic, made.roughness, made.specular, made.alpha_cutoff]
     written = getattr(given, "kwargs", None) or {}  # of an MTL file: trimesh has rounded them to 8 bits by now
     numbers += [_first_number(v, 0.0) for key in ("kd", "d", "ns") for v in np.ravel(written.get(key, 0.0))]
-    if not np.isfinite(numbers).all():
-        raise InputError(f"model {path}: material {made.name!r} holds numbers that are not finite", "export it again")
+    if not (np.abs(numbers) <= _BRIGHTEST).all():
+        raise InputError(
+            f"model {path}: material {made.name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}", "export it again"
+        )
     return made
 
 

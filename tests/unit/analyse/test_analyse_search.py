@@ -193,10 +193,9 @@ def test_camera_of_another_size_is_scaled() -> None:
     assert (a.camera.width, a.camera.fx) == (960, 900.0)
 
 
-@pytest.mark.parametrize("change", ["fx", "distortion", "size"])
+@pytest.mark.parametrize("change", ["distortion", "size"])
 def test_markers_that_no_pose_fits_are_nothing_to_work_on(change: str) -> None:
     cam = {
-        "fx": Camera(960, 540, np.array([[1e308, 0, 480], [0, 1e308, 270], [0, 0, 1]])),
         "distortion": Camera(960, 540, CAM.matrix, np.array([1e9, 0, 0, 0])),
     }.get(change, CAM)
     marker = MarkerSpec("36h11", 3, 1e-300 if change == "size" else 0.1)

@@ -196,7 +196,7 @@ def test_odd_obj_is_read_or_one_message(tmp_path: Path, body: str) -> None:
 
 
 def test_mtl_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
-    for line in ("Kd nan 0 0", "d nan", "Ns nan", "Kd 1e999 0 0"):
+    for line in ("Kd nan 0 0", "d nan", "Ns nan", "Kd 1e999 0 0", "Kd 1e308 0 0"):
         with pytest.raises(InputError, match="not finite"):
             load_model(obj(tmp_path, "a.mtl", f"newmtl m\n{line}\n"))
 
