@@ -15,6 +15,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from arfx.core.places import check_name
 from arfx.errors import InputError
 
 MIB = 1 << 20
@@ -42,9 +43,10 @@ _DOTTED = re.compile(r"(?:[^\s.=]+[ \t]*\.[ \t]*){64}")  # tomllib takes the squ
 def regular(path: Path | str, kind: str) -> Path:
     """The path, if it names a regular file no larger than LIMITS[kind].
 
-    Raises InputError: missing, a folder, a device or pipe, too large, not permitted.
+    Raises InputError: missing, a folder, a device or pipe, too large, not permitted; ConfigError: its name is no text.
     """
     path = Path(path)
+    check_name(path)
     try:
         _checked(path.stat(), path, kind)
     except (OSError, ValueError) as e:  # ValueError: a NUL in the name

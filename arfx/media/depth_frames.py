@@ -14,9 +14,10 @@ import av
 import cv2
 import numpy as np
 
-from arfx.core.places import check_name
+from arfx.core.opener import regular
 from arfx.errors import InputError
 from arfx.media.containers import check_size, open_video
+from arfx.media.pictures import check_tiff
 
 TIFF = (".tif", ".tiff")
 VIDEO = (".mkv", ".nut", ".avi", ".mov", ".mp4")
@@ -85,7 +86,6 @@ class DepthPages:
 
     def stored(self, number: int) -> np.ndarray:
         """(h, w[, channels]) as stored. Raises InputError where the page cannot be read."""
-        check_name(self.path)
         done, pages = cv2.imreadmulti(str(self.path), number, 1, flags=cv2.IMREAD_UNCHANGED)
         if not done or len(pages) != 1:
             raise InputError(f"depth {self.path}: page {number} cannot be read", "TIFF with 16-bit or float pages")
@@ -95,6 +95,7 @@ class DepthPages:
 def open_frames(path: Path) -> DepthVideo | DepthPages:
     """Raises InputError: not readable, or of a kind that holds no depth."""
     if path.suffix.lower() in TIFF:
+        check_tiff(regular(path, "depth"), "depth map")
         count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
         if count < 1:
             raise InputError(f"depth {path} cannot be read as a TIFF", "16-bit or float pages")

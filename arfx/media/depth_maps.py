@@ -15,9 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from arfx.core.opener import read_bytes
 from arfx.errors import InputError
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
-from arfx.media.images import load_image
+from arfx.media.images import read_exr
+from arfx.media.pictures import decode_picture
 
 SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"
@@ -105,21 +107,21 @@ class DepthMaps:
         """Of a map's file, or of its values."""
         if self.frames is not None:
             return hashlib.blake2b(self.frames.stored(number).tobytes(), digest_size=8).hexdigest()
-        return hashlib.blake2b(self.files[number].read_bytes(), digest_size=8).hexdigest()
+        return hashlib.blake2b(read_bytes(self.files[number], "depth map"), digest_size=8).hexdigest()
 
 
 def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.0) -> DepthMaps:
     """List a folder's maps, or take one file. Raises InputError: missing, empty, kinds mixed, times twice."""
     if not path.exists():
         raise InputError(f"depth {path}: no such file or folder", "check the path")
-    if path.is_file():
+    if not path.is_dir():
         if path.suffix.lower() in (*TIFF, *VIDEO):
             frames = open_frames(path)
             return DepthMaps(path, (path,), steps_per_m, frames.times_s, start_s, frames)
         if path.suffix.lower() not in SUFFIXES:
             raise InputError(f"depth {path} is not a depth map", f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)")
         return DepthMaps(path, (path,), steps_per_m, None)
-    found = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    found = [p for p in _listed(path) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     kinds = sorted({p.suffix.lower() for p in found})
@@ -135,6 +137,13 @@ def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.
     return DepthMaps(path, tuple(sorted(found, key=_natural)), steps_per_m, None)
 
 
+def _listed(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir())
+    except OSError as e:
+        raise InputError(f"depth folder {folder} cannot be listed: {e.strerror}") from None
+
+
 def _time(stem: str) -> float | None:
     """Seconds in a map's name; only with a fraction: 12.png is the twelfth map, not the twelfth second."""
     return float(stem) if re.fullmatch(r"\d+\.\d+", stem) else None
@@ -148,18 +157,11 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
 def _stored(path: Path) -> np.ndarray:
     """(h, w) as stored: uint16 or float32."""
     if path.suffix.lower() == ".exr":
-        picture = load_image(path)
-        return np.ascontiguousarray(picture[..., 0])
+        picture = read_exr(path, "depth map")
+        return np.ascontiguousarray(picture if picture.ndim == 2 else picture[..., 0])
     import cv2
 
-    try:
-        data = np.fromfile(path, np.uint8)
-    except OSError as e:
-        raise InputError(f"depth map {path} cannot be read: {e.strerror}") from None
-    raw: np.ndarray | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if raw is None:
-        raise InputError(f"depth map {path} cannot be read as an image", _KINDS)
-    return _depth_kind(raw, str(path))
+    return _depth_kind(decode_picture(path, "depth map", cv2.IMREAD_UNCHANGED), str(path))
 
 
 def _depth_kind(raw: np.ndarray, name: str) -> np.ndarray:

@@ -13,8 +13,9 @@ import av
 import numpy as np
 
 from arfx.core.colour import SRGB, Transfer
-from arfx.core.places import check_name
+from arfx.core.opener import read_bytes
 from arfx.errors import InputError, RenderError
+from arfx.media.pictures import check_pixels, decode_picture
 
 
 def write_png(path: Path, rgb: np.ndarray) -> None:
@@ -48,24 +49,26 @@ def load_image(path: Path, transfer: Transfer = SRGB) -> np.ndarray:
     import cv2
 
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such image", "check the path")
     if path.suffix.lower() == ".exr":
-        try:
-            with av.open(io.BytesIO(path.read_bytes()), "r", format="exr_pipe") as c:
-                a: np.ndarray = next(c.decode(video=0)).to_ndarray()
-        except (av.error.FFmpegError, StopIteration) as e:
-            raise InputError(f"{path} cannot be read as an EXR image: {e}") from e
+        a = read_exr(path, "image")
         return np.repeat(a[..., None], 3, -1) if a.ndim == 2 else np.ascontiguousarray(a[..., :3])
-    check_name(path)
-    raw: np.ndarray | None = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
-    if raw is None:
-        raise InputError(f"{path} cannot be read as an image", "PNG, JPEG, TIFF, HDR or EXR")
+    raw = decode_picture(path, "image", cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     rgb = np.repeat(raw[..., None], 3, -1) if raw.ndim == 2 else raw[..., 2::-1]
     if rgb.dtype.kind == "f":
         return np.ascontiguousarray(rgb, np.float32)
     peak = (1 << 8 * rgb.dtype.itemsize) - 1
     return np.take(transfer.decode(np.linspace(0, 1, peak + 1)).astype(np.float32), rgb)
+
+
+def read_exr(path: Path, kind: str) -> np.ndarray:
+    """(h, w[, channels]) float32 as stored. Raises InputError."""
+    data = read_bytes(path, kind)
+    check_pixels(data, path, kind)
+    try:
+        with av.open(io.BytesIO(data), "r", format="exr_pipe") as c:
+            return np.asarray(next(c.decode(video=0)).to_ndarray())
+    except (av.error.FFmpegError, StopIteration, ValueError) as e:
+        raise InputError(f"{kind} {path} cannot be read as an EXR image: {e}") from e
 
 
 def _write(path: Path, data: bytes) -> None:

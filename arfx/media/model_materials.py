@@ -17,34 +17,67 @@ from arfx.core.model import BLEND, MASK, OPAQUE, Material
 from arfx.errors import InputError
 
 _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
+MAX_TEXELS = 8192**2 + 2 * 4096**2  # of a model together: 20 bytes each while it is drawn, 2 GB
 MAX_TEXTURE_PX = 8192  # an 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse
 
 
-def material_of(mesh: Any, path: Path, two_sided: bool, factors: dict[str, Any], has_colours: bool) -> Material:
+class Textures:
+    """The pictures of a model as arrays, each decoded once. path : of the model, for messages"""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._made: dict[tuple[int, str], tuple[Any, np.ndarray]] = {}  # the picture too: its id stays unique while it lives
+        self._texels = 0
+
+    def of(self, image: Any, mode: str) -> np.ndarray | None:
+        """(h, w, channels) uint8 of a Pillow picture, None for None. Raises InputError: too large, damaged."""
+        if image is None:
+            return None
+        key = id(image), mode
+        if key not in self._made:
+            width, height = image.size
+            if max(width, height) > MAX_TEXTURE_PX:
+                raise InputError(
+                    f"model {self.path}: a texture is {width}x{height} px", f"at most {MAX_TEXTURE_PX} px a side: scale it down"
+                )
+            self._texels += width * height
+            if self._texels > MAX_TEXELS:
+                raise InputError(
+                    f"model {self.path}: its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels", "scale them down"
+                )
+            try:
+                self._made[key] = image, np.ascontiguousarray(np.asarray(image.convert(mode), np.uint8))
+            except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
+                raise InputError(f"model {self.path}: cannot decode a texture ({e})", "the image is damaged or cut short") from e
+        return self._made[key][1]
+
+
+def material_of(mesh: Any, textures: Textures, two_sided: bool, factors: dict[str, Any], has_colours: bool) -> Material:
     """The Material of a mesh. factors : from `precise_factors`;  has_colours : vertex colours multiply white."""
     given = getattr(mesh.visual, "material", None)
     kind = type(given).__name__
     if given is None or _is_placeholder(given):
         return Material(base_colour=(1.0, 1.0, 1.0, 1.0) if has_colours else (0.8, 0.8, 0.8, 1.0), double_sided=two_sided)
-    made = _from_pbr(given, path, factors) if kind == "PBRMaterial" else _from_simple(given, path, two_sided)
+    made = _from_pbr(given, textures, factors) if kind == "PBRMaterial" else _from_simple(given, textures, two_sided)
     numbers = [*made.base_colour, *made.emissive, made.metallic, made.roughness, made.specular, made.alpha_cutoff]
     written = getattr(given, "kwargs", None) or {}  # of an MTL file: trimesh has rounded them to 8 bits by now
     numbers += [_first_number(v, 0.0) for key in ("kd", "d", "ns") for v in np.ravel(written.get(key, 0.0))]
     if not (np.abs(numbers) <= _BRIGHTEST).all():
         raise InputError(
-            f"model {path}: material {made.name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}", "export it again"
+            f"model {textures.path}: material {made.name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}",
+            "export it again",
         )
     return made
 
 
-def _from_pbr(given: Any, path: Path, factors: dict[str, Any]) -> Material:
+def _from_pbr(given: Any, textures: Textures, factors: dict[str, Any]) -> Material:
     name = str(given.name or "default")
     own = factors.get(name, {})
     base = _quad(own.get("base"), given.baseColorFactor)
     mode = str(given.alphaMode or OPAQUE).upper()
-    texture = _texture(given.baseColorTexture, "RGBA", path)
-    mr = _texture(given.metallicRoughnessTexture, "RGB", path)
-    emissive_texture = _texture(given.emissiveTexture, "RGB", path)
+    texture = textures.of(given.baseColorTexture, "RGBA")
+    mr = textures.of(given.metallicRoughnessTexture, "RGB")
+    emissive_texture = textures.of(given.emissiveTexture, "RGB")
     emissive = np.zeros(3) if given.emissiveFactor is None else np.asarray(given.emissiveFactor, float).ravel()[:3]
     emissive = emissive * own.get("strength", 1.0)
     cutoff = given.alphaCutoff
@@ -64,14 +97,14 @@ def _from_pbr(given: Any, path: Path, factors: dict[str, Any]) -> Material:
     )
 
 
-def _from_simple(given: Any, path: Path, two_sided: bool) -> Material:
+def _from_simple(given: Any, textures: Textures, two_sided: bool) -> Material:
     kwargs = {str(k).lower(): v for k, v in (getattr(given, "kwargs", None) or {}).items()}
     diffuse = getattr(given, "diffuse", None)
     colour = np.ones(4) if diffuse is None else np.asarray(diffuse, float).ravel() / 255.0
     rgb = SRGB.decode(colour[:3])
     alpha = _first_number(kwargs.get("d"), 1.0)
     shininess = _first_number(kwargs.get("ns"), 0.0)
-    texture = _texture(getattr(given, "image", None), "RGBA", path)
+    texture = textures.of(getattr(given, "image", None), "RGBA")
     return Material(
         name=str(getattr(given, "name", None) or "default"),
         base_colour=(float(rgb[0]), float(rgb[1]), float(rgb[2]), float(np.clip(alpha, 0.0, 1.0))),
@@ -134,18 +167,6 @@ def precise_factors(header: dict[str, Any]) -> dict[str, Any]:
         return out
     except (ValueError, TypeError, AttributeError, KeyError):
         return {}  # only a refinement: trimesh has read the file, so its own values stand
-
-
-def _texture(image: Any, mode: str, path: Path) -> np.ndarray | None:
-    if image is None:
-        return None
-    width, height = image.size
-    if max(width, height) > MAX_TEXTURE_PX:
-        raise InputError(f"model {path}: a texture is {width}x{height} px", f"at most {MAX_TEXTURE_PX} px a side: scale it down")
-    try:
-        return np.ascontiguousarray(np.asarray(image.convert(mode), np.uint8))
-    except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
-        raise InputError(f"model {path}: cannot decode a texture ({e})", "the image is damaged or cut short") from e
 
 
 def _is_placeholder(given: Any) -> bool:

@@ -20,7 +20,7 @@ from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import MAX_FACES, check_gltf, gltf_header
 from arfx.media.model_files import ModelFolder, known_pictures
-from arfx.media.model_materials import material_of, precise_factors, vertex_colours
+from arfx.media.model_materials import Textures, material_of, precise_factors, vertex_colours
 from arfx.media.model_normals import smooth_by_angle
 
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters default to it; scans and
@@ -113,7 +113,8 @@ def _read(data: bytes, kind: str, folder: ModelFolder, header: dict[str, Any], n
 
 def _parts(scene: Any, path: Path, kind: str, header: dict[str, Any], notices: list[str]) -> list[Part]:
     factors = precise_factors(header)
-    materials: dict[int, Any] = {}  # parts of one file material share their textures
+    materials: dict[int, Any] = {}  # parts of one file material share it
+    textures = Textures(path)
     parts: list[Part] = []
     dropped = skipped = 0
     for node in scene.graph.nodes_geometry:
@@ -122,7 +123,7 @@ def _parts(scene: Any, path: Path, kind: str, header: dict[str, Any], notices: l
         if not hasattr(mesh, "faces"):
             skipped += 1
             continue
-        part, lost = _part(mesh, np.asarray(world_from_mesh, float), path, kind in _TWO_SIDED, factors, materials)
+        part, lost = _part(mesh, np.asarray(world_from_mesh, float), textures, kind in _TWO_SIDED, factors, materials)
         dropped += lost
         if part is not None:
             parts.append(part)
@@ -134,9 +135,10 @@ def _parts(scene: Any, path: Path, kind: str, header: dict[str, Any], notices: l
 
 
 def _part(
-    mesh: Any, transform: np.ndarray, path: Path, two_sided: bool, factors: dict, materials: dict[int, Any]
+    mesh: Any, transform: np.ndarray, textures: Textures, two_sided: bool, factors: dict, materials: dict[int, Any]
 ) -> tuple[Part | None, int]:
     """One mesh under its node's transform, and the number of faces without area."""
+    path = textures.path
     given = np.asarray(mesh.vertices, float)
     faces = np.asarray(mesh.faces)
     if not len(faces):
@@ -176,7 +178,7 @@ def _part(
     uv, colours = (None if a is None else a[used] for a in (uv, colours))
     key = id(getattr(mesh.visual, "material", mesh))
     if key not in materials:
-        materials[key] = material_of(mesh, path, two_sided, factors, has_colours=colours is not None)
+        materials[key] = material_of(mesh, textures, two_sided, factors, has_colours=colours is not None)
     return Part(vertices[used], faces.reshape(-1, 3).astype(np.int32), normals[used], materials[key], uv, colours), lost
 
 

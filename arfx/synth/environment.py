@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from arfx.errors import InputError
+from arfx.media.pictures import decode_picture
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
@@ -21,9 +22,7 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     if str(source) in ("studio", "sunset"):
         return _made(str(source))
     path = (folder or Path()) / source
-    picture = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    if picture is None:
-        raise InputError(f"cannot read environment {path}", "a Radiance .hdr picture, twice as wide as high")
+    picture = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     rgb = picture[..., ::-1].astype(float)
     if not np.isfinite(rgb).all() or rgb.min() < 0:
         raise InputError(f"environment {path} holds values that are not finite and >= 0")

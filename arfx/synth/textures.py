@@ -10,6 +10,7 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.errors import InputError
+from arfx.media.pictures import decode_picture
 from arfx.synth.description import Texture
 
 _LIMIT = 1024  # texels along the longer side
@@ -41,9 +42,7 @@ def _picture(texture: Texture, folder: Path | None) -> np.ndarray:
     if texture.file is None:
         raise InputError("texture of kind 'image' names no file", 'file = "picture.png", beside the scene file')
     path = (folder or Path()) / texture.file
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise InputError(f"cannot read texture {path}")
+    picture = decode_picture(path, "image", cv2.IMREAD_COLOR)
     return SRGB.decode(picture[..., ::-1].astype(np.float32) / np.float32(255))
 
 

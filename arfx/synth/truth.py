@@ -18,6 +18,7 @@ import numpy as np
 
 from arfx.core.pose import Pose
 from arfx.errors import InputError
+from arfx.media.pictures import decode_picture
 
 DEPTH_UNIT_M = 2e-4  # 16 bits reach 13 m in steps of a fifth of a millimetre
 FLOW_UNIT_PX = 1 / 64
@@ -153,7 +154,4 @@ def read_flow(path: Path) -> np.ndarray:
 
 
 def _read(path: Path) -> np.ndarray:
-    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise InputError(f"cannot read {path}")
-    return picture
+    return decode_picture(path, "image", cv2.IMREAD_UNCHANGED)

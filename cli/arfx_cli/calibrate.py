@@ -108,19 +108,10 @@ def _pictures(paths: list[Path]) -> Iterator[tuple[str, np.ndarray]]:
 def _still(path: Path) -> np.ndarray:
     """Grey picture, turned upright as EXIF says."""
     import cv2
-    import numpy as np
 
-    # decoded from memory: OpenCV's own file reading fails on some paths and prints to standard error
-    try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-        gray = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    except OSError as e:
-        raise InputError(f"{path} cannot be read: {e.strerror or e}") from None
-    except cv2.error:
-        gray = None
-    if gray is None:
-        raise InputError(f"{path} is not a picture that can be read", "supported: " + " ".join(sorted(STILLS)))
-    return gray
+    from arfx.media.pictures import decode_picture
+
+    return decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)
 
 
 def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:

@@ -14,6 +14,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 
 MAX_LEVELS = 15
+_ROWS, _TEXELS = 256, 1 << 20  # that are worked on at a time: of 8192 x 8192 texels every float copy takes a gigabyte
 # Decode tables by row: 0 linear, 1 sRGB.
 CODE = np.stack([np.arange(256) / 255.0, SRGB.decode(np.arange(256) / 255.0)]).astype(np.float32)
 _ENCODE = np.round(SRGB.encode(np.arange(8193) / 8192.0) * 255).astype(np.uint8)
@@ -35,8 +36,9 @@ class TextureStack:
         code = np.round(CODE * 65535).astype(np.uint16)
         ends = np.append(self.table[1:, 3], len(self.texels))[: len(self.table)]
         for start, end, srgb in zip(self.table[:, 3], ends, self.srgb, strict=True):
-            out[start:end, :3] = code[int(srgb)][self.texels[start:end, :3]]
-            out[start:end, 3] = code[0][self.texels[start:end, 3]]
+            for a in range(start, end, _TEXELS):
+                b = min(a + _TEXELS, end)
+                out[a:b] = _looked_up(self.texels[None, a:b], code, bool(srgb))[0]
         return out
 
 
@@ -71,28 +73,56 @@ class StackBuilder:
         return self._index[key]
 
     def build(self) -> TextureStack:
-        texels = np.concatenate(self._texels) if self._texels else np.full((1, 4), 255, np.uint8)
+        texels = np.full((max(self._size, 1), 4), 255, np.uint8)
+        end = self._size
+        while self._texels:  # given back one by one
+            level = self._texels.pop()
+            texels[end - len(level) : end] = level
+            end -= len(level)
         table = np.array(self._rows, np.int64).reshape(-1, 3 + MAX_LEVELS)
-        return TextureStack(np.ascontiguousarray(texels), table, np.array(self._srgb, bool))
+        return TextureStack(texels, table, np.array(self._srgb, bool))
 
 
 def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
     """Levels (h, w, 4) uint8 down to one texel; missing channels are 255. First three channels coded if `srgb`."""
     h, w, c = image.shape
-    full = np.full((h, w, 4), 255, np.uint8)
-    full[..., :c] = image
+    full = image
+    if c < 4:
+        full = np.full((h, w, 4), 255, np.uint8)
+        full[..., :c] = image
     levels = [full]
-    linear = np.empty((h, w, 4), np.float32)
-    linear[..., :3] = np.take(CODE[int(srgb)], full[..., :3])
-    linear[..., 3] = np.take(CODE[0], full[..., 3])
+    linear = None
     while max(w, h) > 1 and len(levels) < MAX_LEVELS:
-        w, h = max(w // 2, 1), max(h // 2, 1)
-        smaller = cv2.resize(linear, (w, h), interpolation=cv2.INTER_AREA)
-        linear = np.asarray(smaller, np.float32).reshape(h, w, 4)
+        linear = _halved(full, srgb) if linear is None else _resized(linear)
+        h, w = linear.shape[:2]
         coded = np.empty((h, w, 4), np.uint8)
-        coded[..., 3] = np.round(linear[..., 3] * 255)
-        coded[..., :3] = (
-            np.take(_ENCODE, np.round(linear[..., :3] * 8192).astype(np.int32)) if srgb else np.round(linear[..., :3] * 255)
-        )
+        for a in range(0, h, _ROWS):
+            rows, light = coded[a : a + _ROWS], linear[a : a + _ROWS]
+            rows[..., 3] = np.round(light[..., 3] * 255)
+            rows[..., :3] = (
+                np.take(_ENCODE, np.round(light[..., :3] * 8192).astype(np.intp)) if srgb else np.round(light[..., :3] * 255)
+            )
         levels.append(coded)
     return levels
+
+
+def _halved(full: np.ndarray, srgb: bool) -> np.ndarray:
+    """(h, w, 4) uint8 in linear light at half the size, float32; of even sizes some rows at a time."""
+    h, w = full.shape[:2]
+    if h % 2 or w % 2:
+        return _resized(_looked_up(full, CODE, srgb))
+    out = np.empty((h // 2, w // 2, 4), np.float32)
+    for a in range(0, h, _ROWS):
+        out[a // 2 : (a + _ROWS) // 2] = _resized(_looked_up(full[a : a + _ROWS], CODE, srgb))
+    return out
+
+
+def _resized(linear: np.ndarray) -> np.ndarray:
+    w, h = max(linear.shape[1] // 2, 1), max(linear.shape[0] // 2, 1)
+    return np.asarray(cv2.resize(linear, (w, h), interpolation=cv2.INTER_AREA), np.float32).reshape(h, w, 4)
+
+
+def _looked_up(coded: np.ndarray, table: np.ndarray, srgb: bool) -> np.ndarray:
+    """(h, w, 4) uint8 through a table (2, 256) by row of CODE, in the table's type: numpy would make 64-bit indices first."""
+    channels = np.stack([table[int(srgb)]] * 3 + [table[0]], -1)
+    return np.asarray(cv2.LUT(np.ascontiguousarray(coded), channels[None])).reshape(coded.shape)

@@ -228,3 +228,20 @@ def test_archives_and_formats_without_faces_are_refused(tmp_path: Path, name: st
     (tmp_path / name).write_bytes(b"PK\x03\x04 whatever")
     with pytest.raises(InputError, match="not a format that is read"):
         load_model(tmp_path / name)
+
+
+def test_a_picture_that_materials_share_is_decoded_once_and_all_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Image.new("RGB", (64, 64)).save(tmp_path / "t.png")
+    Image.new("RGB", (64, 64)).save(tmp_path / "u.png")
+    tree = header(images=[{"uri": "t.png"}, {"uri": "u.png"}], textures=[{"source": 0}, {"source": 0}, {"source": 1}])
+    tree["materials"] = [
+        {"name": n, "pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for n, k in zip("abc", (0, 1, 2), strict=True)
+    ]
+    tree["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}, "material": k} for k in range(3)]}]
+    a, b, c = (p.material.base_texture for p in load_model(gltf(tmp_path, tree)).parts)
+    assert a is b and a is not c
+    monkeypatch.setattr("arfx.media.model_materials.MAX_TEXELS", 5000)
+    with pytest.raises(InputError, match="textures hold more"):
+        load_model(tmp_path / "a.gltf")

@@ -16,7 +16,7 @@ from arfx.stages.raster import Raster, RasterParams, backend_report, choose_back
 from arfx.stages.raster import backends as backends_module
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.rays import hammersley
-from arfx.stages.raster.textures import StackBuilder, pyramid
+from arfx.stages.raster.textures import CODE, StackBuilder, pyramid
 from tests.scenes import box_model, facts
 from tests.unit.stages.raster_scenes import BOTH, LENSES, PLAIN, camera, in_front, quad, render, scene_of, square
 
@@ -325,3 +325,20 @@ def test_auto_takes_opengl_on_a_graphics_card_alone(
 def test_empty_where_nothing_is(monkeypatch: pytest.MonkeyPatch) -> None:
     out = render(Scene(camera(), Model((square(0.1),), "z"), np.eye(4)), in_front(), "rays", rect=Rect(0, 0, 20, 10))
     assert out[Layer.COVERAGE].shape == (10, 20) and out[Layer.COVERAGE].max() == 0 and np.isinf(out[Layer.DEPTH]).all()
+
+
+def test_textures_take_no_more_than_their_own_types() -> None:
+    import tracemalloc
+
+    image = np.random.default_rng(0).integers(0, 256, (2048, 2048, 4), dtype=np.uint8)
+    expected = CODE[1][image[:64, :64, :3]].reshape(32, 2, 32, 2, 3).mean((1, 3))
+    tracemalloc.start()
+    builder = StackBuilder()
+    builder.add(image, True)
+    stack = builder.build()
+    linear = stack.linear
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 24 * image.size / 4  # texels 5.3, in linear light 10.7, and what is being worked on
+    first = linear[stack.table[0, 4] :][: 1024 * 1024, :3].reshape(1024, 1024, 3)[:32, :32] / 65535
+    assert np.abs(first - expected).max() < 0.004  # stored coded again, in 8 bits
