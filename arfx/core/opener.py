@@ -37,7 +37,7 @@ LIMITS: dict[str, tuple[float, str]] = {
 }
 DEEPEST = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse
 LARGEST_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
-_DOTTED = re.compile(r"(?:[^\s.=]+[ \t]*\.[ \t]*){64}")  # tomllib takes the square of a dotted key's parts
+_DOTTED = re.compile(r"(?<![^\s.=])(?:[^\s.=]++[ \t]*+\.[ \t]*+){64}")  # tomllib takes the square of a dotted key's parts
 
 
 def regular(path: Path | str, kind: str) -> Path:

@@ -57,6 +57,7 @@ def test_text_comes_without_byte_order_mark_and_only_as_utf_8(tmp_path: Path) ->
         ("x = " + "[" * 100 + "]" * 100, "deeper"),
         (".".join(["a"] * 100_000) + " = 1", "64 parts"),
         ("x = 1\nx = 2", "overwrite"),
+        ("x" * 900_000, "Expected"),
     ],
 )
 def test_toml_that_would_overflow_says_so(text: str, message: str) -> None:
