@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from arfx.analyse.records import Analysis
 from arfx.core.facts import FrameFacts
+from arfx.core.guard import aside
 from arfx.core.pose import Pose, find_rotvecs
 from arfx.errors import InputError
 
@@ -27,14 +27,9 @@ def write_facts(path: Path | str, facts: Sequence[FrameFacts], analysis: Analysi
             "static": analysis.static, "summary": analysis.summary, "notices": list(analysis.notices),
         }  # fmt: skip
     find_rotvecs(p for f in facts for p in f.poses)
-    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with aside.open("w", encoding="utf-8") as f:
-            for line in (header, *(x.to_json() for x in facts)):
-                f.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
+    with aside(path) as part, part.open("w", encoding="utf-8") as f:
+        for line in (header, *(x.to_json() for x in facts)):
+            f.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
 
 
 def read_facts(path: Path | str) -> tuple[FrameFacts, ...]:

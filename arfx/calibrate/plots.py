@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from arfx.calibrate.calibration import Calibration
 from arfx.calibrate.coverage import GRID, TILTED_DEG, grid_pixels
+from arfx.core.guard import aside
 
 RESIDUALS, COVERAGE = "residuals.png", "coverage.png"
 DPI = 110
@@ -21,9 +22,8 @@ def write_plots(result: Calibration, folder: Path, stem: str = "") -> list[Path]
     out = []
     for name, figure in ((RESIDUALS, _residuals(result)), (COVERAGE, _coverage(result))):
         path = folder / f"{stem}{name}"
-        part = path.with_name(f".{path.name}.part")
-        FigureCanvasAgg(figure).print_figure(part, format="png", dpi=DPI)
-        part.replace(path)
+        with aside(path) as part:
+            FigureCanvasAgg(figure).print_figure(part, format="png", dpi=DPI)
         out.append(path)
     return out
 

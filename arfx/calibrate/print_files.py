@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from xml.sax.saxutils import escape
@@ -10,6 +9,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from arfx.calibrate.print_layout import TEXT_MM, Sheet, outlines
+from arfx.core.guard import aside
 from arfx.errors import ConfigError
 
 MM_PER_INCH = 25.4
@@ -27,12 +27,8 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
     ending = path.suffix.lower()
     if ending not in writers:
         raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with aside(path) as part:
         writers[ending](sheet, part, dpi)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _svg(sheet: Sheet, path: Path, dpi: float) -> None:

@@ -61,7 +61,7 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
         else:
             problems.append(pointed(message, str(file), text, path, hint))
 
-    sections = {k for k in JobConfig.model_fields if k != "params"}
+    sections = {k for k in JobConfig.model_fields if k not in ("params", "sources")}
     params: dict[str, Any] = {}
     for name in merged:
         if name not in sections and name not in parameters:
@@ -74,7 +74,8 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
         params[name] = _params(name, kind, table, problem)
     job = None
     try:
-        job = JobConfig.model_validate({**{k: merged[k] for k in sections if k in merged}, "params": params})
+        own = {"params": params, "sources": () if file is None else (file,)}
+        job = JobConfig.model_validate({**{k: merged[k] for k in sections if k in merged}, **own})
     except ValidationError as e:
         for error in e.errors(include_url=False):
             path = tuple(p for p in error["loc"] if not _is_type_tag(p))

@@ -117,7 +117,8 @@ class OutputSection(Section):
 
 
 class JobConfig(Section):
-    """A whole job: what `arfx process` needs to know. `params` holds one frozen dataclass per stage and `analyse`."""
+    """A whole job: what `arfx process` needs to know. `params` holds one frozen dataclass per stage and `analyse`;
+    `sources` are the job files that it was read from."""
 
     input: InputSection = InputSection()
     marker: tuple[MarkerSection, ...] = ()
@@ -125,6 +126,7 @@ class JobConfig(Section):
     pipeline: PipelineSection = PipelineSection()
     output: OutputSection = OutputSection()
     params: dict[str, Any] = Field(default_factory=dict)
+    sources: tuple[Path, ...] = ()
 
     @property
     def markers(self) -> tuple[MarkerSpec, ...]:

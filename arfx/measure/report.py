@@ -19,21 +19,11 @@ from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
-from arfx.errors import ConfigError, InputError, RenderError
-from arfx.run.folder import JobFolder, disk_error, write_text
+from arfx.errors import InputError, RenderError
+from arfx.run.folder import JobFolder, write_text
 from arfx.run.preview import load_previews
 
-REPORT_FILES = ("report.json", "report.html")
 Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
-
-
-def check_report_folder(folder: Path, overwrite: bool) -> None:
-    """Refuse, before any work, a folder that holds a report already or is a file. Raises ConfigError."""
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"report folder {folder} is a file", "name a folder")
-    held = [name for name in REPORT_FILES if (folder / name).exists()]
-    if held and not overwrite:
-        raise ConfigError(f"{folder / held[0]} exists", "--overwrite replaces it; or name another folder")
 
 
 def write_report(
@@ -51,17 +41,27 @@ def write_report(
 
     Returns the path of report.html. Raises RenderError where the folder cannot be written.
     """
+    return _write(folder, *_pages(report, facts, before_after, camera, points_m))
+
+
+def _pages(
+    report: Mapping[str, Any], facts: Sequence[FrameFacts], before_after: Pictures, camera: Camera | None,
+    points_m: np.ndarray | None,
+) -> tuple[str, str]:  # fmt: skip
     from arfx.measure.report_html import page
     from arfx.measure.report_plots import pose_plot, timing_plot
 
     document = finite(report)
+    plots = {"pose": pose_plot(facts, camera, points_m), "timing": timing_plot(document)}
+    return json.dumps(document, indent=1, allow_nan=False) + "\n", page(document, facts, before_after, plots)
+
+
+def _write(folder: Path, document: str, html: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise RenderError(f"report folder {folder} cannot be made: {e.strerror}", "name another place") from None
-    plots = {"pose": pose_plot(facts, camera, points_m), "timing": timing_plot(document)}
-    html = page(document, facts, before_after, plots)
-    write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "report.json", document)
     write_text(folder / "report.html", html)
     return folder / "report.html"
 
@@ -77,12 +77,10 @@ def report_of_job(job: Path, folder: Path) -> Path:
         facts = list(read_facts(files.facts))
         camera, points_m = _what_stands(files, report)
         pictures = load_previews(files.previews) if files.previews.is_dir() else []
-    except (OSError, ValueError, KeyError, TypeError) as e:
-        raise InputError(f"job folder {job} is damaged: {e}", "process the clip again") from e
-    try:
-        return write_report(folder, report, facts, pictures, camera, points_m)
-    except OSError as e:
-        raise disk_error(e, folder) from None
+        pages = _pages(report, facts, pictures, camera, points_m)
+    except (OSError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as e:
+        raise InputError(f"job folder {job} is damaged: {type(e).__name__}: {e}", "process the clip again") from e
+    return _write(folder, *pages)
 
 
 def read_report(job: Path) -> dict[str, Any]:
@@ -96,7 +94,7 @@ def read_report(job: Path) -> dict[str, Any]:
         raise InputError(f"the job in {job} is not finished", "run the same `arfx process` command again with --resume")
     try:
         report = json.loads(files.report.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as e:
+    except (OSError, RecursionError, ValueError) as e:
         raise InputError(f"{files.report} cannot be read: {e}", "process the clip again") from None
     if not isinstance(report, dict) or not {"input", "output", "pose", "stages", "timing"} <= report.keys():
         raise InputError(f"{files.report} is not the report of a job", "process the clip again")

@@ -1,7 +1,11 @@
 """The frame of report.html: style and the before/after slider. @TITLE@ and @BODY@ are filled in, already escaped."""
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+from arfx.run.place import PAGE_START
+
+PAGE = (
+    PAGE_START
+    + """
+<meta name="viewport" content="width=device-width, initial-scale=1">
 <title>@TITLE@</title>
 <style>
 :root { color-scheme: light dark; --ground: #fff; --card: #f6f8fa; --ink: #1f2328; --soft: #59636e;
@@ -63,3 +67,4 @@ td { overflow-wrap: break-word; } td:first-child { overflow-wrap: normal; } th {
 </script>
 </body></html>
 """
+)

@@ -8,7 +8,6 @@ Left out: XML, and lens models that OpenCV's polynomials cannot express (field-o
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 import yaml
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
+from arfx.core.guard import aside
 from arfx.core.opener import DEEPEST, bounded, parse_json, read_text
 from arfx.errors import ArfxError, InputError
 from arfx.media.camera_checks import check_camera, check_matrix
@@ -277,12 +277,8 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
     lines += ["fisheye_model: 1"] if fisheye else []
     for key, value in extras.items():
         lines += _extra_lines(key, value, "", path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with aside(path) as part:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _matrix_lines(key: str, m: np.ndarray) -> list[str]:

@@ -21,6 +21,7 @@ from typing import Any
 import av
 
 from arfx.core import interrupt
+from arfx.core.guard import TIMES, part_name
 from arfx.core.opener import av_name
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
@@ -43,10 +44,11 @@ class _Order:
 
 def join_chunks(
     chunks: Sequence[Path], pts: Sequence[int], plan: OutputPlan, info: ClipInfo, out: Path,
-    start_s: float | None = None, end_s: float | None = None,
+    start_s: float | None = None, end_s: float | None = None, part: Path | None = None,
 ) -> None:  # fmt: skip
     """Writes `out` from chunks in order.
 
+    part : where it is made, on the same disk; what is there is removed. None = a name beside it that nobody uses
     pts : presentation times of all their frames in info.time_base, rising; start_s, end_s : the cut that was made, in
     seconds after the clip's first frame, for the streams that are copied.
     Raises RenderError: chunks and times do not match, chunks of different settings, the file cannot be written. Then
@@ -58,9 +60,9 @@ def join_chunks(
     if any(b <= a for a, b in itertools.pairwise(pts)):
         raise RenderError(f"{out}: frame times do not rise")
     if plan.is_sequence:
-        _join_folders(chunks, len(pts), out)
+        _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent))
         return
-    part = out.with_name(out.name + ".part")
+    part = part or part_name(out)
     try:
         remove_output(part)
         order = _order_of(chunks, len(pts))
@@ -206,17 +208,16 @@ def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
     return scale
 
 
-def _join_folders(chunks: Sequence[Path], count: int, out: Path) -> None:
+def _join_folders(chunks: Sequence[Path], count: int, out: Path, part: Path) -> None:
     """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
-    folder = out.absolute().parent  # absolute: the current folder has no name otherwise
-    part = folder.with_name(folder.name + ".part")
+    folder = out.absolute().parent
     try:
         remove_output(part)
         part.mkdir(parents=True)
         times = []
         for chunk in chunks:
             for f in sorted(chunk.iterdir()):
-                if f.name == "times.txt":
+                if f.name == TIMES:
                     times.append(f.read_text())
                     continue
                 try:
@@ -226,7 +227,7 @@ def _join_folders(chunks: Sequence[Path], count: int, out: Path) -> None:
         images = sum(1 for _ in part.iterdir())
         if images != count:
             raise RenderError(f"the chunks hold {images} images, the clip has {count} frames", "render the job again")
-        (part / "times.txt").write_text("".join(times))
+        (part / TIMES).write_text("".join(times))
         with interrupt.completing():
             if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
                 folder.rmdir()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec,
 from arfx.media.planes import layout_named
 
 _DEFAULT_CODEC = {"mp4": "h264", "mov": "h264", "matroska": "h264", "webm": "av1"}
-_PATTERN = re.compile(r"%0?\d*d")
+_PATTERN = re.compile(r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)")  # one number of at most 99 digits
 _ALIASES = {"hevc": "h265", "avc": "h264", "x264": "h264", "x265": "h265", "prores4444": "prores"}
 
 
@@ -123,7 +123,7 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
         kind = name or suffix[1:]
         if suffix != f".{kind}":
             raise ConfigError(f"{path}: codec {kind} writes images named *.{kind}", f"for example frames/%06d.{kind}")
-        if not _names_images(path.name):
+        if not _PATTERN.fullmatch(path.name):
             raise ConfigError(f"{path}: an image sequence needs one number in its name", f"for example frames/%06d{suffix}")
         return "", CODECS[kind]
     if suffix not in SUFFIX_CONTAINER:
@@ -140,12 +140,18 @@ def names_sequence(path: Path) -> bool:
     return path.suffix.lower() in (".png", ".exr")
 
 
-def _names_images(pattern: str) -> bool:
-    """Whether a file name makes a different name of every frame number."""
-    try:
-        return bool(_PATTERN.search(pattern)) and pattern % 1 != pattern % 2
-    except (TypeError, ValueError):
-        return False
+def image_names(pattern: str) -> Callable[[str], bool]:
+    """Whether a file name is one that the pattern makes of some frame number."""
+    around = _PATTERN.fullmatch(pattern)
+    assert around is not None
+    head, tail = (re.escape(text.replace("%%", "%")) for text in around.groups())
+    number = re.compile(rf"{head} *(\d+){tail}")
+
+    def named(name: str) -> bool:
+        found = number.fullmatch(name)
+        return found is not None and len(found[1]) < 100 and pattern % int(found[1]) == name
+
+    return named
 
 
 def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], ...]:

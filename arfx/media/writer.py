@@ -12,6 +12,7 @@ from typing import Any
 import av
 import numpy as np
 
+from arfx.core.guard import TIMES
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS
@@ -155,7 +156,7 @@ class ChunkWriter:
                 raise RenderError(f"{self.path}: a chunk without frames")
             if self.plan.is_sequence:
                 lines = [f"{i} {t:.9f}\n" for i, t in self._times]
-                (self.part / "times.txt").write_text("".join(lines))
+                (self.part / TIMES).write_text("".join(lines))
             else:
                 self._mux(self._stream.encode(None))
                 self._close()

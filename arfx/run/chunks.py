@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
+
+from arfx.run.folder import content_digest
 
 T = TypeVar("T")
 
@@ -21,8 +24,18 @@ class Chunk:
     last: int
     key: str
 
-    def path(self, folder: Path, suffix: str) -> Path:
-        return folder / f"{self.first:06d}-{self.last:06d}.{self.key}{suffix}"
+    @property
+    def name(self) -> str:
+        """Its file's, up to the digest of what is in it (`arfx.run.folder.content_digest`) and the extension."""
+        return f"{self.first:06d}-{self.last:06d}.{self.key}"
+
+    def find(self, folder: Path, suffix: str) -> Path | None:
+        """Its file, if there is one that is as it was written."""
+        for path in folder.glob(f"{self.name}.*{suffix}"):
+            with contextlib.suppress(OSError):
+                if path.name == f"{self.name}.{content_digest(path)}{suffix}":
+                    return path
+        return None
 
     @property
     def frames(self) -> int:

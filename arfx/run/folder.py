@@ -1,15 +1,16 @@
-"""The job folder: what is written where, atomically, and which key says that a piece is still good.
+"""The job folder: what is written where, whole or not at all, what in it is arfx's own, and what is still good.
 
-job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · plan_summary.json ·
+job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · plan_summary.json · seal.json ·
 chunks/ · timings.jsonl · previews/ · report.json
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
-import shutil
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -17,20 +18,29 @@ from pathlib import Path
 from typing import Any
 
 import arfx
+from arfx.core.guard import PART, TIMES, aside
 from arfx.errors import ConfigError, RenderError
+from arfx.run.lock import HOLDER, LOCK, MARKER
 
-_MARK = "job.toml"
-_OURS = {
-    _MARK, "inputs.json", "frames.json", "facts.jsonl", "plan.jsonl", "chunks", "timings.jsonl", "previews",
-    "report.json", "plan_summary.json", "analysis.checkpoint", "analysis.checkpoint.json",  # as it once was
-}  # fmt: skip
+MARK = "# A job of arfx. Its folder is arfx's own: --overwrite clears it.\n"  # job.toml begins with it
+_LOCKS = "|".join(map(re.escape, (LOCK, MARKER, HOLDER)))
+_IMAGE = rf"[^/]+\.(?:png|exr)|{re.escape(TIMES)}"
+_CHUNK = r"(?:\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?:\.nut|\.mkv)?(?:\.part)?"
+# What arfx writes, by its path in the folder: without a job.toml of its own, and with one
+_FOLDERS = re.compile(rf"chunks|previews|joined\.part|chunks/{_CHUNK}")
+_UNMARKED = re.compile(rf"(?:{_LOCKS})|{PART}|joined\.part(?:/(?:{_IMAGE}))?")
+_MARKED = re.compile(
+    rf"job\.toml|(?:inputs|frames|plan_summary|seal|report)\.json|analysis\.checkpoint|(?:facts|plan|timings)\.jsonl"
+    rf"|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
+)
+_SEALED = ("frames.json", "facts.jsonl", "plan.jsonl", "plan_summary.json")
 
 
 @dataclass(frozen=True)
 class JobFolder:
     path: Path
 
-    job = property(lambda self: self.path / _MARK)
+    job = property(lambda self: self.path / "job.toml")
     inputs = property(lambda self: self.path / "inputs.json")
     frames = property(lambda self: self.path / "frames.json")
     facts = property(lambda self: self.path / "facts.jsonl")
@@ -41,39 +51,89 @@ class JobFolder:
     previews = property(lambda self: self.path / "previews")
     report = property(lambda self: self.path / "report.json")
     checkpoint = property(lambda self: self.path / "analysis.checkpoint")
+    joined = property(lambda self: self.path / "joined.part")  # the output, until it is whole
 
-    def open(self, resume: bool, overwrite: bool) -> None:
-        """Make the folder, or keep what an earlier job left in it (resume), or clear that (overwrite).
+    def files(self) -> Iterator[Path]:
+        """All that arfx wrote into it."""
+        return (self.path / name for name, mine in self._entries() if mine)
 
-        Raises ConfigError if the path holds something that is not a job, or a job and neither is asked for;
-        RenderError if it cannot be made.
-        """
-        if self.path.exists() and not self.path.is_dir():
-            raise ConfigError(f"job folder {self.path} is a file", "name another with --job")
-        if self.path.is_dir():
-            strangers = [p.name for p in self.path.iterdir() if p.name not in _OURS and not p.name.endswith(".part")]
-            if not self.job.exists():  # nothing was rendered here, so these folders hold nothing of ours
-                strangers += [
-                    f"{p.parent.name}/{p.name}" for d in (self.chunks, self.previews) if d.is_dir() for p in d.iterdir()
-                ]
-            if strangers:
-                raise ConfigError(f"{self.path} holds {strangers[0]!r}, it is not a job folder", "name an empty one with --job")
-            if not resume:
-                if self.job.exists() and not overwrite:
-                    state = "a finished" if self.report.exists() else "an unfinished"
-                    raise ConfigError(f"{self.path} holds {state} job", "--resume goes on with it, --overwrite starts afresh")
-                self.remove()
+    def check_strangers(self) -> None:
+        """Raises ConfigError where the folder holds anything that arfx did not write."""
+        stranger = next((name for name, mine in self._entries() if not mine), None)
+        if stranger is not None:
+            raise ConfigError(f"{self.path} holds {stranger!r}, it is not a job folder", "name an empty one with --job")
+
+    def check(self, resume: bool, overwrite: bool) -> None:
+        """Raises ConfigError where it holds a job and it is neither to be gone on with nor to be replaced."""
+        if self.job.exists() and not resume and not overwrite:
+            state = "a finished" if self.report.exists() else "an unfinished"
+            raise ConfigError(f"{self.path} holds {state} job", "--resume goes on with it, --overwrite starts afresh")
+
+    def open(self, resume: bool) -> None:
+        """Make the folder, or keep what an earlier job left in it (resume), else clear that. Raises RenderError."""
+        if not resume:
+            self.clear()
         try:
             self.chunks.mkdir(parents=True, exist_ok=True)
             self.previews.mkdir(exist_ok=True)
         except OSError as e:
             raise RenderError(f"job folder {self.path} cannot be made: {e.strerror}", "name another with --job") from None
 
-    def remove(self) -> None:
-        shutil.rmtree(self.path, ignore_errors=True)
+    def clear(self, under: str = "") -> None:
+        """Remove what arfx wrote, but for a lock; what it did not write stays. under : only what lies in this folder"""
+        for name, mine in [*self._entries()]:
+            if mine and name.startswith(under) and name not in (LOCK, MARKER, HOLDER):
+                path = self.path / name
+                with contextlib.suppress(OSError):
+                    path.rmdir() if path.is_dir() else path.unlink()
 
-    def remove_chunks(self) -> None:
-        shutil.rmtree(self.chunks, ignore_errors=True)
+    @property
+    def resumable(self) -> bool:
+        """Whether anything is left here that another process need not do again."""
+        return self._seal.exists() or self.checkpoint.exists()
+
+    def seal(self, job_key: str) -> None:
+        """The analysis and the plan of this job are written, whole."""
+        write_text(self._seal, json.dumps({"job_key": job_key, "files": self._digests()}))
+
+    def unseal(self) -> None:
+        self._seal.unlink(missing_ok=True)
+
+    def sealed(self, job_key: str) -> bool:
+        """Whether they are this job's, as they were written."""
+        try:
+            return bool(json.loads(self._seal.read_bytes()) == {"job_key": job_key, "files": self._digests()})
+        except (OSError, ValueError, RecursionError):
+            return False
+
+    _seal = property(lambda self: self.path / "seal.json")
+
+    def _digests(self) -> dict[str, str]:
+        return {name: content_digest(self.path / name) for name in _SEALED}
+
+    def _entries(self, inside: str = "") -> Iterator[tuple[str, bool]]:
+        """(path in the folder, whether arfx wrote it) of all that is in it, from the inside out; links are not arfx's."""
+        kinds = (_UNMARKED, *[_MARKED] * self._marked())
+        try:
+            with os.scandir(self.path / inside) as found:
+                entries = sorted(found, key=lambda e: e.name)
+        except FileNotFoundError:  # none yet, or none any more: a job that ends clears it
+            return
+        for e in entries:
+            name = inside + e.name
+            if e.is_dir(follow_symlinks=False):
+                mine = _FOLDERS.fullmatch(name) is not None
+                yield from self._entries(f"{name}/") if mine else ()
+            else:
+                mine = e.is_file(follow_symlinks=False) and any(kind.fullmatch(name) for kind in kinds)
+            yield name, mine
+
+    def _marked(self) -> bool:
+        try:
+            with self.job.open("rb") as f:
+                return f.read(len(MARK)) == MARK.encode()
+        except OSError:
+            return False
 
 
 def write_text(path: Path, text: str) -> None:
@@ -83,12 +143,10 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """As `write_text`."""
-    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        aside.write_bytes(data)
-        aside.replace(path)
+        with aside(path) as part:
+            part.write_bytes(data)
     except OSError as e:
-        aside.unlink(missing_ok=True)
         raise disk_error(e, path) from None
 
 
@@ -134,6 +192,17 @@ def file_digest(path: Path, whole_up_to: int = 256 << 20) -> str:
             for at in (0, stat.st_size // 2, stat.st_size - (4 << 20)):
                 f.seek(at)
                 h.update(f.read(4 << 20))
+    return h.hexdigest()
+
+
+def content_digest(path: Path) -> str:
+    """16 hex digits over a whole file, or over a folder's files and their names. Raises OSError."""
+    h = hashlib.blake2b(digest_size=8)
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        h.update(b"" if file == path else file.name.encode() + b"\0")
+        with file.open("rb") as f:
+            while block := f.read(1 << 22):
+                h.update(block)
     return h.hexdigest()
 
 

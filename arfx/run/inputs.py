@@ -58,15 +58,6 @@ def open_inputs(config: JobConfig) -> Inputs:
         raise ConfigError("no output is named", "-o out.mp4")
     settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
     output = plan_output(clip, config.output.path, settings)
-    for read in (
-        config.input.clip,
-        config.input.camera,
-        config.input.marker_map,
-        config.model.file,
-        config.params["light"].environment,
-    ):
-        if read is not None and read.absolute().resolve() == output.path.absolute().resolve():
-            raise ConfigError(f"output {output.path} is also an input: it would be lost", "name another with -o")
     model = job_model(config)
     check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
     return Inputs(

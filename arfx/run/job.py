@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,9 +25,8 @@ from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
-from arfx.errors import ConfigError, JobInterruptedError, RenderError
+from arfx.errors import JobInterruptedError
 from arfx.media.join import join_chunks
-from arfx.media.output import OutputPlan, names_sequence
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import Pass, analyse_clip
@@ -36,9 +34,10 @@ from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
 from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
+from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
+from arfx.run.place import Places
 from arfx.run.predict import Terms
 from arfx.run.preview import pick
 from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
@@ -60,6 +59,9 @@ def _silent(phase: str, done: int, total: int | None) -> None:
 class Options:
     """How a job is run; none of it changes a pixel.
 
+    folder : of the job, None = beside the output, and removed when all is done
+    report : folder of the job's report, which `finish` writes: checked and locked as the other places are
+    finish(job folder) : called when the output is there, before its folder is given back
     workers : processes, None = one for a short job, else one per core
     progress(phase, frames done, frames in all or None);  notice(message) for warnings
     """
@@ -68,6 +70,8 @@ class Options:
     resume: bool = False
     overwrite: bool = False
     workers: int | None = 1
+    report: Path | None = None
+    finish: Callable[[Path], object] | None = None
     progress: Callable[[str, int, int | None], None] = _silent
     notice: Callable[[str], None] = print
 
@@ -102,12 +106,9 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     inputs = open_inputs(config)
     for notice in inputs.notices:
         options.notice(notice)
-    check_output(inputs.output, options.overwrite)
-    folder = JobFolder(options.folder or default_folder(inputs.output.path))
-    if folder.path.absolute() in inputs.output.path.absolute().parents:
-        raise ConfigError(f"output {inputs.output.path} lies in the job folder {folder.path}", "name another place with -o")
-    folder.open(options.resume, options.overwrite)
-    with _interruptible(folder) as check:
+    places = Places(inputs, options.folder, options.report, options.overwrite)
+    folder = places.folder
+    with places.held(options.resume), _interruptible(folder) as check:
         told = options.progress
 
         def progress(phase: str, done: int, total: int | None) -> None:
@@ -117,13 +118,16 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         options = replace(options, progress=progress)
         planned = plan_job(inputs, folder, options, started)
         chunks = _chunks(planned)
-        _render(planned, chunks, options)
+        files = _render(planned, chunks, options)
         start = time.perf_counter()
-        _join(planned, chunks)
+        places.check_output()  # all the time since the first look
+        _join(planned, files, places.part)
         report = build_report(planned, chunks, time.perf_counter() - start)
         write_text(folder.report, json.dumps(report, indent=1))
-        folder.remove_chunks()
+        folder.clear("chunks")
         folder.checkpoint.unlink(missing_ok=True)
+        if options.finish is not None:
+            options.finish(folder.path)
     return report
 
 
@@ -137,30 +141,6 @@ def default_workers(pixels: int) -> tuple[int, bool]:
     if cores <= MOST_THREADS:
         return cores, True
     return (cores if pixels > SHORT_JOB_PX else 1), False
-
-
-def default_folder(output: Path) -> Path:
-    """Where a job lives while it runs, beside its output: out.mp4 -> out.mp4.job, frames/%06d.png -> frames.job"""
-    beside = output.absolute().parent if names_sequence(output) else output
-    return beside.with_name(f"{beside.name}.job")
-
-
-def check_output(output: OutputPlan, overwrite: bool) -> None:
-    """Refuse, before any work, an output that exists or a place that cannot be written."""
-    path, parent = output.path, output.path.parent
-    if not parent.exists() and output.is_sequence:
-        parent = parent.parent
-    if not parent.is_dir():
-        raise ConfigError(f"output folder {parent} does not exist", "make it first, or name another with -o")
-    taken = any(path.parent.glob(f"*{path.suffix}")) if output.is_sequence else path.exists()
-    if taken and not overwrite:
-        raise ConfigError(f"output {path} exists", "--overwrite replaces it; or name another with -o")
-    probe = parent / f".arfx-{os.getpid()}.part"
-    try:
-        probe.touch()
-        probe.unlink()
-    except OSError as e:
-        raise RenderError(f"cannot write into {parent}: {e.strerror}", "name another place with -o") from None
 
 
 def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Planned:
@@ -193,13 +173,13 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     stages = make_stages(config)
     wish = wish_of(config)
     errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
-    fresh = not (_same_job(folder, job_key) and folder.facts.exists() and folder.plan.exists())
+    write_text(folder.job, MARK + to_toml({**tree, "output": output}))
+    write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
+    fresh = not folder.sealed(job_key)
     if fresh:
-        folder.plan.unlink(missing_ok=True)  # until all of the analysis is written, nothing here counts as done
+        folder.unseal()
         with warming(config, inputs, options.workers in (None, 1)):  # before the time is taken: what is to come needs none of it
-            _analyse(inputs, folder, analysis_key, job_key, options, log)
-        write_text(folder.job, to_toml({**tree, "output": output}))
-        write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
+            _analyse(inputs, folder, analysis_key, options, log)
     meta = json.loads(folder.frames.read_text(encoding="utf-8"))
     facts = list(read_facts(folder.facts))
     world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
@@ -212,6 +192,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     terms = _terms(planned, options)
     if fresh:
         choose(planned, stages, wish, errors, terms, options.notice)
+        folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     planned.levels, planned.predicted = document["levels"], document["predicted"]
     planned.plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
@@ -233,14 +214,7 @@ def _terms(planned: Planned, options: Options) -> Terms:
     )  # fmt: skip
 
 
-def _same_job(folder: JobFolder, job_key: str) -> bool:
-    try:
-        return bool(json.loads(folder.frames.read_text(encoding="utf-8"))["job_key"] == job_key)
-    except (OSError, ValueError, KeyError):
-        return False  # no finished analysis here
-
-
-def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str, options: Options, log: WorkLog) -> None:
+def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Options, log: WorkLog) -> None:
     config = inputs.config
     span = (config.input.start, config.input.end)
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
@@ -272,7 +246,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, job_key: str,
         options.notice(notice)
     write_facts(folder.facts, facts)
     document = {
-        "job_key": job_key, "pts": done.span.pts, "keys": done.span.keys, "anchor": anchor,
+        "pts": done.span.pts, "keys": done.span.keys, "anchor": anchor,
         "world_from_marker": {k: p.to_json() for k, p in world.items()},
         "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
         "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,
@@ -309,13 +283,15 @@ def _chunks(planned: Planned) -> list[Chunk]:
     return out
 
 
-def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
+def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Path]:
+    """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = planned.folder, chunk_suffix(planned.inputs.output)
-    todo = [c for c in chunks if not c.path(folder.chunks, suffix).exists()]
+    files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
+    todo = [c for c in chunks if files[c.first] is None]
     keep = sum(c.frames for c in chunks) - sum(c.frames for c in todo)
     total = len(planned.facts)
     keys = {c.first: c.key for c in todo}
-    tasks: list[Task] = [(str(folder.path), planned.key, c.first, c.last, str(c.path(folder.chunks, suffix))) for c in todo]
+    tasks: list[Task] = [(str(folder.path), planned.key, c.first, c.last, str(folder.chunks / c.name)) for c in todo]
 
     def progress(done: int) -> None:
         options.progress("render", keep + done, total)
@@ -333,15 +309,16 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> None:
     else:
         results = (run_threads if threads else run_processes)(tasks, workers, progress)
     for result in results:
+        files[result["first"]] = folder.chunks / result["file"]
         planned.log.note(CHUNK, keys[result["first"]], **result)
     progress(sum(c.frames for c in todo))
+    return [path for path in files.values() if path is not None]
 
 
-def _join(planned: Planned, chunks: list[Chunk]) -> None:
+def _join(planned: Planned, files: Sequence[Path], part: Path) -> None:
     info, output, config = planned.inputs.info, planned.inputs.output, planned.inputs.config
-    paths = [c.path(planned.folder.chunks, chunk_suffix(output)) for c in chunks]
     try:
-        join_chunks(paths, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end)
+        join_chunks(files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, part)
     except OSError as e:
         raise disk_error(e, output.path) from None
 

@@ -45,16 +45,16 @@ class WorkLog:
     process: str = field(default_factory=lambda: f"{time.time_ns():x}-{os.getpid()}")
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Every row, in order; a line that a kill or a full disk cut short is passed over."""
+        """Every row, in order; a line that a kill or a full disk cut short, or that is damaged, is passed over."""
         if not self.path.exists():
             return
         with self.path.open(encoding="utf-8", errors="replace") as f:
             for line in f:
                 try:
                     row = json.loads(line)
-                except ValueError:
+                except (ValueError, RecursionError):
                     continue
-                if isinstance(row, dict) and {"work", "key", "seconds", "walls", "rss_mb"} <= row.keys():
+                if isinstance(row, dict) and _whole(row):
                     yield row
 
     def note(
@@ -92,6 +92,15 @@ class WorkLog:
         )  # fmt: skip
 
 
+def _whole(row: dict[str, Any]) -> bool:
+    def numbers(values: Any) -> bool:
+        return isinstance(values, dict) and all(isinstance(v, (int, float)) and abs(v) < 1e15 for v in values.values())
+
+    texts = all(isinstance(row.get(name), str) for name in ("work", "key"))
+    tables = all(numbers(row.get(name)) for name in ("seconds", "walls")) and numbers(row.get("stages", {}))
+    return texts and tables and numbers({k: row.get(k, 0) for k in ("rss_mb", "frames")})
+
+
 class AnalysisClock:
     """Passes the progress of the analysis on, and notes at every checkpoint what it took up to there.
 
@@ -119,9 +128,9 @@ class AnalysisClock:
 
     def _take_up(self, done: int) -> None:
         """The first frame beyond the checkpoint tells which one it was; `done` itself if nothing was beyond it."""
-        noted = {row["frames"]: row for row in self._log.rows() if (row["work"], row["key"]) == (CHECKPOINT, self._key)}
+        noted = {row.get("frames"): row for row in self._log.rows() if (row["work"], row["key"]) == (CHECKPOINT, self._key)}
         row = noted.get(done - 1) or noted.get(done)
-        if row is not None:
+        if row is not None and "analysis" in row["seconds"]:
             self.before_s, self.walls = row["seconds"]["analysis"], row["walls"]
 
     def _written(self) -> int | None:

@@ -30,10 +30,10 @@ from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps
 from arfx.media.frames import Frame
 from arfx.media.output import OutputPlan
-from arfx.media.writer import ChunkWriter
+from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
 from arfx.run.ahead import Behind
 from arfx.run.depth import job_depth, real_depth_layer
-from arfx.run.folder import JobFolder, disk_error, read_lines
+from arfx.run.folder import JobFolder, content_digest, disk_error, read_lines
 from arfx.run.frame import Canvas, Plate, run_frame
 from arfx.run.inputs import job_model, make_scene
 from arfx.run.memory import peak_mb
@@ -118,10 +118,11 @@ def open_context(folder: str, job_key: str) -> Context:
 def render_chunk(
     folder: str, job_key: str, first: int, last: int, target: str, tick: Tick, alone: bool = False
 ) -> dict[str, Any]:
-    """Render frames first … last into the file `target`, which appears when it is whole.
+    """Render frames first … last into a file that appears when it is whole.
 
+    target : its path, to which the digest of what is in it and the extension are added
     alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads of their own
-    Returns seconds by stage, decode and encode seconds, counts, and the most memory that this process held.
+    Returns the file's name, seconds by stage, decode and encode seconds, counts, and the most memory that this process held.
     Raises RenderError (frames missing in the source, a full disk, a stage that failed).
     """
     keep_memory()
@@ -145,8 +146,8 @@ def render_chunk(
         writer.write(out)
         seconds["encode"] += time.perf_counter() - start
 
-    final = Path(target)
-    aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}")
+    final, suffix = Path(target), chunk_suffix(context.output)
+    aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}{suffix}")
     try:
         source = source_at(context.info, context.pts, begin, threads=0 if alone else 1)
         with ChunkWriter(context.output, context.info, aside) as writer:
@@ -166,11 +167,14 @@ def render_chunk(
                     tick()
             start = time.perf_counter()
         seconds["encode"] += time.perf_counter() - start
+        final = final.with_name(f"{final.name}.{content_digest(aside)}{suffix}")
+        remove_output(final)  # a folder of images that is not what it was
         aside.replace(final)
     except OSError as e:
         raise disk_error(e, final) from None
     return {
-        "first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "pid": os.getpid(), "rss_mb": peak_mb(),
+        "file": final.name, "first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "pid": os.getpid(),
+        "rss_mb": peak_mb(),
     }  # fmt: skip
 
 

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
+import tomllib
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,6 +18,7 @@ import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.guard import fits, part_name
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
@@ -28,6 +31,8 @@ from arfx.synth.shapes import write_model
 from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, FrameTruth, MarkerTruth, Truth, write_depth, write_flow, write_truth
 from arfx.synth.world import World, marker_points
 
+_MADE = re.compile(r"camera\.yaml|model\.glb|job\.toml|truth\.jsonl|truth/(?:depth|mask|flow)/\d{6,}\.png")
+_MADE_FOLDERS = re.compile(r"truth(?:/(?:depth|mask|flow))?")
 Progress = Callable[[str, int, int | None], None]
 
 
@@ -46,9 +51,11 @@ def make_clip(
     truth_pictures : False leaves out depth, masks and flow
     Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written.
     """
-    if folder.exists() and not overwrite:
+    fits(folder)
+    if os.path.lexists(folder) and not overwrite:
         raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
-    aside = folder.parent / f".{folder.name}.{os.getpid()}.part"
+    refuse_strangers(folder)
+    aside = part_name(folder.absolute())
     try:
         aside.mkdir(parents=True)
     except OSError as e:
@@ -56,6 +63,7 @@ def make_clip(
     try:
         truth = _fill(scene, aside, scene_folder, progress or (lambda *_: None), truth_pictures)
         if folder.exists():
+            refuse_strangers(folder)
             shutil.rmtree(folder)
         aside.rename(folder)
     except OSError as e:
@@ -63,6 +71,23 @@ def make_clip(
     finally:
         shutil.rmtree(aside, ignore_errors=True)
     return truth
+
+
+def refuse_strangers(folder: Path) -> None:
+    """Raises ConfigError if `folder` is there and holds anything that `make_clip` does not write: it would be lost."""
+    if not os.path.lexists(folder):
+        return
+    if folder.is_symlink() or not folder.is_dir():
+        raise ConfigError(f"{folder} is not a folder", "name another with -o")
+    try:
+        told = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
+        own = {told["clip"], told.get("depth")} if (folder / "truth.jsonl").is_file() else set()
+    except (OSError, ValueError, KeyError, TypeError):
+        own = set()
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder).as_posix()
+        if not (own and (name in own or (_MADE if path.is_file() else _MADE_FOLDERS).fullmatch(name))):
+            raise ConfigError(f"{folder} holds {name!r}, it is no synthetic clip of arfx", "name another with -o")
 
 
 def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: Progress, truth_pictures: bool) -> Truth:

@@ -112,6 +112,6 @@ background_m = 2.2
 """
 
 
-def make_demo_clip(folder: Path, progress: Progress | None = None) -> Truth:
-    """Make the demo's clip, camera, model and job.toml in a new folder. progress(phase, frames done, frames in all)."""
-    return make_clip(parse_scene(DEMO_SCENE, "the demo's scene"), folder, progress=progress)
+def make_demo_clip(folder: Path, progress: Progress | None = None, overwrite: bool = False) -> Truth:
+    """Make the demo's clip, camera, model and job.toml in a folder, as make_clip. progress(phase, frames done, frames in all)."""
+    return make_clip(parse_scene(DEMO_SCENE, "the demo's scene"), folder, progress=progress, overwrite=overwrite)

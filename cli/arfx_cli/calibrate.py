@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from arfx.errors import ConfigError, InputError
+from arfx.core.guard import Guard
+from arfx.errors import InputError
 from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, quiet, say
 
 if TYPE_CHECKING:
@@ -53,18 +54,16 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
     for path in inputs:
         if not path.exists():
             raise InputError(f"{path} does not exist", "give images or videos of the board")
+    paths = _flatten(inputs)
+    guard = Guard((("picture", path) for path in paths), overwrite)
     for path in (output, *pictures):
-        if path.exists() and not overwrite:
-            raise ConfigError(f"{path} exists", "--overwrite replaces it, or give another -o")
-    if not output.absolute().parent.is_dir():
-        raise ConfigError(f"folder {output.absolute().parent} does not exist", "make it, or give another -o")
+        guard.file(path, folder_made=report is not None and path in pictures)
 
     from arfx.calibrate.calibration import calibrate, find_board
     from arfx.calibrate.document import document, file_extras, summary
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
 
-    paths = _flatten(inputs)
     total = len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None  # how many frames of a video, it tells
     with Progress("pictures") as progress:
         found = find_board(_pictures(paths), spec, lambda searched, _: progress("search", searched, total))

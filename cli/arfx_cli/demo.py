@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 from pathlib import Path
 
 import click
@@ -26,27 +26,35 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
       arfx demo
     """
     from arfx.config.load import load
+    from arfx.core.guard import Guard
     from arfx.errors import ConfigError
     from arfx.measure.report import report_of_job
+    from arfx.run.folder import JobFolder
     from arfx.run.job import Options, process
+    from arfx.run.lock import locked
     from arfx.run.parameters import parameters
+    from arfx.run.place import REPORT_FILES
     from arfx.run.preview import load_previews
     from arfx.synth.demo import make_demo_clip
 
-    made = [folder / n for n in ("clip", "job", "report", "out.mp4", "picture.png")]
-    if any(p.exists() for p in made) and not overwrite:
+    out, picture, report_dir = folder / "out.mp4", folder / "picture.png", folder / "report"
+    if any(os.path.lexists(path) for path in (folder / "clip", out, picture, report_dir)) and not overwrite:
         raise ConfigError(f"{folder} holds an earlier demo", "--overwrite replaces it; or name another with -o")
-    for path in made:
-        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    with Progress() as progress:
-        make_demo_clip(folder / "clip", progress)
-        config = load(folder / "clip" / "job.toml", {"output": {"path": str(folder / "out.mp4")}}, parameters())
-        report = process(config, Options(folder / "job", overwrite=True, progress=progress, notice=note))
-    report_of_job(folder / "job", folder / "report")
-    previews = load_previews(folder / "job" / "previews")
-    _save(previews[len(previews) // 2], folder / "picture.png")
-    shutil.rmtree(folder / "job")
+    guard = Guard((), overwrite)
+    for path in (out, picture):
+        guard.file(path, folder_made=True)
+    guard.files(report_dir, REPORT_FILES)
+
+    def finish(job: Path) -> None:
+        report_of_job(job, report_dir)
+        previews = load_previews(JobFolder(job).previews)
+        _save(previews[len(previews) // 2], picture)
+
+    with locked(folder, "-o"), Progress() as progress:
+        make_demo_clip(folder / "clip", progress, overwrite)
+        config = load(folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters())
+        options = Options(overwrite=overwrite, report=report_dir, finish=finish, progress=progress, notice=note)
+        report = process(config, options)
     written = {"picture": "picture.png", "clip before": "clip/clip.mp4", "clip after": "out.mp4", "report": "report/report.html"}
     say_job(report)
     if as_json:
@@ -60,5 +68,8 @@ def _save(preview: tuple, path: Path) -> None:
     import cv2
     import numpy as np
 
+    from arfx.core.guard import aside
+
     _, before, after = preview
-    cv2.imwrite(str(path), np.hstack([before, after])[..., ::-1])
+    with aside(path) as part:
+        part.write_bytes(cv2.imencode(".png", np.hstack([before, after])[..., ::-1])[1].tobytes())

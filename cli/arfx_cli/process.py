@@ -36,24 +36,19 @@ def command(
       arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm \\
         --model duck.glb --fit 15cm -o out.mp4 --report report
     """
-    from arfx.run.job import JobFolder, Options, default_folder, process
+    from arfx.run.job import Options, process
 
     config = job_config(given, output)
-    if report_dir is not None:
-        from arfx_cli.report import check_report_folder
 
-        check_report_folder(report_dir, overwrite)
-    with Progress() as progress:
-        options = Options(job_dir, resume, overwrite, workers, progress, note)
-        report = process(config, options)
-    path = Path(report["output"]["path"])
-    folder = JobFolder(job_dir or default_folder(path))
-    if report_dir is not None:
+    def write_report(job: Path) -> None:
         from arfx.measure.report import report_of_job
 
-        report_of_job(folder.path, report_dir)
-    if job_dir is None:
-        folder.remove()
+        assert report_dir is not None
+        report_of_job(job, report_dir)
+
+    finish = None if report_dir is None else write_report
+    with Progress() as progress:
+        report = process(config, Options(job_dir, resume, overwrite, workers, report_dir, finish, progress, note))
     say_job(report)
     if report_dir is not None:
         say(f"report: {report_dir / 'report.html'}")

@@ -26,20 +26,20 @@ def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) 
     Example:
       arfx report out.job -o report
     """
+    from arfx.core.guard import Guard
     from arfx.measure.report import read_report, report_of_job
+    from arfx.run.folder import JobFolder
+    from arfx.run.lock import locked
+    from arfx.run.place import REPORT_FILES
 
     report = read_report(job_dir)
     folder = output or job_dir.absolute().with_name(job_dir.absolute().name.removesuffix(".job") + ".report")
-    check_report_folder(folder, overwrite)
-    page = report_of_job(job_dir, folder)
+    guard = Guard((("job", path) for path in JobFolder(job_dir).files()), overwrite)
+    guard.files(folder, REPORT_FILES)
+    with locked(folder, "-o"):
+        guard.files(folder, REPORT_FILES)
+        page = report_of_job(job_dir, folder)
     say(f"report: {page}")
     detail_job(report)
     if as_json:
         emit_json(report)
-
-
-def check_report_folder(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that holds a report already, before any work. Raises ConfigError."""
-    from arfx.measure.report import check_report_folder as check
-
-    check(folder, overwrite)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from arfx.errors import ConfigError
+from arfx.core.guard import Guard
 from arfx_cli.console import detail, emit_json, message_options, overwrite_option, say
 
 
@@ -34,10 +34,7 @@ def command(specs: tuple[str, ...], output: Path, page: str, dpi: float, overwri
 
     targets = parse_targets(specs)
     sheet = lay_out(targets, page)
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output} exists", "--overwrite replaces it, or give another -o")
-    if not output.absolute().parent.is_dir():
-        raise ConfigError(f"folder {output.absolute().parent} does not exist", "make it, or give another -o")
+    Guard((), overwrite).file(output)
     write_sheet(sheet, output, dpi)
     say(f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and measure the ruler")
     for target, cells in zip(targets, sheet.cells, strict=False):  # a ChArUco board's markers come after the board

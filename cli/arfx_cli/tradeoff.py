@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, say
 from arfx_cli.job_options import job_options, run_options
 from arfx_cli.planned import planned_aside
+
+if TYPE_CHECKING:
+    from arfx.run.inputs import Inputs
 
 
 @click.command()
@@ -32,23 +36,31 @@ def command(output: Path | None, report_dir: Path | None, frames: int, overwrite
     """
     import json
 
-    from arfx.errors import ConfigError
+    from arfx.core.guard import Guard
     from arfx.measure.report import finite
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_document import document
     from arfx.measure.tradeoff_html import write_tradeoff
     from arfx.run.folder import write_text
+    from arfx.run.lock import locked
+    from arfx.run.place import PAGE_START, files_read
 
-    if report_dir is not None and (report_dir / "tradeoff.json").exists() and not overwrite:
-        raise ConfigError(f"{report_dir / 'tradeoff.json'} exists", "--overwrite replaces it; or name another folder")
+    def check(inputs: Inputs) -> None:
+        if report_dir is not None:
+            made = {"tradeoff.json": b'{\n "clip": ', "tradeoff.html": PAGE_START.encode()}
+            guard = Guard(files_read(inputs), overwrite)
+            guard.files(report_dir, made, "--report")
+            report.enter_context(locked(report_dir, "--report"))
+            guard.files(report_dir, made, "--report")
+
     began = time.perf_counter()
-    with Progress() as progress, planned_aside(given, output, progress) as planned:
-        found = measure(planned, frames, progress)
-    told = finite(document(found, planned, time.perf_counter() - began))
-    if report_dir is not None:
-        report_dir.mkdir(parents=True, exist_ok=True)
-        write_text(report_dir / "tradeoff.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
-        say(f"report: {write_tradeoff(report_dir, found, told)}")
+    with contextlib.ExitStack() as report:
+        with Progress() as progress, planned_aside(given, output, progress, check) as planned:
+            found = measure(planned, frames, progress)
+        told = finite(document(found, planned, time.perf_counter() - began))
+        if report_dir is not None:
+            write_text(report_dir / "tradeoff.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
+            say(f"report: {write_tradeoff(report_dir, found, told)}")
     if as_json:
         emit_json(told)
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> Non
     from arfx.errors import ArfxError, ConfigError
     from arfx.measure.verification import read_tolerance, verify
 
-    if keep is not None and (keep / "job").exists():
+    if keep is not None and any(os.path.lexists(keep / name) for name in ("job", "out.mkv", "out.mkv.job")):
         raise ConfigError(f"{keep} holds an earlier run", "name another folder with --keep")
     with tempfile.TemporaryDirectory(prefix="arfx-verify-") as temporary, Progress() as progress:
         work = keep or Path(temporary)

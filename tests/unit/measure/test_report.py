@@ -16,8 +16,8 @@ import pytest
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, MarkerSighting
 from arfx.core.pose import Pose
-from arfx.errors import ConfigError, InputError, RenderError
-from arfx.measure.report import check_report_folder, finite, read_report, write_report
+from arfx.errors import InputError, RenderError
+from arfx.measure.report import finite, read_report, write_report
 from arfx.measure.report_html import number
 from arfx.measure.report_plots import trembling_px
 
@@ -136,16 +136,6 @@ def test_trembling_is_the_second_difference_against_the_markers() -> None:
     assert np.isfinite(trembling_px(broken, np.zeros((1, 3)), camera(), raw=False)).sum() == 1
     cut = [f.with_(shot=int(f.index > 2)) for f in still]
     assert np.isnan(trembling_px(cut, np.zeros((1, 3)), camera(), raw=False)[[2, 3]]).all()
-
-
-def test_a_report_is_not_replaced_unasked(tmp_path: Path) -> None:
-    check_report_folder(tmp_path / "none", False)
-    (tmp_path / "report.html").write_text("mine")
-    with pytest.raises(ConfigError, match="exists"):
-        check_report_folder(tmp_path, False)
-    check_report_folder(tmp_path, True)
-    with pytest.raises(ConfigError, match="is a file"):
-        check_report_folder(tmp_path / "report.html", True)
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path: Path) -> None:

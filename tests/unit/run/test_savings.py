@@ -99,7 +99,7 @@ def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
 
 def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(material: Path, tmp_path: Path) -> None:
     folder = JobFolder(tmp_path / "job")
-    folder.open(False, False)
+    folder.open(False)
     config = job(material, tmp_path / "out.mkv", budget="500s")
     first = plan_job(open_inputs(config), folder, options(folder.path))
     assert first.levels["by"] == "budget" and first.predicted["wall"]["high_s"] <= 500 and first.levels["met"]
@@ -112,7 +112,7 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(m
     again = plan_job(open_inputs(config), folder, options(folder.path, resume=True))
     assert folder.plan.read_bytes() == written and again.plans == first.plans
     hurried = tmp_path / "hurried"
-    JobFolder(hurried).open(False, False)
+    JobFolder(hurried).open(False)
     told: list[str] = []
     poor = plan_job(
         open_inputs(job(material, tmp_path / "o.mkv", budget="0.01s")), JobFolder(hurried), Options(hurried, notice=told.append)
@@ -123,6 +123,6 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(m
 
 def test_two_ways_to_choose_levels_are_one_too_many(material: Path, tmp_path: Path) -> None:
     folder = JobFolder(tmp_path / "job")
-    folder.open(False, False)
+    folder.open(False)
     with pytest.raises(ConfigError, match="both choose levels"):
         plan_job(open_inputs(job(material, tmp_path / "o.mkv", budget="9s", max_error=1)), folder, options(folder.path))

@@ -1,0 +1,139 @@
+"""What a command may write: never a file that it reads, nothing unasked over what stands there, and all of a file or none."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+
+from arfx.errors import ConfigError
+
+PART = r"\.arfx-\d+-[0-9a-f]{8}\.part"  # what `part_name` makes
+TIMES = "times.txt"  # beside the images of a sequence
+
+
+class Guard:
+    """Checks on the places that a command is going to write to. Each raises ConfigError and touches nothing.
+
+    reads : (what it is, path) of every file and folder that the command reads;  overwrite : outputs may be replaced
+    """
+
+    def __init__(self, reads: Iterable[tuple[str, Path]], overwrite: bool = False) -> None:
+        self.overwrite = overwrite
+        self._reads = {_real(path): what for what, path in reads}
+        self._same: dict[tuple[int, int], str] = {}
+        for path, what in self._reads.items():
+            if (key := _identity(Path(path))) is not None:
+                self._same[key] = what
+
+    def file(self, path: Path, start: bytes = b"", option: str = "-o", folder_made: bool = False) -> None:
+        """A file to write. start : how those of arfx begin; one that begins otherwise is not replaced at all."""
+        self.apart(path, option)
+        if not (folder_made or path.absolute().parent.is_dir()):
+            raise ConfigError(f"output folder {path.parent} does not exist", f"make it first, or name another with {option}")
+        if not os.path.lexists(path):
+            return
+        if path.is_dir() or not (path.is_file() or path.is_symlink()):
+            raise ConfigError(f"output {path} is not a file", f"name another with {option}")
+        if not self.overwrite:
+            raise ConfigError(f"output {path} exists", f"--overwrite replaces it; or name another with {option}")
+        if start and not _starts(path, start):
+            raise ConfigError(f"{path} was not written by arfx: it is not replaced", f"name another place with {option}")
+
+    def files(self, folder: Path, starts: Mapping[str, bytes], option: str = "-o") -> None:
+        """Files of these names in a folder that is made where there is none. starts : as in `file`"""
+        if os.path.lexists(folder) and not folder.is_dir():
+            raise ConfigError(f"{folder} is a file, not a folder", f"name another with {option}")
+        for name, start in starts.items():
+            self.file(folder / name, start, option, folder_made=True)
+
+    def images(self, folder: Path, suffix: str, named: Callable[[str], bool]) -> None:
+        """A folder of images to write. named : whether a file name is one of theirs"""
+        if os.path.lexists(folder) and not folder.is_dir():
+            raise ConfigError(f"output folder {folder} is a file", "name another with -o")
+        if not (folder.is_dir() or folder.absolute().parent.is_dir()):
+            raise ConfigError(f"output folder {folder.parent} does not exist", "make it first, or name another with -o")
+        if not folder.is_dir():
+            return
+        self._refuse_if_read(folder, "-o")
+        for name in sorted(os.listdir(folder)):  # noqa: PTH208 - names alone
+            mine = named(name) or name == TIMES
+            if mine:
+                self._refuse_if_read(folder / name, "-o")
+            if mine and (folder / name).is_dir():
+                raise ConfigError(f"output {folder / name} is not a file", "name another with -o")
+            if not self.overwrite and (mine or Path(name).suffix == suffix):
+                raise ConfigError(f"output {folder / name} exists", "--overwrite replaces it; or name another with -o")
+
+    def folder(self, path: Path, option: str) -> None:
+        """A folder that the command keeps for itself: no input is in it."""
+        fits(path / ("0" * 60) / ("0" * 120), option)
+        if os.path.lexists(path) and not path.is_dir():
+            raise ConfigError(f"{path} is a file, not a folder", f"name another with {option}")
+        inside = _real(path) + os.sep
+        for real, what in self._reads.items():
+            if (real + os.sep).startswith(inside):
+                raise ConfigError(f"{what} {real} lies in {path}: it could be lost", f"name another with {option}")
+
+    def apart(self, path: Path, option: str = "-o") -> None:
+        """A file that is no input, under whatever name, and whose own name can be written."""
+        fits(path, option)
+        self._refuse_if_read(path, option)
+
+    def _refuse_if_read(self, path: Path, option: str) -> None:
+        key = _identity(path)
+        what = self._reads.get(_real(path)) or (None if key is None else self._same.get(key))
+        if what is not None:
+            raise ConfigError(f"output {path} is also an input ({what}): it would be lost", f"name another with {option}")
+
+
+def fits(path: Path, option: str = "-o") -> None:
+    """Raises ConfigError where the system takes no such name: too long, or with a character that names cannot hold."""
+    try:
+        os.lstat(path.absolute())
+    except OSError as e:
+        if e.errno in (errno.ENAMETOOLONG, errno.EINVAL):
+            name = str(path) if len(str(path)) <= 100 else f"{str(path)[:60]}…{str(path)[-30:]}"
+            raise ConfigError(f"the name {name} is too long for this disk", f"a shorter one with {option}") from None
+    except ValueError as e:
+        raise ConfigError(f"{str(path)!r} cannot be a file's name: {e}", f"name another with {option}") from None
+
+
+def part_name(path: Path) -> Path:
+    """A name beside `path`, in use by nobody, for what is not whole yet."""
+    return path.with_name(f".arfx-{os.getpid()}-{secrets.token_hex(4)}.part")
+
+
+@contextlib.contextmanager
+def aside(path: Path) -> Iterator[Path]:
+    """A name to write to instead of `path`: renamed to it after the body, removed after an error."""
+    part = part_name(path)
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _real(path: Path) -> str:
+    return os.path.normcase(os.path.realpath(path))
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and number of a file: the same under every name of it, hard links and other spellings included."""
+    try:
+        s = path.stat()
+    except (OSError, ValueError):
+        return None
+    return (s.st_dev, s.st_ino) if s.st_ino else None
+
+
+def _starts(path: Path, start: bytes) -> bool:
+    try:
+        with path.open("rb") as f:
+            return f.read(len(start)) == start
+    except OSError:
+        return False
