@@ -72,7 +72,8 @@ def _non_negative(G, h, best):  # pragma: no cover - compiled
             gain -= x[i] * h[i]
         if feasible and gain < lowest:
             lowest = gain
-            best[:] = x[:m]
+            for i in range(m):
+                best[i] = x[i]
             if mask == (1 << m) - 1:
                 return
 
@@ -129,7 +130,9 @@ def _explain(value, weight, starts, A, B, amp, residual):  # pragma: no cover - 
                 h[p] = _dot(B[p, a:b], value[c, a:b])
             _non_negative(G, h, amp[g, c])
             r = residual[c, a:b]
-            r[:] = value[c, a:b]
+            seen = value[c, a:b]
+            for i in range(b - a):
+                r[i] = seen[i]
             for p in range(m):
                 size = amp[g, c, p]
                 if size != 0:
@@ -179,6 +182,13 @@ def scan(normals, value, weight, starts, lit, many, column, strength, soft, m, o
     for n in range(len(many)):
         _fill(normals, lit, many[n], column, strength, soft, A)
         out[n] = _explain(value, weight, starts, A, B, amp, residual)
+
+
+@numba.njit(cache=True, nogil=True)
+def _copy(a, out):  # pragma: no cover - compiled
+    """out[:] = a, for which numba would compile a message about shapes for seconds."""
+    for i in range(len(a)):
+        out[i] = a[i]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -232,7 +242,7 @@ def refine(
                 if body[i] == p // 3:
                     _turn(dirs[i], w, trial[i])
                 else:
-                    trial[i] = dirs[i]
+                    _copy(dirs[i], trial[i])
             _fill(normals, lit, trial, column, strength, soft, A)
             _explain(value, weight, starts, A, B, amp, r1)
             after = r1.reshape(-1)
@@ -261,14 +271,16 @@ def refine(
                 if body[i] >= 0:
                     _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3], trial[i])
                 else:
-                    trial[i] = dirs[i]
+                    _copy(dirs[i], trial[i])
             _fill(normals, lit, trial, column, strength, soft, A)
             chi = _explain(value, weight, starts, A, B, amp, r1)
             if chi < best:
                 moved = best - chi > gain * best + 1e-9
                 best = chi
-                dirs[:] = trial
-                r0[:] = r1
+                for i in range(q):
+                    _copy(trial[i], dirs[i])
+                for c in range(3):
+                    _copy(r1[c], r0[c])
                 damping = max(damping / 5, 1e-9)
                 break
             damping *= 6

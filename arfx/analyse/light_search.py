@@ -198,5 +198,5 @@ def around(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
 
 def _scan(s: Samples, many: np.ndarray, column: np.ndarray, strength: np.ndarray, soft: np.ndarray, lights: int) -> np.ndarray:
     out = np.empty(len(many))
-    light_model.scan(*s.data, np.ascontiguousarray(many), column, strength, soft, lights, out)
+    light_model.scan(*s.data, np.array(many, order="C"), column, strength, soft, lights, out)
     return out

@@ -81,7 +81,8 @@ def linear_at_yuv(y, u, v, pixels, steps, cosited, chroma_size, scale, matrix, c
     light, base, mantissa = np.empty_like(coded[0]), np.empty_like(coded[0]), np.empty_like(coded[0])
     for c in range(3):
         apply_curve(coded[c], curve, base, mantissa, light)
-        out[:, c] = light
+        for k in range(len(light)):
+            out[k, c] = light[k]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)

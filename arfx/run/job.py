@@ -36,6 +36,7 @@ from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
+from arfx.run.kernels import JOB, compile_ahead, loading
 from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
 from arfx.run.place import Places
 from arfx.run.predict import Terms
@@ -43,7 +44,6 @@ from arfx.run.preview import pick
 from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
-from arfx.run.warm import warming
 from arfx.run.worker import keep_memory, open_context
 from arfx.stages import STAGES
 
@@ -146,7 +146,8 @@ def default_workers(pixels: int) -> tuple[int, bool]:
 def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Planned:
     """Analyse (or take up again what was analysed) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
-    log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
+    parts = (JOB, *pipeline(config))
+    log = WorkLog(folder.timings, _compiled(parts, options, started))
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")
@@ -178,7 +179,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
-        with warming(config, inputs, options.workers in (None, 1)):  # before the time is taken: what is to come needs none of it
+        with loading(parts, options.workers in (None, 1)):  # before the time is taken: what is to come needs none of it
             _analyse(inputs, folder, analysis_key, options, log)
     meta = json.loads(folder.frames.read_text(encoding="utf-8"))
     facts = list(read_facts(folder.facts))
@@ -198,6 +199,13 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     planned.plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
     planned.plan_s = time.perf_counter() - start
     return planned
+
+
+def _compiled(parts: Sequence[str], options: Options, started: float | None) -> float:
+    """Compile what is missing. Returns when the job's work began, as if that had taken no time: later jobs are spared it."""
+    before = time.perf_counter()
+    compile_ahead(parts, options.progress, options.notice)
+    return time.perf_counter() - (0.0 if started is None else before - started)
 
 
 def _terms(planned: Planned, options: Options) -> Terms:

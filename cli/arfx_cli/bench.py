@@ -6,7 +6,7 @@ import re
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, say
+from arfx_cli.console import Progress, detail, emit_json, message_options, note, say
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -44,9 +44,11 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
         _calibrate(stage, level, as_json)
         return
     from arfx.measure.bench import bench
+    from arfx.run.kernels import compile_ahead
 
     parsed = [parse_size(s) for s in sizes]
     with Progress("timed") as progress:
+        compile_ahead(None, progress, note)
         rows = bench(parsed, stage, level, progress)
     for r in rows:
         each = 1e6 * r["ms"] / r["area_px"]
@@ -69,10 +71,12 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
 def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
     from arfx.errors import ConfigError
     from arfx.measure.costs import as_table, calibrate, save_prices
+    from arfx.run.kernels import compile_ahead
 
     if stage is not None or level is not None:
         raise ConfigError("--calibrate measures every stage and level", "leave out --stage and --level")
     with Progress("done") as progress:
+        compile_ahead(None, progress, note)
         prices = calibrate(progress)
     path = save_prices(prices)
     rows = as_table(prices)

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+COMPILING = "compiling kernels for this processor, once"
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
 
@@ -128,10 +129,13 @@ class Progress:
             return
         if self._rich:
             if phase not in self._tasks:
-                self._tasks[phase] = self._rich.add_task(phase, total=total)
+                self._tasks[phase] = self._rich.add_task(COMPILING if phase == "compile" else phase, total=total)
             self._rich.update(self._tasks[phase], completed=done, total=total)
             return
         tenth = done * 10 // total if total else done // 100
         if tenth != self._last.get(phase) and (done or total):
             self._last[phase] = tenth
+            if phase == "compile":
+                say(f"{COMPILING}: {done} of {total}")
+                return
             say(f"{phase}: {done}{f'/{total}' if total else ''} {self._unit}")

@@ -10,6 +10,8 @@ import click
 from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option
 from arfx_cli.job_summary import say_job
 
+EFFECTS = ("lightmap", "dof")  # of the demo's job
+
 
 @click.command()
 @click.option(
@@ -31,6 +33,7 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from arfx.measure.report import report_of_job
     from arfx.run.folder import JobFolder
     from arfx.run.job import Options, process
+    from arfx.run.kernels import JOB, SYNTH, compile_ahead
     from arfx.run.lock import locked
     from arfx.run.parameters import parameters
     from arfx.run.place import REPORT_FILES
@@ -51,6 +54,7 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
         _save(previews[len(previews) // 2], picture)
 
     with locked(folder, "-o"), Progress() as progress:
+        compile_ahead((SYNTH, JOB, *EFFECTS), progress, note)  # now, so that the processes for it start once
         make_demo_clip(folder / "clip", progress, overwrite)
         config = load(folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters())
         options = Options(overwrite=overwrite, report=report_dir, finish=finish, progress=progress, notice=note)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, say
+from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, say
 
 
 @click.command()
@@ -28,6 +28,7 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_js
       arfx synth sample_scenes/0001-orbit/scene.toml -o out/orbit
     """
     from arfx.errors import ConfigError
+    from arfx.run.kernels import SYNTH, compile_ahead
     from arfx.synth.clip import make_clip
     from arfx.synth.description import load_scene
 
@@ -40,6 +41,7 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_js
             raise ConfigError(f"--truth: there is no {wrong[0]!r}", "depth, mask, flow, or none")
         description = description.model_copy(update={"truth": chosen})
     with Progress() as progress:
+        compile_ahead((SYNTH,), progress, note)
         truth = make_clip(description, folder, path.parent, progress, overwrite)
     files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
     say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")

@@ -219,6 +219,8 @@ def _cut_out(
     gap = Spread(rect, ladder, largest, params.blades, params.blade_turn_deg)
     continue_outside(radius, coverage, rect, held)
     spread.radius, gap.radius = radius, radius
+    colour = colour.view()
+    colour.flags.writeable = False  # as a picture's: what goes by colours is compiled once for both
     return CutOut(rect, colour, coverage, opacity, spread, gap, sharp)
 
 
@@ -277,7 +279,9 @@ def _real_cut_outs(
         rect = box.pad(int(np.ceil(2 * largest)) + 1).clip(area)
         at = rect.slices_in(area)
         colour = sharp.crop(rect.shift(-area.x0, -area.y0)) * inside[at][..., None]
-        cuts.append(_cut_out(rect, radius[at].copy(), colour, inside[at], np.float32(1), ladder, largest, params, box, box))
+        cuts.append(
+            _cut_out(rect, radius[at].copy(), colour, inside[at].copy(), np.float32(1), ladder, largest, params, box, box)
+        )
     return cuts[::-1], kept
 
 

@@ -51,6 +51,14 @@ def _all_blurred(light, radius, y, lo, hi):  # pragma: no cover - compiled
     return hi > lo and faintest > 0 and least > SHARP_BITS
 
 
+@numba.njit(cache=True, nogil=True)
+def _copy(colours, out):  # pragma: no cover - compiled
+    """out (n, 3) = colours: said with slices, numba would compile a message about shapes for seconds."""
+    for x in range(len(colours)):
+        for c in range(3):
+            out[x, c] = colours[x, c]
+
+
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_real(
     out, state, image, top, begin, end, values, table, lead_y, lead_x, lo, hi, radius, patch, box, kept
@@ -66,8 +74,8 @@ def lay_real(
         y = top + j
         light_of_row(light, y, values, table, lead_y, lead_x, lo, hi, between)
         from_x, until_x = (box[0], box[2]) if box[1] <= y < box[3] else (0, 0)  # columns of the patch
-        out[j, begin:lo] = image[y, begin:lo]
-        out[j, hi:end] = image[y, hi:end]
+        _copy(image[y, begin:lo], out[j, begin:lo])
+        _copy(image[y, hi:end], out[j, hi:end])
         if _all_blurred(light, radius, y, lo, hi):
             state[j, lo:hi] = LAID
             flat = out[j].reshape(-1)
@@ -138,7 +146,7 @@ def _uncover(line, state, begin, end, patch, from_x, until_x):  # pragma: no cov
     for x in range(first, last):
         found |= state[x]
     if found == KEPT:
-        line[first:last] = patch[first - from_x : last - from_x]
+        _copy(patch[first - from_x : last - from_x], line[first:last])
         return
     for x in range(first, last):
         if state[x] == KEPT:

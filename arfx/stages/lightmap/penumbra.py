@@ -40,7 +40,7 @@ def smoothed(
 def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """(rows, columns) float32 texels: height of the highest caster over each texel, of the nearest one beside them."""
     rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
-    h = points[:, 2]
+    h = np.ascontiguousarray(points[:, 2])
     u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
     v = ((points[:, 1] + np.float32(slope[1]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
     height = highest(u, v, h, faces, rows, columns, np.float32(-1))

@@ -129,7 +129,9 @@ def _widened(directions):  # pragma: no cover - compiled
     """(h, w, 2) with columns of no direction added up to a whole number of eights."""
     h, w = directions.shape[:2]
     out = np.full((h, -(-w // LANES) * LANES, 2), np.nan, np.float32)
-    out[:, :w] = directions
+    for y in range(h):
+        for x in range(w):
+            out[y, x, 0], out[y, x, 1] = directions[y, x, 0], directions[y, x, 1]
     return out
 
 

@@ -70,7 +70,9 @@ def by_number(order, number, count, lx, ly, lw, spare):  # pragma: no cover - co
         spare[m] = order[number[m]]
     by = np.argsort(spare[:count])
     for a in (lx, ly, lw, number):
-        a[:count] = a[:count][by]
+        ordered = a[:count][by]
+        for m in range(count):
+            a[m] = ordered[m]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -26,7 +26,8 @@ def across(row, padded, taps, out):  # pragma: no cover - compiled
     """out (w,) : a row smoothed along itself. padded (w + 2 REACH,) is written"""
     w = row.shape[0]
     padded[:REACH] = row[0]
-    padded[REACH : w + REACH] = row
+    for x in range(w):
+        padded[x + REACH] = row[x]
     padded[w + REACH :] = row[w - 1]
     t0, t1, t2, t3, t4, t5 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5]
     for x in range(w):

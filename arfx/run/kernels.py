@@ -1,0 +1,179 @@
+"""Compile what a job will call before it starts, in several processes, where that was not done yet; load it beside the analysis.
+
+kernels.json lists, by what brings them into a job, the compiled functions that are called from Python, with the types of
+their arguments and the seconds that each takes to compile (tools/record_kernels.py). Processes, because numba holds a lock
+while it compiles. What is not in the list is compiled when it is called.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections import defaultdict, deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from arfx.core import compiled
+from arfx.core.machine import usable_cores
+
+COMPILE = "compile"  # the phase that is told
+MANIFEST = Path(__file__).with_suffix(".json")
+JOB, SYNTH = "job", "synth"  # parts of the list; the others are named by the stage that brings them
+PROCESS_S = 4.0  # of compiling, for each process: it takes one or two seconds to start
+Progress = Callable[[str, int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A compiled function for one list of argument types, as numba writes them. seconds : it takes to compile"""
+
+    module: str
+    name: str
+    types: str
+    seconds: float
+
+    @property
+    def function(self) -> Any:
+        return getattr(import_module(self.module), self.name)
+
+    @property
+    def kept(self) -> bool:
+        """Whether it need not be compiled: numba's own look-up, without loading the code."""
+        function, types = self.function, _types(self.types)
+        key = function._cache._index_key(types, function.targetctx.codegen())
+        return types in function.overloads or key in function._cache._cache_file._load_index()
+
+    def load(self) -> None:
+        """Compile and keep it where that was not done."""
+        self.function.compile(_types(self.types))
+
+
+@cache
+def _types(written: str) -> tuple[Any, ...]:
+    from numba.core.sigutils import normalize_signature
+
+    return tuple(normalize_signature(written)[0])
+
+
+def listed(parts: Collection[str] | None = None) -> list[Kernel]:
+    """The kernels of these parts of the list; None = of all."""
+    document = json.loads(MANIFEST.read_text(encoding="utf-8"))
+    return [Kernel(*row) for part, rows in document.items() if parts is None or part in parts for row in rows]
+
+
+def compile_ahead(parts: Collection[str] | None, progress: Progress, notice: Callable[[str], None] = print) -> int:
+    """Compile what is missing of these parts of the list, None = of all. Returns how many functions that was.
+
+    progress : phase "compile", functions done, of how many;  notice : told where none of it can be kept
+    """
+    return compile_missing(listed(parts), progress, notice)
+
+
+def compile_missing(kernels: Sequence[Kernel], progress: Progress, notice: Callable[[str], None] = print) -> int:
+    """Those of these kernels that were not compiled yet; as `compile_ahead`."""
+    missing = [kernel for kernel in kernels if not kernel.kept]
+    if not missing:
+        return 0
+    if not compiled.lasting():
+        notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")
+    progress(COMPILE, 0, len(missing))
+    groups = _by_module(missing)
+    processes = min(usable_cores(), len(groups), int(sum(kernel.seconds for kernel in missing) / PROCESS_S))
+    if processes > 1:
+        for done in _by_processes(groups, processes):
+            progress(COMPILE, done, len(missing))
+    else:
+        for done, kernel in enumerate(missing, 1):
+            kernel.load()
+            progress(COMPILE, done, len(missing))
+    return len(missing)
+
+
+def _by_module(kernels: Sequence[Kernel]) -> deque[list[Kernel]]:
+    """The longest first. Functions of one module call the same others, which are so compiled once."""
+    groups = defaultdict(list)
+    for kernel in kernels:
+        groups[kernel.module].append(kernel)
+    return deque(sorted(groups.values(), key=lambda group: -sum(kernel.seconds for kernel in group)))
+
+
+def _by_processes(groups: deque[list[Kernel]], count: int) -> Iterator[int]:
+    """Yields the number of functions done. What a process leaves undone is compiled when it is called."""
+    one_thread = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    here = {**os.environ, **one_thread, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    command = [sys.executable, "-c", "from arfx.run.kernels import serve; serve()"]
+    ticks: queue.SimpleQueue[bool] = queue.SimpleQueue()
+    helpers = []
+
+    def give(helper: subprocess.Popen[str]) -> None:
+        assert helper.stdin and helper.stdout
+        with contextlib.suppress(OSError, IndexError, ValueError):  # it died; nothing is left; it was ended
+            while True:
+                for kernel in groups.popleft():
+                    helper.stdin.write(json.dumps([kernel.module, kernel.name, kernel.types]) + "\n")
+                    helper.stdin.flush()
+                    if not helper.stdout.readline():
+                        return
+                    ticks.put(True)
+
+    try:
+        for _ in range(count):
+            helpers.append(
+                subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=here
+                )
+            )
+        threads = [threading.Thread(target=give, args=(helper,), daemon=True) for helper in helpers]
+        for thread in threads:
+            thread.start()
+        done = 0
+        while any(thread.is_alive() for thread in threads) or not ticks.empty():
+            with contextlib.suppress(queue.Empty):
+                done += ticks.get(timeout=0.2)
+                yield done
+    finally:
+        for helper in helpers:
+            helper.kill()
+            helper.wait()
+
+
+def serve() -> None:
+    """A helper process: compiles the functions named on standard input, a line each, and answers each with a line."""
+    gc.disable()  # compiling makes many objects and little garbage
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print is no answer
+    for line in sys.stdin:
+        with contextlib.suppress(Exception):  # told where it is called
+            module, name, types = json.loads(line)
+            Kernel(module, name, types, 0.0).load()
+        answers.write("done\n")
+        answers.flush()
+
+
+@contextlib.contextmanager
+def loading(parts: Collection[str], wanted: bool) -> Iterator[None]:
+    """Load compiled code in a thread while the body runs, which leaves a core idle. wanted : False = do nothing"""
+
+    def load() -> None:
+        with contextlib.suppress(Exception):  # told where it is called
+            for kernel in listed(parts):
+                kernel.load()
+
+    thread = threading.Thread(target=load, name="load-compiled", daemon=True)
+    if wanted:
+        thread.start()
+    try:
+        yield
+    finally:
+        if wanted:
+            thread.join()

@@ -1,0 +1,131 @@
+"""What is compiled ahead: the list fits the code, only what is missing is compiled, and no failure of it stops a job."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections import deque
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from arfx.run import job, kernels
+from arfx.run.kernels import JOB, SYNTH, Kernel, compile_ahead, listed
+from arfx.stages import STAGES
+from arfx_cli.console import Progress
+from arfx_cli.demo import EFFECTS
+
+MODULE = """
+import numba
+
+@numba.njit(cache=True)
+def double(x):
+    return 2 * x
+
+@numba.njit(cache=True)
+def half(x):
+    return x / 2
+"""
+
+
+@pytest.fixture
+def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Kernel]:
+    """Two kernels in modules of their own, one of them for integers too, and a list that holds them."""
+    monkeypatch.syspath_prepend(tmp_path)
+    names = [f"first_{tmp_path.name}", f"second_{tmp_path.name}"]
+    for name in names:
+        (tmp_path / f"{name}.py").write_text(MODULE)
+    rows = [[names[0], "double", "(float64,)", 9.0], [names[0], "double", "(int64,)", 9.0], [names[1], "half", "(float64,)", 9.0]]
+    (tmp_path / "list.json").write_text(json.dumps({"job": rows[:2], "gi": rows[2:]}))
+    monkeypatch.setattr(kernels, "MANIFEST", tmp_path / "list.json")
+    return listed()
+
+
+def compiled_files(folder: Path) -> int:
+    return len(list((folder / "__pycache__").glob("*.nbc")))
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_what_is_missing_is_compiled_and_told_once(
+    two: list[Kernel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cores: int
+) -> None:
+    monkeypatch.setattr(kernels, "usable_cores", lambda: cores)
+    told: list[tuple[str, int, int | None]] = []
+    assert compile_ahead(("job", "gi"), lambda *a: told.append(a)) == 3
+    assert told == [("compile", k, 3) for k in range(4)]
+    assert compiled_files(tmp_path) == 3
+    assert compile_ahead(None, lambda *a: told.append(a)) == 0
+    assert len(told) == 4
+
+
+def test_only_the_parts_that_a_job_needs_are_compiled(two: list[Kernel], tmp_path: Path) -> None:
+    assert compile_ahead(("gi",), lambda *a: None) == 1
+    assert [k.kept for k in two] == [False, False, True]
+
+
+def test_a_helper_that_dies_or_knows_no_such_kernel_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = deque([[Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2])
+    assert list(kernels._by_processes(lost, 1)) == [1, 2]
+    monkeypatch.setattr(kernels.sys, "executable", "/bin/false")
+    assert list(kernels._by_processes(deque([[Kernel("arfx.run", "f", "(int64,)", 9.0)]]), 2)) == []
+
+
+def test_helpers_end_with_their_job(two: list[Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[str]] = []
+    popen = subprocess.Popen
+
+    def start(*a: object, **k: object) -> subprocess.Popen[str]:
+        started.append(popen(*a, **k))  # type: ignore[call-overload]
+        return started[-1]
+
+    monkeypatch.setattr(kernels.subprocess, "Popen", start)
+    monkeypatch.setattr(kernels, "usable_cores", lambda: 2)
+
+    def interrupted(phase: str, done: int, total: int | None) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compile_ahead(None, interrupted)
+    assert started and all(helper.poll() is not None for helper in started)
+
+
+def test_where_nothing_can_be_kept_one_notice_says_so(two: list[Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels.compiled, "lasting", lambda: False)
+    notices: list[str] = []
+    compile_ahead(("gi",), lambda *a: None, notices.append)
+    assert len(notices) == 1 and "NUMBA_CACHE_DIR" in notices[0]
+
+
+def test_the_list_fits_the_code() -> None:
+    """Every function that it names is there, is kept on disk, and takes as many arguments as it says."""
+    document = json.loads(kernels.MANIFEST.read_text(encoding="utf-8"))
+    assert {SYNTH, JOB, *EFFECTS} <= document.keys() <= {SYNTH, JOB, "bench", *STAGES}
+    for kernel in listed():
+        function = kernel.function
+        assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, kernel
+        assert kernel.kept in (True, False), kernel
+
+
+@pytest.mark.parametrize("started", [None, 3.0])
+def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, started: float | None) -> None:
+    clock = [5.0]
+
+    def compile_for_a_minute(*_: object) -> None:
+        clock[0] += 60
+
+    monkeypatch.setattr(job, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr(job, "compile_ahead", compile_for_a_minute)
+    began = job._compiled(("job",), job.Options(), started)
+    assert clock[0] - began == (0 if started is None else 5.0 - started)
+
+
+def test_what_is_compiled_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    with Progress() as progress:
+        progress("compile", 12, 31)
+        progress("render", 12, 31)
+    assert capsys.readouterr().err.splitlines() == [
+        "compiling kernels for this processor, once: 12 of 31",
+        "render: 12/31 frames",
+    ]

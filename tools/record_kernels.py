@@ -1,0 +1,93 @@
+"""Write arfx/run/kernels.json: which compiled functions jobs call, for which types, and what each takes to compile.
+
+    python tools/record_kernels.py
+
+Runs typical jobs one after the other, each in a process of its own, and notes every function that is compiled or loaded because
+Python calls it; one that an earlier job has noted is not noted again. Takes some minutes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+MANIFEST = ROOT / "arfx" / "run" / "kernels.json"
+
+# part of the list -> the arguments of the job that brings it, after those before it;  SCENE: a sample scene's clip
+JOBS = {
+    "synth": "synth sample_scenes/0001-orbit/scene.toml -o MADE/clip",
+    "job": "process --config MADE/clip/job.toml -o MADE/job.mp4 --set pipeline.stages=[]",
+    "lightmap": "process --config MADE/clip/job.toml -o MADE/lightmap.mp4 --pipeline lightmap",
+    "dof": "demo -o MADE/demo",
+    "hide": "verify sample_scenes/0022-before-and-behind",
+    "gi": "verify sample_scenes/0041-indirect-light",
+    "watercolor": "verify sample_scenes/0030-watercolor",
+}
+
+
+def record(file: Path, arguments: list[str]) -> None:
+    """In the process of one job: run it, and write (module, name, types, seconds) of what was called."""
+    from numba.core.dispatcher import Dispatcher
+
+    from arfx_cli.main import main
+
+    called: dict[tuple[str, str, str], float] = {}
+    compile_, here = Dispatcher.compile, threading.local()
+
+    def compile(self: Any, types: Any) -> Any:
+        here.depth = getattr(here, "depth", 0) + 1
+        start = time.thread_time()
+        try:
+            return compile_(self, types)
+        finally:
+            here.depth -= 1
+            if not here.depth and self.py_func.__module__.startswith("arfx."):
+                key = (self.py_func.__module__, self.py_func.__qualname__, repr(tuple(types)))
+                called.setdefault(key, round(time.thread_time() - start, 2))
+
+    Dispatcher.compile = compile
+    try:
+        main(arguments)
+    finally:
+        file.write_text(json.dumps([[*key, seconds] for key, seconds in called.items()]))
+
+
+def run_all() -> dict[str, list[list[Any]]]:
+    parts: dict[str, list[list[Any]]] = {}
+    noted: set[tuple[str, ...]] = set()
+    with tempfile.TemporaryDirectory() as made:
+        for name in ("arfx", "cli", "configs", "sample_scenes"):  # without what was compiled before
+            shutil.copytree(ROOT / name, Path(made) / "tree" / name, ignore=shutil.ignore_patterns("__pycache__"))
+        tree = Path(made) / "tree"
+        (tree / "arfx" / "run" / "kernels.json").write_text("{}")  # compiled where it is called, so that it is seen
+        environment = {**os.environ, "PYTHONPATH": f"{tree}{os.pathsep}{tree / 'cli'}", "OPENBLAS_NUM_THREADS": "1"}
+        for part, job in JOBS.items():
+            file = Path(made) / f"{part}.json"
+            command = [sys.executable, __file__, str(file), *job.replace("MADE", made).split()]
+            subprocess.run(command, cwd=tree, env=environment, check=True)
+            rows = json.loads(file.read_text())
+            parts[part] = sorted(row for row in rows if tuple(row[:3]) not in noted)
+            noted |= {tuple(row[:3]) for row in rows}
+    return parts
+
+
+def written(parts: dict[str, list[list[Any]]]) -> str:
+    """A kernel a line."""
+    lines = [f' "{part}": [\n' + ",\n".join(f"  {json.dumps(row)}" for row in rows) + "\n ]" for part, rows in parts.items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        record(Path(sys.argv[1]), sys.argv[2:])
+    else:
+        MANIFEST.write_text(written(run_all()))
