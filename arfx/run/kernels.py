@@ -23,7 +23,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from arfx.core import compiled
+from arfx.core import compiled, interrupt
 from arfx.core.machine import usable_cores
 
 COMPILE = "compile"  # the phase that is told
@@ -81,7 +81,8 @@ def compile_ahead(parts: Collection[str] | None, progress: Progress, notice: Cal
 
 def compile_missing(kernels: Sequence[Kernel], progress: Progress, notice: Callable[[str], None] = print) -> int:
     """Those of these kernels that were not compiled yet; as `compile_ahead`."""
-    missing = [kernel for kernel in kernels if not kernel.kept]
+    with interrupt.held():  # what is looked at is imported
+        missing = [kernel for kernel in kernels if not kernel.kept]
     if not missing:
         return 0
     if not compiled.lasting():
@@ -94,7 +95,8 @@ def compile_missing(kernels: Sequence[Kernel], progress: Progress, notice: Calla
             progress(COMPILE, done, len(missing))
     else:
         for done, kernel in enumerate(missing, 1):
-            kernel.load()
+            with interrupt.held():
+                kernel.load()
             progress(COMPILE, done, len(missing))
     return len(missing)
 
@@ -113,7 +115,7 @@ def _by_processes(groups: deque[list[Kernel]], count: int) -> Iterator[int]:
     here = {**os.environ, **one_thread, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = [sys.executable, "-c", "from arfx.run.kernels import serve; serve()"]
     ticks: queue.SimpleQueue[bool] = queue.SimpleQueue()
-    helpers = []
+    helpers: list[subprocess.Popen[str]] = []
 
     def give(helper: subprocess.Popen[str]) -> None:
         assert helper.stdin and helper.stdout
@@ -127,12 +129,10 @@ def _by_processes(groups: deque[list[Kernel]], count: int) -> Iterator[int]:
                     ticks.put(True)
 
     try:
-        for _ in range(count):
-            helpers.append(
-                subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=here
-                )
-            )
+        with interrupt.held():
+            for _ in range(count):
+                pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+                helpers.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, text=True, env=here))
         threads = [threading.Thread(target=give, args=(helper,), daemon=True) for helper in helpers]
         for thread in threads:
             thread.start()
@@ -162,7 +162,8 @@ def serve() -> None:
 
 @contextlib.contextmanager
 def loading(parts: Collection[str], wanted: bool) -> Iterator[None]:
-    """Load compiled code in a thread while the body runs, which leaves a core idle. wanted : False = do nothing"""
+    """Load compiled code in a thread while the body runs, which leaves a core idle; the end waits for it, but one who stops the
+    job does not. wanted : False = do nothing"""
 
     def load() -> None:
         with contextlib.suppress(Exception):  # told where it is called
@@ -172,8 +173,6 @@ def loading(parts: Collection[str], wanted: bool) -> Iterator[None]:
     thread = threading.Thread(target=load, name="load-compiled", daemon=True)
     if wanted:
         thread.start()
-    try:
-        yield
-    finally:
-        if wanted:
-            thread.join()
+    yield
+    if wanted:
+        thread.join()
