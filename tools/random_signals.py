@@ -73,7 +73,7 @@ def one(
     if code == 0 and not there:
         wrong.append("exit 0 without output")
     if code == 0 and there and out.stat().st_ctime > sent + 0.02:
-        wrong.append("signal lost")
+        wrong.append(f"signal lost: the output appeared {out.stat().st_ctime - sent:.3f} s later")
     if code != 0 and (code not in CODES[number] or there):
         wrong.append(f"exit {code} {'with' if there else 'without'} output")
     if "Traceback" in said and code >= 0:
@@ -98,6 +98,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("arguments", nargs="+", help="of arfx")
     given = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it, and what it starts inherits that
     pick, seen, bad = random.Random(given.seed), collections.Counter(), 0
     with tempfile.TemporaryDirectory(prefix="arfx-signals-") as temporary:
         out = Path(temporary) / "out.mp4"
