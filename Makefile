@@ -1,18 +1,22 @@
-# make demo | test | check | bench | hard | golden | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
+# make demo | test | check | fuzz | bench | hard | golden | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
 PYTHON ?= python3
 BIN := .venv/bin
 # Test processes: the suite is bound by compute, and more would fight over two cores.
 JOBS ?= 2
 TESTS ?= tests
+# Of make fuzz. Case N of seed S is the same everywhere.
+CASES ?= 10000
+SEED ?= 0
 # -v undoes the -q of pyproject.toml, so that the closing line is pytest's full one; -rs gives the reason of every skip.
 PYTEST = $(BIN)/python -m pytest -v -rs -n $(JOBS) --dist worksteal --durations 10
 
-.PHONY: help demo test check lint bench hard golden clean distclean venv
+.PHONY: help demo test check lint fuzz bench hard golden clean distclean venv
 
 help:
 	@echo "make demo    makes a sample clip, puts a model on its marker, writes demo/"
 	@echo "make test    all tests (TESTS=tests/unit for some)"
 	@echo "make check   formatting, lint, types, then all tests: what CI runs"
+	@echo "make fuzz    10,000 hostile inputs, faults, kills and signals (CASES=, SEED=)"
 	@echo "make bench   cost of whole jobs against a plain decode and encode, in one run"
 	@echo "make hard    every hard scene, stated hard case and sweep towards a singularity: one table, hard/table.md"
 	@echo "make golden  renders the expected pictures of sample_scenes/ anew; look at them before committing"
@@ -35,6 +39,9 @@ lint: venv
 
 check: lint
 	$(PYTEST) $(TESTS)
+
+fuzz: venv
+	$(BIN)/python -m tests.fuzz --cases $(CASES) --seed $(SEED)
 
 bench: venv
 	$(BIN)/arfx bench
