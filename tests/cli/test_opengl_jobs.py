@@ -60,7 +60,7 @@ def test_every_way_to_run_a_job(platform: str, scenes: Path, tmp_path: Path, req
         (tmp_path / name).symlink_to(scenes / name)
     p = subprocess.run(
         [sys.executable, "-m", "tests.cli.opengl_jobs", str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False,
-        env={**os.environ, "PYOPENGL_PLATFORM": platform}, timeout=300,
+        env={**os.environ, "PYOPENGL_PLATFORM": platform}, timeout=1200,
     )  # fmt: skip
     assert p.returncode == 0, p.stderr
     results = json.loads((tmp_path / "results.json").read_text())
