@@ -39,7 +39,8 @@ class GlContext:
 
 _context: GlContext | None = None
 _failure = ""
-_thread = ThreadPoolExecutor(1, "opengl")  # starts with the first work; Python's end waits for the draw that it is at
+_thread = ThreadPoolExecutor(1, "opengl")  # Python's end waits for the draw that it is at
+_thread.submit(int).result()  # it starts now: Ctrl-C while it starts with work in hand would leave it running beside a second
 _discarded: deque[Callable[[], None]] = deque()
 _pid = os.getpid()
 

@@ -36,16 +36,17 @@ def test_what_the_work_raises_reaches_the_caller_and_the_thread_goes_on() -> Non
 
 
 def test_ctrl_c_does_not_wait_for_the_work(ctrl_c: None) -> None:
-    caught = threading.Event()
+    caught, threads = threading.Event(), []
 
     def work() -> bool:
+        threads.append(threading.get_ident())
         signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
         return caught.wait(20)
 
     with pytest.raises(KeyboardInterrupt):
         on_gl_thread(work)
     caught.set()
-    assert on_gl_thread(lambda: 3) == 3
+    assert on_gl_thread(threading.get_ident) == threads[0], "an interrupt left two threads"
 
 
 def test_what_is_discarded_anywhere_is_freed_by_the_thread() -> None:
