@@ -6,6 +6,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -89,6 +90,13 @@ def traced(name: str) -> Traced:
     return Traced(scene, facts(scene, pose), read_linear(name), plate)
 
 
+@cache
+def kept(name: str, stage: str) -> Any:
+    """What a stage beside gi prepares, at level high, with the shadow of the scene's lamp once that is made: for every run."""
+    made = Raster(RasterParams(backend="rays")) if stage == "raster" else STAGES[stage]()
+    return made.prepare(traced(name).scene, level_named(made.levels, "high"))
+
+
 def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarray]:
     """(picture (h, w, 3) linear, coverage (h, w)). level : of gi, or NO_GI"""
     t = traced(name)
@@ -99,7 +107,7 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     stages["composite"] = STAGES["composite"]()
     levels = {n: level_named(s.levels, level if n == "gi" else "high") for n, s in stages.items()}
     plan = plan_frame(list(stages.values()), levels, t.facts, t.scene, t.scene.camera.rect)
-    prepared = {n: s.prepare(t.scene, levels[n]) for n, s in stages.items()}
+    prepared = {n: s.prepare(t.scene, levels[n]) if n == "gi" else kept(name, n) for n, s in stages.items()}
     made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, t.scene, stages, levels, prepared)
     out = t.plate.copy()
     out[plan.changed.slices] = made.image
