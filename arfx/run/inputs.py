@@ -94,11 +94,11 @@ def job_model(config: JobConfig) -> Model:
     if path is None:
         return load_model(path, config.model.up)  # which says what is wrong
     stat = regular(path, "model").stat()
-    return _model_of(path, config.model.up, stat.st_mtime_ns, stat.st_size)
+    return _model_of(path, config.model.up, stat.st_mtime_ns, stat.st_size, Path.cwd())
 
 
 @lru_cache(maxsize=1)
-def _model_of(path: Path, up: str | None, time_ns: int, size: int) -> Model:
+def _model_of(path: Path, up: str | None, time_ns: int, size: int, _from: Path) -> Model:
     return load_model(path, up)
 
 

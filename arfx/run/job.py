@@ -151,7 +151,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")
-    model_key = file_digest(config.model.file)
+    model_key = sorted(file_digest(path) for path in inputs.model.files)  # textures and buffers too
     base = [
         code_digest(),
         file_digest(config.input.clip),

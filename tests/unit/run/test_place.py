@@ -97,6 +97,16 @@ def test_every_file_that_a_job_reads_is_known(read: Path, tmp_path: Path) -> Non
     assert known == {(read / name).resolve() for name in [*READ, "depth"]}
 
 
+def test_a_model_of_the_same_name_in_another_folder_is_another(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place in (tmp_path / "a", tmp_path / "b"):
+        shutil.copytree(made, place)
+        monkeypatch.chdir(place)
+        known = {path.resolve() for _, path in files_read(inputs(Path(), tmp_path / "o.mp4"))}
+        assert (place / "wood.png").resolve() in known
+
+
 @pytest.mark.parametrize("name", READ)
 @pytest.mark.parametrize("link", [os.link, os.symlink], ids=["hard", "soft"])
 def test_no_written_file_is_an_input(read: Path, tmp_path: Path, name: str, link: Callable[[Path, Path], None]) -> None:
