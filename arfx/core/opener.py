@@ -24,7 +24,7 @@ LIMITS: dict[str, tuple[float, str]] = {
     "clip": (1 << 24, "read frame by frame: 16 TiB, the largest file of ext4"),
     "depth": (1 << 24, "read map by map, as a clip"),
     "depth map": (256, "8192 x 4096 px of 32-bit float twice over"),
-    "model": (1024, "20 million faces as binary arrays"),
+    "model": (1024, "millions of faces as binary arrays"),
     "model part": (1024, "buffers and textures of a model, as the model itself"),
     "image": (512, "an environment of 8192 x 4096 px of 32-bit float RGB, with room"),
     "picture": (512, "a camera's largest raw-sized TIFF"),
@@ -33,6 +33,7 @@ LIMITS: dict[str, tuple[float, str]] = {
     "scene": (1, "thousands of objects"),
     "marker map": (8, "tens of thousands of markers"),
     "poses": (256, "a million lines"),
+    "truth": (256, "a hundred thousand frames of a synthetic clip"),
     "tradeoff": (64, "every level of every stage on thousands of frames"),
 }
 DEEPEST = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from arfx.analyse.files import read_facts
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.marker import MarkerSpec
+from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError, NothingToDoError
 from arfx.measure.single_frame import single_frame_poses
@@ -90,6 +90,6 @@ def read_tolerance(folder: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as e:
+        return parse_toml(read_text(path, "scene"))
+    except ValueError as e:
         raise ConfigError(f"{path} is not TOML: {e}") from None

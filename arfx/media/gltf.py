@@ -15,6 +15,7 @@ MAX_PARTS = 10_000  # mesh instances: each is a part with a transform of its own
 _LISTS = ("accessors", "bufferViews", "buffers", "images", "materials", "meshes", "nodes", "scenes", "textures")
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # glTF 2.0 section 3.6.2.2
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_PACKED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}  # without a decoder all vertices would be 0
 _TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}
 
 
@@ -42,6 +43,9 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
 
 def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
     """Notices of what is left out. Raises InputError: damaged, or more faces or parts than can be handled."""
+    required = header.get("extensionsRequired")
+    if packed := _PACKED & set(map(str, required if isinstance(required, list) else ())):
+        raise InputError(f"model {path} is compressed ({', '.join(sorted(packed))})", "export it without mesh compression")
     try:
         faces = _faces_of_meshes(header, path)
         _count_instances(header, faces, path)

@@ -13,7 +13,9 @@ import numpy as np
 from arfx.core.cube import face_directions
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.numerics import angle_between, divide
+from arfx.core.opener import read_text
 from arfx.core.pose import find_rotvecs
+from arfx.errors import InputError
 
 if TYPE_CHECKING:
     from arfx.run.job import Planned
@@ -59,13 +61,13 @@ def _calibration(planned: Planned) -> Rows:
 def stated(path: Path) -> dict[str, Any]:
     """What `arfx calibrate` wrote of itself into a camera file; {} for files of others."""
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
+        text = read_text(path, "camera file")
+    except InputError:  # one camera of a file that holds several
         return {}
     out: dict[str, Any] = {}
     if found := re.search(r"^\W*verdict\W+(\w+)", text, re.MULTILINE):
         out["verdict"] = found[1]
-    if found := re.search(r"^\W*condition\W+([0-9.eE+-]+)", text, re.MULTILINE):
+    if found := re.search(r"^\W*condition\W+(\d+(?:\.\d*)?(?:[eE][+-]?\d{1,3})?)(?:\s|,|$)", text, re.MULTILINE):
         out["condition"] = float(found[1])
     return out
 

@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from arfx.core.opener import read_text
 from arfx.core.pose import Pose
 from arfx.errors import InputError
 from arfx.media.pictures import decode_picture
@@ -114,13 +115,12 @@ def write_truth(path: Path, truth: Truth) -> None:
 
 def read_truth(path: Path) -> Truth:
     """Raises InputError if there is no such file or it is not a truth file."""
+    text = read_text(path, "truth")
     try:
-        header, *frames = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        header, *frames = [json.loads(line) for line in text.splitlines()]
         if header.get("arfx_truth") != 1:
             raise ValueError("no header of version 1")
         return Truth(header, tuple(FrameTruth.from_json(f) for f in frames))
-    except OSError as e:
-        raise InputError(f"cannot read {path}: {e.strerror}", "a folder made by `arfx synth`") from None
     except (ValueError, KeyError, TypeError) as e:
         raise InputError(f"{path} is not a truth file: {e!r}", "made by `arfx synth`") from None
 

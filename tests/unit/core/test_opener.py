@@ -87,3 +87,11 @@ def test_plain_toml_and_json_are_read() -> None:
 
 def test_ffmpeg_is_told_names_not_protocols() -> None:
     assert av_name("12:30.mp4") == "file:12:30.mp4"
+
+
+def test_every_limit_is_documented() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "limits.md").read_text()
+    for kind, (mib, reason) in LIMITS.items():
+        assert reason
+        words = kind.removesuffix(" part")
+        assert any(words in line and (f"{mib:g} MiB" in line or mib == 1 << 24) for line in text.splitlines()), kind

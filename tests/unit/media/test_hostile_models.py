@@ -155,6 +155,7 @@ def put(*keys: Any) -> Any:
         put("asset", {"version": "1" * 5000}),
         put("extras", json.loads("[" * 500 + "]" * 500)),
         put("buffers", [{"uri": "data:;base64,====", "byteLength": 36}]),
+        put("extensionsRequired", ["KHR_draco_mesh_compression"]),
     ],
 )
 def test_damaged_gltf_is_one_message(tmp_path: Path, change: Any) -> None:

@@ -54,5 +54,6 @@ def test_what_a_calibration_says_of_itself_is_read(tmp_path) -> None:
     (tmp_path / "a.yaml").write_text("%YAML:1.0\nverdict: usable\ncondition: 3.5e+04\nimage_width: 640\n")
     (tmp_path / "b.yaml").write_text("image_width: 640\n")
     assert stated(tmp_path / "a.yaml") == {"verdict": "usable", "condition": 3.5e4}
-    assert stated(tmp_path / "b.yaml") == {} and stated(tmp_path / "none") == {}
+    (tmp_path / "c.yaml").write_text("condition: e.e\n")
+    assert stated(tmp_path / "c.yaml") == {} and stated(tmp_path / "b.yaml") == {} and stated(tmp_path / "none") == {}
     assert check("a", 2, 1, False, "told")["action"] == "told" and check("a", 0, 1, True, "told")["action"] == "none"

@@ -102,7 +102,7 @@ def test_truth_files_come_back_as_they_were(tmp_path: Path) -> None:
 
 
 def test_another_file_is_no_truth(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot read"):
+    with pytest.raises(InputError, match="no such file"):
         read_truth(tmp_path / "none.jsonl")
     (tmp_path / "x.jsonl").write_text('{"format": "arfx-facts"}\n')
     with pytest.raises(InputError, match="not a truth file"):
