@@ -30,6 +30,7 @@ from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.pose_files import CameraPath, load_poses
 from arfx.run.depth import job_depth
+from arfx.run.parameters import on_this_machine
 from arfx.stages.raster.mesh import check_extent
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
@@ -61,8 +62,9 @@ def open_inputs(config: JobConfig) -> Inputs:
     model = job_model(config)
     check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
     return Inputs(
-        config, clip, camera, model, marker_map(config), output, (*notices, *model.notices, *output.notices), panorama(config),
-        open_maps(config, clip), None if config.input.poses is None else load_poses(config.input.poses),
+        on_this_machine(config), clip, camera, model, marker_map(config), output,
+        (*notices, *model.notices, *output.notices), panorama(config), open_maps(config, clip),
+        None if config.input.poses is None else load_poses(config.input.poses),
     )  # fmt: skip
 
 

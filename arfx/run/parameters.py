@@ -53,6 +53,16 @@ def make_stages(config: JobConfig) -> dict[str, Stage]:
     return {name: STAGES[name](settings[name]) for name in names}
 
 
+def on_this_machine(config: JobConfig) -> JobConfig:
+    """The job with what its settings come to here (`RasterParams.on_this_machine`): chosen once, the same in every worker,
+    and part of the keys, so that a job resumed on another machine mixes nothing."""
+    params = dict(config.params)
+    for name in pipeline(config):
+        if hasattr(params[name], "on_this_machine"):
+            params[name] = params[name].on_this_machine()
+    return config.model_copy(update={"params": params})
+
+
 def light_wanted(config: JobConfig) -> LightParams | None:
     """How the analysis reads the light, or None where no stage of the job asks for it."""
     params: LightParams = config.params["light"]

@@ -9,7 +9,7 @@ are cut out; BLEND ones multiply COVERAGE by their opacity and are blended front
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -40,6 +40,10 @@ class RasterParams:
             raise ConfigError(f"raster.backend {self.backend!r} is unknown", "one of auto, " + ", ".join(BACKENDS))
         if not 0 <= self.samples <= 256:
             raise ConfigError(f"raster.samples must be between 0 and 256, is {self.samples}")
+
+    def on_this_machine(self) -> RasterParams:
+        """With the back end that `auto` takes here."""
+        return replace(self, backend=choose_backend(self.backend).name)
 
 
 class Renderer(Protocol):

@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from arfx.config.freeze import frozen
 from arfx.config.load import load
 from arfx.core.marker import anchor_marker
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError
-from arfx.run.inputs import marker_map, placement
+from arfx.run.folder import digest
+from arfx.run.inputs import marker_map, open_inputs, placement
 from arfx.run.parameters import light_wanted, parameters, pipeline
+from arfx.stages.raster.backends import BACKENDS, Backend
+from tests.clips import MARKER, write_camera, write_clip
 
 
 def job(tmp_path: Path, layout: Path) -> object:
@@ -116,3 +120,21 @@ def test_hostile_layouts_are_one_message(tmp_path: Path, text: str) -> None:
     with pytest.raises((InputError, ConfigError)) as e:
         marker_map(job(tmp_path, tmp_path / "map.toml"))  # type: ignore[arg-type]
     assert "map.toml" in str(e.value) and len(str(e.value)) < 600
+
+
+def test_what_auto_renders_with_is_chosen_once_and_part_of_the_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_clip(tmp_path / "clip.mp4", 1)
+    write_camera(tmp_path / "camera.yaml")
+    (tmp_path / "model.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    files = {
+        "input": {"clip": str(tmp_path / "clip.mp4"), "camera": str(tmp_path / "camera.yaml")},
+        "marker": [{"spec": MARKER}],
+        "model": {"file": str(tmp_path / "model.obj"), "fit": "5cm"},
+        "output": {"path": str(tmp_path / "out.mkv")},
+    }
+    trees = []
+    for name in BACKENDS:
+        monkeypatch.setattr("arfx.stages.raster.stage.choose_backend", lambda wanted, name=name: Backend(name, None, {}, ""))
+        trees.append(frozen(open_inputs(load(None, files, parameters())).config))
+    assert [tree["raster"]["backend"] for tree in trees] == list(BACKENDS)
+    assert digest(trees[0]) != digest(trees[1])
