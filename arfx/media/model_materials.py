@@ -51,6 +51,11 @@ class Textures:
                 raise InputError(f"model {self.path}: cannot decode a texture ({e})", "the image is damaged or cut short") from e
         return self._made[key][1]
 
+    def close(self) -> None:
+        """Lets go of the pictures, the arrays stay: trimesh's objects refer to each other in circles and live on for long."""
+        for image, _ in self._made.values():
+            image.close()
+
 
 def material_of(mesh: Any, textures: Textures, two_sided: bool, factors: dict[str, Any], has_colours: bool) -> Material:
     """The Material of a mesh. factors : from `precise_factors`;  has_colours : vertex colours multiply white."""

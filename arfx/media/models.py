@@ -127,6 +127,7 @@ def _parts(scene: Any, path: Path, kind: str, header: dict[str, Any], notices: l
         dropped += lost
         if part is not None:
             parts.append(part)
+    textures.close()
     if dropped:
         notices.append(f"model {path.name}: {dropped} faces without area left out")
     if skipped:

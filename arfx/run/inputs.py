@@ -96,11 +96,12 @@ def job_model(config: JobConfig) -> Model:
     if path is None:
         return load_model(path, config.model.up)  # which says what is wrong
     stat = regular(path, "model").stat()
-    return _model_of(path, config.model.up, stat.st_mtime_ns, stat.st_size, Path.cwd())
+    # absolute, as in the frozen job: a worker of this process asks for the same file and gets the same model
+    return _model_of(path.absolute(), config.model.up, stat.st_mtime_ns, stat.st_size)
 
 
 @lru_cache(maxsize=1)
-def _model_of(path: Path, up: str | None, time_ns: int, size: int, _from: Path) -> Model:
+def _model_of(path: Path, up: str | None, time_ns: int, size: int) -> Model:
     return load_model(path, up)
 
 

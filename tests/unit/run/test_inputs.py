@@ -12,7 +12,7 @@ from arfx.core.marker import anchor_marker
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError
 from arfx.run.folder import digest
-from arfx.run.inputs import marker_map, open_inputs, placement
+from arfx.run.inputs import job_model, marker_map, open_inputs, placement
 from arfx.run.parameters import light_wanted, parameters, pipeline
 from arfx.stages.raster.backends import BACKENDS, Backend
 from tests.clips import MARKER, write_camera, write_clip
@@ -138,3 +138,10 @@ def test_what_auto_renders_with_is_chosen_once_and_part_of_the_keys(tmp_path: Pa
         trees.append(frozen(open_inputs(load(None, files, parameters())).config))
     assert [tree["raster"]["backend"] for tree in trees] == list(BACKENDS)
     assert digest(trees[0]) != digest(trees[1])
+
+
+def test_a_model_is_read_once_by_whatever_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    monkeypatch.chdir(tmp_path)
+    first, again = (job_model(load(None, {"model": {"file": str(p)}}, parameters())) for p in (Path("a.obj"), tmp_path / "a.obj"))
+    assert first is again
