@@ -12,6 +12,7 @@ from pathlib import Path
 from arfx.errors import ConfigError
 
 PART = r"\.arfx-\d+-[0-9a-f]{8}\.part"  # what `part_name` makes
+Fingerprint = tuple[int, int, int]
 TIMES = "times.txt"  # beside the images of a sequence
 
 
@@ -19,10 +20,12 @@ class Guard:
     """Checks on the places that a command is going to write to. Each raises ConfigError and touches nothing.
 
     reads : (what it is, path) of every file and folder that the command reads;  overwrite : outputs may be replaced
+    own : fingerprints of outputs that the same job wrote before it was killed: they may be replaced unasked
     """
 
     def __init__(self, reads: Iterable[tuple[str, Path]], overwrite: bool = False) -> None:
         self.overwrite = overwrite
+        self.own: frozenset[Fingerprint] = frozenset()
         self._reads = {_real(path): what for what, path in reads}
         self._same: dict[tuple[int, int], str] = {}
         for path, what in self._reads.items():
@@ -38,7 +41,7 @@ class Guard:
             return
         if path.is_dir() or not (path.is_file() or path.is_symlink()):
             raise ConfigError(f"output {path} is not a file", f"name another with {option}")
-        if not self.overwrite:
+        if not self._may_replace(path):
             raise ConfigError(f"output {path} exists", f"--overwrite replaces it; or name another with {option}")
         if start and not _starts(path, start):
             raise ConfigError(f"{path} was not written by arfx: it is not replaced", f"name another place with {option}")
@@ -65,7 +68,7 @@ class Guard:
                 self._refuse_if_read(folder / name, "-o")
             if mine and (folder / name).is_dir():
                 raise ConfigError(f"output {folder / name} is not a file", "name another with -o")
-            if not self.overwrite and (mine or Path(name).suffix == suffix):
+            if (mine or Path(name).suffix == suffix) and not self._may_replace(folder / name):
                 raise ConfigError(f"output {folder / name} exists", "--overwrite replaces it; or name another with -o")
 
     def folder(self, path: Path, option: str) -> None:
@@ -82,6 +85,9 @@ class Guard:
         """A file that is no input, under whatever name, and whose own name can be written."""
         fits(path, option)
         self._refuse_if_read(path, option)
+
+    def _may_replace(self, path: Path) -> bool:
+        return self.overwrite or (bool(self.own) and fingerprint(path) in self.own)
 
     def _refuse_if_read(self, path: Path, option: str) -> None:
         key = _identity(path)
@@ -116,6 +122,15 @@ def aside(path: Path) -> Iterator[Path]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def fingerprint(path: Path) -> Fingerprint:
+    """What a file keeps when it is renamed, and loses when anyone writes to it or replaces it. (0, 0, 0) : no such file"""
+    try:
+        s = path.lstat()
+    except OSError:
+        return 0, 0, 0
+    return s.st_ino, s.st_size, s.st_mtime_ns
 
 
 def _real(path: Path) -> str:

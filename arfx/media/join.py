@@ -12,7 +12,7 @@ import itertools
 import math
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -45,10 +45,12 @@ class _Order:
 def join_chunks(
     chunks: Sequence[Path], pts: Sequence[int], plan: OutputPlan, info: ClipInfo, out: Path,
     start_s: float | None = None, end_s: float | None = None, part: Path | None = None,
+    made: Callable[[], None] | None = None,
 ) -> None:  # fmt: skip
     """Writes `out` from chunks in order.
 
     part : where it is made, on the same disk; what is there is removed. None = a name beside it that nobody uses
+    made : called when it is whole, before it gets its name
     pts : presentation times of all their frames in info.time_base, rising; start_s, end_s : the cut that was made, in
     seconds after the clip's first frame, for the streams that are copied.
     Raises RenderError: chunks and times do not match, chunks of different settings, the file cannot be written. Then
@@ -60,13 +62,15 @@ def join_chunks(
     if any(b <= a for a, b in itertools.pairwise(pts)):
         raise RenderError(f"{out}: frame times do not rise")
     if plan.is_sequence:
-        _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent))
+        _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent), made)
         return
     part = part or part_name(out)
     try:
         remove_output(part)
         order = _order_of(chunks, len(pts))
         _remux(chunks, pts, order, plan, info, part, start_s, end_s)
+        if made is not None:
+            made()
         with interrupt.completing():
             part.replace(out)
     except (av.error.FFmpegError, OSError, ValueError) as e:
@@ -208,7 +212,9 @@ def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
     return scale
 
 
-def _join_folders(chunks: Sequence[Path], count: int, out: Path, part: Path) -> None:
+def _join_folders(
+    chunks: Sequence[Path], count: int, out: Path, part: Path, made: Callable[[], None] | None
+) -> None:  # fmt: skip
     """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
     folder = out.absolute().parent
     try:
@@ -228,12 +234,15 @@ def _join_folders(chunks: Sequence[Path], count: int, out: Path, part: Path) -> 
         if images != count:
             raise RenderError(f"the chunks hold {images} images, the clip has {count} frames", "render the job again")
         (part / TIMES).write_text("".join(times))
+        if made is not None:
+            made()
         with interrupt.completing():
             if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
                 folder.rmdir()
             if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step
                 for f in part.iterdir():
                     f.replace(folder / f.name)
+                    f.unlink(missing_ok=True)  # two names of one file: to rename one to the other leaves both
                 part.rmdir()
             else:
                 part.replace(folder)

@@ -1,6 +1,6 @@
 """The job folder: what is written where, whole or not at all, what in it is arfx's own, and what is still good.
 
-job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · plan_summary.json · seal.json ·
+job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · plan_summary.json · seal.json · placed.json ·
 chunks/ · timings.jsonl · previews/ · report.json
 """
 
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import arfx
-from arfx.core.guard import PART, TIMES, aside
+from arfx.core.guard import PART, TIMES, Fingerprint, aside, fingerprint
 from arfx.errors import ConfigError, RenderError
 from arfx.run.lock import HOLDER, LOCK, MARKER
 
@@ -30,7 +30,7 @@ _CHUNK = r"(?:\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?:\.nut|\.mkv)?(?:\
 _FOLDERS = re.compile(rf"chunks|previews|joined\.part|chunks/{_CHUNK}")
 _UNMARKED = re.compile(rf"(?:{_LOCKS})|{PART}|joined\.part(?:/(?:{_IMAGE}))?")
 _MARKED = re.compile(
-    rf"job\.toml|(?:inputs|frames|plan_summary|seal|report)\.json|analysis\.checkpoint|(?:facts|plan|timings)\.jsonl"
+    rf"job\.toml|(?:inputs|frames|plan_summary|seal|placed|report)\.json|analysis\.checkpoint|(?:facts|plan|timings)\.jsonl"
     rf"|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
 )
 _SEALED = ("frames.json", "facts.jsonl", "plan.jsonl", "plan_summary.json")
@@ -52,6 +52,7 @@ class JobFolder:
     report = property(lambda self: self.path / "report.json")
     checkpoint = property(lambda self: self.path / "analysis.checkpoint")
     joined = property(lambda self: self.path / "joined.part")  # the output, until it is whole
+    placed = property(lambda self: self.path / "placed.json")  # fingerprints of its files, from just before it is put in place
 
     def files(self) -> Iterator[Path]:
         """All that arfx wrote into it."""
@@ -105,6 +106,18 @@ class JobFolder:
             return bool(json.loads(self._seal.read_bytes()) == {"job_key": job_key, "files": self._digests()})
         except (OSError, ValueError, RecursionError):
             return False
+
+    def note_placed(self, part: Path) -> None:
+        """The files of `part` are about to become the output."""
+        files = sorted(part.iterdir()) if part.is_dir() else [part]
+        write_text(self.placed, json.dumps([fingerprint(f) for f in files]))
+
+    def outputs(self) -> frozenset[Fingerprint]:
+        """Files that were put in place, or were about to be, by a job that was killed before it had ended."""
+        try:
+            return frozenset((int(a), int(b), int(c)) for a, b, c in json.loads(self.placed.read_bytes()))
+        except (OSError, ValueError, TypeError, RecursionError):
+            return frozenset()
 
     _seal = property(lambda self: self.path / "seal.json")
 

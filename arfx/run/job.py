@@ -128,6 +128,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         folder.checkpoint.unlink(missing_ok=True)
         if options.finish is not None:
             options.finish(folder.path)
+        folder.placed.unlink(missing_ok=True)
     return report
 
 
@@ -326,7 +327,8 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Pat
 def _join(planned: Planned, files: Sequence[Path], part: Path) -> None:
     info, output, config = planned.inputs.info, planned.inputs.output, planned.inputs.config
     try:
-        join_chunks(files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, part)
+        join_chunks(files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, part,
+                    lambda: planned.folder.note_placed(part))  # fmt: skip
     except OSError as e:
         raise disk_error(e, output.path) from None
 

@@ -85,6 +85,7 @@ class Places:
         Raises ConfigError where a check fails, another process has one of them, or a job is there and it is neither to
         be resumed nor overwritten; RenderError where they cannot be made.
         """
+        self._guard.own = self.folder.outputs() if resume else frozenset()
         self.check()
         with contextlib.ExitStack() as stack:
             stack.enter_context(locked(self._home.path, "-o", passing=not self._named or self.folder is not self._home))

@@ -12,7 +12,7 @@ import pytest
 
 from arfx.config.load import load
 from arfx.config.sections import JobConfig
-from arfx.errors import JobInterruptedError
+from arfx.errors import ConfigError, JobInterruptedError, RenderError
 from arfx.run import analysis
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
@@ -45,6 +45,41 @@ def interrupted(config: JobConfig, folder: Path, phase: str, frame: int) -> list
     with pytest.raises(JobInterruptedError):
         process(config, Options(folder, progress=stop, notice=quiet))
     return [json.loads(line) for line in (folder / "timings.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("name", ["out.mkv", "frames/%06d.png"])
+def test_a_job_that_ended_after_its_output_was_in_place_is_resumed(
+    material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    config = job(material, tmp_path)
+    config = config.model_copy(update={"output": config.output.model_copy(update={"path": tmp_path / name})})
+
+    def fail(*_: object) -> None:
+        raise RenderError("the disk is full")
+
+    with monkeypatch.context() as m, pytest.raises(RenderError):
+        m.setattr("arfx.run.job.build_report", fail)
+        process(config, Options(notice=quiet))
+    made = sorted(p for p in (tmp_path / name).parent.iterdir() if p.is_file())
+    before = [p.read_bytes() for p in made]
+    with pytest.raises(ConfigError, match="exists"):
+        process(config, Options(notice=quiet))
+    process(config, Options(resume=True, notice=quiet))
+    assert made and [p.read_bytes() for p in made] == before
+    assert not [p for p in tmp_path.iterdir() if p.suffix == ".job"]
+
+
+def test_a_resumed_job_replaces_no_output_that_is_not_its_own(
+    material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, out = job(material, tmp_path), tmp_path / "out.mp4"
+    with monkeypatch.context() as m, pytest.raises(RenderError):
+        m.setattr("arfx.run.job.build_report", lambda *_: (_ for _ in ()).throw(RenderError("the disk is full")))
+        process(config, Options(notice=quiet))
+    out.write_bytes(b"somebody else's")
+    with pytest.raises(ConfigError, match="exists"):
+        process(config, Options(resume=True, notice=quiet))
+    assert out.read_bytes() == b"somebody else's"
 
 
 def write_rows(folder: Path, rows: list[dict[str, Any]], end: str = "") -> None:
