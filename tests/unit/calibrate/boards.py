@@ -63,7 +63,10 @@ def _rays(camera: Camera, over: int) -> np.ndarray:
     offsets = (np.arange(over) - (over - 1) / 2) / over
     xs = (np.arange(camera.width)[:, None] + offsets).ravel()
     ys = (np.arange(camera.height)[:, None] + offsets).ravel()
-    return camera.directions(np.stack(np.meshgrid(xs, ys), -1))
+    pixels = np.stack(np.meshgrid(xs, ys), -1)
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-10)
+    xy = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.matrix, camera.distortion, criteria=stop).reshape(pixels.shape)
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], -1)
 
 
 def render(
