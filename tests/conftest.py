@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import inspect
 import os
+import re
 import signal
 from collections.abc import Iterator
 from typing import Any
@@ -16,6 +18,17 @@ from arfx.errors import RenderError
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 gc.disable()  # until all tests are collected: what importing makes stays, and was looked over for a quarter of that time
+
+STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(Ahead|Behind|Beside)\(
+    |raise_signal|os\.kill"""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """`-m process` takes every test whose source starts a process or a thread or sends a signal, marked by hand or not."""
+    if "process" in config.getoption("markexpr"):
+        for item in items:
+            if isinstance(item, pytest.Function) and re.search(STARTS, inspect.getsource(item.function), re.VERBOSE):
+                item.add_marker(pytest.mark.process)
 
 
 def pytest_collection_finish() -> None:

@@ -54,10 +54,13 @@ def start(arguments: list[str], out: Path, *more: str) -> subprocess.Popen[str]:
 
 
 def one(
-    arguments: list[str], out: Path, after_s: float, number: signal.Signals, whole: str, resume: bool
+    arguments: list[str], out: Path, after_s: float, number: signal.Signals, whole: str, resume: bool, at_end: bool
 ) -> tuple[str, list[str]]:
-    """What came of it, in a word, and what was wrong. number : SIGINT goes to all processes, as from a terminal"""
+    """What came of it, in a word, and what was wrong. number : SIGINT goes to all processes, as from a terminal
+    after_s : from the start, or, at_end, from where the output is begun to be written"""
     p = start(arguments, out)
+    while at_end and p.poll() is None and not (out.exists() or out.with_name(out.name + ".part").exists()):
+        time.sleep(0.0005)
     wrong = []
     try:
         _, said = p.communicate(timeout=after_s)
@@ -73,7 +76,7 @@ def one(
     if code == 0 and not there:
         wrong.append("exit 0 without output")
     if code == 0 and there and out.stat().st_ctime > sent + 0.02:
-        wrong.append("signal lost")
+        wrong.append(f"signal lost: the output appeared {out.stat().st_ctime - sent:.3f} s later")
     if code != 0 and (code not in CODES[number] or there):
         wrong.append(f"exit {code} {'with' if there else 'without'} output")
     if "Traceback" in said and code >= 0:
@@ -96,8 +99,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--at-end", action="store_true", help="every signal while the output is put in place; else one in three")
     parser.add_argument("arguments", nargs="+", help="of arfx")
     given = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it, and what it starts inherits that
     pick, seen, bad = random.Random(given.seed), collections.Counter(), 0
     with tempfile.TemporaryDirectory(prefix="arfx-signals-") as temporary:
         out = Path(temporary) / "out.mp4"
@@ -114,13 +119,15 @@ def main() -> None:
             shutil.rmtree(temporary, ignore_errors=True)
             Path(temporary).mkdir()
             number = (signal.SIGINT, signal.SIGTERM)[k % 2]
-            # a third at the very end: that is where an output is put in place
-            at = pick.uniform(0.85, 1.1) if k % 3 == 0 else pick.uniform(0, 1.05)
-            came, wrong = one(given.arguments, out, at * whole_s, number, whole, resume=k % 10 == 0)
-            seen[f"{number.name} -> {came}"] += 1
+            at_end = given.at_end or k % 3 == 0
+            after_s = pick.uniform(0, 0.3) if at_end else pick.uniform(0, 1.05) * whole_s
+            came, wrong = one(given.arguments, out, after_s, number, whole, k % 10 == 0, at_end)
+            seen[f"{number.name} {'at the end ' if at_end else ''}-> {came}"] += 1
             bad += bool(wrong)
             for text in wrong:
                 print(f"run {k}: {text}", flush=True)
+            if k % 20 == 19:
+                print(f"{k + 1} runs, {bad} wrong", flush=True)
     print(", ".join(f"{what}: {n}" for what, n in sorted(seen.items())))
     print(f"{given.runs} runs, {bad} wrong")
     sys.exit(bool(bad))

@@ -130,19 +130,23 @@ class Camera:
             return target.copy()
         h, guess = 1e-6, target.copy()
         along_x, along_y = np.array([h, 0.0]), np.array([0.0, h])
+        todo = np.ones(target.shape[:-1], bool)  # each point until its own steps end, whatever points are beside it
         for _ in range(iterations):
-            here = self.distort(guess)
-            dx = (self.distort(guess + along_x) - self.distort(guess - along_x)) / (2 * h)
-            dy = (self.distort(guess + along_y) - self.distort(guess - along_y)) / (2 * h)
-            err = target - here
+            at = guess[todo]
+            if not len(at):
+                break
+            dx = (self.distort(at + along_x) - self.distort(at - along_x)) / (2 * h)
+            dy = (self.distort(at + along_y) - self.distort(at - along_y)) / (2 * h)
+            err = target[todo] - self.distort(at)
             det = dx[..., 0] * dy[..., 1] - dy[..., 0] * dx[..., 1]
             sx = divide(err[..., 0] * dy[..., 1] - err[..., 1] * dy[..., 0], det)
             sy = divide(err[..., 1] * dx[..., 0] - err[..., 0] * dx[..., 1], det)
             step = np.stack([sx, sy], -1)
-            size = np.linalg.norm(step, axis=-1, keepdims=True)
-            guess = guess + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))  # damped near a fold
-        missed = np.linalg.norm(self.distort(guess) - target, axis=-1) > 1e-6
-        guess[missed | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
+            size = np.linalg.norm(step, axis=-1)
+            guess[todo] = at + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))[..., None]  # damped near a fold
+            todo[todo] = size > 1e-12
+        found = np.linalg.norm(self.distort(guess) - target, axis=-1) <= 1e-6
+        guess[~found | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
         return guess
 
     def project(self, points_camera: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import cv2
 import pytest
 
 from arfx_cli.main import COMMANDS, cli, main
-from tests.cli.conftest import Material, Run
+from tests.cli.conftest import Material, Result, Run
 from tests.unit.calibrate.boards import CHESS, poses, render
 
 SCENE = """
@@ -53,14 +53,15 @@ def place(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def says(arfx: Run, place: Path, detail: str, *arguments: str) -> None:
-    """-v adds `detail` on standard error, -q leaves only warnings there, and --json is all of standard output."""
+def says(arfx: Run, place: Path, detail: str, *arguments: str) -> Result:
+    """-v adds `detail` on standard error, -q leaves only warnings there, --json is all of standard output: that is returned."""
     loud = arfx(*arguments, "-v", cwd=place)
     assert loud.code == 0 and detail in loud.err and detail not in loud.out, loud.err
     again = (*arguments, *(["--overwrite"] if "-o" in arguments else []))
     still = arfx(*again, "--quiet", "--json", cwd=place)
     assert still.code == 0 and json.loads(still.out)
     assert all(line.startswith("note: ") for line in still.err.splitlines()), still.err
+    return still
 
 
 def test_target(arfx: Run, place: Path) -> None:
@@ -79,13 +80,9 @@ def test_bench(arfx: Run, place: Path) -> None:
     says(arfx, place, "ns/px, median of", "bench", "--stage", "composite", "--level", "standard", "--size", "160x120")
 
 
-def test_calibrate(arfx: Run, place: Path) -> None:
-    says(arfx, place, "held out", "calibrate", "board", "--board", "chessboard:9x6:25mm", "-o", "c.yaml")
-
-
-def test_a_calibration_that_is_not_good_is_a_warning_with_quiet(arfx: Run, place: Path) -> None:
-    r = arfx("calibrate", "board", "--board", "chessboard:9x6:25mm", "-o", "few.yaml", "-q", "--json", cwd=place)
-    assert r.code == 0 and r.json["verdict"] in ("usable", "poor")
+def test_calibrate_and_a_calibration_that_is_not_good_is_a_warning_with_quiet(arfx: Run, place: Path) -> None:
+    r = says(arfx, place, "held out", "calibrate", "board", "--board", "chessboard:9x6:25mm", "-o", "c.yaml")
+    assert r.json["verdict"] in ("usable", "poor")
     assert f"note: the calibration is {r.json['verdict']}" in r.err
 
 

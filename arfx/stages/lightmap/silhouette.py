@@ -36,8 +36,8 @@ def hidden_share(
     rows, columns = shape
     offsets = jitter(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
     return _count(
-        points, edges, across, directions.astype(np.float32), slopes.astype(np.float32), offsets.astype(np.float32),
-        rows, columns // 64,
+        points, edges, across, directions.astype(np.float32), np.ascontiguousarray(slopes, np.float32),
+        offsets.astype(np.float32), rows, columns // 64,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.core.camera import FISHEYE, Camera
+from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.errors import InputError
 
 K = np.array([[1764.6, 0, 989.15], [0, 1760.2, 544.9], [0, 0, 1]])
@@ -45,6 +45,19 @@ def test_points_behind_or_beyond_the_fold_are_not_projected_into_the_picture() -
     assert np.isnan(camera.project(np.array([[0, 0, -1.0], [0, 0, 0], [0, 0, np.nan]]))).all()
     far = camera.normalised(np.array([[5000.0, 240]]))
     assert np.isnan(far).all(), "no direction maps to that pixel"
+
+
+@pytest.mark.parametrize(("distortion", "model"), [((-0.3, 0, 0, 0), BROWN), ((-0.1, 0.02, 0.0, 0.0), FISHEYE)])
+def test_a_pixels_direction_is_the_same_bits_whatever_pixels_are_beside_it(distortion: tuple[float, ...], model: str) -> None:
+    """Near the axis one step is enough, near the fold and beyond it the last one is not."""
+    k = np.array([[300.0, 0, 320], [0, 300, 240], [0, 0, 1]])
+    camera = Camera(640, 480, k, np.array(distortion), model)
+    pixels = np.stack(np.meshgrid(np.arange(-200, 840, 40.0), np.arange(-200, 680, 40.0)), -1)
+    together = camera.normalised(pixels)
+    assert np.isnan(together).any() and np.isfinite(together).any()
+    alone = np.array([[camera.normalised(p) for p in row] for row in pixels])
+    np.testing.assert_array_equal(alone, together)
+    assert camera.normalised(pixels[:0]).shape == (0, 26, 2) and np.isnan(camera.normalised(np.array([np.nan, 1.0]))).all()
 
 
 def test_scaling_keeps_the_direction_of_every_relative_position() -> None:

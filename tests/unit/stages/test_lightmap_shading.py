@@ -54,7 +54,8 @@ def surface(
     """Layers of the whole picture with these normals and positions (h, w, 3): matt unless the material says otherwise."""
     arrays = {name: neutral(name, s.camera.rect) for name in Lightmap.reads}
     arrays[Layer.COVERAGE] = np.full_like(arrays[Layer.COVERAGE], coverage)
-    arrays[Layer.NORMAL], arrays[Layer.POSITION] = normals.astype(np.float32), positions.astype(np.float32)
+    for name, values in ((Layer.NORMAL, normals), (Layer.POSITION, positions)):  # as a job makes them: C order
+        arrays[name] = np.ascontiguousarray(values, np.float32)
     arrays[Layer.ALBEDO] = np.full_like(arrays[Layer.ALBEDO], albedo)
     arrays[Layer.MATERIAL][..., :3] = material
     return Layers(s.camera.rect).adding(arrays)
