@@ -1,7 +1,8 @@
-"""How loops are compiled: where compiled code is kept, and options of loops that go line by line.
+"""How loops are compiled: for which processor, where compiled code is kept, when it is stale, and options of loops by lines.
 
-numba alone fails where neither the package nor the home can be written, and passes over compiled code that came with a
-package that cannot be written. `prepare`, called before numba is imported, gives it `Place` instead.
+numba alone compiles for the very processor that it runs on, fails where neither the package nor the home can be written, passes
+over compiled code that came with a package that cannot be written, and does not see that a function of another module, which
+is compiled in, has changed. `prepare`, called before numba is imported, tells it a target and gives it `Place`.
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ import atexit
 import functools
 import hashlib
 import os
+import platform
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from types import FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 # Options of `numba.njit` for a function that counts no references to arrays. Every part of an array that is made or handed on
@@ -25,6 +28,9 @@ UNCOUNTED: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}
 
 _OURS = ("arfx", "arfx_cli")
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+# What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: the same bits on all of them, and code that can be shipped.
+TARGET = "x86-64-v3"
+_NEEDS = {"avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
 
@@ -34,10 +40,26 @@ def prepare() -> None:
     others = os.environ.get(_LOCATORS) or _NUMBAS
     if ours not in others.split(","):
         os.environ[_LOCATORS] = f"{ours},{others}"
+    if target():
+        os.environ.setdefault("NUMBA_CPU_NAME", TARGET)
+        os.environ.setdefault("NUMBA_CPU_FEATURES", "")  # those of TARGET
     if "numba" in sys.modules:  # imported before arfx
         from importlib import import_module
 
         import_module("numba.core.config").reload_config()
+
+
+@functools.cache
+def target() -> str:
+    """The processor to compile for: TARGET; "" = this very one, where TARGET's instructions are lacking or cannot be told."""
+    if platform.machine() not in ("x86_64", "AMD64"):
+        return ""
+    try:
+        with open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:  # noqa: PTH123
+            flags = next((set(line.split()) for line in lines if line.startswith("flags")), set())
+    except OSError:
+        return ""
+    return TARGET if flags >= _NEEDS else ""
 
 
 class Place:
@@ -57,11 +79,61 @@ class Place:
     def ensure_cache_path(self) -> None:
         Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
 
-    def get_source_stamp(self) -> bytes:
-        return _file_digest(self._file)
+    def get_source_stamp(self) -> _Stamp:
+        return _Stamp(self._function)
 
     def get_disambiguator(self) -> str:
         return str(self._function.__code__.co_firstlineno)
+
+
+class _Stamp:
+    """Digest of all that the code compiled for a function depends on, made when first compared: what the function calls may
+    be defined further down. Pickled it is a string."""
+
+    def __init__(self, function: FunctionType) -> None:
+        self._function = function
+
+    @functools.cached_property
+    def digest(self) -> str:
+        parts = hashlib.sha256()
+        for part in _sources(self._function, set()):
+            parts.update(part)
+        return parts.hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return self.digest == (other.digest if isinstance(other, _Stamp) else other)
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:
+        return str, (self.digest,)
+
+
+def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
+    """The files of a function and of the compiled functions it calls, and the values that are compiled in as constants."""
+    if id(function) in seen:
+        return
+    seen.add(id(function))
+    yield _file_digest(function.__code__.co_filename)
+    held = [cell.cell_contents for cell in function.__closure__ or ()]
+    names = sorted(_names(function.__code__) & function.__globals__.keys())
+    for value in held + [function.__globals__[name] for name in names]:
+        called = getattr(value, "py_func", None)
+        if called is not None:
+            if called.__module__.partition(".")[0] in _OURS:
+                yield from _sources(called, seen)
+        elif isinstance(value, ModuleType):
+            if value.__name__.partition(".")[0] in _OURS and value.__file__:
+                yield _file_digest(value.__file__)
+        elif hasattr(value, "tobytes"):
+            yield f"{value.dtype} {value.shape}".encode() + value.tobytes()
+        elif isinstance(value, bool | int | float | complex | str | tuple):
+            yield repr(value).encode()
+
+
+def _names(code: CodeType) -> set[str]:
+    return set(code.co_names).union(*(_names(c) for c in code.co_consts if isinstance(c, CodeType)))
 
 
 @functools.cache

@@ -169,7 +169,8 @@ def _resources(folder: Path) -> list[Check]:
 
 def _compiled() -> Check:
     kept = compiled.kept_in(Path(arfx.__file__).parent / "media")
+    made_for = f"for {compiled.target() or 'this very processor'}"
     if compiled.lasting():
-        return Check("machine", "compiled code", True, f"kept in {kept}")
+        return Check("machine", "compiled code", True, f"{made_for}, kept in {kept}")
     fix = "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Check("machine", "compiled code", False, "cannot be kept: every run compiles for about a minute", fix)
+    return Check("machine", "compiled code", False, f"{made_for}, cannot be kept: every run compiles again", fix)

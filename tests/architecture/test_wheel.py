@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import sysconfig
@@ -9,6 +10,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from arfx.core import compiled
+from tools.build_wheel import with_compiled_code
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,6 +79,45 @@ def test_installed_it_has_no_package_cli_and_finds_its_presets(wheel: Path, tmp_
     assert got.returncode != 0 and "No module named 'cli'" in got.stderr, got.stderr
     got = python("import arfx; from arfx.config.presets import presets; print(arfx.__file__); print(sorted(presets()))")
     assert got.returncode == 0 and str(tmp_path) in got.stdout and "preview" in got.stdout, got.stderr
+
+
+@pytest.mark.skipif(not compiled.target(), reason=f"a processor without {compiled.TARGET}")
+def test_a_wheel_with_compiled_code_compiles_nothing_when_installed(wheel: Path, tmp_path: Path) -> None:
+    """Of one module alone: `make wheel` takes a minute or two."""
+    made = with_compiled_code(wheel, tmp_path / "dist", "arfx.run.frame")
+    assert f"-cp{sys.version_info[0]}{sys.version_info[1]}-none-" in made.name
+    installed, aside = tmp_path / "installed", tmp_path / "aside"
+    aside.mkdir()
+    with zipfile.ZipFile(made) as z:
+        z.extractall(installed)
+        assert b"Requires-Dist: numba==" in z.read(next(n for n in z.namelist() if n.endswith("METADATA")))
+    held = sorted(installed.rglob("*.nbc"))
+    assert held and not list(installed.rglob("*.pyc"))
+    code = """
+import sys, tempfile
+sys.path[:0] = [sys.argv[1]]
+sys.path.append(sys.argv[2])
+made = tempfile.TemporaryFile
+def refuse(*a, dir=None, **k):  # the root user may write anywhere
+    if sys.argv[3] == "read-only" and str(dir).startswith(sys.argv[1]):
+        raise PermissionError(13, "Permission denied", str(dir))
+    return made(*a, dir=dir, **k)
+tempfile.TemporaryFile = refuse
+from arfx.run.kernels import listed
+kernels = [k for k in listed() if k.module == "arfx.run.frame"]
+assert kernels and kernels[0].function.py_func.__code__.co_filename.startswith(sys.argv[1])
+for kernel in kernels:
+    kernel.load()
+    assert not kernel.function.stats.cache_misses and kernel.function.stats.cache_hits, kernel
+"""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "PYTHON"))}
+    environment |= dict.fromkeys(("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), str(aside))
+    for how in ("writable", "read-only"):
+        command = [sys.executable, "-S", "-c", code, str(installed), sysconfig.get_paths()["purelib"], how]
+        got = subprocess.run(command, cwd=aside, env=environment, capture_output=True, text=True, check=False)
+        assert got.returncode == 0, got.stderr
+        assert sorted(installed.rglob("*.nbc")) == held
+    assert len(list(aside.rglob("*.nbc"))) == len(held), "read-only, it is read from the user's folder"
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -1,4 +1,4 @@
-"""Where compiled code is kept."""
+"""Where compiled code is kept, and when it is stale."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType
 
+import numba
+import numpy as np
 import pytest
 
 from arfx.core import compiled
@@ -98,3 +101,32 @@ import arfx.core.rect, arfx.media.lines, arfx.stages.composite
     )  # fmt: skip
     assert got.returncode == 0, got.stderr
     assert not list(tmp_path.iterdir()), "the folder of the run stays behind"
+
+
+def function(file: Path, source: str, **known: object) -> FunctionType:
+    """`f` of this source, written into a file, as a function of arfx; known : what else its module holds"""
+    file.write_text(source)
+    module = {"__name__": f"arfx.{file.stem}", "numba": numba, "np": np, **known}
+    exec(compile(source, str(file), "exec"), module)
+    return module["f"]
+
+
+CALLS = "def f(x):\n    return g(x) + SIZE + TABLE[0]\n"
+
+
+def stamp(tmp_path: Path, caller: str = CALLS, callee: str = "@numba.njit\ndef f(x):\n    return x\n", size: int = 3) -> str:
+    compiled._file_digest.cache_clear()
+    called = function(tmp_path / "callee.py", callee)
+    made = function(tmp_path / "caller.py", caller, SIZE=size, TABLE=np.full(2, size))
+    made.__globals__["g"] = called  # after it: what it calls may stand further down
+    stamp = compiled.Place(made, str(tmp_path / "caller.py")).get_source_stamp()
+    assert stamp == stamp.digest and stamp.__reduce__() == (str, (stamp.digest,))
+    return stamp.digest
+
+
+def test_code_is_stale_when_what_it_calls_or_holds_has_changed(tmp_path: Path) -> None:
+    before = stamp(tmp_path)
+    assert stamp(tmp_path) == before
+    assert stamp(tmp_path, size=4) != before
+    assert stamp(tmp_path, caller=CALLS + "# another\n") != before
+    assert stamp(tmp_path, callee="@numba.njit\ndef f(x):\n    return x + 1\n") != before
