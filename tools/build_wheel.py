@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -59,7 +60,15 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "dist")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as aside:
-        run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", aside, ROOT, stdout=subprocess.DEVNULL)
+        source = Path(aside) / "source"  # a copy: setuptools takes up what an earlier build has left in the tree
+        for name in ("arfx", "cli", "configs"):
+            shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+        for name in ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE"):
+            shutil.copy2(ROOT / name, source / name)
+        built = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", aside, str(source)]
+        done = subprocess.run(built, capture_output=True, text=True, check=False)
+        if done.returncode:
+            sys.exit(done.stdout + done.stderr)
         print(with_compiled_code(next(Path(aside).glob("*.whl")), given.out))
 
 
