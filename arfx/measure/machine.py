@@ -173,4 +173,10 @@ def _compiled() -> Check:
     if compiled.lasting():
         return Check("machine", "compiled code", True, f"{made_for}, kept in {kept}")
     fix = "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Check("machine", "compiled code", False, f"{made_for}, cannot be kept: every run compiles again", fix)
+    return Check(
+        "machine",
+        "compiled code",
+        False,
+        f"{made_for}, kept for one run: the next compiles again what did not come with the package",
+        fix,
+    )
