@@ -126,6 +126,8 @@ def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
         elif isinstance(value, ModuleType):
             if value.__name__.partition(".")[0] in _OURS and value.__file__:
                 yield _file_digest(value.__file__)
+        elif isinstance(value, type):
+            yield repr(value).encode()
         elif hasattr(value, "tobytes"):
             yield f"{value.dtype} {value.shape}".encode() + value.tobytes()
         elif isinstance(value, bool | int | float | complex | str | tuple):

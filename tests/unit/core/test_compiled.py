@@ -111,13 +111,19 @@ def function(file: Path, source: str, **known: object) -> FunctionType:
     return module["f"]
 
 
-CALLS = "def f(x):\n    return g(x) + SIZE + TABLE[0]\n"
+CALLS = "def f(x):\n    return KIND(g(x) + SIZE + TABLE[0])\n"
 
 
-def stamp(tmp_path: Path, caller: str = CALLS, callee: str = "@numba.njit\ndef f(x):\n    return x\n", size: int = 3) -> str:
+def stamp(
+    tmp_path: Path,
+    caller: str = CALLS,
+    callee: str = "@numba.njit\ndef f(x):\n    return x\n",
+    size: int = 3,
+    kind: type = np.float32,
+) -> str:
     compiled._file_digest.cache_clear()
     called = function(tmp_path / "callee.py", callee)
-    made = function(tmp_path / "caller.py", caller, SIZE=size, TABLE=np.full(2, size))
+    made = function(tmp_path / "caller.py", caller, SIZE=size, TABLE=np.full(2, size), KIND=kind)
     made.__globals__["g"] = called  # after it: what it calls may stand further down
     stamp = compiled.Place(made, str(tmp_path / "caller.py")).get_source_stamp()
     assert stamp == stamp.digest and stamp.__reduce__() == (str, (stamp.digest,))
@@ -128,5 +134,6 @@ def test_code_is_stale_when_what_it_calls_or_holds_has_changed(tmp_path: Path) -
     before = stamp(tmp_path)
     assert stamp(tmp_path) == before
     assert stamp(tmp_path, size=4) != before
+    assert stamp(tmp_path, kind=np.float64) != before
     assert stamp(tmp_path, caller=CALLS + "# another\n") != before
     assert stamp(tmp_path, callee="@numba.njit\ndef f(x):\n    return x + 1\n") != before
