@@ -84,6 +84,7 @@ def test_where_nothing_can_be_written_a_folder_of_this_run_is_used_and_passed_on
     assert kept.is_relative_to(os.environ["NUMBA_CACHE_DIR"])
 
 
+@pytest.mark.process
 def test_every_module_loads_where_neither_the_package_nor_the_home_can_be_written(tmp_path: Path) -> None:
     code = """
 import pathlib, tempfile, sys
