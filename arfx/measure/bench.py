@@ -22,6 +22,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, Window, level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
+from arfx.measure.timed_runs import WALL
 from arfx.plan.planner import plan_frame
 from arfx.plan.work import terms_of
 from arfx.run.frame import Canvas, rng_for
@@ -151,21 +152,18 @@ def _take_turns(cells: list[Cell], size: tuple[int, int], progress: Callable[[in
     picture = np.random.default_rng(1).random((size[1], size[0], 3), np.float32)
     for _ in range(3):
         cv2.GaussianBlur(picture, (0, 0), 5)
-    for cell in cells:  # compiles, allocates, uploads: not counted, unless so slow that it hardly matters
-        start = time.perf_counter()
-        cell.go()
-        if time.perf_counter() - start > SLOW_S:
-            _count(cell, start, picture)
+    for cell in cells:  # loads, allocates, uploads: not counted, unless so slow that it hardly matters
+        seconds = WALL.of(cell.go)
+        if seconds > SLOW_S:
+            _count(cell, seconds, picture)
     while waiting := [c for c in cells if not c.done]:
         for cell in waiting:
-            start = time.perf_counter()
-            cell.go()
-            _count(cell, start, picture)
+            _count(cell, WALL.of(cell.go), picture)
         progress(sum(c.done for c in cells), len(cells))
 
 
-def _count(cell: Cell, start: float, picture: np.ndarray) -> None:
-    middle = time.perf_counter()
+def _count(cell: Cell, seconds: float, picture: np.ndarray) -> None:
+    start = time.perf_counter()
     cv2.GaussianBlur(picture, (0, 0), 5)
-    cell.seconds.append(middle - start)
-    cell.yardstick_s.append(time.perf_counter() - middle)
+    cell.seconds.append(seconds)
+    cell.yardstick_s.append(time.perf_counter() - start)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numba.core.event import install_timer
 
 
 @dataclass
@@ -25,17 +26,20 @@ class Runs:
 
 @dataclass(frozen=True)
 class Watch:
-    """Seconds of work. processor : count those of the processor, which other programs disturb least, not those of the wall;
+    """Seconds of work, less those in which numba compiled for it: later work is spared them.
+
+    processor : count those of the processor, which other programs disturb least, not those of the wall;
     shared by the threads that work at once both are the same on a machine that does nothing else
     """
 
     processor: bool = False
 
     def of(self, work: Callable[[], Any]) -> float:
-        clock = time.process_time if self.processor else time.perf_counter
+        clock, compiling = time.process_time if self.processor else time.perf_counter, [0.0]
         start = clock()
-        work()
-        return clock() - start
+        with install_timer("numba:compile", compiling.append):
+            work()
+        return max(clock() - start - sum(compiling), 0.0)
 
     def of_each(self, work: Callable[[], Any], pool: ThreadPoolExecutor, crowd: int) -> float:
         """Of one run, while `crowd` threads do the same."""
