@@ -11,7 +11,7 @@ import os
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from arfx.core import interrupt
@@ -22,10 +22,11 @@ from arfx.run.worker import render_chunk
 
 # one chunk's arguments: folder, job key, first, last, target
 Task = tuple[str, str, int, int, str]
+Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
 _counter: Any = None
 
 
-def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Iterator[dict[str, Any]]:
+def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Results:
     """Render in this process, in order. progress : called with the number of frames done."""
     done = 0
 
@@ -45,7 +46,7 @@ class _StoppedError(Exception):
     """Raised in a rendering thread to leave its chunk."""
 
 
-def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Iterator[dict[str, Any]]:
+def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Results:
     """Render in `workers` threads of this process, in any order. Raises what a thread raises; on the way out all stop."""
     import concurrent.futures as futures
 
@@ -108,7 +109,7 @@ def _render(task: Task) -> dict[str, Any]:
     return render_chunk(*task, _tick)
 
 
-def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Iterator[dict[str, Any]]:
+def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Results:
     """Render in `workers` spawned processes (never forked: an OpenGL context does not survive it), in any order.
 
     Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped.

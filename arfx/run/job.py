@@ -152,7 +152,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")
-    model_key = sorted(file_digest(path) for path in inputs.model.files)  # textures and buffers too
+    model_key = sorted((str(path), file_digest(path)) for path in inputs.model.files)  # textures and buffers too
     base = [
         code_digest(),
         file_digest(config.input.clip),
@@ -317,9 +317,10 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Pat
         results = run_serial(tasks, progress)
     else:
         results = (run_threads if threads else run_processes)(tasks, workers, progress)
-    for result in results:
-        files[result["first"]] = folder.chunks / result["file"]
-        planned.log.note(CHUNK, keys[result["first"]], **result)
+    with contextlib.closing(results):  # an error or a signal here too stops the workers, before the folder is given back
+        for result in results:
+            files[result["first"]] = folder.chunks / result["file"]
+            planned.log.note(CHUNK, keys[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
 

@@ -1,0 +1,38 @@
+"""Workers do not outlive what uses their results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from arfx.run import job
+from arfx.run.chunks import Chunk
+from arfx.run.folder import JobFolder
+from arfx.run.job import Options
+
+
+def test_an_error_beside_the_workers_stops_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Red where the generator is left to the collector of garbage: Python's end waited for workers with whole chunks to do."""
+    stopped = []
+
+    def run(*_: Any) -> Iterator[dict[str, Any]]:
+        try:
+            yield {"first": 0, "file": "x"}
+        finally:
+            stopped.append(True)
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError("full")
+
+    monkeypatch.setattr(job, "run_processes", run)
+    monkeypatch.setattr(job, "chunk_suffix", lambda _: ".nut")
+    planned: Any = SimpleNamespace(
+        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None), facts=[], key="", log=SimpleNamespace(note=full)
+    )
+    with pytest.raises(OSError) as kept:  # holds the traceback, and with it the generator
+        job._render(planned, [Chunk(0, 1, "a"), Chunk(2, 3, "b")], Options(workers=2))
+    assert stopped and kept
