@@ -26,7 +26,8 @@ _SAME_S = 0.3  # `timeout`, a container's init or a wrapper send what the termin
 
 
 class _State:
-    """number : of the first signal that came, 0 = none;  at : when;  held : note it only;  settled : the outcome stands
+    """number : of the first signal that came, 0 = none;  at : when;  held : note it only
+    settled : the outcome stands;  code : the exit code that it has
     before : the handlers that were there, by signal; empty = none is caught"""
 
     def __init__(self) -> None:
@@ -34,6 +35,7 @@ class _State:
         self.at = 0.0
         self.held = False
         self.settled = False
+        self.code = 0
         self.before: dict[int, Any] = {}
 
 
@@ -49,7 +51,7 @@ def _handle(number: int, _: object) -> None:
         with contextlib.suppress(OSError):
             if os.isatty(2):
                 os.write(2, b"\x1b[?25h")  # a progress bar hides the cursor
-        os._exit(exit_code())
+        os._exit(exit_code() or _now.code)
 
 
 def catch(signals: Sequence[signal.Signals] = STOPPING) -> None:
@@ -141,9 +143,9 @@ def completing() -> Iterator[None]:
         _now.held = before
 
 
-def settle() -> None:
-    """From here on no signal changes the outcome, whatever it is."""
-    _now.settled = True
+def settle(code: int = 0) -> None:
+    """From here on no signal changes the outcome, whatever it is. code : the exit code"""
+    _now.settled, _now.code = True, code
 
 
 def go_on() -> None:

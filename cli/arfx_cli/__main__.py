@@ -5,6 +5,7 @@ The process ends here too, with the exit code alone: nothing that goes on in lib
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any
 
@@ -15,6 +16,7 @@ from arfx_cli import streams
 def start() -> None:
     """The `arfx` command. Does not return."""
     interrupt.catch()
+    os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing from the folder that they run in
     streams.make_safe()
     code: Any = 1
     try:

@@ -100,8 +100,9 @@ def main(argv: Sequence[str] | None = None) -> None:
                 pass
         except (Exception, KeyboardInterrupt) as e:
             code = _said(e)
-        interrupt.settle()
-        sys.exit(code if isinstance(code, int) else 0)
+        code = code if isinstance(code, int) else 0
+        interrupt.settle(code)
+        sys.exit(code)
 
 
 def _said(e: BaseException) -> int:

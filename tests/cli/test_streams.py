@@ -55,3 +55,16 @@ def test_a_full_disk_behind_standard_output_is_an_error(tmp_path: Path) -> None:
 def test_a_full_disk_behind_standard_error_is_none(tmp_path: Path) -> None:
     done = shell('exec "$@" 2> /dev/full', ["lens"], tmp_path)
     assert (done.returncode, done.stdout) == (2, ""), "the code of what was wrong with the command"
+
+
+def test_processes_that_are_started_import_nothing_from_the_working_folder(tmp_path: Path) -> None:
+    """Red without PYTHONSAFEPATH: `python -c`, as which workers start, imports random.py of a folder of clips."""
+    (tmp_path / "planted.py").touch()
+    code = (
+        "import subprocess, sys, types\n"
+        "def main():\n sys.exit(subprocess.call([sys.executable, '-c', 'import planted']))\n"
+        "sys.modules['arfx_cli.main'] = types.ModuleType('main'); sys.modules['arfx_cli.main'].main = main\n"
+        "from arfx_cli.__main__ import start\nstart()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 1 and "No module named 'planted'" in done.stderr

@@ -135,6 +135,8 @@ def test_the_second_signal_ends_the_process_at_once_and_an_echo_of_the_first_doe
     assert (done.returncode, done.stdout) == (130, "")
     done = run(second.replace("with", "interrupt.settle()\nwith"))
     assert (done.returncode, done.stdout) == (0, ""), "the output is complete"
+    done = run(second.replace("with", "interrupt.settle(5)\nwith"))
+    assert (done.returncode, done.stdout) == (5, ""), "it had failed before"
 
 
 def test_nothing_that_happens_at_the_end_changes_the_exit_code() -> None:
