@@ -68,7 +68,7 @@ class Guard:
                 self._refuse_if_read(folder / name, "-o")
             if mine and (folder / name).is_dir():
                 raise ConfigError(f"output {folder / name} is not a file", "name another with -o")
-            if (mine or Path(name).suffix == suffix) and not self._may_replace(folder / name):
+            if (mine or Path(name).suffix.lower() == suffix.lower()) and not self._may_replace(folder / name):
                 raise ConfigError(f"output {folder / name} exists", "--overwrite replaces it; or name another with -o")
 
     def folder(self, path: Path, option: str) -> None:

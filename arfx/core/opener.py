@@ -55,6 +55,14 @@ def regular(path: Path | str, kind: str) -> Path:
     return path
 
 
+def is_folder(path: Path, kind: str) -> bool:
+    """Raises InputError where nothing is there, or where it cannot be told."""
+    try:
+        return stat.S_ISDIR(path.stat().st_mode)
+    except (OSError, ValueError) as e:
+        raise _unreadable(path, kind, e) from None
+
+
 def read_bytes(path: Path | str, kind: str) -> bytes:
     """The whole file. Raises InputError as `regular` does."""
     path = regular(path, kind)

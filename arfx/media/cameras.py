@@ -8,6 +8,7 @@ Left out: XML, and lens models that OpenCV's polynomials cannot express (field-o
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -89,7 +90,7 @@ def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> Camera
     given), holds several cameras, has skew, or a lens model that OpenCV's polynomials cannot express.
     """
     file, chosen = Path(path), ""
-    if not file.exists() and "#" in file.name:
+    if "#" in file.name and not os.path.exists(file):  # noqa: PTH110 - False where it cannot be told, too
         name, _, chosen = file.name.rpartition("#")
         file = file.with_name(name)
     where = str(path)

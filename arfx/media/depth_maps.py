@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arfx.core.opener import read_bytes
+from arfx.core.opener import is_folder, read_bytes
 from arfx.errors import InputError
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
 from arfx.media.images import read_exr
@@ -112,9 +112,7 @@ class DepthMaps:
 
 def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.0) -> DepthMaps:
     """List a folder's maps, or take one file. Raises InputError: missing, empty, kinds mixed, times twice."""
-    if not path.exists():
-        raise InputError(f"depth {path}: no such file or folder", "check the path")
-    if not path.is_dir():
+    if not is_folder(path, "depth"):
         if path.suffix.lower() in (*TIFF, *VIDEO):
             frames = open_frames(path)
             return DepthMaps(path, (path,), steps_per_m, frames.times_s, start_s, frames)

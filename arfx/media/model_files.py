@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import re
 import threading
 from collections.abc import Iterator
@@ -53,9 +54,11 @@ class ModelFolder:
         outside = False
         for candidate in dict.fromkeys((name, unquote(name), name.replace("\\", "/"), bare)):
             with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
-                real = (self.folder / candidate).resolve()
-                if real.exists():
-                    if real.is_relative_to(self.folder) and real != self.folder:
+                place = Path(os.path.normpath(self.folder / candidate))
+                if not place.is_relative_to(self.folder):  # not even looked for: the system may ask another machine (//host/x)
+                    outside = True
+                elif (real := place.resolve()).exists() and real != self.folder:
+                    if real.is_relative_to(self.folder):
                         return real
                     outside = True
         shown = name if len(name) < 200 else f"{name[:200]}…"

@@ -141,15 +141,15 @@ def names_sequence(path: Path) -> bool:
 
 
 def image_names(pattern: str) -> Callable[[str], bool]:
-    """Whether a file name is one that the pattern makes of some frame number."""
+    """Whether a file name is one that the pattern makes of some frame number. a.png is A.PNG: many disks tell no cases apart."""
     around = _PATTERN.fullmatch(pattern)
     assert around is not None
     head, tail = (re.escape(text.replace("%%", "%")) for text in around.groups())
-    number = re.compile(rf"{head} *(\d+){tail}")
+    number = re.compile(rf"{head} *(\d+){tail}", re.IGNORECASE)
 
     def named(name: str) -> bool:
         found = number.fullmatch(name)
-        return found is not None and len(found[1]) < 100 and pattern % int(found[1]) == name
+        return found is not None and len(found[1]) < 100 and (pattern % int(found[1])).lower() == name.lower()
 
     return named
 

@@ -101,7 +101,7 @@ def test_images_never_fall_on_an_input(tmp_path: Path) -> None:
         Guard(()).images(tmp_path, ".png", named)
 
 
-@pytest.mark.parametrize("name", ["times.txt", "old.png", "000001.png"])
+@pytest.mark.parametrize("name", ["times.txt", "old.png", "000001.png", "OLD.PNG"])
 def test_images_replace_nothing_unasked(tmp_path: Path, name: str) -> None:
     (tmp_path / name).touch()
     with pytest.raises(ConfigError, match=f"{name} exists"):
@@ -139,3 +139,4 @@ def test_names_of_images() -> None:
     assert named("a%_0001.png") and named("a%_12345.png")
     assert not named("a%_1.png") and not named("a%_00001.png") and not named("a%%_0001.png") and not named("b_0001.png")
     assert image_names("%4d.png")("  12.png")
+    assert image_names("a%04d.png")("A0001.PNG"), "the same file on many disks"

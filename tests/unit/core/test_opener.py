@@ -10,6 +10,8 @@ import pytest
 
 from arfx.core.opener import LIMITS, MIB, av_name, parse_json, parse_toml, read_bytes, read_text, regular
 from arfx.errors import InputError
+from arfx.media.cameras import load_camera
+from arfx.media.depth_maps import open_depth
 
 
 def test_devices_pipes_sockets_and_folders_are_refused_unopened(tmp_path: Path) -> None:
@@ -95,3 +97,10 @@ def test_every_limit_is_documented() -> None:
         assert reason
         words = kind.removesuffix(" part")
         assert any(words in line and (f"{mib:g} MiB" in line or mib == 1 << 24) for line in text.splitlines()), kind
+
+
+@pytest.mark.parametrize("name", ["n" * 300, "a\0b", "nowhere", "n" * 300 + ".yaml#cam1"])
+def test_a_name_that_cannot_be_looked_up_is_one_message(tmp_path: Path, name: str) -> None:
+    for opened in (load_camera, open_depth):
+        with pytest.raises(InputError, match=r"camera file|depth"):
+            opened(tmp_path / name)

@@ -61,7 +61,7 @@ def test_values_are_millimetres_or_of_the_given_scale_and_exr_metres(tmp_path: P
 
 
 def test_what_is_wrong_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file or folder"):
+    with pytest.raises(InputError, match="no such file"):
         open_depth(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no depth map"):

@@ -69,6 +69,21 @@ def test_an_address_is_no_file_of_the_folder(tmp_path: Path, name: str) -> None:
         load_model(gltf(tmp_path / "m", header(buffers=[{"uri": name, "byteLength": 36}])))
 
 
+def test_a_name_outside_the_models_folder_is_not_even_looked_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Path] = []
+    given = Path.exists
+
+    def exists(self: Path) -> bool:
+        looked.append(self)
+        return given(self)
+
+    path = gltf(tmp_path / "m", header(buffers=[{"uri": "//host/share/x.bin", "byteLength": 36}]))
+    monkeypatch.setattr(Path, "exists", exists)
+    with pytest.raises(InputError, match="outside its folder"):
+        load_model(path)
+    assert looked == [tmp_path / "m" / "x.bin"]
+
+
 @pytest.mark.parametrize("mtl", ["../o.mtl", "none.mtl", "/dev/zero"])
 def test_materials_that_are_missing_or_outside_are_told(tmp_path: Path, mtl: str) -> None:
     (tmp_path / "o.mtl").write_text("newmtl m\nKd 1 0 0\n")
