@@ -41,7 +41,7 @@ class Guard:
             return
         if path.is_dir() or not (path.is_file() or path.is_symlink()):
             raise ConfigError(f"output {path} is not a file", f"name another with {option}")
-        if not self._may_replace(path):
+        if not (self._may_replace(path) or (start and self.own)):  # a report that was begun behind the output is the job's too
             raise ConfigError(f"output {path} exists", f"--overwrite replaces it; or name another with {option}")
         if start and not _starts(path, start):
             raise ConfigError(f"{path} was not written by arfx: it is not replaced", f"name another place with {option}")

@@ -62,7 +62,12 @@ def check_tiff(path: Path, kind: str) -> None:
 
 
 def _pages(file: Any) -> list[tuple[int, int]]:
-    return [(page.imagewidth, page.imagelength) for page in file.pages]
+    sizes: dict[int, tuple[int, int]] = {}
+    for page in file.pages:
+        if page.offset in sizes:
+            raise ValueError("a page comes after itself")  # tifffile would go round for ever
+        sizes[page.offset] = (page.imagewidth, page.imagelength)
+    return list(sizes.values())
 
 
 def _within(sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str) -> None:

@@ -120,8 +120,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         chunks = _chunks(planned)
         files = _render(planned, chunks, options)
         start = time.perf_counter()
-        places.check_output()  # all the time since the first look
-        _join(planned, files, places.part)
+        _join(planned, files, places)
         report = build_report(planned, chunks, time.perf_counter() - start)
         write_text(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
@@ -325,11 +324,16 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Pat
     return [path for path in files.values() if path is not None]
 
 
-def _join(planned: Planned, files: Sequence[Path], part: Path) -> None:
+def _join(planned: Planned, files: Sequence[Path], places: Places) -> None:
     info, output, config = planned.inputs.info, planned.inputs.output, planned.inputs.config
+
+    def made() -> None:
+        places.check_output()  # all the time since the first look
+        planned.folder.note_placed(places.part)
+
     try:
-        join_chunks(files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, part,
-                    lambda: planned.folder.note_placed(part))  # fmt: skip
+        join_chunks(files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, places.part,
+                    made)  # fmt: skip
     except OSError as e:
         raise disk_error(e, output.path) from None
 

@@ -13,6 +13,8 @@ import pytest
 from arfx.config.load import load
 from arfx.config.sections import JobConfig
 from arfx.errors import ConfigError, JobInterruptedError, RenderError
+from arfx.measure.report import report_of_job
+from arfx.media import join
 from arfx.run import analysis
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
@@ -80,6 +82,39 @@ def test_a_resumed_job_replaces_no_output_that_is_not_its_own(
     with pytest.raises(ConfigError, match="exists"):
         process(config, Options(resume=True, notice=quiet))
     assert out.read_bytes() == b"somebody else's"
+
+
+def test_a_job_that_ended_within_its_report_is_resumed(
+    material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, report = job(material, tmp_path), tmp_path / "report"
+
+    def finish(folder: Path) -> None:
+        report_of_job(folder, report)
+        (report / "report.html").unlink()
+        raise RenderError("the disk is full")
+
+    with pytest.raises(RenderError):
+        process(config, Options(report=report, finish=finish, notice=quiet))
+    options = Options(report=report, resume=True, finish=lambda folder: report_of_job(folder, report), notice=quiet)
+    process(config, options)
+    assert (report / "report.html").exists()
+
+
+def test_what_appears_while_the_output_is_joined_is_not_replaced(
+    material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, out = job(material, tmp_path), tmp_path / "out.mp4"
+
+    def order(*given: Any) -> Any:
+        out.write_bytes(b"somebody else's")
+        return order_of(*given)
+
+    order_of = join._order_of
+    monkeypatch.setattr(join, "_order_of", order)
+    with pytest.raises(ConfigError, match="exists"):
+        process(config, Options(notice=quiet))
+    assert out.read_bytes() == b"somebody else's" and [p.name for p in tmp_path.iterdir() if "part" in p.name] == []
 
 
 def write_rows(folder: Path, rows: list[dict[str, Any]], end: str = "") -> None:

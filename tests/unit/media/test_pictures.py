@@ -98,3 +98,15 @@ def test_pillow_is_still_whole_after_models_were_read(tmp_path: Path) -> None:
     with known_pictures([]):
         assert Image.open is not given
     assert Image.open is given
+
+
+@pytest.mark.parametrize("after", [[8], [122, 8]])
+def test_pages_that_follow_each_other_in_a_circle_are_refused(tmp_path: Path, after: list[int]) -> None:
+    """after : where the page after each page is. Red without a look at it: tifffile goes round for ever."""
+    tags = [(256, 4, 4), (257, 4, 4), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 1), (278, 4, 4), (279, 4, 16)]
+    page = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
+    assert len(page) + 4 == 114
+    path = tmp_path / "a.tif"
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + b"".join(page + struct.pack("<I", at) for at in after))
+    with pytest.raises(InputError, match="cannot be read"):
+        load_image(path)
