@@ -27,6 +27,7 @@ from arfx.run.memory import free_mb
 PACKAGES = (
     "numpy", "opencv-contrib-python-headless", "av", "scipy", "numba", "scikit-image", "trimesh", "embreex",
     "pyrender-maintained", "pyopengl", "flip-evaluator", "matplotlib", "psutil", "pydantic", "click", "rich", "pillow", "pyyaml",
+    "filelock", "tifffile",
 )  # fmt: skip
 LOW_MEMORY_MB, LOW_DISK_MB = 1500, 2000  # a 1080p job peaks near 700 MB a worker; an hour of 1080p H.264 takes a few GB
 
