@@ -19,10 +19,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+from arfx.stages import STAGES
+
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ROOT / "arfx" / "run" / "kernels.json"
 
-# part of the list -> the arguments of the job that brings it, after those before it;  SCENE: a sample scene's clip
+# part of the list -> the arguments of the job that brings what none before it has; a stage's own kernels are its own part
 JOBS = {
     "synth": "synth sample_scenes/0001-orbit/scene.toml -o MADE/clip",
     "job": "process --config MADE/clip/job.toml -o MADE/job.mp4 --set pipeline.stages=[]",
@@ -74,10 +76,18 @@ def run_all() -> dict[str, list[list[Any]]]:
             file = Path(made) / f"{part}.json"
             command = [sys.executable, __file__, str(file), *job.replace("MADE", made).split()]
             subprocess.run(command, cwd=tree, env=environment, check=True)
-            rows = json.loads(file.read_text())
-            parts[part] = sorted(row for row in rows if tuple(row[:3]) not in noted)
-            noted |= {tuple(row[:3]) for row in rows}
+            for row in sorted(json.loads(file.read_text())):
+                if tuple(row[:3]) not in noted:
+                    noted.add(tuple(row[:3]))
+                    parts.setdefault(part_of(row[0]) or part, []).append(row)
     return parts
+
+
+def part_of(module: str) -> str:
+    """The stage that a module belongs to; "" if to none."""
+    package, _, rest = module.partition(".stages.")
+    name = rest.partition(".")[0]
+    return name if package == "arfx" and name in STAGES else ""
 
 
 def written(parts: dict[str, list[list[Any]]]) -> str:

@@ -28,7 +28,7 @@ UNCOUNTED: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}
 
 _OURS = ("arfx", "arfx_cli")
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
-# What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: the same bits on all of them, and code that can be shipped.
+# What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
 _NEEDS = {"avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
