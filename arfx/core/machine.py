@@ -1,9 +1,11 @@
-"""The processor that this runs on, on every system: how many cores may be used, and its name."""
+"""The processor that this runs on, on every system: how many cores may be used, its name, and who gets it."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -29,3 +31,30 @@ def processor_name() -> str:
     except OSError:
         return platform.processor() or "unknown"
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
+
+
+@contextlib.contextmanager
+def scheduling_kept() -> Iterator[None]:
+    """What the body starts gets no more of the processor than this thread had: as root, the AV1 encoder makes its threads and its
+    caller real-time, and everything else on the machine waits for them."""
+    if not hasattr(os, "sched_setscheduler"):  # POSIX has it, macOS and Windows do not
+        yield
+        return
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield
+    finally:
+        if os.sched_getscheduler(0) != policy:
+            raised = os.sched_getscheduler(0)
+            for thread in _threads():
+                with contextlib.suppress(OSError):  # it has ended
+                    if os.sched_getscheduler(thread) == raised:
+                        os.sched_setscheduler(thread, policy, priority)
+
+
+def _threads() -> list[int]:
+    """Of this process, as the scheduler numbers them; 0 = the one that asks."""
+    try:
+        return [0, *(int(name) for name in os.listdir("/proc/self/task"))]  # noqa: PTH208 - names alone
+    except OSError:
+        return [0]

@@ -20,7 +20,7 @@ import numpy as np
 
 import arfx
 from arfx.core import compiled
-from arfx.core.machine import processor_name, usable_cores
+from arfx.core.machine import processor_name, scheduling_kept, usable_cores
 from arfx.errors import ArfxError
 from arfx.run.memory import free_mb
 
@@ -122,7 +122,9 @@ def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str
             for i in range(4):
                 picture = np.full((96, 128, 3), 40 * i + 20, np.uint8)
                 frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=pixel_format)
-                out.mux(stream.encode(frame))
+                with scheduling_kept():
+                    packets = stream.encode(frame)
+                out.mux(packets)
             out.mux(stream.encode(None))
         held.seek(0)
         with av.open(held, "r") as back:

@@ -13,6 +13,7 @@ import av
 import numpy as np
 
 from arfx.core.guard import TIMES
+from arfx.core.machine import scheduling_kept
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS
@@ -102,7 +103,9 @@ class ChunkWriter:
         picture.pts, picture.time_base = self._shown[-1], self.info.time_base
         picture.pict_type = 0  # the source's I/P/B would be forced on the encoder
         try:
-            self._mux(self._stream.encode(picture))
+            with scheduling_kept() if len(self._shown) == 1 else contextlib.nullcontext():  # the first opens the encoder
+                packets = self._stream.encode(picture)
+            self._mux(packets)
         except (av.error.FFmpegError, OSError, ValueError) as e:
             raise write_failed(self.path, e) from e
 

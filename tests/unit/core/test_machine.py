@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from arfx.core import machine
+from arfx.measure.machine import _encode_fails
 
 
 @pytest.mark.parametrize(
@@ -34,3 +35,13 @@ def test_usable_cores(
     else:
         monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(bound_to)), raising=False)
     assert machine.usable_cores.__wrapped__() == cores
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="the encoder does this as root alone")
+def test_the_av1_encoder_takes_the_machine_from_nobody() -> None:
+    def scheduling() -> set[int]:
+        return {os.sched_getscheduler(thread) for thread in machine._threads()} - {os.SCHED_BATCH}
+
+    before = scheduling()
+    assert _encode_fails("libsvtav1", "yuv420p", ".nut", {"svtav1-params": "lp=2"}) == ""
+    assert scheduling() == before
