@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from arfx.config.load import near
@@ -18,7 +19,7 @@ def presets() -> dict[str, Path]:
 
 def find(name_or_file: Path) -> Path:
     """A job file, or a preset by its bare name. Raises InputError naming the presets."""
-    if name_or_file.exists() or name_or_file.suffix or len(name_or_file.parts) > 1:
+    if os.path.exists(name_or_file) or name_or_file.suffix or len(name_or_file.parts) > 1:  # noqa: PTH110 - False for a name too long
         return name_or_file
     known = presets()
     if str(name_or_file) not in known:

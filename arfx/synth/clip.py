@@ -52,8 +52,7 @@ def make_clip(
     Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written.
     """
     fits(folder)
-    if os.path.lexists(folder) and not overwrite:
-        raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
+    _refuse_unasked(folder, overwrite)
     refuse_strangers(folder)
     aside = part_name(folder.absolute())
     try:
@@ -62,7 +61,8 @@ def make_clip(
         raise RenderError(f"cannot write into {folder.parent}: {e.strerror}", "name another place with -o") from None
     try:
         truth = _fill(scene, aside, scene_folder, progress or (lambda *_: None), truth_pictures)
-        if folder.exists():
+        if os.path.lexists(folder):
+            _refuse_unasked(folder, overwrite)  # again: all the time since the first look
             refuse_strangers(folder)
             shutil.rmtree(folder)
         aside.rename(folder)
@@ -71,6 +71,11 @@ def make_clip(
     finally:
         shutil.rmtree(aside, ignore_errors=True)
     return truth
+
+
+def _refuse_unasked(folder: Path, overwrite: bool) -> None:
+    if os.path.lexists(folder) and not overwrite:
+        raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
 
 
 def refuse_strangers(folder: Path) -> None:

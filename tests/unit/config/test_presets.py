@@ -19,3 +19,8 @@ def test_presets_are_found_by_name_and_typos_are_answered() -> None:
     assert {"preview", "final", "lossless"} <= set(presets())
     with pytest.raises(InputError, match="did you mean 'preview'"):
         find(Path("preveiw"))
+
+
+def test_a_name_that_cannot_be_looked_up_is_no_preset() -> None:
+    with pytest.raises(InputError, match="no job file or preset"):
+        find(Path("n" * 300))

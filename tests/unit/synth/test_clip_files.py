@@ -127,7 +127,9 @@ def test_a_folder_is_replaced_only_on_request(tmp_path: Path) -> None:
     (tmp_path / "out" / "mine.txt").write_text("mine")
     with pytest.raises(ConfigError, match="exists"):
         make_clip(scene, tmp_path / "out")
-    assert (tmp_path / "out" / "mine.txt").exists()
+    with pytest.raises(ConfigError, match=r"mine\.txt"):
+        make_clip(scene, tmp_path / "out", overwrite=True)
+    (tmp_path / "out" / "mine.txt").unlink()
     make_clip(scene, tmp_path / "out", overwrite=True)
     assert (tmp_path / "out" / "clip.mp4").exists()
 
@@ -154,3 +156,15 @@ def test_a_depth_input_is_the_true_depth_as_a_camera_measures_it(tmp_path: Path,
         edges = np.abs(np.diff(depth, axis=1)) > 0.06 * depth[:, 1:]
         assert edges.sum() > 20 and not good[:, 1:][edges].any() and not good[:, :-1][edges].any()
         assert 0.1 < (~good).mean() < 0.3
+
+
+def test_a_folder_that_appears_meanwhile_is_not_replaced_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = tmp_path / "out"
+
+    def fill(*_: object) -> None:
+        first.mkdir()  # another process was quicker
+
+    monkeypatch.setattr("arfx.synth.clip._fill", fill)
+    with pytest.raises(ConfigError, match="exists"):
+        make_clip(little_scene(64, 48, frames=1, path=ORBIT, **PARTS), first)
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
