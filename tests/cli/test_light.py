@@ -54,7 +54,7 @@ def test_the_papers_formula_runs(material: Material, arfx: Run) -> None:
     [
         (("--light", "45"), "AZ,EL", 2),
         (("--light", "45,100"), "elevation", 2),
-        (("--environment", "nowhere.hdr"), "no such image", 3),
+        (("--environment", "nowhere.hdr"), "image nowhere.hdr: no such file", 3),
         (("--light", "45,50", "--set", "light.given=[1,2]"), "different values to light.given", 2),
     ],
 )

@@ -95,7 +95,7 @@ def test_an_existing_folder_is_kept_unless_told_otherwise(made: Path, arfx: Run)
     [
         ("[clip]\nwidht = 3\n", (), 2, "scene.toml:2: clip.widht"),
         (SCENE, ("--truth", "depth,normals"), 2, "there is no 'normals'"),
-        (None, (), 3, "cannot read scene"),
+        (None, (), 3, "scene scene.toml: no such file"),
     ],
 )
 def test_a_wrong_scene_says_what_and_where(
