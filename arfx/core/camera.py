@@ -44,6 +44,8 @@ class Camera:
 
     def __post_init__(self) -> None:
         m, d = np.array(self.matrix, float), np.array(self.distortion, float).ravel()
+        if self.model == FISHEYE and not d.size:
+            d = np.zeros(4)  # OpenCV's functions for it take no fewer
         object.__setattr__(self, "matrix", m)
         object.__setattr__(self, "distortion", d)
         where = f" in {self.source}" if self.source else ""

@@ -92,6 +92,9 @@ def read_report(job: Path) -> dict[str, Any]:
         raise InputError(f"{job} is not a job folder: it holds no job.toml", "`arfx process ... --job DIR` keeps one")
     if not files.report.exists():
         raise InputError(f"the job in {job} is not finished", "run the same `arfx process` command again with --resume")
+    for path in (files.report, files.job, files.inputs, files.frames, files.facts, files.timings):
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise InputError(f"{path} is not a file", "process the clip again")
     try:
         report = json.loads(files.report.read_text(encoding="utf-8"))
     except (OSError, RecursionError, ValueError) as e:

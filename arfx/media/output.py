@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
+
+import av
 
 from arfx.errors import ConfigError
 from arfx.media.clip import UNSPECIFIED, ClipInfo
 from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, holdable, nearest_format
 from arfx.media.planes import layout_named
 
+MOST_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
 _DEFAULT_CODEC = {"mp4": "h264", "mov": "h264", "matroska": "h264", "webm": "av1"}
 _PATTERN = re.compile(r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)")  # one number of at most 99 digits
 _ALIASES = {"hevc": "h265", "avc": "h264", "x264": "h264", "x265": "h265", "prores4444": "prores"}
@@ -166,7 +171,30 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
             )
     if crf is not None and not 0 <= crf <= 63:
         raise ConfigError(f"crf must be within 0 and 63, is {crf:g}", "18 is nearly transparent, 28 is small")
+    if preset is not None:
+        _try(codec, options, preset)
     return tuple(sorted(options.items()))
+
+
+def _try(codec: Codec, options: dict[str, str], preset: str) -> None:
+    """Open the encoder for a small picture: it alone knows its presets. Raises ConfigError."""
+    ctx = av.CodecContext.create(codec.encoder, "w")
+    ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats()[0], Fraction(1, 25)
+    ctx.options = dict(options)
+    try:
+        ctx.open()
+    except (av.error.FFmpegError, ValueError):
+        usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` tells what there is"
+        raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None
+
+
+def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> None:
+    """Raises ConfigError where the clip stands still for longer than the output's container can say."""
+    longest = max((b - a for a, b in itertools.pairwise(pts)), default=0)
+    if plan.container in ("mp4", "mov") and longest > MOST_TICKS:
+        days = float(longest * time_base) / 86400
+        told = f"{plan.path}: a frame of the clip is shown for {days:.3g} days, longer than {plan.path.suffix} files can say"
+        raise ConfigError(told, "-o out.mkv, or only a part with --start and --end")
 
 
 def _pixel_format(info: ClipInfo, codec: Codec, settings: OutputSettings, notices: list[str]) -> str:

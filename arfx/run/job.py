@@ -27,6 +27,7 @@ from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
 from arfx.errors import JobInterruptedError
 from arfx.media.join import join_chunks
+from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import Pass, analyse_clip
@@ -233,6 +234,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
             inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
             clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
         )  # fmt: skip
+    check_times(inputs.output, done.span.pts, inputs.info.time_base)
     world = done.analysis.world_from_marker
     anchor = ANCHOR if config.model.anchor == "plane" else anchor_marker(config.markers, world).key
     scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed, done.analysis.static)

@@ -23,7 +23,7 @@ from typing import Any
 
 from tests.fuzz.judge import signature
 from tests.fuzz.trace import ROOT, strace
-from tests.fuzz.worker import KINDS
+from tests.fuzz.worker import KINDS, kind_of
 
 PATIENCE_S = 1500.0  # for one answer: longer than the longest case
 
@@ -31,17 +31,25 @@ PATIENCE_S = 1500.0  # for one answer: longer than the longest case
 class Hands:
     """One worker process, started again where it dies."""
 
-    def __init__(self, work: Path, name: str, keep: bool) -> None:
-        self._work, self._name, self._keep = work, name, keep
+    def __init__(self, work: Path, name: str, keep: bool, traced: bool) -> None:
+        self._work, self._name, self._keep, self._traced = work, name, keep, traced
         self.begin()
 
     def begin(self) -> None:
         log = self._work / f"{self._name}.strace"
         log.unlink(missing_ok=True)
-        command = [*strace(log), sys.executable, "-m", "tests.fuzz.worker", str(self._work), self._name, str(self._keep)]
+        command = [
+            *(strace(log) if self._traced else ()),
+            sys.executable,
+            "-m",
+            "tests.fuzz.worker",
+            str(self._work),
+            self._name,
+            str(self._keep),
+        ]
         pipe = subprocess.PIPE
-        # as `arfx` itself asks for before it imports numpy, whose threads would spin in every fork
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "ARFX_DEBUG": ""}
+        # threads that numpy, or a pool of ours, started before a fork are not there after it
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "ARFX_DEBUG": ""}
         with log.with_suffix(".log").open("w") as told:
             self.process = subprocess.Popen(
                 command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=told, text=True, env=environment, start_new_session=True
@@ -89,30 +97,33 @@ def main() -> int:
 
     def work_off(name: str) -> None:
         nonlocal until
-        try:
-            hands = Hands(work, name, given.keep or bool(given.case))
-        except RuntimeError as e:
-            answers.append(_fault("start", str(e)))
-            return
-        if until is None:
-            print(f"opened files are told by: {hands.told['trace']}", flush=True)
-            until = time.monotonic() + given.seconds if given.seconds else float("inf")
-        while time.monotonic() < until:
+        hands: dict[bool, Hands] = {}
+        while until is None or time.monotonic() < until:
             try:
                 case = cases.get_nowait()
             except queue.Empty:
                 break
+            traced = kind_of(case) != "kills"  # strace may hold a process that was killed, and its workers, for minutes
             try:
-                answer = hands.ask(case)
+                if traced not in hands:
+                    hands[traced] = Hands(work, f"{name}{'' if traced else 'k'}", given.keep or bool(given.case), traced)
+                    told = hands[traced].told["trace"]
+                    print(f"opened files are told by: {told}" if traced else "kills are not traced", flush=True)
+                if until is None:
+                    until = time.monotonic() + given.seconds if given.seconds else float("inf")
+                answer = hands[traced].ask(case)
             except (RuntimeError, OSError) as e:
                 answer = _fault(case, str(e))
-                hands.begin()
+                if hands.pop(traced, None) is None:  # it never began
+                    answers.append(answer)
+                    break
             answers.append(answer)
             show(answer, len(answers), bool(given.case))
             if given.log:
                 with given.log.open("a") as f:
                     f.write(json.dumps(answer) + "\n")
-        hands.end()
+        for one in hands.values():
+            one.end()
 
     threads = [threading.Thread(target=work_off, args=(f"w{i}",)) for i in range(min(given.jobs, count))]
     for thread in threads:

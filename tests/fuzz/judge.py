@@ -121,7 +121,7 @@ def _files(case: Case, ended: list[Ended], before: dict[str, str], after: dict[s
     for path, was in before.items():
         if after.get(path) != was and not (wrote and "--overwrite" in case.args and path == output):
             found.append(("input changed", f"{path}: {'gone' if path not in after else 'other'}"))
-    numbered = re.sub(r"%0?(\d*)d", lambda m: r"\d+", re.escape(output).replace(re.escape("%"), "%"))
+    numbered = re.sub(r"%0?\d*d", lambda _: r"\d+", re.escape(output.replace("%%", "\0"))).replace(re.escape("\0"), "%")
     resumable = case.keeps or case.lost or case.beside or case.stop or {5, 130, 143} & set(codes)
     for path in sorted(set(after) - set(before)):
         top = path.partition(os.sep)[0]

@@ -101,8 +101,8 @@ def edited(name: str, old: str, new: str) -> Build:
     return build
 
 
-def texture(data: bytes | Callable[[Path], None]) -> Build:
-    """The glTF file whose texture.png holds something else."""
+def texture(data: bytes | Callable[[Path], None], cold: bool = False) -> Build:
+    """The glTF file whose texture.png holds something else. cold : in a process that holds nothing but its own work"""
 
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         copied(folder, material, "model.gltf")
@@ -111,7 +111,7 @@ def texture(data: bytes | Callable[[Path], None]) -> Build:
             data(folder / "texture.png")
         else:
             (folder / "texture.png").write_bytes(data)
-        return Case(folder, process(folder, material, model="model.gltf"))
+        return Case(folder, process(folder, material, model="model.gltf"), cold=cold)
 
     return build
 
@@ -208,7 +208,7 @@ SEEDS: dict[str, Build] = {
     "picture that never ends": texture(lambda p: p.symlink_to("/dev/zero")),
     "picture that is a pipe": texture(lambda p: os.mkfifo(p)),
     "picture bomb": texture(png(65000, 65000)),
-    "picture of 8192 x 8192": texture(png(8192, 8192, 8192)),
+    "picture of 8192 x 8192": texture(png(8192, 8192, 8192), cold=True),
     "cyclic nodes": changed(_cycle),
     "doubling nodes": changed(_doubling),
     "20,000 instances": changed(_instances),

@@ -41,15 +41,19 @@ EVENTS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "shutil.r
 
 def case_of(name: str, folder: Path, material: Path) -> Case:
     """`videos/one frame`: a named case;  `7:123` or, of one kind alone, `7:123:videos`: that number of that seed."""
-    kind, _, seed = name.partition("/")
-    if seed:
-        return KINDS[kind][0].SEEDS[seed](random.Random(name), folder, material)
-    rng, kind = random.Random(name), name.partition(":")[2].partition(":")[2]
-    if not kind:
-        (kind,) = rng.choices(list(KINDS), [weight for _, weight in KINDS.values()])
-    case: Case = KINDS[kind][0].any_case(rng, folder, material)
+    kind, rng = kind_of(name), random.Random(name)
+    seed = name.partition("/")[2]
+    case: Case = (KINDS[kind][0].SEEDS[seed] if seed else KINDS[kind][0].any_case)(rng, folder, material)
     case.kind = kind
     return case
+
+
+def kind_of(name: str) -> str:
+    """Of which kind a case is, by its name."""
+    if "/" in name:
+        return name.partition("/")[0]
+    told = name.partition(":")[2].partition(":")[2]
+    return told or random.Random(f"kind of {name}").choices(list(KINDS), [weight for _, weight in KINDS.values()])[0]
 
 
 class Worker:
@@ -112,7 +116,7 @@ class Worker:
         if not self.keep:
             shutil.rmtree(folder.parent, ignore_errors=True)
         return {
-            "name": name, "kind": case.kind or name.partition("/")[0], "found": found, "codes": [e.code for e in ended],
+            "name": name, "kind": case.kind, "found": found, "codes": [e.code for e in ended],
             "seconds": sum(e.seconds for e in ended), "bytes": max(e.most_bytes for e in ended),
             "note": case.note, "args": case.args, "said": ended[-1].err[-2000:],
         }  # fmt: skip

@@ -13,6 +13,7 @@ from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError
 
 OBJECT, MARKER = "object", "marker"
+MOST_RADIUS_PX = 1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
 _T = TypeVar("_T")
 
 
@@ -31,7 +32,7 @@ class DofParams:
     background_m : distance of what is behind the real plane, and how far that plane is followed; 0 = endless
     blades : corners of the aperture, 3 or more; 0 = round
     blade_turn_deg : direction of the first corner, from the picture's right, clockwise
-    max_radius_px : bound of the blur's radius; 0 = a tenth of the picture's width
+    max_radius_px : bound of the blur's radius, at most 1500; 0 = a tenth of the picture's width
     highlight_boost : how much brighter a clipped pixel is taken to be than it is stored, 0 = as stored
     near_m : paper only: nearest clip plane, where the blur counts fully; 0 = the nearest thing in the frame
     far_m : paper only: farthest clip plane; 0 = the farthest thing in the frame
@@ -72,6 +73,8 @@ class DofParams:
             value = getattr(self, name)
             if not 0 <= value <= 1e6:
                 raise ConfigError(f"dof.{name} must be 0 or more and at most 1000000, is {value:g}")
+        if self.max_radius_px > MOST_RADIUS_PX:
+            raise ConfigError(f"dof.max_radius_px must be at most {MOST_RADIUS_PX}, is {self.max_radius_px:g}")
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
         if not 0 < self.coc_mm <= 1e3:

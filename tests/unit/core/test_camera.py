@@ -37,6 +37,12 @@ def test_fisheye_is_cv2_fisheye() -> None:
     np.testing.assert_allclose(camera.normalised(reference), p[:, :2] / p[:, 2:], atol=1e-9)
 
 
+def test_fisheye_without_coefficients_has_none() -> None:
+    bare, p = Camera(1920, 1080, K, np.zeros(0), FISHEYE), points()
+    np.testing.assert_array_equal(bare.project(p), Camera(1920, 1080, K, np.zeros(4), FISHEYE).project(p))
+    assert np.isfinite(bare.normalised(bare.project(p))).all()
+
+
 def test_points_behind_or_beyond_the_fold_are_not_projected_into_the_picture() -> None:
     camera = Camera(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.array([-0.3, 0, 0, 0]))
     assert np.isfinite(camera.max_radius)

@@ -7,6 +7,7 @@ import copy
 import html.parser
 import json
 import math
+import os
 import re
 from pathlib import Path
 
@@ -164,3 +165,12 @@ def test_numbers_read_well() -> None:
         "–", "yes", "0.123", "1234", "1, 2", "a 0.5", "x", "–",
     ]  # fmt: skip
     assert finite({"a": [math.inf, np.float32(1.5), np.array([1, 2])], 3: (math.nan,)}) == {"a": [None, 1.5, [1, 2]], "3": [None]}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+def test_a_pipe_in_a_job_folder_is_not_waited_for(tmp_path: Path) -> None:
+    for name in ("job.toml", "report.json"):
+        (tmp_path / name).write_text("{}")
+    os.mkfifo(tmp_path / "timings.jsonl")
+    with pytest.raises(InputError, match=r"timings\.jsonl is not a file"):
+        read_report(tmp_path)

@@ -39,6 +39,7 @@ from tests.unit.stages.dof_scenes import Shot, blurred, shot
         ({"focus": "object, 1m"}, "has no time"),
         ({"focus": "object@2s, 1m@1s"}, "must rise"),
         ({"mean_px": 4}, "odd"),
+        ({"max_radius_px": 1e5, "aperture_px": 1e6}, "at most 1500"),
     ],
 )
 def test_settings_say_what_would_be_right(setting: dict, words: str | None) -> None:
@@ -78,16 +79,16 @@ def test_focus_follows_what_it_is_set_to() -> None:
 def test_circles_are_those_of_the_lens() -> None:
     s = scene()
     f = facts(s)
-    params = DofParams(focal_mm=50.0, fnumber="2@0s, 8@2s", sensor_width_mm=24.0, focus="80cm", max_radius_px=1e4)
+    params = DofParams(focal_mm=50.0, fnumber="2@0s, 8@2s", sensor_width_mm=24.0, focus="80cm", max_radius_px=1500)
     distance = np.array([0.3, 0.79, 0.8, 2.0, 1e3, np.inf])
     for time, fnumber in ((0.0, 2.0), (1.0, 4.0), (2.0, 8.0)):
         at = circles(params, f.with_(time_s=time), s)
         mm = circle_of_confusion_mm(1e3 * distance, Lens(50.0, fnumber, 800.0))
         np.testing.assert_allclose(2 * at.radius_px(1 / distance), mm * s.camera.width / 24.0, rtol=1e-9, atol=1e-9)
-    own = circles(DofParams(focus="80cm", max_radius_px=1e4), f, s)
+    own = circles(DofParams(focus="80cm", max_radius_px=1500), f, s)
     focal = s.camera.fx * 36 / s.camera.width
     assert own.px_per_dioptre == pytest.approx(
-        circles(DofParams(focal_mm=focal, focus="80cm", max_radius_px=1e4), f, s).px_per_dioptre
+        circles(DofParams(focal_mm=focal, focus="80cm", max_radius_px=1500), f, s).px_per_dioptre
     )
     px = circles(DofParams(aperture_px=30.0, focus="80cm"), f, s)
     assert 2 * px.radius_px(0.0) == pytest.approx(30.0)
