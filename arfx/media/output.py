@@ -178,7 +178,7 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
 
 def _try(codec: Codec, options: dict[str, str], preset: str) -> None:
     """Open the encoder for a small picture: it alone knows its presets. Raises ConfigError."""
-    ctx = av.CodecContext.create(codec.encoder, "w")
+    ctx: Any = av.CodecContext.create(codec.encoder, "w")
     ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats()[0], Fraction(1, 25)
     ctx.options = dict(options)
     try:
