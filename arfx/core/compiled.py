@@ -8,6 +8,7 @@ is compiled in, has changed. `prepare`, called before numba is imported, tells i
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import hashlib
 import os
@@ -20,6 +21,8 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
+from arfx.core.places import cache_folder
+
 # Options of `numba.njit` for a function that counts no references to arrays. Every part of an array that is made or handed on
 # costs two locked additions otherwise: a fifth of the time of a kernel that goes by lines, and more where two threads count
 # the same array's. Such a function makes no arrays: one that counts makes the room to work in, holds what it is given, and
@@ -30,7 +33,7 @@ _OURS = ("arfx", "arfx_cli")
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
-_NEEDS = {"avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
+_NEEDS = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
 
@@ -116,9 +119,8 @@ def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
         return
     seen.add(id(function))
     yield _file_digest(function.__code__.co_filename)
-    held = [cell.cell_contents for cell in function.__closure__ or ()]
     names = sorted(_names(function.__code__) & function.__globals__.keys())
-    for value in held + [function.__globals__[name] for name in names]:
+    for value in _held(function) + [function.__globals__[name] for name in names]:
         called = getattr(value, "py_func", None)
         if called is not None:
             if called.__module__.partition(".")[0] in _OURS:
@@ -132,6 +134,14 @@ def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
             yield f"{value.dtype} {value.shape}".encode() + value.tobytes()
         elif isinstance(value, bool | int | float | complex | str | tuple):
             yield repr(value).encode()
+
+
+def _held(function: FunctionType) -> list[Any]:
+    cells = []
+    for cell in function.__closure__ or ():
+        with contextlib.suppress(ValueError):  # empty: nothing is compiled in
+            cells.append(cell.cell_contents)
+    return cells
 
 
 def _names(code: CodeType) -> set[str]:
@@ -156,9 +166,9 @@ def kept_in(folder: Path) -> Path:
         return Path(given) / name
     if _filled(beside, []):
         return beside
-    users = _users_folder()
-    if users and _filled(users / name, came):
-        return users / name
+    with contextlib.suppress(RuntimeError):  # no home
+        if _filled(cache_folder() / name, came):
+            return cache_folder() / name
     try:
         place = _folder_of_this_run() / name
     except OSError:  # then nothing else can be written either
@@ -171,15 +181,6 @@ def lasting() -> bool:
     """Whether the next run finds the code that this one compiles."""
     kept_in(Path(__file__).parent)
     return not _folder_of_this_run.cache_info().currsize
-
-
-def _users_folder() -> Path | None:
-    try:
-        home = Path.home()
-    except RuntimeError:  # not known
-        return None
-    by_system = {"win32": home / "AppData" / "Local", "darwin": home / "Library" / "Caches"}
-    return Path(os.environ.get("XDG_CACHE_HOME") or by_system.get(sys.platform, home / ".cache")) / "arfx"
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""The door for every file from outside: a regular file of a bounded size, taken by its path alone.
+"""Opens and checks every external file: a regular file of a bounded size, taken by its path alone.
 
 A name is never an address, a protocol or a pattern. Devices, pipes, sockets and folders are refused before they are opened.
 Files that libraries read themselves (FFmpeg, OpenCV) pass `regular` first; what the formats may hold is checked by their readers.
@@ -34,6 +34,7 @@ LIMITS: dict[str, tuple[float, str]] = {
     "marker map": (8, "tens of thousands of markers"),
     "poses": (256, "a million lines"),
     "truth": (256, "a hundred thousand frames of a synthetic clip"),
+    "report": (4096, "facts of hours of video, about 2 kB a frame"),
     "tradeoff": (64, "every level of every stage on thousands of frames"),
 }
 DEEPEST = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse

@@ -11,7 +11,9 @@ from arfx.errors import ConfigError
 
 def cache_folder() -> Path:
     """arfx's own in the user's cache folder; it may not exist yet. Raises RuntimeError where the user has no home."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "arfx"
+    home = Path.home()
+    by_system = {"win32": home / "AppData" / "Local", "darwin": home / "Library" / "Caches"}
+    return Path(os.environ.get("XDG_CACHE_HOME") or by_system.get(sys.platform, home / ".cache")) / "arfx"
 
 
 def check_name(name: str | Path) -> None:

@@ -21,7 +21,7 @@ def length_m(text: str, what: str = "length") -> float:
         raise ConfigError(f"{what}: {text!r} is not a length", "a number with a unit: 25mm, 0.165m, 6.5in, 4cm")
     value = float(m[1]) * METRES_PER[m[2].lower()]
     if not abs(value) <= LONGEST_M:
-        raise ConfigError(f"{what}: {value:g} m is no length to work with", f"at most {LONGEST_M:g} m")
+        raise ConfigError(f"{what}: {value:g} m is out of range", f"at most {LONGEST_M:g} m")
     return value
 
 

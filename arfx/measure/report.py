@@ -18,6 +18,7 @@ from arfx.analyse.files import read_facts
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
+from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
 from arfx.run.folder import JobFolder, write_text
@@ -74,10 +75,12 @@ def report_of_job(job: Path, folder: Path) -> Path:
     files = JobFolder(job)
     report = read_report(job)
     try:
-        facts = list(read_facts(files.facts))
+        facts = list(read_facts(regular(files.facts, "report")))
         camera, points_m = _what_stands(files, report)
         pictures = load_previews(files.previews) if files.previews.is_dir() else []
         pages = _pages(report, facts, pictures, camera, points_m)
+    except InputError as e:
+        raise InputError(f"job folder {job} is damaged: {e.message}", "process the clip again") from e
     except (OSError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as e:
         raise InputError(f"job folder {job} is damaged: {type(e).__name__}: {e}", "process the clip again") from e
     return _write(folder, *pages)
@@ -96,8 +99,8 @@ def read_report(job: Path) -> dict[str, Any]:
         if path.exists() and not path.is_file():  # a pipe would be waited for
             raise InputError(f"{path} is not a file", "process the clip again")
     try:
-        report = json.loads(files.report.read_text(encoding="utf-8"))
-    except (OSError, RecursionError, ValueError) as e:
+        report = json.loads(read_text(files.report, "report"))
+    except (RecursionError, ValueError) as e:
         raise InputError(f"{files.report} cannot be read: {e}", "process the clip again") from None
     if not isinstance(report, dict) or not {"input", "output", "pose", "stages", "timing"} <= report.keys():
         raise InputError(f"{files.report} is not the report of a job", "process the clip again")
@@ -106,8 +109,8 @@ def read_report(job: Path) -> dict[str, Any]:
 
 def _what_stands(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, np.ndarray | None]:
     """The job's camera, and world points to plot: the corners of a cube standing on each marker that has a place."""
-    camera = Camera.from_json(json.loads(files.inputs.read_text(encoding="utf-8"))["camera"])
-    rows = tomllib.loads(files.job.read_text(encoding="utf-8")).get("marker", [])
+    camera = Camera.from_json(json.loads(read_text(files.inputs, "report"))["camera"])
+    rows = tomllib.loads(read_text(files.job, "job file")).get("marker", [])
     specs = [MarkerSpec.parse(row["spec"]) for row in rows]
     places = {k: Pose.from_json(v) for k, v in report["pose"].get("world_from_marker", {}).items()}
     cubes = []

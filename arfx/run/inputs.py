@@ -186,7 +186,7 @@ def marker_map(config: JobConfig) -> dict[str, Pose] | None:
         ) from None
     for key, pose in poses.items():
         if not (np.abs(pose.matrix) <= LONGEST_M).all() or np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max() > 1e-3:
-            raise InputError(f"marker map {path}: the pose of {key} is no rotation and place", "a unit quaternion, metres")
+            raise InputError(f"marker map {path}: the pose of {key} is not a valid pose", "a unit quaternion, metres")
     missing = [m.key for m in config.markers if m.key not in poses]
     if missing:
         raise InputError(f"marker map {path} does not hold {missing[0]}", "it holds " + ", ".join(poses))

@@ -113,7 +113,7 @@ def _by_processes(groups: deque[list[Kernel]], count: int) -> Iterator[int]:
     """Yields the number of functions done. What a process leaves undone is compiled when it is called."""
     one_thread = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     here = {**os.environ, **one_thread, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    command = [sys.executable, "-c", "from arfx.run.kernels import serve; serve()"]
+    command = [sys.executable, "-P", "-c", "from arfx.run.kernels import serve; serve()"]
     ticks: queue.SimpleQueue[bool] = queue.SimpleQueue()
     helpers: list[subprocess.Popen[str]] = []
 

@@ -92,7 +92,7 @@ def refuse_strangers(folder: Path) -> None:
     for path in folder.rglob("*"):
         name = path.relative_to(folder).as_posix()
         if not (own and (name in own or (_MADE if path.is_file() else _MADE_FOLDERS).fullmatch(name))):
-            raise ConfigError(f"{folder} holds {name!r}, it is no synthetic clip of arfx", "name another with -o")
+            raise ConfigError(f"{folder} holds {name!r}, it was not created by arfx synth", "name another with -o")
 
 
 def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: Progress, truth_pictures: bool) -> Truth:

@@ -38,7 +38,7 @@ COMMANDS = {
 }
 EXIT_CODES = (
     "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to work on; "
-    "5 rendering failed; 130 interrupted (Ctrl-C), 143 stopped by SIGTERM, 129 by SIGHUP: these three resumable. "
+    "5 rendering failed; 130 interrupted (Ctrl-C), 143 stopped by SIGTERM, 129 by SIGHUP: all three can be resumed. "
     "A signal that comes when the output is complete changes nothing: exit 0. A second one ends arfx at once."
 )
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -79,3 +81,13 @@ def test_what_is_no_finished_job_is_one_message(job: Path, arfx: Run, tmp_path: 
     (tmp_path / "half" / "report.json").write_bytes((job / "job" / "report.json").read_bytes())
     r = arfx("report", "half")
     assert r.code == 3 and "damaged" in r.err and "Traceback" not in r.err
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("name", ["report.json", "facts.jsonl", "inputs.json"])
+def test_a_pipe_in_a_jobs_folder_is_not_waited_for(job: Path, arfx: Run, tmp_path: Path, name: str) -> None:
+    shutil.copytree(job / "job", tmp_path / "copy")
+    (tmp_path / "copy" / name).unlink()
+    os.mkfifo(tmp_path / "copy" / name)
+    r = arfx("report", "copy", "-o", "again")
+    assert r.code == 3 and name in r.err and not (tmp_path / "again").exists()
