@@ -12,6 +12,7 @@ from typing import Any
 
 import av
 
+from arfx.core.machine import scheduling_kept
 from arfx.errors import ConfigError
 from arfx.media.clip import UNSPECIFIED, ClipInfo
 from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, holdable, nearest_format
@@ -182,7 +183,8 @@ def _try(codec: Codec, options: dict[str, str], preset: str) -> None:
     ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats()[0], Fraction(1, 25)
     ctx.options = dict(options)
     try:
-        ctx.open()
+        with scheduling_kept():
+            ctx.open()
     except (av.error.FFmpegError, ValueError):
         usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` tells what there is"
         raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None

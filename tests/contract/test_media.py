@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import resource
 import subprocess
 import sys
@@ -358,6 +359,8 @@ def test_a_preset_is_tried_before_any_work(tmp_path: Path, codec: str, name: str
     assert dict(plan_output(info, tmp_path / name, OutputSettings(codec, preset=usual)).options)["preset"] == usual
     with pytest.raises(ConfigError, match="does not take preset '--help'"):
         plan_output(info, tmp_path / name, OutputSettings(codec, preset="--help"))
+    if hasattr(os, "sched_getscheduler"):
+        assert os.sched_getscheduler(0) == os.SCHED_OTHER, "as root, AV1 makes real-time processes"
 
 
 def test_a_frame_that_lasts_longer_than_mp4_can_say_is_told_before_rendering(tmp_path: Path) -> None:
