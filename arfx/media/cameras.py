@@ -182,7 +182,7 @@ def _from_colmap(rows: list[list[str]], chosen: str, where: str) -> Camera:
     order = ("k1", "k2", "k3", "k4") if model == FISHEYE else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     last = 8 if "k6" in p else 4
     distortion = np.array([p.get(n, 0.0) for n in order[:last]])
-    return _camera(matrix, distortion, (int(values[0]), int(values[1])), model, where)
+    return _camera(matrix, distortion, _size({"size": row[2:4]}, None, where), model, where)
 
 
 def _camera(matrix: np.ndarray, distortion: np.ndarray, size: tuple[int, int], model: str, where: str) -> Camera:

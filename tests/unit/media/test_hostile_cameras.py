@@ -113,3 +113,10 @@ def test_usual_cameras_raise_no_doubt(tmp_path: Path) -> None:
     assert camera_doubts(Camera.guess(1920, 1080)) == []
     fisheye = Camera(1280, 720, np.array([[400.0, 0, 640], [0, 400, 360], [0, 0, 1]]), np.array([0.01, 0, 0, 0]), "fisheye")
     assert camera_doubts(fisheye) == []
+
+
+@pytest.mark.parametrize("width", ["nan", "inf", "640.5"])
+def test_a_colmap_size_is_two_whole_numbers(tmp_path: Path, width: str) -> None:
+    (tmp_path / "cameras.txt").write_text(f"1 PINHOLE {width} 480 800 800 320 240\n")
+    with pytest.raises(InputError, match="two whole numbers"):
+        load_camera(tmp_path / "cameras.txt")
