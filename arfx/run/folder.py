@@ -142,6 +142,8 @@ class JobFolder:
             yield name, mine
 
     def _marked(self) -> bool:
+        if not self.job.is_file():  # a pipe would be waited for
+            return False
         try:
             with self.job.open("rb") as f:
                 return f.read(len(MARK)) == MARK.encode()

@@ -109,6 +109,6 @@ def depth_factor(field: Field, camera: Camera, pose: Pose, scene: Scene, strengt
     facing = across + down[:, None]
     # depth of the plane over that of the marker, upside down: 0 = as far as can be, or behind the camera
     nearness = facing * float(divide(max(float(at[2]), 1e-6), float(normal @ at)))
-    low, high = (b ** (1 / strength) for b in (_FINEST, _COARSEST))
+    low, high = (b ** min(1 / strength, 100.0) for b in (_FINEST, _COARSEST))  # below a strength of 0.01 sizes hardly differ
     out: np.ndarray = np.clip(nearness, 1 / high, 1 / low) ** -strength
     return out

@@ -203,6 +203,14 @@ def test_links_in_a_jobs_folder_are_not_followed(read: Path, tmp_path: Path) -> 
     refused(places(read, tmp_path / "out.mp4", job=job), tmp_path, "not a job folder")
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+def test_a_pipe_in_place_of_the_job_file_is_not_waited_for(tmp_path: Path) -> None:
+    job = JobFolder(tmp_path)
+    os.mkfifo(job.job)
+    with pytest.raises(ConfigError, match=r"job\.toml"):
+        job.check_strangers()
+
+
 def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     job = JobFolder(tmp_path / "job")
     images = f"chunks/12-34-000030-000059.{KEY}.part/000031.png", f"chunks/000000-000029.{KEY}.{KEY}/times.txt"

@@ -272,6 +272,12 @@ def test_nearer_parts_of_the_plane_have_finer_cells() -> None:
     assert rough[1] > 1.15 * rough[0]  # below is nearer: more borders
 
 
+def test_cells_that_hardly_differ_with_nearness_are_those_that_do_not() -> None:
+    image = picture()
+    alike, hardly = (painted(image, dataclasses.replace(PLAIN, nearer_finer=n), SEEN) for n in (0.0, 1e-300))
+    np.testing.assert_array_equal(hardly, alike)
+
+
 def test_levels_agree_where_they_should() -> None:
     image = picture()
     standard, reference, draft = (painted(image, level=le) for le in ("standard", "reference", "draft"))
