@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import queue
 import tempfile
 from collections.abc import Callable
@@ -79,7 +78,6 @@ def _encode(
     timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[Frame], codec: str, pool: ThreadPoolExecutor, crowd: int,
     watch: Watch,
 ) -> None:  # fmt: skip
-    os.environ.setdefault("SVT_LOG", "1")  # errors only: the encoder prints its settings otherwise
     out = folder / f"{codec}-%03d.{codec}" if CODECS[codec].sequence else folder / f"{codec}.mkv"
     plan = plan_output(info, out, OutputSettings(codec))
     paths: list[Path] = []

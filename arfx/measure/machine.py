@@ -97,7 +97,6 @@ def _renderers() -> list[Check]:
 def _codecs() -> list[Check]:
     from arfx.media.codecs import CODECS
 
-    os.environ.setdefault("SVT_LOG", "1")  # errors only: the encoder prints its settings otherwise
     out = []
     for name, codec in CODECS.items():
         if codec.sequence:

@@ -11,6 +11,8 @@ import av
 
 from arfx.media.planes import PixelLayout, layout_named
 
+os.environ.setdefault("SVT_LOG", "1")  # errors only: the AV1 encoder prints its settings otherwise
+
 SUFFIX_CONTAINER = {".mp4": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".mov": "mov", ".webm": "webm"}
 CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".webm"}
 
