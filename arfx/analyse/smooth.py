@@ -67,7 +67,7 @@ def smooth_poses(
         attempts.append((chain.likelihood(density), chain, density))
     _, chain, density = max(attempts, key=lambda a: a[0])
     if strength != 1.0:
-        density = np.clip(density / strength**3, LEAST, MOST)
+        density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)
     chain = chain.settled(density, PASSES)
     _, covariance = smooth_chain(*chain.measurement, chain.links, density)
     to_left = _left_from_axes(chain.rotation, chain.translation, centre)

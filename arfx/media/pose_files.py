@@ -6,6 +6,7 @@ Axes of the camera: x right, y down, z forward.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,7 +64,7 @@ def load_poses(path: Path) -> CameraPath:
             values = np.array([float(w) for w in words])
         except ValueError:
             values = np.zeros(0)
-        length = float(np.linalg.norm(values[-4:])) if len(values) in (7, 8) else 0.0
+        length = math.hypot(*values[-4:]) if len(values) in (7, 8) else 0.0
         if (
             len(values) not in (7, 8)
             or (columns and len(values) != columns)

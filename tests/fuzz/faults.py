@@ -23,7 +23,7 @@ def damaged_job(piece: str = "", how: str = "") -> Build:
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         case = long_job(folder, material)
         known = json.loads((material / "long.json").read_text())
-        case.stop = (signal.SIGKILL, "event", rng.randint(known["events"] // 3, known["events"] - 1))
+        case.stop = (signal.SIGKILL, "event", rng.randint(known["placed"] // 3, known["placed"]))
         name = piece or rng.choice(PIECES)
         case.between = lambda: _damage(rng, folder / "out.mp4.job" / name, how)
         case.after = [*case.args, "--resume"]

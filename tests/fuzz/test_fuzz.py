@@ -104,7 +104,9 @@ def test_what_is_opened_started_and_connected_to_is_found(tmp_path: Path) -> Non
 
 def test_a_case_is_the_same_wherever_it_runs(tmp_path: Path) -> None:
     material = make(tmp_path)
-    (material / "long.json").write_text('{"digest": "", "short": "", "events": 65, "seconds": 1.0, "cold_seconds": 1.0}')
+    (material / "long.json").write_text(
+        '{"digest": "", "short": "", "placed": 50, "events": 65, "seconds": 1.0, "cold_seconds": 1.0}'
+    )
     names = [f"5:{i}:{kind}" for kind in KINDS for i in range(4)] + [
         f"{kind}/{next(iter(KINDS[kind][0].SEEDS))}" for kind in KINDS
     ]

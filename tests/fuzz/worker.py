@@ -82,9 +82,10 @@ class Worker:
             first, second = self.attempt(whole, whole.args), self.attempt(whole, whole.args)
             assert first.code == second.code == 0, first.err
             cold = self.attempt(Case(folder, [], None, cold=True), ["process", "--help"])
+            placed, events = map(int, whole.count.read_text().split())
             facts = {
                 "digest": digest(folder / "out.mp4"), "short": digest(folder / "small.mp4"),
-                "events": int(whole.count.read_text()),
+                "placed": placed, "events": events,
                 "seconds": second.seconds, "cold_seconds": cold.seconds,
             }  # fmt: skip
             known.with_suffix(".new").write_text(json.dumps(facts))
@@ -207,19 +208,22 @@ def run(args: list[str]) -> int:
 
 
 def count_events(stop: tuple[int, str, float] | None, count: Path | None) -> None:
-    """Count what is done to files in this process, and send it a signal at a stated one. count : where the number is written"""
-    seen = 0
+    """Count what is done to files in this process, and send it a signal at a stated one. count : where the number is written,
+    and, before it, which of them put the output in place"""
+    seen = placed = 0
 
     def hook(event: str, args: tuple[Any, ...]) -> None:
-        nonlocal seen
+        nonlocal seen, placed
         if event in EVENTS or (event == "open" and isinstance(args[1], str) and set(args[1]) & set("wax+")):
             seen += 1
+            if event == "os.rename" and Path(os.fsdecode(args[1])).name == "out.mp4":
+                placed = seen
             if stop is not None and stop[1] == "event" and seen == stop[2]:
                 os.kill(os.getpid(), stop[0])
 
     sys.addaudithook(hook)
     if count is not None:
-        atexit.register(lambda: count.write_text(str(seen)))
+        atexit.register(lambda: count.write_text(f"{placed} {seen}"))
 
 
 def main() -> None:

@@ -223,6 +223,12 @@ def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -
     assert all(f.camera_from_world == f.raw_camera_from_world for f in plain if f.status == "measured")
 
 
+@pytest.mark.filterwarnings("error")
+def test_almost_no_smoothing_is_silent() -> None:
+    rec = records(CAM, list(MOVING["swing"])[:8], T[:8], {M: Pose.identity()}, 0.05)
+    assert all(f.camera_from_world is not None for f in analysed(rec, smoothing=1e-320).facts)
+
+
 @pytest.mark.parametrize("gap_s", [30.0, 1e3, 1e7])
 def test_gaps_of_minutes_and_months_between_frames_leave_poses_as_true(gap_s: float) -> None:
     times = T.copy()
