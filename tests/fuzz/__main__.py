@@ -91,6 +91,7 @@ def main() -> int:
         cases.put(f"{given.seed}:{number}" + (f":{kinds[number % len(kinds)]}" if given.only else ""))
     work = Path(given.work or tempfile.mkdtemp(prefix="arfx-fuzz-"))
     work.mkdir(exist_ok=True)
+    work.chmod(0o755)  # some cases run as a user who may do little
     answers: list[dict[str, Any]] = []
     until = None
     print(f"{len(named)} named cases, then random ones of seed {given.seed}; in {work}", flush=True)
