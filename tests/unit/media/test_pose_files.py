@@ -34,10 +34,11 @@ def test_lines_by_time(tmp_path: Path) -> None:
 
 WRONG = (
     "", "1 2 3\n", "1 2 3 0 0 0 0\n", "a b c d e f g\n", "1 2 3 0 0 nan 1\n", "0 1 2 3 0 0 0 1\n1 2 3 0 0 0 1\n",
-    "1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n",
+    "1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "0 0 0 0 0 -1e308 1\n",
 )  # fmt: skip
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("text", WRONG)
 def test_what_is_no_pose_is_said(text: str, tmp_path: Path) -> None:
     path = tmp_path / "p.txt"
