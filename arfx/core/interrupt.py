@@ -133,14 +133,11 @@ def completing() -> Iterator[None]:
     if not _in_main_thread():
         yield
         return
-    before, _now.held = _now.held, True
-    try:
+    with held():
         if came():
             raise KeyboardInterrupt
         yield
         _now.settled = True
-    finally:
-        _now.held = before
 
 
 def settle(code: int = 0) -> None:

@@ -35,8 +35,7 @@ def processor_name() -> str:
 
 @contextlib.contextmanager
 def scheduling_kept() -> Iterator[None]:
-    """What the body starts gets no more of the processor than this thread had: as root, the AV1 encoder makes its threads and its
-    caller real-time, and everything else on the machine waits for them."""
+    """Threads that the body starts, and its own, get no more of the processor afterwards than this one had before."""
     if not hasattr(os, "sched_setscheduler"):  # POSIX has it, macOS and Windows do not
         yield
         return

@@ -20,7 +20,7 @@ import numpy as np
 
 import arfx
 from arfx.core import compiled
-from arfx.core.machine import processor_name, scheduling_kept, usable_cores
+from arfx.core.machine import processor_name, usable_cores
 from arfx.errors import ArfxError
 from arfx.run.memory import free_mb
 
@@ -112,18 +112,19 @@ def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str
     """Why four frames cannot be encoded and read back; empty where they can."""
     import av
 
+    from arfx.media.codecs import open_encoder
+
     held = io.BytesIO()
     container = {".nut": "nut", ".mkv": "matroska"}.get(chunk, "matroska")
     try:
         with av.open(held, "w", format=container) as out:
             stream: Any = out.add_stream(encoder, rate=25, options=options)
             stream.width, stream.height, stream.pix_fmt = 128, 96, pixel_format
+            open_encoder(stream.codec_context)
             for i in range(4):
                 picture = np.full((96, 128, 3), 40 * i + 20, np.uint8)
                 frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=pixel_format)
-                with scheduling_kept():
-                    packets = stream.encode(frame)
-                out.mux(packets)
+                out.mux(stream.encode(frame))
             out.mux(stream.encode(None))
         held.seek(0)
         with av.open(held, "r") as back:

@@ -6,9 +6,11 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import av
 
+from arfx.core.machine import scheduling_kept
 from arfx.media.planes import PixelLayout, layout_named
 
 os.environ.setdefault("SVT_LOG", "1")  # errors only: the AV1 encoder prints its settings otherwise
@@ -79,6 +81,15 @@ def _formats(encoder: str) -> tuple[str, ...]:
     if encoder == "ffv1":
         names.append("gbrp")  # its 8-bit RGB is bgr0: the same samples, interleaved
     return tuple(names)
+
+
+def open_encoder(context: Any) -> None:
+    """Open an encoder whose settings are complete. Raises av.error.FFmpegError, ValueError.
+
+    As root, the AV1 encoder makes its threads and its caller real-time when it opens: the rest of the machine waits for them.
+    """
+    with scheduling_kept():
+        context.open()
 
 
 @cache

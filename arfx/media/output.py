@@ -12,10 +12,9 @@ from typing import Any
 
 import av
 
-from arfx.core.machine import scheduling_kept
 from arfx.errors import ConfigError
 from arfx.media.clip import UNSPECIFIED, ClipInfo
-from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, holdable, nearest_format
+from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, holdable, nearest_format, open_encoder
 from arfx.media.planes import layout_named
 
 MOST_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
@@ -183,8 +182,7 @@ def _try(codec: Codec, options: dict[str, str], preset: str) -> None:
     ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats()[0], Fraction(1, 25)
     ctx.options = dict(options)
     try:
-        with scheduling_kept():
-            ctx.open()
+        open_encoder(ctx)
     except (av.error.FFmpegError, ValueError):
         usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` tells what there is"
         raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None

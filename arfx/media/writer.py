@@ -13,10 +13,9 @@ import av
 import numpy as np
 
 from arfx.core.guard import TIMES
-from arfx.core.machine import scheduling_kept
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
-from arfx.media.codecs import CODECS
+from arfx.media.codecs import CODECS, open_encoder
 from arfx.media.containers import create
 from arfx.media.frame import SWS_MATRIX, Frame
 from arfx.media.images import write_exr, write_png
@@ -86,6 +85,7 @@ class ChunkWriter:
         ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
         if info.sample_aspect is not None:
             ctx.sample_aspect_ratio = info.sample_aspect
+        open_encoder(ctx)
         self._stream = s
 
     def write(self, frame: Frame) -> None:
@@ -103,9 +103,7 @@ class ChunkWriter:
         picture.pts, picture.time_base = self._shown[-1], self.info.time_base
         picture.pict_type = 0  # the source's I/P/B would be forced on the encoder
         try:
-            with scheduling_kept() if len(self._shown) == 1 else contextlib.nullcontext():  # the first opens the encoder
-                packets = self._stream.encode(picture)
-            self._mux(packets)
+            self._mux(self._stream.encode(picture))
         except (av.error.FFmpegError, OSError, ValueError) as e:
             raise write_failed(self.path, e) from e
 
