@@ -8,7 +8,6 @@ while it compiles. What is not in the list is compiled when it is called.
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
 import os
 import queue
@@ -16,7 +15,7 @@ import subprocess
 import sys
 import threading
 from collections import defaultdict, deque
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -81,40 +80,63 @@ def compile_ahead(parts: Collection[str] | None, progress: Progress, notice: Cal
 
 def compile_missing(kernels: Sequence[Kernel], progress: Progress, notice: Callable[[str], None] = print) -> int:
     """Those of these kernels that were not compiled yet; as `compile_ahead`."""
+    with compiling(kernels, (), progress, notice) as count:
+        return count
+
+
+@contextlib.contextmanager
+def compiling(
+    first: Sequence[Kernel], then: Sequence[Kernel], progress: Progress, notice: Callable[[str], None] = print
+) -> Iterator[int]:
+    """Compile what is missing: what the body itself calls before it runs, the others beside it; the end waits for them.
+
+    Yields how many functions are missing. progress, notice : as of `compile_ahead`
+    """
     with interrupt.held():  # what is looked at is imported
-        missing = [kernel for kernel in kernels if not kernel.kept]
-    if not missing:
-        return 0
-    if not compiled.lasting():
+        needed = [kernel for kernel in first if not kernel.kept]
+        missing = needed + [kernel for kernel in then if not kernel.kept]
+    if missing and not compiled.lasting():
         notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")
-    progress(COMPILE, 0, len(missing))
-    groups = _by_module(missing)
+    if missing:
+        progress(COMPILE, 0, len(missing))
+    groups = _by_module(missing, needed)
     processes = min(usable_cores(), len(groups), int(sum(kernel.seconds for kernel in missing) / PROCESS_S))
-    if processes > 1:
-        for done in _by_processes(groups, processes):
-            progress(COMPILE, done, len(missing))
-    else:
-        for done, kernel in enumerate(missing, 1):
+    with contextlib.closing(_by_processes(groups, processes) if processes > 1 else _here(groups)) as work:
+        done: set[Kernel] = set()
+
+        def until(wanted: Sequence[Kernel]) -> None:
+            while not done.issuperset(wanted) and (kernel := next(work, None)) is not None:
+                done.add(kernel)
+                progress(COMPILE, len(done), len(missing))
+
+        until(needed if processes > 1 else missing)
+        yield len(missing)
+        until(missing)
+
+
+def _here(groups: deque[list[Kernel]]) -> Generator[Kernel]:
+    for group in groups:
+        for kernel in group:
             with interrupt.held():
                 kernel.load()
-            progress(COMPILE, done, len(missing))
-    return len(missing)
+            yield kernel
 
 
-def _by_module(kernels: Sequence[Kernel]) -> deque[list[Kernel]]:
-    """The longest first. Functions of one module call the same others, which are so compiled once."""
+def _by_module(kernels: Sequence[Kernel], needed: Sequence[Kernel]) -> deque[list[Kernel]]:
+    """What is needed first, then the longest. Functions of one module call the same others, which are so compiled once."""
     groups = defaultdict(list)
     for kernel in kernels:
         groups[kernel.module].append(kernel)
-    return deque(sorted(groups.values(), key=lambda group: -sum(kernel.seconds for kernel in group)))
+    late = {module: not any(kernel in needed for kernel in group) for module, group in groups.items()}
+    return deque(sorted(groups.values(), key=lambda group: (late[group[0].module], -sum(kernel.seconds for kernel in group))))
 
 
-def _by_processes(groups: deque[list[Kernel]], count: int) -> Iterator[int]:
-    """Yields the number of functions done. What a process leaves undone is compiled when it is called."""
+def _by_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
+    """Yields what is done. What a process leaves undone is compiled when it is called."""
     one_thread = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     here = {**os.environ, **one_thread, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    command = [sys.executable, "-P", "-c", "from arfx.run.kernels import serve; serve()"]
-    ticks: queue.SimpleQueue[bool] = queue.SimpleQueue()
+    command = [sys.executable, "-P", "-c", "from arfx.run.compiler import serve; serve()"]
+    ticks: queue.SimpleQueue[Kernel] = queue.SimpleQueue()
     helpers: list[subprocess.Popen[str]] = []
 
     def give(helper: subprocess.Popen[str]) -> None:
@@ -126,7 +148,7 @@ def _by_processes(groups: deque[list[Kernel]], count: int) -> Iterator[int]:
                     helper.stdin.flush()
                     if not helper.stdout.readline():
                         return
-                    ticks.put(True)
+                    ticks.put(kernel)
 
     try:
         with interrupt.held():
@@ -136,28 +158,13 @@ def _by_processes(groups: deque[list[Kernel]], count: int) -> Iterator[int]:
         threads = [threading.Thread(target=give, args=(helper,), daemon=True) for helper in helpers]
         for thread in threads:
             thread.start()
-        done = 0
         while any(thread.is_alive() for thread in threads) or not ticks.empty():
             with contextlib.suppress(queue.Empty):
-                done += ticks.get(timeout=0.2)
-                yield done
+                yield ticks.get(timeout=0.2)
     finally:
         for helper in helpers:
             helper.kill()
             helper.wait()
-
-
-def serve() -> None:
-    """A helper process: compiles the functions named on standard input, a line each, and answers each with a line."""
-    gc.disable()  # compiling makes many objects and little garbage
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what libraries print is no answer
-    for line in sys.stdin:
-        with contextlib.suppress(Exception):  # told where it is called
-            module, name, types = json.loads(line)
-            Kernel(module, name, types, 0.0).load()
-        answers.write("done\n")
-        answers.flush()
 
 
 @contextlib.contextmanager

@@ -33,11 +33,12 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from arfx.measure.report import report_of_job
     from arfx.run.folder import JobFolder
     from arfx.run.job import Options, process
-    from arfx.run.kernels import JOB, SYNTH, compile_ahead
+    from arfx.run.kernels import JOB, SYNTH, compiling, listed
     from arfx.run.lock import locked
     from arfx.run.parameters import parameters
     from arfx.run.place import REPORT_FILES
     from arfx.run.preview import load_previews
+    from arfx.stages import stages_with
     from arfx.synth.demo import make_demo_clip
 
     out, picture, report_dir = folder / "out.mp4", folder / "picture.png", folder / "report"
@@ -54,8 +55,8 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
         _save(previews[len(previews) // 2], picture)
 
     with locked(folder, "-o"), Progress() as progress:
-        compile_ahead((SYNTH, JOB, *EFFECTS), progress, note)  # now, so that the processes for it start once
-        make_demo_clip(folder / "clip", progress, overwrite)
+        with compiling(listed((SYNTH,)), listed((JOB, *stages_with(EFFECTS))), progress, note):
+            make_demo_clip(folder / "clip", progress, overwrite)
         config = load(folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters())
         options = Options(overwrite=overwrite, report=report_dir, finish=finish, progress=progress, notice=note)
         report = process(config, options)

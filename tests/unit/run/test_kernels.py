@@ -65,8 +65,8 @@ def test_only_the_parts_that_a_job_needs_are_compiled(two: list[Kernel], tmp_pat
 
 
 def test_a_helper_that_dies_or_knows_no_such_kernel_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    lost = deque([[Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2])
-    assert list(kernels._by_processes(lost, 1)) == [1, 2]
+    lost = [Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2
+    assert list(kernels._by_processes(deque([lost]), 1)) == lost
     monkeypatch.setattr(kernels.sys, "executable", "/bin/false")
     assert list(kernels._by_processes(deque([[Kernel("arfx.run", "f", "(int64,)", 9.0)]]), 2)) == []
 

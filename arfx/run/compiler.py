@@ -1,0 +1,117 @@
+"""A process that compiles kernels ahead (kernels.py): numba, made to do only what the kept code needs.
+
+numba by itself makes machine code, two more entry points and a cache file of every function that a kernel calls, although that
+function is linked into the kernel once more; and it compares its options one by one, half a million times. Without that a kernel
+takes two thirds of the time, and is the same code. This is done here alone, where compiled code is never called.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+TRIED = "0.68."  # version of numba whose inner parts are these; another one compiles in its own way
+
+
+def serve() -> None:
+    """Compile the functions named on standard input, a line each, and answer each with a line."""
+    import numba
+
+    from arfx.run.kernels import Kernel
+
+    gc.set_threshold(50_000, 20, 100)  # compiling makes many objects and little garbage
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print is no answer
+    if numba.__version__.startswith(TRIED):
+        compile_kernels_only()
+    for line in sys.stdin:
+        with contextlib.suppress(Exception):  # told where it is called
+            module, name, types = json.loads(line)
+            Kernel(module, name, types, 0.0).load()
+        answers.write("done\n")
+        answers.flush()
+
+
+def compile_kernels_only() -> None:
+    """Change numba in this process: what is compiled from now on can be kept, not called."""
+    from numba import _dynfunc  # type: ignore[attr-defined]
+    from numba.core.caching import NullCache
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.cpu import CPUContext
+    from numba.core.dispatcher import Dispatcher, _FunctionCompiler  # type: ignore[attr-defined]
+    from numba.core.sigutils import normalize_signature
+    from numba.core.targetconfig import TargetConfig
+
+    depth = 0  # of functions being compiled: 1 = a kernel, more = what it calls
+
+    class Part(JITCodeLibrary):
+        """Of a function that a kernel calls: only linked into the kernel, and optimised there."""
+
+        def _optimize_final_module(self) -> None:
+            pass
+
+        def _finalize_final_module(self) -> None:
+            self._finalize_dynamic_globals()
+            self._verify_declare_only_symbols()
+            self._finalized = True
+
+    @contextlib.contextmanager
+    def deeper() -> Iterator[None]:
+        nonlocal depth
+        depth += 1
+        try:
+            yield
+        finally:
+            depth -= 1
+
+    compile_function, get_executable = Dispatcher.compile, CPUContext.get_executable
+    compile_core = _FunctionCompiler._compile_core
+
+    def compile_for_cache(self: Any, types: Any) -> Any:
+        if not depth:
+            self.overloads.pop(tuple(normalize_signature(types)[0]), None)  # it may be there as a part of another kernel
+            return compile_function(self, types)
+        cache, self._cache = self._cache, NullCache()
+        try:
+            return compile_function(self, types)
+        finally:
+            self._cache = cache
+
+    def compile_deeper(self: Any, *types: Any) -> Any:
+        with deeper():
+            return compile_core(self, *types)
+
+    def with_one_entry(self: Any, flags: Any) -> Any:
+        flags.no_cfunc_wrapper = True
+        flags.no_cpython_wrapper = depth > 1
+        return flags
+
+    def executable_of_kernels(self: Any, library: Any, function: Any, environment: Any) -> Any:
+        if depth == 1:
+            return get_executable(self, library, function, environment)
+        library.__class__ = Part
+        return _dynfunc.make_function(function.lookup_module(), function.qualname, "", 1, environment, (library,))
+
+    usual: dict[type, dict[str, Any]] = {}
+
+    def same_options(self: Any, other: Any) -> bool:
+        kind = type(self)
+        if kind not in usual:
+            usual[kind] = {name: option.default for name, option in kind.options.items()}
+        return kind is type(other) and usual[kind] | self._values == usual[kind] | other._values
+
+    changes: list[tuple[Any, str, Any]] = [
+        (Dispatcher, "compile", compile_for_cache),
+        (_FunctionCompiler, "_compile_core", compile_deeper),
+        (_FunctionCompiler, "_customize_flags", with_one_entry),
+        (CPUContext, "get_executable", executable_of_kernels),
+        (TargetConfig, "__hash__", lambda self: hash(type(self))),
+        (TargetConfig, "__eq__", same_options),
+    ]
+    for of, name, function in changes:
+        setattr(of, name, function)
