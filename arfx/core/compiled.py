@@ -21,6 +21,7 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
+from arfx.core.machine import instructions
 from arfx.core.places import cache_folder
 
 # Options of `numba.njit` for a function that counts no references to arrays. Every part of an array that is made or handed on
@@ -57,12 +58,7 @@ def target() -> str:
     """The processor to compile for: TARGET; "" = this very one, where TARGET's instructions are lacking or cannot be told."""
     if platform.machine() not in ("x86_64", "AMD64"):
         return ""
-    try:
-        with open("/proc/cpuinfo", encoding="ascii", errors="replace") as lines:  # noqa: PTH123
-            flags = next((set(line.split()) for line in lines if line.startswith("flags")), set())
-    except OSError:
-        return ""
-    return TARGET if flags >= _NEEDS else ""
+    return TARGET if instructions() >= _NEEDS else ""
 
 
 class Place:

@@ -26,11 +26,21 @@ def usable_cores() -> int:
 
 def processor_name() -> str:
     """As its maker calls it, where the system says so; "unknown" where it says nothing."""
+    return _cpuinfo("model name") or platform.processor() or "unknown"
+
+
+def instructions() -> frozenset[str]:
+    """Names of the processor's extensions of its instruction set; none where the system does not say."""
+    return frozenset(_cpuinfo("flags").split())
+
+
+def _cpuinfo(name: str) -> str:
+    """What Linux says of the first core; "" elsewhere."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return platform.processor() or "unknown"
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
+        return ""
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith(name)), "")
 
 
 @contextlib.contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from arfx.core.guard import Guard, fits
@@ -38,6 +38,15 @@ def files_read(inputs: Inputs) -> Iterator[tuple[str, Path]]:
     yield from (("job file", path) for path in config.sources)
     yield from (("file of the model", path) for path in inputs.model.files)
     yield from (("depth map", path) for path in (() if inputs.depth is None else inputs.depth.files))
+
+
+@contextlib.contextmanager
+def files_locked(guard: Guard, folder: Path, files: Mapping[str, bytes], option: str = "-o") -> Iterator[None]:
+    """A folder in which only the body writes, these files: held against the guard before it is locked, and after."""
+    guard.files(folder, files, option)
+    with locked(folder, option):
+        guard.files(folder, files, option)
+        yield
 
 
 class Places:

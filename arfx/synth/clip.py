@@ -52,8 +52,7 @@ def make_clip(
     Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written.
     """
     fits(folder)
-    _refuse_unasked(folder, overwrite)
-    refuse_strangers(folder)
+    _refuse(folder, overwrite)
     aside = part_name(folder.absolute())
     try:
         aside.mkdir(parents=True)
@@ -62,8 +61,7 @@ def make_clip(
     try:
         truth = _fill(scene, aside, scene_folder, progress or (lambda *_: None), truth_pictures)
         if os.path.lexists(folder):
-            _refuse_unasked(folder, overwrite)  # again: all the time since the first look
-            refuse_strangers(folder)
+            _refuse(folder, overwrite)  # again: all the time since the first look
             shutil.rmtree(folder)
         aside.rename(folder)
     except OSError as e:
@@ -73,9 +71,10 @@ def make_clip(
     return truth
 
 
-def _refuse_unasked(folder: Path, overwrite: bool) -> None:
+def _refuse(folder: Path, overwrite: bool) -> None:
     if os.path.lexists(folder) and not overwrite:
         raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
+    refuse_strangers(folder)
 
 
 def refuse_strangers(folder: Path) -> None:

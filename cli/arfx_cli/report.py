@@ -29,15 +29,12 @@ def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) 
     from arfx.core.guard import Guard
     from arfx.measure.report import read_report, report_of_job
     from arfx.run.folder import JobFolder
-    from arfx.run.lock import locked
-    from arfx.run.place import REPORT_FILES
+    from arfx.run.place import REPORT_FILES, files_locked
 
     report = read_report(job_dir)
     folder = output or job_dir.absolute().with_name(job_dir.absolute().name.removesuffix(".job") + ".report")
     guard = Guard((("job", path) for path in JobFolder(job_dir).files()), overwrite)
-    guard.files(folder, REPORT_FILES)
-    with locked(folder, "-o"):
-        guard.files(folder, REPORT_FILES)
+    with files_locked(guard, folder, REPORT_FILES):
         page = report_of_job(job_dir, folder)
     say(f"report: {page}")
     detail_job(report)

@@ -42,16 +42,13 @@ def command(output: Path | None, report_dir: Path | None, frames: int, overwrite
     from arfx.measure.tradeoff_document import document
     from arfx.measure.tradeoff_html import write_tradeoff
     from arfx.run.folder import write_text
-    from arfx.run.lock import locked
-    from arfx.run.place import PAGE_START, files_read
+    from arfx.run.place import PAGE_START, files_locked, files_read
 
     def check(inputs: Inputs) -> None:
         if report_dir is not None:
             made = {"tradeoff.json": b'{\n "clip": ', "tradeoff.html": PAGE_START.encode()}
             guard = Guard(files_read(inputs), overwrite)
-            guard.files(report_dir, made, "--report")
-            report.enter_context(locked(report_dir, "--report"))
-            guard.files(report_dir, made, "--report")
+            report.enter_context(files_locked(guard, report_dir, made, "--report"))
 
     began = time.perf_counter()
     with contextlib.ExitStack() as report:
