@@ -31,6 +31,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker(pytest.mark.process)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Before several test processes compile the same kernels side by side, what jobs call is compiled once."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        from arfx.run.kernels import compile_ahead
+        from arfx_cli.console import Progress
+
+        with Progress() as progress:
+            compile_ahead(None, progress)
+
+
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
@@ -38,10 +48,12 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture
 def ctrl_c() -> Iterator[None]:
-    """Ctrl-C as at a terminal: a script that starts the tests in its background leaves it ignored, for children too."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Signals as at a terminal: tests started in the background, or by nohup, leave them ignored, for children too."""
+    names = [getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)]
+    before = [signal.signal(name, signal.default_int_handler) for name in names]
     yield
-    signal.signal(signal.SIGINT, before)
+    for name, handler in zip(names, before, strict=True):
+        signal.signal(name, handler)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -28,8 +28,7 @@ MANIFEST = ROOT / "arfx" / "run" / "kernels.json"
 JOBS = {
     "synth": "synth sample_scenes/0001-orbit/scene.toml -o MADE/clip",
     "job": "process --config MADE/clip/job.toml -o MADE/job.mp4 --set pipeline.stages=[]",
-    "lightmap": "process --config MADE/clip/job.toml -o MADE/lightmap.mp4 --pipeline lightmap",
-    "dof": "demo -o MADE/demo",
+    "lightmap": "demo -o MADE/demo",
     "hide": "verify sample_scenes/0022-before-and-behind",
     "gi": "verify sample_scenes/0041-indirect-light",
     "watercolor": "verify sample_scenes/0030-watercolor",
