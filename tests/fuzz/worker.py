@@ -106,6 +106,8 @@ class Worker:
             ended = [self.watch(case, *one) for one in both]
         else:
             ended.append(self.attempt(case, case.args, case.stop))
+            if case.stop is not None:
+                case.note += f", {phase_of(folder / 'out.mp4')}"
             complete = case.stop and (ended[0].code == 0 or (folder / "out.mp4").exists())
             if case.after is not None and not complete and not ended[0].why:
                 if case.between is not None:
@@ -195,6 +197,13 @@ class Worker:
         if not why and most > MOST_BYTES:
             why = "memory"
         return Ended(None if why else os.waitstatus_to_exitcode(status), seconds, most, texts[0], texts[1], why, sent)
+
+
+def phase_of(output: Path) -> str:
+    """How far a job got, by what it left."""
+    job = output.with_name(f"{output.name}.job")
+    left = [(output, "placed"), (job / "joined.part", "join"), (job / "seal.json", "render"), (job, "analysis")]
+    return next((phase for path, phase in left if path.exists()), "start")
 
 
 def run(args: list[str]) -> int:
