@@ -157,7 +157,12 @@ def _remux(
             video = _video_packets(chunks, pts, order, info.time_base, streams[info.stream_index])
             further = copied_packets(source, info, plan, start_s, end_s) if plan.streams else iter(())
             for packet in _merged(video, further, streams):
-                out.mux(packet)
+                try:
+                    out.mux(packet)
+                except av.error.InvalidDataError:
+                    if packet.stream is streams[info.stream_index]:
+                        raise
+                    # a damaged packet of sound, say, is left out, as one that the container calls damaged
             out.close()
         except BaseException:
             with contextlib.suppress(av.error.FFmpegError, OSError):  # the first error is the one that counts

@@ -15,12 +15,12 @@ from arfx_cli import streams
 
 def start() -> None:
     """The `arfx` command. Does not return."""
-    interrupt.catch()
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing from the folder that they run in
-    streams.make_safe()
     code: Any = 1
     try:
-        with interrupt.held():  # what is imported by halves may fail later, with another message
+        interrupt.catch()
+        with interrupt.held():  # what is made or imported by halves may fail later, with another message
+            streams.make_safe()
             from arfx_cli.main import main
         main()
     except SystemExit as e:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -91,3 +93,11 @@ def test_a_signal_while_a_command_is_imported(arfx: Run, monkeypatch: pytest.Mon
     monkeypatch.setattr("arfx_cli.main.importlib.import_module", sending(signal.SIGINT, importlib.import_module, swallowed=True))
     r = arfx("lens", "--focal", "50mm", "--fnumber", "2", "--distance", "2m")
     assert r.code == 130 and r.out == "" and r.err.strip() == "interrupted"
+
+
+def test_a_signal_before_anything_is_imported() -> None:
+    lines = ["import signal, sys", "from arfx_cli import __main__, streams", "make_safe = streams.make_safe"]
+    lines += ["streams.make_safe = lambda: (signal.raise_signal(signal.SIGTERM), make_safe())"]
+    lines += ["sys.argv = ['arfx', 'doctor']", "__main__.start()"]
+    r = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+    assert (r.returncode, r.stdout, r.stderr) == (143, "", "stopped by SIGTERM\n")

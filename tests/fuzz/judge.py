@@ -13,6 +13,7 @@ from pathlib import Path
 
 import av
 
+from arfx.media.output import names_sequence
 from tests.fuzz.case import Case
 
 Found = list[tuple[str, str]]
@@ -151,7 +152,7 @@ def _output(case: Case, last: Ended) -> Found:
     except (ValueError, KeyError, TypeError):
         return [] if case.silent or case.after is not None else [("json", f"no count of frames: {last.out[:100]!r}")]
     try:
-        if re.search(r"%0?\d*d", path.name):
+        if names_sequence(path):
             held = sum(1 for p in path.parent.glob(f"*{path.suffix}") if p.stat().st_size > 60 and p.name not in case.args)
         else:
             with av.open(f"file:{path}", metadata_errors="replace") as c:

@@ -100,6 +100,14 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
     return Case(folder, args, note=f"damaged {source}")
 
 
+def damaged_sound(rng: random.Random, folder: Path, material: Path) -> Case:
+    """The last packet of sound has no header: mp4 cannot hold it, and the rest of the clip is whole."""
+    data = bytearray((material / "clip.ts").read_bytes())
+    data[data.rfind(b"\xff\xf1\x50") + 1] = 0
+    (folder / "clip.ts").write_bytes(data)
+    return Case(folder, process(folder, material, clip="clip.ts"), codes=frozenset({0}))
+
+
 def odd(rng: random.Random, folder: Path, material: Path) -> Case:
     """Odd sizes, pixel formats, rates, and gaps of hours."""
     n, at = rng.choice((1, 2, 3, 5)), 0
@@ -140,6 +148,7 @@ SEEDS: dict[str, Build] = {
     "dash manifest": script("mpd", "part.mp4", ".mpd"),
     "sdp": script("sdp", "", ".sdp"),
     "edl": script("edl", "part.mp4", ".mp4"),
+    "ts with a damaged packet of sound": damaged_sound,
     "tiff as a clip": as_suffix("clip.tif", "clip.tif"),
     "tiff named mp4": as_suffix("clip.tif", "clip.mp4"),
     "png as a clip": as_suffix("picture.png", "clip.png"),

@@ -109,12 +109,15 @@ def test_a_marker_of_absurd_size_is_refused(size: str) -> None:
         ' "rotation": {"quaternion": {"W": 1, "X": 0, "Y": 0, "Z": 0}}}}]}',
         '{"tags": [{"ID": 3, "pose": {"translation": {"x": 0, "y": 0, "z": 0},'
         ' "rotation": {"quaternion": {"W": 5, "X": 0, "Y": 9, "Z": 0}}}}]}',
+        '{"tags": [{"ID": 3, "pose": {"translation": {"x": 0, "y": 0, "z": 0},'
+        ' "rotation": {"quaternion": {"W": 1e200, "X": 0, "Y": 1e200, "Z": 0}}}}]}',
         '{"tags": [' + "[" * 5000,
         '{"tags": [{"ID": ' + "9" * 5000 + "}]}",
         '{"tags": 5}',
         "x = " + "[" * 5000,
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_hostile_layouts_are_one_message(tmp_path: Path, text: str) -> None:
     (tmp_path / "map.toml").write_text(text)
     with pytest.raises((InputError, ConfigError)) as e:
