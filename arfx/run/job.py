@@ -37,7 +37,7 @@ from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.kernels import JOB, compile_ahead, loading
+from arfx.run.kernels import JOB, compile_ahead, loading, unlisted_told
 from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
 from arfx.run.place import Places
 from arfx.run.predict import Terms
@@ -109,7 +109,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         options.notice(notice)
     places = Places(inputs, options.folder, options.report, options.overwrite)
     folder = places.folder
-    with places.held(options.resume), _interruptible(folder) as check:
+    with places.held(options.resume), _interruptible(folder) as check, unlisted_told(options.notice):
         told = options.progress
 
         def progress(phase: str, done: int, total: int | None) -> None:

@@ -2,7 +2,7 @@
 
 kernels.json lists, by what brings them into a job, the compiled functions that are called from Python, with the types of
 their arguments and the seconds that each takes to compile (tools/record_kernels.py). Processes, because numba holds a lock
-while it compiles. What is not in the list is compiled when it is called.
+while it compiles. What is not in the list is compiled when it is called, and `unlisted_told` says so.
 """
 
 from __future__ import annotations
@@ -183,3 +183,33 @@ def loading(parts: Collection[str], wanted: bool) -> Iterator[None]:
     yield
     if wanted:
         thread.join()
+
+
+@contextlib.contextmanager
+def unlisted_told(notice: Callable[[str], None]) -> Iterator[None]:
+    """Says once if, in the body, something is compiled that is not in the list, which may take some seconds."""
+    from numba.core import event
+
+    known = {(kernel.module, kernel.name, kernel.types) for kernel in listed()}
+    here = threading.local()  # depth : of functions being compiled, one for the other
+
+    class Listener(event.Listener):
+        told = False
+
+        def on_start(self, started: Any) -> None:
+            here.depth = getattr(here, "depth", 0) + 1
+            function, types = started.data["dispatcher"].py_func, started.data["args"]
+            if here.depth > 1 or self.told or (function.__module__, function.__qualname__, repr(tuple(types))) in known:
+                return
+            self.told = True
+            notice("compiling further kernels, once: jobs seldom have what this clip or these settings ask for")
+
+        def on_end(self, ended: Any) -> None:
+            here.depth -= 1
+
+    listener = Listener()
+    event.register("numba:compile", listener)
+    try:
+        yield
+    finally:
+        event.unregister("numba:compile", listener)

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from arfx.run import job, kernels
-from arfx.run.kernels import JOB, SYNTH, Kernel, compile_ahead, listed
+from arfx.run.kernels import JOB, SYNTH, Kernel, compile_ahead, listed, unlisted_told
 from arfx.stages import STAGES
 from arfx_cli.console import Progress
 from arfx_cli.demo import EFFECTS
@@ -96,6 +96,17 @@ def test_where_nothing_can_be_kept_one_notice_says_so(two: list[Kernel], monkeyp
     notices: list[str] = []
     compile_ahead(("gi",), lambda *a: None, notices.append)
     assert len(notices) == 1 and "NUMBA_CACHE_DIR" in notices[0]
+
+
+def test_what_is_not_in_the_list_is_told_once(two: list[Kernel]) -> None:
+    notices: list[str] = []
+    with unlisted_told(notices.append):
+        two[0].load()
+        assert notices == []
+        for number in (1, 1.5 + 1j, True):
+            two[0].function(number)
+    two[2].function(3)
+    assert len(notices) == 1 and "compiling" in notices[0]
 
 
 def test_the_list_fits_the_code() -> None:
