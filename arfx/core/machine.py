@@ -53,8 +53,8 @@ def scheduling_kept() -> Iterator[None]:
     try:
         yield
     finally:
-        if os.sched_getscheduler(0) != policy:
-            raised = os.sched_getscheduler(0)
+        raised = os.sched_getscheduler(0)
+        if raised != policy:
             for thread in _threads():
                 with contextlib.suppress(OSError):  # it has ended
                     if os.sched_getscheduler(thread) == raised:

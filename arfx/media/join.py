@@ -46,8 +46,8 @@ def join_chunks(
     chunks: Sequence[Path], pts: Sequence[int], plan: OutputPlan, info: ClipInfo, out: Path,
     start_s: float | None = None, end_s: float | None = None, part: Path | None = None,
     made: Callable[[], None] | None = None,
-) -> None:  # fmt: skip
-    """Writes `out` from chunks in order.
+) -> int:  # fmt: skip
+    """Writes `out` from chunks in order. Returns how many packets of further streams, being damaged, it could not hold.
 
     part : where it is made, on the same disk; what is there is removed. None = a name beside it that nobody uses
     made : called when it is whole, before it gets its name
@@ -63,16 +63,17 @@ def join_chunks(
         raise RenderError(f"{out}: frame times do not rise")
     if plan.is_sequence:
         _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent), made)
-        return
+        return 0
     part = part or part_name(out)
     try:
         remove_output(part)
         order = _order_of(chunks, len(pts))
-        _remux(chunks, pts, order, plan, info, part, start_s, end_s)
+        left_out = _remux(chunks, pts, order, plan, info, part, start_s, end_s)
         if made is not None:
             made()
         with interrupt.completing():
             part.replace(out)
+        return left_out
     except (av.error.FFmpegError, OSError, ValueError) as e:
         _forget(part)
         raise write_failed(out, e) from e
@@ -136,7 +137,8 @@ def _last_duration(pts: Sequence[int]) -> int:
 def _remux(
     chunks: Sequence[Path], pts: Sequence[int], order: _Order, plan: OutputPlan, info: ClipInfo, part: Path,
     start_s: float | None, end_s: float | None,
-) -> None:  # fmt: skip
+) -> int:  # fmt: skip
+    left_out = 0
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(open_video(info.path))
         first = stack.enter_context(av.open(av_name(chunks[0])))
@@ -159,15 +161,16 @@ def _remux(
             for packet in _merged(video, further, streams):
                 try:
                     out.mux(packet)
-                except av.error.InvalidDataError:
-                    if packet.stream is streams[info.stream_index]:
+                except av.error.InvalidDataError:  # of a further stream: damaged, and the clip's container did not know
+                    if packet.stream.index == streams[info.stream_index].index:
                         raise
-                    # a damaged packet of sound, say, is left out, as one that the container calls damaged
+                    left_out += 1
             out.close()
         except BaseException:
             with contextlib.suppress(av.error.FFmpegError, OSError):  # the first error is the one that counts
                 out.close()
             raise
+    return left_out
 
 
 def _merged(

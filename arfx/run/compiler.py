@@ -1,9 +1,9 @@
 """A process that compiles kernels ahead (kernels.py): numba, made to do only what the kept code needs.
 
 numba by itself makes machine code, two more entry points and a cache file of every function that a kernel calls, although that
-function is linked into the kernel once more; it works out ten times over what the same operation on the same types gives; and it
-compares its options one by one, half a million times. Without that a kernel takes half the time, and is the same code. This is
-done here alone, where compiled code is never called.
+function is linked into the kernel once more, and works out ten times over what the same operation on the same types gives.
+Without that kernels compile in half the time, and give the same bits. This is done here alone, where compiled code is never
+called.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import gc
 import json
 import os
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 TRIED = "0.68."  # version of numba whose inner parts are these; another one compiles in its own way
@@ -46,7 +45,7 @@ def compile_kernels_only() -> None:
     from numba.core.cpu import CPUContext
     from numba.core.dispatcher import Dispatcher, _FunctionCompiler  # type: ignore[attr-defined]
     from numba.core.sigutils import normalize_signature
-    from numba.core.targetconfig import ConfigStack, TargetConfig
+    from numba.core.targetconfig import ConfigStack
     from numba.core.types.functions import BaseFunction
 
     depth = 0  # of functions being compiled: 1 = a kernel, more = what it calls
@@ -62,15 +61,6 @@ def compile_kernels_only() -> None:
             self._verify_declare_only_symbols()
             self._finalized = True
 
-    @contextlib.contextmanager
-    def deeper() -> Iterator[None]:
-        nonlocal depth
-        depth += 1
-        try:
-            yield
-        finally:
-            depth -= 1
-
     compile_function, get_executable = Dispatcher.compile, CPUContext.get_executable
     compile_core = _FunctionCompiler._compile_core
 
@@ -85,8 +75,12 @@ def compile_kernels_only() -> None:
             self._cache = cache
 
     def compile_deeper(self: Any, *types: Any) -> Any:
-        with deeper():
+        nonlocal depth
+        depth += 1
+        try:
             return compile_core(self, *types)
+        finally:
+            depth -= 1
 
     def with_one_entry(self: Any, flags: Any) -> Any:
         flags.no_cfunc_wrapper = True
@@ -98,14 +92,6 @@ def compile_kernels_only() -> None:
             return get_executable(self, library, function, environment)
         library.__class__ = Part
         return _dynfunc.make_function(function.lookup_module(), function.qualname, "", 1, environment, (library,))
-
-    usual: dict[type, dict[str, Any]] = {}
-
-    def same_options(self: Any, other: Any) -> bool:
-        kind = type(self)
-        if kind not in usual:
-            usual[kind] = {name: option.default for name, option in kind.options.items()}
-        return kind is type(other) and usual[kind] | self._values == usual[kind] | other._values
 
     infer, known = BaseFunction.get_call_type, {}
     named: dict[int, tuple[Any, str]] = {}  # the options in force, kept: another's must not get the number of one that is gone
@@ -124,8 +110,6 @@ def compile_kernels_only() -> None:
         (_FunctionCompiler, "_customize_flags", with_one_entry),
         (CPUContext, "get_executable", executable_of_kernels),
         (BaseFunction, "get_call_type", infer_once),
-        (TargetConfig, "__hash__", lambda self: hash(type(self))),
-        (TargetConfig, "__eq__", same_options),
     ]
     for of, name, function in changes:
         setattr(of, name, function)

@@ -221,7 +221,7 @@ def _wpilib_layout(document: dict) -> dict[str, Pose]:
                 [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
             ]
         )
-        with np.errstate(invalid="ignore"):  # of what is infinite; Pose says that it is no pose
+        with np.errstate(invalid="ignore"):  # what is not finite is refused with the other poses
             r = r @ swap
         out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([float(t["x"]), float(t["y"]), float(t["z"])]))
     return out

@@ -121,7 +121,8 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         chunks = _chunks(planned)
         files = _render(planned, chunks, options)
         start = time.perf_counter()
-        _join(planned, files, places)
+        if left_out := _join(planned, files, places):
+            options.notice(f"damaged packets of sound, subtitles or data that were left out: {left_out}")
         report = build_report(planned, chunks, time.perf_counter() - start)
         write_text(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
@@ -326,7 +327,7 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Pat
     return [path for path in files.values() if path is not None]
 
 
-def _join(planned: Planned, files: Sequence[Path], places: Places) -> None:
+def _join(planned: Planned, files: Sequence[Path], places: Places) -> int:
     info, output, config = planned.inputs.info, planned.inputs.output, planned.inputs.config
 
     def made() -> None:
@@ -334,8 +335,9 @@ def _join(planned: Planned, files: Sequence[Path], places: Places) -> None:
         planned.folder.note_placed(places.part)
 
     try:
-        join_chunks(files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, places.part,
-                    made)  # fmt: skip
+        return join_chunks(
+            files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, places.part, made
+        )
     except OSError as e:
         raise disk_error(e, output.path) from None
 

@@ -95,9 +95,9 @@ def compiling(
     with interrupt.held():  # what is looked at is imported
         needed = [kernel for kernel in first if not kernel.kept]
         missing = needed + [kernel for kernel in then if not kernel.kept]
-    if missing and not compiled.lasting():
-        notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")
     if missing:
+        if not compiled.lasting():
+            notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")
         progress(COMPILE, 0, len(missing))
     groups = _by_module(missing, needed)
     processes = min(usable_cores(), len(groups), int(sum(kernel.seconds for kernel in missing) / PROCESS_S))
@@ -127,8 +127,8 @@ def _by_module(kernels: Sequence[Kernel], needed: Sequence[Kernel]) -> deque[lis
     groups = defaultdict(list)
     for kernel in kernels:
         groups[kernel.module].append(kernel)
-    late = {module: not any(kernel in needed for kernel in group) for module, group in groups.items()}
-    return deque(sorted(groups.values(), key=lambda group: (late[group[0].module], -sum(kernel.seconds for kernel in group))))
+    first = {kernel.module for kernel in needed}
+    return deque(sorted(groups.values(), key=lambda group: (group[0].module not in first, -sum(k.seconds for k in group))))
 
 
 def _by_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
@@ -190,7 +190,6 @@ def unlisted_told(notice: Callable[[str], None]) -> Iterator[None]:
     """Says once if, in the body, something is compiled that is not in the list, which may take some seconds."""
     from numba.core import event
 
-    known = {(kernel.module, kernel.name, kernel.types) for kernel in listed()}
     here = threading.local()  # depth : of functions being compiled, one for the other
 
     class Listener(event.Listener):
@@ -198,11 +197,12 @@ def unlisted_told(notice: Callable[[str], None]) -> Iterator[None]:
 
         def on_start(self, started: Any) -> None:
             here.depth = getattr(here, "depth", 0) + 1
-            function, types = started.data["dispatcher"].py_func, started.data["args"]
-            if here.depth > 1 or self.told or (function.__module__, function.__qualname__, repr(tuple(types))) in known:
+            if here.depth > 1 or self.told:
                 return
-            self.told = True
-            notice("compiling further kernels, once: jobs seldom have what this clip or these settings ask for")
+            function, types = started.data["dispatcher"].py_func, repr(tuple(started.data["args"]))
+            if (function.__module__, function.__qualname__, types) not in {(k.module, k.name, k.types) for k in listed()}:
+                self.told = True
+                notice("compiling further kernels, once: this clip or its settings need them")
 
         def on_end(self, ended: Any) -> None:
             here.depth -= 1

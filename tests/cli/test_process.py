@@ -50,6 +50,19 @@ def test_the_object_stands_on_the_marker_and_the_rest_is_untouched(material: Mat
     assert not list(tmp_path.glob("*.job")), "the job folder goes when the job is done"
 
 
+def test_a_damaged_packet_of_sound_is_left_out_with_a_word(material: Material, arfx: Run, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip.ts", 4, audio=True)
+    data = bytearray(clip.read_bytes())
+    data[data.rfind(b"\xff\xf1\x50") + 1] = 0  # the last packet has no header: mp4 cannot hold it
+    clip.write_bytes(data)
+    r = arfx(*material.arguments("-o", "out.mp4", clip=clip))
+    assert r.code == 0, r.err
+    assert "damaged packets of sound, subtitles or data that were left out: 1" in r.err
+    with av.open(str(tmp_path / "out.mp4")) as c:
+        assert len(list(c.demux(c.streams.audio[0]))) > 2
+    assert len(frames(tmp_path / "out.mp4")) == 4
+
+
 def test_audio_is_copied_bit_for_bit(material: Material, arfx: Run, tmp_path: Path) -> None:
     r = arfx(*material.arguments("-o", "out.mp4"))
     assert r.code == 0, r.err

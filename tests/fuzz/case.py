@@ -33,7 +33,7 @@ class Case:
     output : what it writes if it ends with 0, None = nothing that is looked at;  codes : how it may end
     start : run in the child before the command;  cold : a process of its own, imports and all, instead of a warm fork
     stop : (signal, "time" or "event", seconds or number): when the command is stopped;  between : what is done then
-    after : the command that is run then;  beside : a command that runs at the same time
+    after : the command that is run then, first stopped by `stop_again`;  beside : a command that runs at the same time
     expect : digest of the output, where it is known;  keeps : the job folder may stay;  leaves : what else may stay
     lost : the output cannot be seen from outside;  silent : nobody can hear messages;  note : what was done, for people
     """
@@ -45,6 +45,7 @@ class Case:
     start: Callable[[], None] | None = None
     cold: bool = False
     stop: tuple[int, str, float] | None = None
+    stop_again: tuple[int, str, float] | None = None
     between: Callable[[], None] | None = None
     after: list[str] | None = None
     beside: list[str] | None = None

@@ -64,6 +64,8 @@ def judge(case: Case, ended: list[Ended], before: dict[str, str], reached: Found
     after = snapshot(case.folder)
     there = os.path.normpath(case.output or "-") in after
     judged = ended if case.stop is None else ended[1:]
+    if case.stop_again is not None and ended[1:] and ended[1].code == -case.stop_again[0]:
+        judged = ended[2:]
     found += [("exit code", f"{e.code}: {_first(e.err)}") for e in judged if e.code not in case.codes]
     if case.stop is not None:
         found += _stopped(case, ended[0], there and len(ended) == 1)

@@ -28,12 +28,17 @@ def long_job(folder: Path, material: Path, *more: str) -> Case:
 def killed(rng: random.Random, folder: Path, material: Path) -> Case:
     case = long_job(folder, material, *rng.choice(((), (), ("--workers", "1"), ("--workers", "2"))))
     known = json.loads((material / "long.json").read_text())
-    if rng.random() < 0.5 or "2" in case.args:
-        case.stop = (signal.SIGKILL, "time", rng.uniform(0, 1.1) * known["seconds"])
-    else:
-        case.stop = (signal.SIGKILL, "event", rng.randint(1, known["events"]))
+
+    def moment() -> tuple[int, str, float]:
+        if rng.random() < 0.5 or "2" in case.args:
+            return signal.SIGKILL, "time", rng.uniform(0, 1.1) * known["seconds"]
+        return signal.SIGKILL, "event", rng.randint(1, known["events"])
+
+    case.stop = moment()
     if rng.random() < 0.7:
         case.start = _checkpoints  # of the analysis, after every frame
+    if rng.random() < 0.3:
+        case.stop_again = moment()
     case.after, case.codes, case.note = [*case.args, "--resume"], frozenset({0}), f"SIGKILL at {case.stop[1:]}"
     return case
 

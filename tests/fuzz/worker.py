@@ -112,7 +112,10 @@ class Worker:
             if case.after is not None and not complete and not ended[0].why:
                 if case.between is not None:
                     case.between()
-                ended.append(self.attempt(case, case.after))
+                if case.stop_again is not None:
+                    ended.append(self.attempt(case, case.after, case.stop_again))
+                if not (folder / "out.mp4").exists():
+                    ended.append(self.attempt(case, case.after))
         found = judge(case, ended, before, self.trace.read(case))
         if snapshot(outside) != beside or {p.name for p in folder.parent.iterdir()} > {"here", "outside", "here.job"}:
             found.append(("input changed", "in the folder beside"))
