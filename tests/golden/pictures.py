@@ -16,6 +16,7 @@ from arfx.media.frames import ClipReader
 
 SCENES = Path(__file__).parents[2] / "sample_scenes"
 FAILED = Path(__file__).parent / "failed"
+PRESETS = sorted((SCENES.parent / "configs").glob("*.toml"))
 
 
 def frames_side_by_side(clip: Path, wanted: Sequence[int]) -> np.ndarray:
