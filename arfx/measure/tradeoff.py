@@ -30,8 +30,7 @@ from arfx.measure.tradeoff_time import Times, time_frame
 from arfx.media.frames import ClipReader
 from arfx.plan.work import what_is_new
 from arfx.run.depth import real_depth_layer
-from arfx.run.job import Planned
-from arfx.run.parameters import make_stages
+from arfx.run.planned import Job
 
 QUALITIES = ("draft", "standard", "high", "reference")
 REFERENCE_S, LEAST_PX = 60.0, 600
@@ -92,7 +91,7 @@ class Found:
 class _Work:
     """What the rows are made from. ground : levels below whatever is timed;  best : everything at its reference"""
 
-    planned: Planned
+    job: Job
     stages: Mapping[str, Stage]
     samples: Sequence[Sample]
     benches: dict[int, FrameBench]
@@ -113,24 +112,24 @@ class _Work:
         return name in (s.stage for s in self.benches[sample.index].plan.steps)
 
 
-def measure(planned: Planned, frames: int, progress: Progress) -> Found:
-    """planned : the job, up to its plan. Raises NothingToDoError where no frame shows the object."""
+def measure(job: Job, frames: int, progress: Progress) -> Found:
+    """job : up to its plan. Raises NothingToDoError where no frame shows the object."""
     began = time.process_time()
-    stages = make_stages(planned.inputs.config)
-    plans = {p.index: p for p in planned.plans}
-    samples = [s for s in pick_frames(planned.facts, planned.inputs.camera.rect, frames) if plans[s.index].steps]
+    stages = job.stages
+    plans = {p.index: p for p in job.plan.frames}
+    samples = [s for s in pick_frames(job.facts, job.inputs.camera.rect, frames) if plans[s.index].steps]
     if not samples:
         raise NothingToDoError("no frame of the clip shows the object: there is nothing to measure", "see `arfx plan`")
     first = samples[0].index
     following = first + 1 if first + 1 in plans and _same_steps(plans, first) else None
     names = [s.stage for s in plans[first].steps]
     slow = frozenset((n, s.levels[-1].name) for n, s in stages.items() if s.levels[-1].name == "reference" and _dear(s))
-    quality = planned.inputs.config.pipeline.quality
+    quality = job.inputs.config.pipeline.quality
     usual = {n: level_named(stages[n].levels, quality).name for n in names}
     work = _Work(
-        planned, stages, samples, {}, usual,
+        job, stages, samples, {}, usual,
         {n: usual[n] if (n, usual[n]) not in slow else stages[n].levels[-2].name for n in names},
-        {n: stages[n].levels[-1].name for n in names}, slow, _shares(planned, names), Times(), Found(samples, [], [], {}),
+        {n: stages[n].levels[-1].name for n in names}, slow, _shares(job, names), Times(), Found(samples, [], [], {}),
     )  # fmt: skip
     _open_benches(work, [s.index for s in samples] + ([] if following is None else [following]), plans)
     effects = [n for n in names if len(stages[n].levels) > 1]
@@ -167,24 +166,24 @@ def _dear(stage: Stage) -> bool:
     return stage.levels[-1].seconds_per_mpx > 2.0
 
 
-def _shares(planned: Planned, names: Sequence[str]) -> dict[str, float]:
+def _shares(job: Job, names: Sequence[str]) -> dict[str, float]:
     """By stage: the share of the frames it runs in whose light was not met before."""
-    new = dict(zip((f.index for f in planned.facts), what_is_new(planned.facts), strict=True))
+    new = dict(zip((f.index for f in job.facts), what_is_new(job.facts), strict=True))
     out = {}
     for name in names:
         terms = set(TERMS_OF.get(name, ())) & {"new_lights", "new_directions"}
-        runs = [bool(new[p.index] & terms) for p in planned.plans if any(s.stage == name for s in p.steps)]
+        runs = [bool(new[p.index] & terms) for p in job.plan.frames if any(s.stage == name for s in p.steps)]
         out[name] = float(np.mean(runs)) if runs else 0.0
     return out
 
 
 def _open_benches(work: _Work, wanted: Sequence[int], plans: Mapping[int, FramePlan]) -> None:
-    planned = work.planned
-    pts = {planned.meta["pts"][i]: i for i in wanted}
-    facts = {f.index: f for f in planned.facts}
-    shop, camera, maps = Shop(planned.scene, work.stages), planned.inputs.camera, planned.inputs.depth
+    job = work.job
+    pts = {job.analysed.pts[i]: i for i in wanted}
+    facts = {f.index: f for f in job.facts}
+    shop, camera, maps = Shop(job.scene, work.stages), job.inputs.camera, job.inputs.depth
     deep = maps is not None and any(Layer.REAL_DEPTH in work.stages[s.stage].reads for i in wanted for s in plans[i].steps)
-    with ClipReader(planned.inputs.info) as reader:
+    with ClipReader(job.inputs.info) as reader:
         for frame in reader.frames(min(pts), max(pts)):
             if frame.pts in pts:
                 i = pts[frame.pts]
@@ -203,7 +202,7 @@ def _time(work: _Work, times: Times, sample: Sample, shop: Shop, wanted: Sequenc
 def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) -> None:
     """As large as lets all references of all pictures take REFERENCE_S, and at most MOST_PX."""
     chains = [work.best, *({**work.usual, n: work.best[n]} for n in effects)]
-    camera: Rect = work.planned.inputs.camera.rect
+    camera: Rect = work.job.inputs.camera.rect
     area = float(min(max(b.plan.changed.area for b in work.benches.values()), MOST_PX))
     while True:
         for b in work.benches.values():

@@ -8,28 +8,28 @@ from typing import Any
 
 from arfx.core.cost import Prediction
 from arfx.measure.tradeoff import QUALITIES, Found, Row, facts_of
-from arfx.run.job import Planned
+from arfx.run.planned import Job
 
 FEW_PX = 1500
 SEEN_MEAN, SEEN_P99 = 1.0, 12.0  # grey levels: more than either is taken for visible
 
 
-def document(found: Found, planned: Planned, seconds: float) -> dict[str, Any]:
+def document(found: Found, job: Job, seconds: float) -> dict[str, Any]:
     """seconds : what the measuring took. `errors` is what `--tradeoff` reads (plan/errors.py)."""
     stages: dict[str, dict[str, float]] = {}
-    own = {n: getattr(s, "formula", "") for n, s in planned.inputs.config.params.items()}
+    own = {n: getattr(s, "formula", "") for n, s in job.inputs.config.params.items()}
     for r in found.effects:
         if r.formula == own.get(r.name, ""):
             stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
     names = [r.name for r in found.effects]
     return {
-        "clip": str(planned.inputs.info.path), "frames": facts_of(found.samples, planned.facts),
+        "clip": str(job.inputs.info.path), "frames": facts_of(found.samples, job.facts),
         "windows": {str(i): w.to_json() for i, w in found.windows.items()},
         "effects": [_row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))],
         "pipelines": [_row(r, found) for r in found.pipelines],
         "recommendation": recommendation(found), "seconds": seconds,
         "seconds_spent": found.spent_s,
-        "source": f"measured on {len(found.samples)} frames of {planned.inputs.info.path.name}", "errors": stages,
+        "source": f"measured on {len(found.samples)} frames of {job.inputs.info.path.name}", "errors": stages,
     }  # fmt: skip
 
 

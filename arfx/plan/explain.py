@@ -12,7 +12,7 @@ from arfx.core.plan import FramePlan
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])")
 
 
-def summarise(plans: Iterable[FramePlan], names: Sequence[str], frame_area: int) -> list[dict[str, Any]]:
+def summarise(plans: Iterable[FramePlan], names: Iterable[str], frame_area: int) -> list[dict[str, Any]]:
     """One row per stage, in the fields of report.json's `stages` (CLI.md), without the measured time.
 
     area_fraction : mean over the frames in which the stage runs of its output area / picture area

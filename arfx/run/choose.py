@@ -1,24 +1,21 @@
-"""Choose the levels of a job and freeze its plan: the analysis is done, nothing is rendered yet."""
+"""Choose the levels of a job and plan its frames: the analysis is done, nothing is rendered yet."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 from arfx.config.sections import JobConfig
-from arfx.core.cost import Prediction
+from arfx.core.cost import Prediction, Prices
+from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
+from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
 from arfx.plan.clip import Wish, plan_clip
 from arfx.plan.errors import Errors
-from arfx.run.folder import write_lines, write_text
 from arfx.run.predict import Terms, predict, prepare_one, stages_of, to_json
-
-if TYPE_CHECKING:
-    from arfx.run.job import Planned
 
 
 def wish_of(config: JobConfig) -> Wish:
@@ -31,12 +28,12 @@ def wish_of(config: JobConfig) -> Wish:
 
 
 def choose(
-    planned: Planned, stages: Mapping[str, Stage], wish: Wish, errors: Errors, terms: Terms, notice: Callable[[str], None]
-) -> None:
-    """Choose levels, plan every frame and write both: from here on the plan stands, whatever the job measures."""
-    config, prices = planned.inputs.config, planned.prices
+    config: JobConfig, stages: Mapping[str, Stage], facts: Sequence[FrameFacts], scene: Scene, wish: Wish, errors: Errors,
+    prices: Prices, terms: Terms, notice: Callable[[str], None],
+) -> tuple[list[FramePlan], dict[str, Any]]:  # fmt: skip
+    """The plans of all frames, and {predicted, levels}: from here on they stand, whatever the job measures."""
     if config.pipeline.fps is not None:
-        wish = replace(wish, budget_s=len(planned.facts) / config.pipeline.fps)
+        wish = replace(wish, budget_s=len(facts) / config.pipeline.fps)
 
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
         found = predict(plans, work, terms, prices, prepared=True).wall
@@ -51,9 +48,7 @@ def choose(
         found = prepare_one(stage, level, terms, prices)
         return None if found is None else found.times(terms.workers)  # no worker helps another with it
 
-    made = plan_clip(
-        list(stages.values()), planned.facts, planned.scene, wish, errors, prices, upper_s, config.pipeline.skip, once
-    )
+    made = plan_clip(list(stages.values()), facts, scene, wish, errors, prices, upper_s, config.pipeline.skip, once)
     if not made.chosen.met:
         notice(made.chosen.why)
     if wish.budget_s is not None and not prices.calibrated:
@@ -67,5 +62,4 @@ def choose(
             "errors_from": errors.source, "chosen": made.explained(errors),
         },
     }  # fmt: skip
-    write_text(planned.folder.plan_summary, json.dumps(document, indent=1))
-    write_lines(planned.folder.plan, (p.to_json() for p in made.plans))
+    return made.plans, document

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,24 +16,21 @@ from arfx.core.numerics import angle_between, divide
 from arfx.core.opener import read_text
 from arfx.core.pose import find_rotvecs
 from arfx.errors import InputError
-
-if TYPE_CHECKING:
-    from arfx.run.job import Planned
+from arfx.run.planned import Job
 
 Rows = list[dict[str, Any]]
 _LOOKS = 5  # environments that are looked at, evenly over the clip
 
 
-def health(planned: Planned) -> Rows:
+def health(job: Job) -> Rows:
     """Rows of {check, value, limit, verdict "ok" or "warn", action}. A job that got here made no value that is not finite:
     one that does stops with an error that names stage, frame and pixel."""
-    facts, summary, meta = planned.facts, planned.meta["summary"], planned.meta
-    rows = [*_calibration(planned), *_pose(facts, summary), *_light(summary.get("light"))]
-    rows += _lens(planned) + _depth(meta.get("depth")) + _environment(facts) + _furnace(planned)
+    facts, summary, truncated = job.facts, job.analysed.summary, job.analysed.truncated
+    rows = [*_calibration(job), *_pose(facts, summary), *_light(summary.get("light"))]
+    rows += _lens(job) + _depth(job.analysed.depth) + _environment(facts) + _furnace(job)
     absent = sum(f.status == ABSENT for f in facts)
     rows.append(check("frames without a pose", absent, 0, absent == 0, "object left out there"))
-    whole = meta["truncated"] is None
-    rows.append(check("source file", meta["truncated"] or "whole", "whole", whole, "processed to its last good frame"))
+    rows.append(check("source file", truncated or "whole", "whole", truncated is None, "processed to its last good frame"))
     find_rotvecs(p for f in facts for p in f.poses)
     bad = non_finite(f.to_json() for f in facts)
     rows.append(check("values that are not finite in the facts", bad, 0, bad == 0, "frames with them are not drawn"))
@@ -45,8 +42,8 @@ def check(name: str, value: Any, limit: Any, ok: bool, action: str) -> dict[str,
     return {"check": name, "value": value, "limit": limit, "verdict": "ok" if ok else "warn", "action": "none" if ok else action}
 
 
-def _calibration(planned: Planned) -> Rows:
-    camera, config = planned.inputs.camera, planned.inputs.config
+def _calibration(job: Job) -> Rows:
+    camera, config = job.inputs.camera, job.inputs.config
     known = "guessed" if camera.guessed else "given"
     rows = [check("camera calibration", known, "given", not camera.guessed, "field of view assumed")]
     told = {} if config.input.camera is None else stated(config.input.camera)
@@ -132,14 +129,14 @@ def _light(light: dict[str, Any] | None) -> Rows:
     return rows
 
 
-def _lens(planned: Planned) -> Rows:
+def _lens(job: Job) -> Rows:
     """The lens of the blur: given, or measured from the footage's edges."""
-    params = planned.inputs.config.params.get("dof")
-    if "dof" not in planned.stage_names or params is None:
+    params = job.inputs.config.params.get("dof")
+    if "dof" not in job.stages or params is None:
         return []
     if params.lens != "footage":
         return [check("lens of the blur", "given", "given or measured", True, "")]
-    fits = [f.extra["footage_lens"] for f in planned.facts if f.extra.get("footage_lens")]
+    fits = [f.extra["footage_lens"] for f in job.facts if f.extra.get("footage_lens")]
     known = [f for f in fits if f["known"]]
     reason = fits[0]["reason"] if fits else "not measured"
     rows = [
@@ -201,16 +198,16 @@ def seam_ratio(faces: np.ndarray) -> float:
     return float(max(np.median(np.concatenate(across)), least) / max(np.median(np.concatenate(within)), least))
 
 
-def _furnace(planned: Planned) -> Rows:
+def _furnace(job: Job) -> Rows:
     """Only where voxels were used: not at level reference."""
-    used = {s.level for p in planned.plans for s in p.steps if s.stage == "gi"} - {"reference"}
+    used = {s.level for p in job.plan.frames for s in p.steps if s.stage == "gi"} - {"reference"}
     if not used:
         return []
     from arfx.run.furnace import LIMIT, furnace_mean
 
     rows = []
     for level in sorted(used):
-        mean = furnace_mean(planned.scene, level)
+        mean = furnace_mean(job.scene, level)
         if mean is not None:
             ok = abs(mean - 1) <= LIMIT
             rows.append(check(f"voxel furnace at {level}: mean of 1", mean, f"1 ± {LIMIT}", ok, "gi at a higher level"))

@@ -143,7 +143,7 @@ def placement(config: JobConfig) -> Placement:
 
 
 def make_scene(
-    config: JobConfig, camera: Camera, model: Model, world_from_marker: Mapping[str, Pose], anchor: str, seed: int,
+    config: JobConfig, camera: Camera, model: Model, world_from_marker: Mapping[str, Pose], anchor: str,
     static: str = "marker", real_planes: Sequence[RealPlane] = (),
 ) -> Scene:  # fmt: skip
     """The scene of a job. anchor : key of the marker that the model stands on. The default light hangs above it.
@@ -160,7 +160,8 @@ def make_scene(
     world_from_model = stand.matrix @ placement(config).world_from_model(model, config.model.up)
     return Scene(
         camera, model, world_from_model, config.markers, dict(world_from_marker), stand,
-        Light(light.ambient_rgb, lights, light.source), seed, _card_m(config, anchor) if static == "camera" else None,
+        Light(light.ambient_rgb, lights, light.source), config.pipeline.seed,
+        _card_m(config, anchor) if static == "camera" else None,
         tuple(real_planes),
     )  # fmt: skip
 

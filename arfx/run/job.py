@@ -7,7 +7,7 @@ import json
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,13 @@ from arfx.analyse.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
-from arfx.core.cost import Prices, load_prices
+from arfx.core.cost import load_prices
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
 from arfx.core.marker import anchor_marker
 from arfx.core.plan import FramePlan
-from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
-from arfx.core.scene import Scene
 from arfx.errors import JobInterruptedError
 from arfx.media.join import join_chunks
 from arfx.media.output import check_times
@@ -35,16 +33,17 @@ from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
 from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_text
+from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, unlisted_told
 from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
 from arfx.run.place import Places
+from arfx.run.planned import Analysed, Job, JobPlan
 from arfx.run.predict import Terms
 from arfx.run.preview import pick
 from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
 from arfx.run.summary import build_report
-from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, WorkLog
+from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, Spent, WorkLog
 from arfx.run.worker import keep_memory, open_context
 from arfx.stages import STAGES
 
@@ -77,26 +76,6 @@ class Options:
     notice: Callable[[str], None] = print
 
 
-@dataclass
-class Planned:
-    """A job up to the point where rendering would start."""
-
-    inputs: Inputs
-    folder: JobFolder
-    key: str
-    analysis_key: str
-    facts: list[FrameFacts]
-    plans: list[FramePlan]
-    scene: Scene
-    meta: dict[str, Any]
-    log: WorkLog
-    plan_s: float = 0.0
-    stage_names: list[str] = field(default_factory=list)
-    prices: Prices = field(default_factory=Prices)
-    levels: dict[str, Any] = field(default_factory=dict)  # how they were chosen
-    predicted: dict[str, Any] = field(default_factory=dict)  # seconds of the whole job
-
-
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
     """Run a whole job. Returns the report (CLI.md, report.json), which the job folder holds too.
 
@@ -117,13 +96,13 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
             told(phase, done, total)
 
         options = replace(options, progress=progress)
-        planned = plan_job(inputs, folder, options, started)
-        chunks = _chunks(planned)
-        files = _render(planned, chunks, options)
+        job = plan_job(inputs, folder, options, started)
+        chunks = _chunks(job)
+        files = _render(job, chunks, options)
         start = time.perf_counter()
-        if left_out := _join(planned, files, places):
+        if left_out := _join(job, files, places):
             options.notice(f"damaged packets of sound, subtitles or data that were left out: {left_out}")
-        report = build_report(planned, chunks, time.perf_counter() - start)
+        report = build_report(job, chunks, time.perf_counter() - start)
         write_text(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
         folder.checkpoint.unlink(missing_ok=True)
@@ -145,7 +124,7 @@ def default_workers(pixels: int) -> tuple[int, bool]:
     return (cores if pixels > SHORT_JOB_PX else 1), False
 
 
-def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Planned:
+def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Job:
     """Analyse (or take up again what was analysed) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
     parts = (JOB, *pipeline(config))
@@ -173,7 +152,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     analysis_key = digest(*base)
     maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
     job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps)
-    stages = make_stages(config)
+    stages, prices = make_stages(config), load_prices()
     wish = wish_of(config)
     errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
     write_text(folder.job, MARK + to_toml({**tree, "output": output}))
@@ -183,24 +162,19 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         folder.unseal()
         with loading(parts, options.workers in (None, 1)):  # before the time is taken: what is to come needs none of it
             _analyse(inputs, folder, analysis_key, options, log)
-    meta = json.loads(folder.frames.read_text(encoding="utf-8"))
-    facts = list(read_facts(folder.facts))
-    world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
-    scene = make_scene(
-        config, inputs.camera, inputs.model, world, meta["anchor"], config.pipeline.seed, meta["static"],
-        [RealPlane.from_json(p) for p in meta["real_planes"]],
-    )  # fmt: skip
+    analysed, facts = Analysed.read(folder), list(read_facts(folder.facts))
+    scene = analysed.scene(config, inputs.camera, inputs.model)
     start = time.perf_counter()
-    planned = Planned(inputs, folder, job_key, analysis_key, facts, [], scene, meta, log, 0.0, list(stages), load_prices())
-    terms = _terms(planned, options)
     if fresh:
-        choose(planned, stages, wish, errors, terms, options.notice)
+        size = _size(inputs, analysed, log.spent(analysis_key, []), options)
+        plans, document = choose(config, stages, facts, scene, wish, errors, prices, size, options.notice)
+        write_text(folder.plan_summary, json.dumps(document, indent=1))
+        write_lines(folder.plan, (p.to_json() for p in plans))
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
-    planned.levels, planned.predicted = document["levels"], document["predicted"]
-    planned.plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
-    planned.plan_s = time.perf_counter() - start
-    return planned
+    plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
+    plan = JobPlan(plans, document["levels"], document["predicted"], time.perf_counter() - start)
+    return Job(inputs, folder, job_key, analysis_key, analysed, facts, scene, stages, prices, plan, log)
 
 
 def _compiled(parts: Sequence[str], options: Options, started: float | None) -> float:
@@ -210,17 +184,15 @@ def _compiled(parts: Sequence[str], options: Options, started: float | None) -> 
     return time.perf_counter() - (0.0 if started is None else before - started)
 
 
-def _terms(planned: Planned, options: Options) -> Terms:
-    inputs, frames = planned.inputs, len(planned.facts)
-    spent = planned.log.spent(planned.analysis_key, [])
+def _size(inputs: Inputs, analysed: Analysed, spent: Spent, options: Options) -> Terms:
+    frames = len(analysed.pts)
     workers, threads = options.workers, False
     if workers is None:
         workers, threads = default_workers(frames * inputs.camera.rect.area)
     workers = max(min(workers, len(borders(frames))), 1)
-    decode_s = spent.seconds.get("decode", 0.0)
     return Terms(
-        frames, inputs.camera.rect.area / 1e6, decode_s, spent.wall_s, inputs.output.codec, workers,
-        0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6, tuple(planned.meta["keys"]),
+        frames, inputs.camera.rect.area / 1e6, spent.seconds.get("decode", 0.0), spent.wall_s, inputs.output.codec, workers,
+        0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6, tuple(analysed.keys),
     )  # fmt: skip
 
 
@@ -238,7 +210,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     check_times(inputs.output, done.span.pts, inputs.info.time_base)
     world = done.analysis.world_from_marker
     anchor = ANCHOR if config.model.anchor == "plane" else anchor_marker(config.markers, world).key
-    scene = make_scene(config, inputs.camera, inputs.model, world, anchor, config.pipeline.seed, done.analysis.static)
+    scene = make_scene(config, inputs.camera, inputs.model, world, anchor, done.analysis.static)
     facts = with_model(done.analysis.facts, scene)
     notices, depth = list(done.analysis.notices), None
     planes: list[RealPlane] = []
@@ -256,14 +228,10 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, facts)
-    document = {
-        "pts": done.span.pts, "keys": done.span.keys, "anchor": anchor,
-        "world_from_marker": {k: p.to_json() for k, p in world.items()},
-        "static": done.analysis.static, "summary": done.analysis.summary, "truncated": done.truncated,
-        "previews": pick(facts), "notices": [*inputs.notices, *notices], "depth": depth,
-        "real_planes": [p.to_json() for p in planes],
-    }  # fmt: skip
-    write_text(folder.frames, json.dumps(document, default=float))
+    Analysed(
+        done.span.pts, done.span.keys, anchor, world, done.analysis.static, done.analysis.summary, done.truncated, pick(facts),
+        [*inputs.notices, *notices], depth, planes,
+    ).write(folder)  # fmt: skip
     # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
     part = clock.before_s / max(done.decode_s + done.analyse_s, 1e-9)
     seconds = {"decode": done.decode_s * (1 + part), "analyse": done.analyse_s * (1 + part)}
@@ -282,27 +250,28 @@ def _depth(
     )  # fmt: skip
 
 
-def _chunks(planned: Planned) -> list[Chunk]:
+def _chunks(job: Job) -> list[Chunk]:
     """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and plan of its frames."""
-    facts = planned.folder.facts.read_text(encoding="utf-8").splitlines()[1:]  # the first line is the header
-    plans = planned.folder.plan.read_text(encoding="utf-8").splitlines()
+    facts = job.folder.facts.read_text(encoding="utf-8").splitlines()[1:]  # the first line is the header
+    plans = job.folder.plan.read_text(encoding="utf-8").splitlines()
+    world = {k: p.to_json() for k, p in job.analysed.world_from_marker.items()}
     out = []
-    for first, last in borders(len(planned.facts)):
+    for first, last in borders(len(job.facts)):
         part = slice(max(first - 1, 0), last + 1)  # a stage may look at the frame before
-        parts = [facts[part], plans[part], planned.meta["pts"][part]]
-        out.append(Chunk(first, last, digest(planned.key, parts, planned.meta["world_from_marker"], planned.meta["static"])))
+        parts = [facts[part], plans[part], job.analysed.pts[part]]
+        out.append(Chunk(first, last, digest(job.key, parts, world, job.analysed.static)))
     return out
 
 
-def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Path]:
+def _render(job: Job, chunks: list[Chunk], options: Options) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
-    folder, suffix = planned.folder, chunk_suffix(planned.inputs.output)
+    folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
     todo = [c for c in chunks if files[c.first] is None]
     keep = sum(c.frames for c in chunks) - sum(c.frames for c in todo)
-    total = len(planned.facts)
+    total = len(job.facts)
     keys = {c.first: c.key for c in todo}
-    tasks: list[Task] = [(str(folder.path), planned.key, c.first, c.last, str(folder.chunks / c.name)) for c in todo]
+    tasks: list[Task] = [(str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name)) for c in todo]
 
     def progress(done: int) -> None:
         options.progress("render", keep + done, total)
@@ -310,11 +279,11 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Pat
     progress(0)
     workers, threads = options.workers, False
     if workers is None:
-        workers, threads = default_workers(total * planned.inputs.camera.rect.area)
+        workers, threads = default_workers(total * job.inputs.camera.rect.area)
     workers = min(workers, len(tasks))
     if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
-        context = open_context(str(folder.path), planned.key)
-        context.facts, context.plans = planned.facts, planned.plans
+        context = open_context(str(folder.path), job.key)
+        context.facts, context.plans = job.facts, job.plan.frames
     if workers <= 1:
         results = run_serial(tasks, progress)
     else:
@@ -322,21 +291,21 @@ def _render(planned: Planned, chunks: list[Chunk], options: Options) -> list[Pat
     with contextlib.closing(results):  # an error or a signal here too stops the workers, before the folder is given back
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
-            planned.log.note(CHUNK, keys[result["first"]], **result)
+            job.log.note(CHUNK, keys[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
 
 
-def _join(planned: Planned, files: Sequence[Path], places: Places) -> int:
-    info, output, config = planned.inputs.info, planned.inputs.output, planned.inputs.config
+def _join(job: Job, files: Sequence[Path], places: Places) -> int:
+    info, output, config = job.inputs.info, job.inputs.output, job.inputs.config
 
     def made() -> None:
         places.check_output()  # all the time since the first look
-        planned.folder.note_placed(places.part)
+        job.folder.note_placed(places.part)
 
     try:
         return join_chunks(
-            files, planned.meta["pts"], output, info, output.path, config.input.start, config.input.end, places.part, made
+            files, job.analysed.pts, output, info, output.path, config.input.start, config.input.end, places.part, made
         )
     except OSError as e:
         raise disk_error(e, output.path) from None

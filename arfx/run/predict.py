@@ -42,7 +42,7 @@ class Terms:
 
 
 @dataclass(frozen=True)
-class Job:
+class JobPrediction:
     """What a job is predicted to take. phases : seconds of each, summed over the workers, None = not known
     share : of the seconds that the workers share, how many pass on the wall;  workers : at once
     """
@@ -62,7 +62,9 @@ class Job:
 ALONE = ("before", "prepare", "join", "report")
 
 
-def predict(plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, prepared: bool = False) -> Job:
+def predict(
+    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, prepared: bool = False
+) -> JobPrediction:
     """work : of all stages;  prepared : what they prepare is in it"""
     changed = [p for p in plans if p.steps]
     edit = prices.predict("edit", _edited(changed)) if changed else exactly(0.0)
@@ -79,7 +81,7 @@ def predict(plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, p
         "join": prices.predict("join", whole),
         "report": _report(_levels(plans), terms, prices),
     }
-    return Job(phases, share, terms.workers)
+    return JobPrediction(phases, share, terms.workers)
 
 
 def _edited(plans: Sequence[FramePlan]) -> dict[str, float]:
@@ -151,7 +153,7 @@ def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:
     return together(alike(every) for every in by_stage.values())
 
 
-def to_json(job: Job, prices: Prices) -> dict[str, Any]:
+def to_json(job: JobPrediction, prices: Prices) -> dict[str, Any]:
     """{wall {s, low_s, high_s} or null, phases {name: the same}, workers, share, prices, calibrated}"""
     total = job.wall
     return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,23 +13,21 @@ from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
 from arfx.run.chunks import Chunk
 from arfx.run.health import health
+from arfx.run.planned import Job
 from arfx.run.times import Spent
 
-if TYPE_CHECKING:
-    from arfx.run.job import Planned
 
-
-def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> dict[str, Any]:
+def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, Any]:
     """The report of a job whose output is written. join_s : seconds that it took to put the chunks together"""
-    info, meta, facts = planned.inputs.info, planned.meta, planned.facts
-    pts = np.array(meta["pts"], dtype=object) * info.time_base
+    info, done, facts = job.inputs.info, job.analysed, job.facts
+    pts = np.array(done.pts, dtype=object) * info.time_base
     last_s = float(np.median(np.diff(pts).astype(float))) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
-    spent = planned.log.spent(planned.analysis_key, [c.key for c in chunks])
-    rows = summarise(planned.plans, planned.stage_names, planned.inputs.camera.rect.area)
+    spent = job.log.spent(job.analysis_key, [c.key for c in chunks])
+    rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     for row in rows:
         row["measured_s"] = spent.stages.get(row["name"], 0.0)
-    plan, output = planned.inputs.output, planned.inputs.output.path
+    plan, output = job.inputs.output, job.inputs.output.path
     written = [output.with_name(output.name % f.index) for f in facts] if plan.is_sequence else [output]
     size = sum(p.stat().st_size for p in written)
     stream = info.to_json()
@@ -37,23 +35,23 @@ def build_report(planned: Planned, chunks: Sequence[Chunk], join_s: float) -> di
         "input": {
             "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
             "fps": info.fps, "vfr": _irregular(pts), "rotation": info.rotation_deg,
-            "audio": [str(s) for s in info.audio], "truncated": meta["truncated"],
-            "camera": planned.inputs.camera.source, "camera_guessed": planned.inputs.camera.guessed, "stream": stream,
+            "audio": [str(s) for s in info.audio], "truncated": done.truncated,
+            "camera": job.inputs.camera.source, "camera_guessed": job.inputs.camera.guessed, "stream": stream,
         },
         "output": {
             "path": str(output), "frames": len(facts), "seconds": seconds, "bytes": size,
             "codec": plan.codec, "pixel_format": plan.pixel_format,
         },
-        "pose": _pose(planned),
-        "light": _light(planned),
-        "depth": meta.get("depth"),
-        "lens": meta["summary"].get("footage_lens"),
+        "pose": _pose(job),
+        "light": _light(job),
+        "depth": done.depth,
+        "lens": done.summary.get("footage_lens"),
         "stages": rows,
-        "levels": planned.levels,
-        "predicted": planned.predicted,
-        "health": health(planned),
-        "timing": _timing(spent, planned.plan_s, join_s, chunks),
-        "notices": meta["notices"],
+        "levels": job.plan.levels,
+        "predicted": job.plan.predicted,
+        "health": health(job),
+        "timing": _timing(spent, job.plan.seconds, join_s, chunks),
+        "notices": done.notices,
     }  # fmt: skip
 
 
@@ -76,10 +74,10 @@ def _irregular(pts: np.ndarray) -> bool:
     return bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
 
 
-def _pose(planned: Planned) -> dict[str, Any]:
-    facts, summary = planned.facts, planned.meta["summary"]
+def _pose(job: Job) -> dict[str, Any]:
+    facts, summary = job.facts, job.analysed.summary
     count = {k: sum(f.status == k for f in facts) for k in (MEASURED, INTERPOLATED, ABSENT)}
-    corners, camera = planned.scene.model_corners_m, planned.inputs.camera
+    corners, camera = job.scene.model_corners_m, job.inputs.camera
     raw, smooth = (corner_jitter_px(facts, corners, camera, raw=r) for r in (True, False))
     return {
         **summary,
@@ -92,16 +90,16 @@ def _pose(planned: Planned) -> dict[str, Any]:
         "frames_measured": count[MEASURED],
         "frames_interpolated": count[INTERPOLATED],
         "frames_absent": count[ABSENT],
-        "static": planned.meta["static"],
-        "world_from_marker": planned.meta["world_from_marker"],
+        "static": job.analysed.static,
+        "world_from_marker": {k: p.to_json() for k, p in job.analysed.world_from_marker.items()},
     }
 
 
-def _light(planned: Planned) -> dict[str, Any]:
-    told = planned.meta["summary"].get("light")
+def _light(job: Job) -> dict[str, Any]:
+    told = job.analysed.summary.get("light")
     if told is not None:
         return dict(told)
-    light = planned.scene.light.to_json()
+    light = job.scene.light.to_json()
     return {
         "source": light["source"], "frame": "marker", "normals_seen": 0, "normal_span_deg": 0.0, "rank": None, "condition": None,
         "gain": None, "bias": None, "bias_ci95": None, "clipped_fraction": None, "ambient_rgb": light["ambient_rgb"],

@@ -21,8 +21,6 @@ from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
-from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
 from arfx.core.stage import Level, Stage, level_named
 from arfx.errors import RenderError
@@ -35,9 +33,10 @@ from arfx.run.ahead import Behind
 from arfx.run.depth import job_depth, real_depth_layer
 from arfx.run.folder import JobFolder, content_digest, disk_error, read_lines
 from arfx.run.frame import Canvas, Plate, run_frame
-from arfx.run.inputs import job_model, make_scene
+from arfx.run.inputs import job_model
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
+from arfx.run.planned import Analysed
 from arfx.run.preview import save_preview
 from arfx.run.source import source_at
 
@@ -99,20 +98,15 @@ def open_context(folder: str, job_key: str) -> Context:
     place = JobFolder(Path(folder))
     config = load(place.job, {}, parameters())
     inputs = json.loads(place.inputs.read_text(encoding="utf-8"))
-    frames = json.loads(place.frames.read_text(encoding="utf-8"))
+    analysed = Analysed.read(place)
     from arfx.core.colour import Transfer
 
     assert config.input.clip is not None
     info = probe(config.input.clip, Transfer(config.input.transfer))
-    world = {k: Pose.from_json(v) for k, v in frames["world_from_marker"].items()}
-    scene = make_scene(
-        config, Camera.from_json(inputs["camera"]), job_model(config), world,
-        frames["anchor"], config.pipeline.seed, frames["static"],
-        [RealPlane.from_json(p) for p in frames.get("real_planes", [])],
-    )  # fmt: skip
+    scene = analysed.scene(config, Camera.from_json(inputs["camera"]), job_model(config))
     stages = make_stages(config)
     output = OutputPlan.from_json(inputs["output"])
-    return Context(config, info, output, scene, stages, frames["pts"], frozenset(frames["previews"]), job_depth(config))
+    return Context(config, info, output, scene, stages, analysed.pts, frozenset(analysed.previews), job_depth(config))
 
 
 def render_chunk(

@@ -127,9 +127,3 @@ def _said(e: BaseException) -> int:
     else:  # a fault of arfx itself: one message all the same
         click.echo(f"error: arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it", err=True)
     return 5
-
-
-if __name__ == "__main__":
-    from arfx_cli.__main__ import start
-
-    start()

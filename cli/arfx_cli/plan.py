@@ -31,25 +31,25 @@ def command(output: Path | None, as_json: bool, **given: Any) -> None:
     """
     from arfx.plan.explain import level_lines, summarise, table, total_line
 
-    with Progress() as progress, planned_aside(given, output, progress) as planned:
-        rows = summarise(planned.plans, planned.stage_names, planned.inputs.camera.rect.area)
+    with Progress() as progress, planned_aside(given, output, progress) as job:
+        rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     stages = [r["predicted_s"] for r in rows]
     total = None if any(p is None for p in stages) else sum(stages)
     if as_json:
-        document: dict[str, Any] = {"frames": len(planned.plans), "stages": rows, "predicted_s": total}
-        document |= {"predicted": planned.predicted, "levels": planned.levels}
+        document: dict[str, Any] = {"frames": len(job.plan.frames), "stages": rows, "predicted_s": total}
+        document |= {"predicted": job.plan.predicted, "levels": job.plan.levels}
         if verbose():
-            document["plans"] = [p.to_json() for p in planned.plans]
+            document["plans"] = [p.to_json() for p in job.plan.frames]
         emit_json(document)
         return
     from rich.console import Console
 
-    Console().print(table(rows, len(planned.plans)))
-    for line in frame_by_frame(planned.plans):
+    Console().print(table(rows, len(job.plan.frames)))
+    for line in frame_by_frame(job.plan.frames):
         detail(line)
-    for line in level_lines(planned.levels):
+    for line in level_lines(job.plan.levels):
         say(line)
-    say(total_line(planned.predicted, len(planned.plans)))
+    say(total_line(job.plan.predicted, len(job.plan.frames)))
 
 
 def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:

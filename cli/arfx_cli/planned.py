@@ -13,13 +13,13 @@ from arfx_cli.job_options import job_config
 
 if TYPE_CHECKING:
     from arfx.run.inputs import Inputs
-    from arfx.run.job import Planned
+    from arfx.run.planned import Job
 
 
 @contextmanager
 def planned_aside(
     given: dict[str, Any], output: Path | None, progress: Progress, check: Callable[[Inputs], None] | None = None
-) -> Iterator[Planned]:
+) -> Iterator[Job]:
     """The job that `process` would run with these arguments, analysed and planned. Its folder is gone afterwards.
 
     check : called with all that was opened, before any work

@@ -52,9 +52,9 @@ def command(output: Path | None, report_dir: Path | None, frames: int, overwrite
 
     began = time.perf_counter()
     with contextlib.ExitStack() as report:
-        with Progress() as progress, planned_aside(given, output, progress, check) as planned:
-            found = measure(planned, frames, progress)
-        told = finite(document(found, planned, time.perf_counter() - began))
+        with Progress() as progress, planned_aside(given, output, progress, check) as job:
+            found = measure(job, frames, progress)
+        told = finite(document(found, job, time.perf_counter() - began))
         if report_dir is not None:
             write_text(report_dir / "tradeoff.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
             say(f"report: {write_tradeoff(report_dir, found, told)}")

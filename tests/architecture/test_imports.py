@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,35 @@ def test_the_import_rule_rejects_a_wrong_import() -> None:
     assert wrong_imports("from arfx.run import job", "stages") == ["arfx.run"]
     assert wrong_imports("import scipy", "core") == ["scipy"]
     assert wrong_imports("from arfx.core.rect import Rect", "media") == []
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT / "cli" if room(path) == "arfx_cli" else ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def circle(uses: dict[str, set[str]]) -> list[str]:
+    """Modules that import each other, [] if there are none."""
+    try:
+        graphlib.TopologicalSorter(uses).prepare()
+    except graphlib.CycleError as e:
+        return list(e.args[1])
+    return []
+
+
+def test_no_modules_import_each_other() -> None:
+    """Wherever an import is written, in a function or for types alone too."""
+    sources = {module_name(path): ast.parse(path.read_text()) for path in MODULES}
+    uses: dict[str, set[str]] = {}
+    for name, tree in sources.items():
+        found = {f"{n.module}.{a.name}" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module for a in n.names}
+        names = {full if full in sources else full.rpartition(".")[0] for full in found}
+        uses[name] = (names & sources.keys()) - {name}
+    assert not circle(uses)
+
+
+def test_a_circle_is_found() -> None:
+    assert set(circle({"a": {"b"}, "b": {"c"}, "c": {"a"}})) == {"a", "b", "c"} and not circle({"a": {"b"}, "b": set()})
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))

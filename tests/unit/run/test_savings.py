@@ -102,23 +102,23 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(m
     folder.open(False)
     config = job(material, tmp_path / "out.mkv", budget="500s")
     first = plan_job(open_inputs(config), folder, options(folder.path))
-    assert first.levels["by"] == "budget" and first.predicted["wall"]["high_s"] <= 500 and first.levels["met"]
-    levels = {(row["stage"], row["level"]) for row in first.levels["chosen"]}
+    assert first.plan.levels["by"] == "budget" and first.plan.predicted["wall"]["high_s"] <= 500 and first.plan.levels["met"]
+    levels = {(row["stage"], row["level"]) for row in first.plan.levels["chosen"]}
     assert ("raster", "reference") in levels, "there is time for the best"
     written = folder.plan.read_bytes()
     line = next(iter(read_lines(folder.plan)))
     assert {"seconds", "between"} <= line["steps"][0].keys()
     json.loads(folder.plan_summary.read_text())
     again = plan_job(open_inputs(config), folder, options(folder.path, resume=True))
-    assert folder.plan.read_bytes() == written and again.plans == first.plans
+    assert folder.plan.read_bytes() == written and again.plan.frames == first.plan.frames
     hurried = tmp_path / "hurried"
     JobFolder(hurried).open(False)
     told: list[str] = []
     poor = plan_job(
         open_inputs(job(material, tmp_path / "o.mkv", budget="0.01s")), JobFolder(hurried), Options(hurried, notice=told.append)
     )
-    assert not poor.levels["met"] and any("even the cheapest" in t for t in told)
-    assert sum(p.seconds for p in poor.plans) < sum(p.seconds for p in first.plans)
+    assert not poor.plan.levels["met"] and any("even the cheapest" in t for t in told)
+    assert sum(p.seconds for p in poor.plan.frames) < sum(p.seconds for p in first.plan.frames)
 
 
 def test_two_ways_to_choose_levels_are_one_too_many(material: Path, tmp_path: Path) -> None:
