@@ -9,7 +9,7 @@ import pytest
 from arfx.core.cost import Price, Prices
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.run.predict import Job, Terms, predict, stages_of, to_json
+from arfx.run.predict import JobPrediction, Terms, predict, stages_of, to_json
 
 R = Rect(0, 0, 10, 10)
 PRICES = Prices(
@@ -28,7 +28,7 @@ def plans(busy: range, stage: str = "dof", level: str = "draft", seconds: float 
     return [FramePlan(i, R, R, (step,) if i in busy else (), ()) for i in range(120)]
 
 
-def of(frames: list[FramePlan], terms: Terms = TERMS, prices: Prices = PRICES) -> Job:
+def of(frames: list[FramePlan], terms: Terms = TERMS, prices: Prices = PRICES) -> JobPrediction:
     prices = replace(prices, prices={**prices.prices, "prepare dof/draft": Price({"frames": 0.0}, 0.1)})
     return predict(frames, stages_of(frames), terms, prices)
 
