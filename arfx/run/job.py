@@ -36,7 +36,7 @@ from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, unlisted_told
-from arfx.run.parameters import folds_wanted, light_wanted, make_stages, pipeline
+from arfx.run.parameters import folds_wanted, make_stages, pipeline
 from arfx.run.place import Places
 from arfx.run.planned import Analysed, Job, JobPlan
 from arfx.run.predict import Terms
@@ -141,7 +141,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         tree["marker"],
         tree["analyse"],
         tree["light"],
-        [light_wanted(config) is not None, sorted(folds_wanted(config))],
+        sorted(folds_wanted(config)),
     ]
     if config.input.marker_map:
         base.append(file_digest(config.input.marker_map))
@@ -201,11 +201,11 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     span = (config.input.start, config.input.end)
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
     if config.model.anchor == "plane":
-        done = analyse_plane(inputs, span, clock, light_wanted(config), folds_wanted(config), folder, analysis_key)
+        done = analyse_plane(inputs, span, clock, config.params["light"], folds_wanted(config), folder, analysis_key)
     else:
         done = analyse_clip(
             inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
-            clock, folder, analysis_key, light_wanted(config), inputs.panorama, folds_wanted(config),
+            clock, folder, analysis_key, config.params["light"], inputs.panorama, folds_wanted(config),
         )  # fmt: skip
     check_times(inputs.output, done.span.pts, inputs.info.time_base)
     world = done.analysis.world_from_marker

@@ -63,12 +63,6 @@ def on_this_machine(config: JobConfig) -> JobConfig:
     return config.model_copy(update={"params": params})
 
 
-def light_wanted(config: JobConfig) -> LightParams | None:
-    """How the analysis reads the light, or None where no stage of the job asks for it."""
-    params: LightParams = config.params["light"]
-    return params if "light" in folds_wanted(config) else None
-
-
 def folds_wanted(config: JobConfig) -> frozenset[str]:
     """What the stages of the job need of the analysis, by name."""
     return frozenset().union(*(stage.needs_facts for stage in make_stages(config).values()))

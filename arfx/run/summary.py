@@ -43,7 +43,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
             "codec": plan.codec, "pixel_format": plan.pixel_format,
         },
         "pose": _pose(job),
-        "light": _light(job),
+        "light": dict(job.analysed.summary["light"]),
         "depth": done.depth,
         "lens": done.summary.get("footage_lens"),
         "stages": rows,
@@ -93,16 +93,3 @@ def _pose(job: Job) -> dict[str, Any]:
         "static": job.analysed.static,
         "world_from_marker": {k: p.to_json() for k, p in job.analysed.world_from_marker.items()},
     }
-
-
-def _light(job: Job) -> dict[str, Any]:
-    told = job.analysed.summary.get("light")
-    if told is not None:
-        return dict(told)
-    light = job.scene.light.to_json()
-    return {
-        "source": light["source"], "frame": "marker", "normals_seen": 0, "normal_span_deg": 0.0, "rank": None, "condition": None,
-        "gain": None, "bias": None, "bias_ci95": None, "clipped_fraction": None, "ambient_rgb": light["ambient_rgb"],
-        "lights": light["lights"], "verdict": "refused",
-        "reason": "no effect of the job asks for it: a plain default light is used",
-    }  # fmt: skip

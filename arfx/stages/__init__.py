@@ -31,8 +31,6 @@ class _Table(Mapping[str, type]):
 STAGES: Mapping[str, Any] = _Table(
     {
         "raster": "arfx.stages.raster.Raster",
-        "plain": "arfx.stages.plain.Plain",
-        "contact": "arfx.stages.contact.Contact",
         "lightmap": "arfx.stages.lightmap.Lightmap",
         "holdout": "arfx.stages.holdout.Holdout",
         "gi": "arfx.stages.gi.Gi",
@@ -43,23 +41,18 @@ STAGES: Mapping[str, Any] = _Table(
     }
 )
 # Stages that every job has; the others are effects that a pipeline names.
-IMPLICIT = ("raster", "plain", "contact", "holdout", "hide", "composite")
-EFFECTS = tuple(name for name in STAGES if name not in IMPLICIT)
+IMPLICIT = ("raster", "lightmap", "holdout", "hide", "composite")
+# Those that a pipeline may name; that `lightmap` is always there is no reason to refuse its name.
+EFFECTS = ("lightmap", *(name for name in STAGES if name not in IMPLICIT))
 # Those of them that only a job with measured depth of the real scene has.
 WITH_DEPTH = ("holdout", "hide")
 # Effects that `auto` takes only where a job sets something of theirs: they change the whole real picture, or are dear.
 ASKED_FOR = ("gi", "dof", "watercolor")
-# What an effect does itself and better: left out of a job that has it.
-REPLACES: Mapping[str, tuple[str, ...]] = {"lightmap": ("plain", "contact")}
-# What an effect builds on: part of every job that has it.
-WITH: Mapping[str, tuple[str, ...]] = {"gi": ("lightmap",)}
 # Settings of other stages that an effect takes over: gi gives all light without a direction, lightmap the rest.
 TAKES_OVER: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"gi": {"lightmap": {"ambient": False}}}
 
 
 def stages_with(effects: Collection[str], depth: bool = False) -> tuple[str, ...]:
     """Names of the stages of a job with these effects, in running order. depth : of the real scene is given"""
-    effects = {*effects, *(name for effect in effects for name in WITH.get(effect, ()))}
-    left_out = set() if depth else set(WITH_DEPTH)
-    replaced = left_out | {name for effect in effects for name in REPLACES.get(effect, ())}
-    return tuple(name for name in STAGES if (name in IMPLICIT and name not in replaced) or name in effects)
+    left_out = () if depth else WITH_DEPTH
+    return tuple(name for name in STAGES if (name in IMPLICIT and name not in left_out) or name in effects)

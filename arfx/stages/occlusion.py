@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.core.numerics import normalise
-
 _BATCH = 1 << 19  # rays in flight: bounds memory to about 30 MB
 
 
@@ -45,16 +43,3 @@ def hemisphere(n: int) -> np.ndarray:
     r2, phi = _spiral(n)
     r = np.sqrt(r2)
     return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - r2)], -1)
-
-
-def cone(axis: np.ndarray, full_angle_deg: float, n: int) -> np.ndarray:
-    """(n, 3) unit directions spread evenly over a disc of that angular diameter around `axis`, never below z = 0."""
-    r2, phi = _spiral(n)
-    radius = np.tan(np.radians(full_angle_deg / 2))
-    w = normalise(np.asarray(axis, float))
-    side = normalise(np.cross(w, [0.0, 1, 0] if abs(w[1]) < 0.9 else [1.0, 0, 0]))
-    up = np.cross(w, side)
-    r = radius * np.sqrt(r2)
-    d = w + r[:, None] * (np.cos(phi)[:, None] * side + np.sin(phi)[:, None] * up)
-    d[:, 2] = np.maximum(d[:, 2], 1e-3)
-    return normalise(d)

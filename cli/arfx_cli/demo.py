@@ -10,7 +10,7 @@ import click
 from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option
 from arfx_cli.job_summary import say_job
 
-EFFECTS = ("lightmap", "dof")  # of the demo's job
+EFFECTS = ("dof",)  # of the demo's job
 
 
 @click.command()

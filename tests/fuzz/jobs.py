@@ -84,9 +84,9 @@ def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
 
 SEEDS: dict[str, Build] = {
     "5,000 digits": job("{usual}\n[plain]\ngain = " + "9" * 5000),
-    "5,000 digits on the command line": option("set", "plain.gain=" + "9" * 5000),
+    "5,000 digits on the command line": option("set", "lightmap.faint=" + "9" * 5000),
     "deep list": job("a = " + "[" * 100_000),
-    "deep list on the command line": option("set", "plain.gain=" + "[" * 50_000),
+    "deep list on the command line": option("set", "lightmap.faint=" + "[" * 50_000),
     "deep table": job("a = " + "{a=" * 5000),
     "deep key": job("a." * 50_000 + "b = 1"),
     "deep table name": job("[" + "a." * 50_000 + "b]"),

@@ -90,7 +90,7 @@ def test_a_picture_that_moves_with_its_footage_is_at_rest_and_one_that_flickers_
 def test_a_window_shows_what_the_whole_picture_shows() -> None:
     s = scene(camera(160, 120))
     f = facts(s)
-    stages = {n: STAGES[n]() for n in ("raster", "plain", "contact", "composite", "dof")}
+    stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite", "dof")}
     levels = {n: level_named(st.levels, "standard") for n, st in stages.items()}
     plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect)
     plate = NOISE.uniform(0.1, 0.6, (120, 160, 3)).astype(np.float32)

@@ -67,12 +67,6 @@ CLOSED = {"dof": {"fnumber": float("inf")}}
 GIVEN = {
     ("raster", "marker not visible"): (SCENE, ABSENT, {}),
     ("raster", "model out of view"): (SCENE, beside(SCENE), {}),
-    ("plain", "marker not visible"): (SCENE, ABSENT, {}),
-    ("plain", "model out of view"): (SCENE, beside(SCENE), {}),
-    ("contact", "marker not visible"): (SCENE, ABSENT, {}),
-    ("contact", "contact shadow changes less than half a grey level"): (SCENE, SEEN, {"contact": {"strength": 0.001}}),
-    ("contact", "plane seen from behind"): (SCENE, below(SCENE), {}),
-    ("contact", "contact shadow out of view"): (SCENE, beside(SCENE), {}),
     ("holdout", "marker not visible"): (SCENE, ABSENT, {}),
     ("holdout", "the real scene's depth is not known"): (SCENE, SEEN, {}),
     ("hide", "marker not visible"): (SCENE, ABSENT, {}),
@@ -104,9 +98,8 @@ GIVEN = {
 def reason(name: str, s: Scene, f: FrameFacts, settings: dict) -> str | None:
     """Why the planner leaves the stage out in this frame, numbers as #."""
     lit = ("raster", "lightmap", "composite")
-    effects = {"lightmap": lit, "gi": (*lit[:2], "gi", "composite"), "dof": (*lit, "dof")}.get(
-        name, ("raster", "plain", "contact", "holdout", "hide", "composite")
-    )
+    deep = ("raster", "lightmap", "holdout", "hide", "composite")
+    effects = {"gi": (*lit[:2], "gi", "composite"), "dof": (*lit, "dof"), "holdout": deep, "hide": deep}.get(name, lit)
     stages = [STAGES[n](STAGES[n].Params(**settings.get(n, {}))) for n in effects]
     levels = {st.name: level_named(st.levels, "standard") for st in stages}
     plan = plan_frame(stages, levels, f, s, s.camera.rect)
@@ -120,10 +113,10 @@ def test_the_reason_is_given(name: str, words: str) -> None:
 
 
 def test_what_nobody_reads_is_a_reason() -> None:
-    stages = [STAGES[n]() for n in ("raster", "plain", "composite")]
+    stages = [STAGES[n]() for n in ("raster", "lightmap", "composite")]
     stages[1].writes = frozenset()  # a stage whose layers no later one asks for
     plan = plan_frame(stages, {s.name: s.levels[0] for s in stages}, SEEN, SCENE, SCENE.camera.rect)
-    assert ("plain", UNREAD) in [(s.stage, s.reason) for s in plan.skipped]
+    assert ("lightmap", UNREAD) in [(s.stage, s.reason) for s in plan.skipped]
 
 
 def test_no_reason_in_the_code_is_missing_here() -> None:

@@ -13,7 +13,7 @@ from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError
 from arfx.run.folder import digest
 from arfx.run.inputs import job_model, marker_map, open_inputs, placement
-from arfx.run.parameters import light_wanted, parameters, pipeline
+from arfx.run.parameters import parameters, pipeline
 from arfx.stages.raster.backends import BACKENDS, Backend
 from tests.clips import MARKER, write_camera, write_clip
 
@@ -64,10 +64,10 @@ def test_pipelines_name_existing_effects_in_order() -> None:
     config = load(None, {"pipeline": {"stages": ["watercolour"]}}, parameters())
     with pytest.raises(ConfigError, match="watercolour"):
         pipeline(config)
-    assert pipeline(load(None, {}, parameters()))[:2] == ("raster", "lightmap")  # all there is, and what it replaces is left out
-    plain = load(None, {"pipeline": {"stages": []}}, parameters())
-    assert pipeline(plain) == ("raster", "plain", "contact", "composite")
-    assert light_wanted(plain) is None and light_wanted(load(None, {}, parameters())) is not None
+    for stages in ("auto", [], ["lightmap"]):  # light and shadow are part of every job
+        assert pipeline(load(None, {"pipeline": {"stages": stages}}, parameters())) == ("raster", "lightmap", "composite")
+    painted = load(None, {"pipeline": {"stages": ["watercolor"]}}, parameters())
+    assert pipeline(painted) == ("raster", "lightmap", "composite", "watercolor")
 
 
 @pytest.mark.parametrize(("up", "tip"), [("z", (0, 0, 1)), ("y", (0, 1, 0)), ("x", (1, 0, 0))])

@@ -112,7 +112,7 @@ def test_what_is_not_in_the_list_is_told_once(two: list[Kernel]) -> None:
 def test_the_list_fits_the_code() -> None:
     """Every function that it names is there, is kept on disk, and takes as many arguments as it says."""
     document = json.loads(kernels.MANIFEST.read_text(encoding="utf-8"))
-    assert {SYNTH, JOB, *EFFECTS} <= document.keys() <= {SYNTH, JOB, "bench", *STAGES}
+    assert {SYNTH, JOB, "lightmap", *EFFECTS} <= document.keys() <= {SYNTH, JOB, "bench", *STAGES}
     for kernel in listed():
         function = kernel.function
         assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, kernel

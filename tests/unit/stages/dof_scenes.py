@@ -21,7 +21,7 @@ from arfx.stages.dof import Dof
 from arfx.stages.dof.params import DofParams
 from tests.scenes import box_model, camera, facts, look_at, scene
 
-MAKING = ("raster", "plain", "contact", "composite")
+MAKING = ("raster", "lightmap", "composite")
 
 
 @dataclass(frozen=True, eq=False)

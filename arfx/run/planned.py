@@ -1,0 +1,93 @@
+"""A job between its steps: what the analysis left, what was planned, and both together."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from arfx.config.sections import JobConfig
+from arfx.core.camera import Camera
+from arfx.core.cost import Prices
+from arfx.core.facts import FrameFacts
+from arfx.core.model import Model
+from arfx.core.plan import FramePlan
+from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
+from arfx.core.scene import Scene
+from arfx.core.stage import Stage
+from arfx.run.folder import JobFolder, write_text
+from arfx.run.inputs import Inputs, make_scene
+from arfx.run.times import WorkLog
+
+
+@dataclass(frozen=True)
+class Analysed:
+    """What the analysis says of the whole clip; of each frame it says `FrameFacts`.
+
+    pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
+    anchor : key of the marker, or of the plane, on which the object stands;  static : what is at rest
+    truncated : why the clip ends early, or None;  previews : frames of which the report shows a picture
+    depth : how the measured depth was taken up, None without;  summary : for the report
+    """
+
+    pts: list[int]
+    keys: list[int]
+    anchor: str
+    world_from_marker: Mapping[str, Pose]
+    static: str
+    summary: dict[str, Any]
+    truncated: str | None
+    previews: Sequence[int]
+    notices: Sequence[str]
+    depth: dict[str, Any] | None
+    real_planes: Sequence[RealPlane]
+
+    def scene(self, config: JobConfig, camera: Camera, model: Model) -> Scene:
+        return make_scene(config, camera, model, self.world_from_marker, self.anchor, self.static, self.real_planes)
+
+    def write(self, folder: JobFolder) -> None:
+        document = {
+            **vars(self),
+            "world_from_marker": {k: p.to_json() for k, p in self.world_from_marker.items()},
+            "real_planes": [p.to_json() for p in self.real_planes],
+        }
+        write_text(folder.frames, json.dumps(document, default=float))
+
+    @staticmethod
+    def read(folder: JobFolder) -> Analysed:
+        document = json.loads(folder.frames.read_text(encoding="utf-8"))
+        document["world_from_marker"] = {k: Pose.from_json(v) for k, v in document["world_from_marker"].items()}
+        document["real_planes"] = [RealPlane.from_json(p) for p in document["real_planes"]]
+        return Analysed(**document)
+
+
+@dataclass(frozen=True)
+class JobPlan:
+    """frames : in order;  levels : how they were chosen;  predicted : seconds of the whole job;  seconds : planning took"""
+
+    frames: Sequence[FramePlan]
+    levels: dict[str, Any]
+    predicted: dict[str, Any]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job up to the point where rendering would start.
+
+    key, analysis_key : digests of all that its pixels, and its facts, depend on;  stages : by name, in running order
+    """
+
+    inputs: Inputs
+    folder: JobFolder
+    key: str
+    analysis_key: str
+    analysed: Analysed
+    facts: Sequence[FrameFacts]
+    scene: Scene
+    stages: Mapping[str, Stage]
+    prices: Prices
+    plan: JobPlan
+    log: WorkLog

@@ -1,0 +1,29 @@
+"""Shares of directions that triangles leave free, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.stages.occlusion import Occluder, hemisphere
+
+
+def test_the_hemisphere_has_the_right_mean() -> None:
+    h = hemisphere(4000)
+    np.testing.assert_allclose(np.linalg.norm(h, axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(h.mean(0), [0, 0, 2 / 3], atol=2e-3)  # mean cosine under cosine weighting
+
+
+def test_a_half_plane_wall_takes_half_the_hemisphere() -> None:
+    wall = np.array([[0, -1e4, -1e4], [0, 1e4, -1e4], [0, 1e4, 1e4], [0, -1e4, 1e4]], float)
+    o = Occluder(wall, np.array([[0, 1, 2], [0, 2, 3]]))
+    assert o.visible_share(np.array([[0.01, 0, 0.0]]), hemisphere(4096))[0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_sphere_overhead_takes_its_form_factor() -> None:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
+    o = Occluder(ball.vertices + np.array([0, 0, 3]), ball.faces)
+    # form factor of a sphere above a facing plane element: (r / d)^2
+    assert 1 - o.visible_share(np.zeros((1, 3)), hemisphere(20000))[0] == pytest.approx(1 / 9, rel=0.02)
