@@ -108,8 +108,13 @@ class FrameFacts:
         return self.model_box.pad(_AROUND_PX)
 
     @property
+    def present(self) -> bool:
+        """Whether the object is shown: there is a pose, and it has not faded out."""
+        return self.camera_from_world is not None and self.opacity > 0
+
+    @property
     def visible(self) -> bool:
-        return self.camera_from_world is not None and self.opacity > 0 and not self.model_box.empty
+        return self.present and not self.model_box.empty
 
     @property
     def poses(self) -> Iterator[Pose]:

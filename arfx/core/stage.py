@@ -1,43 +1,32 @@
-"""The Stage contract: what every effect declares and does. One screen, few members.
-
-A stage is a class with these members; its one instance is made per job from `params` (what the user meant).
-`prepare` makes what the code needs (textures, kernels) once per clip and worker; `run` is pure.
-"""
+"""The contract of a stage: what an effect declares and does."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Dimmed, Layer, Layers, Patch
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 
-
-@dataclass(frozen=True, slots=True)
-class Level:
-    """One rung of a stage's quality ladder. seconds_per_mpx : shipped default price on one core."""
-
-    name: str
-    seconds_per_mpx: float
+LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """Does this frame call for the stage?
+    """What a stage would change in a frame.
 
-    rect : pixels it may change, empty = not called for;  reason : in units
-    follows : it can only change pixels in which an earlier stage of the frame writes (the composite)
+    rect : pixels it may change, empty = it does not run;  reason : in units
+    within_earlier : it can only change pixels in which an earlier stage of the frame writes (the composite)
     """
 
     rect: Rect
     reason: str
-    follows: bool = False
+    within_earlier: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,35 +47,69 @@ class Window:
         return self.layers[-1]
 
 
-@runtime_checkable
-class Stage(Protocol):
+@dataclass(frozen=True)
+class NoParams:
+    """No settings."""
+
+
+class Stage:
+    """One effect. Required: name, reads, writes, run. The rest has a default that fits an effect on the object's own pixels.
+
+    One instance per job, made from `params` (what the user meant). `prepare` once per clip, worker and level; `run` is pure.
+    """
+
     name: ClassVar[str]
     reads: ClassVar[frozenset[Layer]]
     writes: ClassVar[frozenset[Layer]]
-    levels: ClassVar[tuple[Level, ...]]  # cheapest first, reference last
-    needs_facts: ClassVar[frozenset[str]]  # folds of the analysis it needs, by name ("pose", "light", ...)
-    reach: ClassVar[int]  # earlier frames it must see; 0 nearly always
-    params: Any  # frozen dataclass: its section of the job file
 
-    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand: ...
+    Params: ClassVar[type] = NoParams  # frozen dataclass; its docstring is the documentation of its fields
+    levels: ClassVar[tuple[str, ...]] = ("standard",)  # some of LEVELS, cheapest first
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect: ...
+    always: ClassVar[bool] = False  # part of every job; else of those that name it, or set something of it
+    requires: ClassVar[frozenset[str]] = frozenset()  # inputs ("depth") without which it is left out
+    overrides: ClassVar[
+        Mapping[str, Mapping[str, Any]]
+    ] = {}  # settings of other stages that it takes over: stage, setting, value
 
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost: ...
+    facts: frozenset[str] = frozenset({"pose"})  # parts of the analysis that it reads, by name
+    history: int = 0  # earlier frames that it looks at
+    padding_px: int = 0  # input pixels that it takes around each output pixel
+    without_object: ClassVar[bool] = False  # it also runs in frames in which the object is not visible
 
-    def prepare(self, scene: Scene, level: Level) -> Any: ...
+    def __init__(self, params: Any = None) -> None:
+        self.params: Any = self.Params() if params is None else params
+
+    def __init_subclass__(cls) -> None:
+        missing = [name for name in ("name", "reads", "writes", "run") if getattr(cls, name, None) in (None, Stage.run)]
+        if missing:
+            raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")
+
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        """Pixels that it may change in this frame, and why; an empty rectangle: why it does not run.
+
+        The planner does not ask where the object is not visible, unless `without_object`.
+        """
+        rect = facts.drawn_box.clip(frame)
+        return Demand(rect, "model out of view" if rect.empty else "model in view")
+
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
+        """Pixels that it reads to make `out`; what lies outside the frame is cut off by the planner."""
+        return out.pad(self.padding_px)
+
+    def prepare(self, scene: Scene, level: str) -> Any:
+        """What the code needs (textures, tables). Raises InputError, RenderError."""
+        return None
 
     def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray | Patch | Dimmed]: ...
+        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
+    ) -> Mapping[Layer, np.ndarray | Patch | Dimmed]:
+        """What it writes, over the rectangle of the layers that it is given."""
+        raise NotImplementedError
 
 
-def level_named(levels: Sequence[Level], name: str) -> Level:
-    """The level of that name, or the nearest one the stage has: the best if it has none so high."""
-    order = ("draft", "standard", "high", "reference")
-    for level in levels:
-        if level.name == name:
-            return level
-    at = order.index(name)
-    below = [le for le in levels if le.name in order and order.index(le.name) <= at]
+def level_named(levels: Sequence[str], name: str) -> str:
+    """The level of that name, or the nearest one below that the stage has; else its cheapest."""
+    if name in levels:
+        return name
+    below = [level for level in levels if level in LEVELS[: LEVELS.index(name)]]
     return below[-1] if below else levels[0]

@@ -7,7 +7,7 @@ each with all cores, and medians are told: a ratio survives a change of machine 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,10 +16,11 @@ import numpy as np
 
 from arfx.config.load import near
 from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
 from arfx.core.plan import Step
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Stage, Window, level_named
+from arfx.core.stage import Stage, Window, level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.measure.timed_runs import WALL
@@ -93,15 +94,30 @@ def check(stages: Mapping[str, type], stage: str | None, level: str | None, size
         if min(width, height) < 64 or max(width, height) > 8192:
             raise ConfigError(f"size {width}x{height} cannot be benchmarked", "from 64 to 8192 px a side: 1280x720")
     chosen = [stages[stage]] if stage is not None else list(stages.values())
-    levels = {le.name for s in chosen for le in s.levels}  # type: ignore[attr-defined]
+    levels = {level for s in chosen for level in s.levels}  # type: ignore[attr-defined]
     if level is not None and level not in levels:
         raise ConfigError(f"no such level {level!r}" + (f" of stage {stage!r}" if stage else ""), near(level, sorted(levels)))
 
 
 def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type]) -> list[Cell]:
-    """What is to be timed; the layers that a stage reads are made once by the standard levels of those before it."""
+    """What is to be timed; the layers that a stage reads are made once by the standard levels of those before it.
+
+    Stages that require measured depth are timed on the same scene with a depth map.
+    """
+    made: dict[str, Stage] = {name: stages[name]() for name in stages}
+    if stage is None:
+        deep = {name for name, s in made.items() if "depth" in s.requires}
+    else:
+        deep = {stage} if "depth" in made[stage].requires else set()
+    flat = [] if stage in deep else _cells(at, made, made.keys() - deep, stage, level)
+    return flat + (_cells(at.in_depth(), made, deep, stage, level) if deep else [])
+
+
+def _cells(
+    at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], stage: str | None, level: str | None
+) -> list[Cell]:
+    """wanted : names of the stages to be timed, of which only `stage` where that is given"""
     size = (at.scene.camera.width, at.scene.camera.height)
-    made: dict[str, Stage] = {name: cls() for name, cls in stages.items()}
     standard = {name: level_named(s.levels, "standard") for name, s in made.items()}
     plan = plan_frame(list(made.values()), standard, at.facts, at.scene, at.scene.camera.rect)
     steps = {s.stage: s for s in plan.steps}
@@ -109,11 +125,14 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
         why = next((s.reason for s in plan.skipped if s.stage == stage), "")
         raise ConfigError(f"the standard scene does not call for {stage!r}: {why}", f"one of {', '.join(steps)}")
     canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
+    if at.real_depth_m is not None:
+        canvas.put(Layer.REAL_DEPTH, plan.rect, at.real_depth_m[plan.rect.slices])
     cells = []
-    for name, step in steps.items():
+    last = max(list(steps).index(name) for name in steps if name in wanted)
+    for name, step in list(steps.items())[: last + 1]:
         s = made[name]
         for le in s.levels:
-            if stage in (None, name) and level in (None, le.name):
+            if name in wanted and stage in (None, name) and level in (None, le):
                 cells.append(_cell(s, le, step, canvas, at, size))
         if name != stage or len(steps) > 1:
             prepared = s.prepare(at.scene, standard[name])
@@ -122,9 +141,9 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
     return cells
 
 
-def _cell(s: Stage, le: Level, step: Step, canvas: Canvas, at: BenchScene, size: tuple[int, int]) -> Cell:
+def _cell(s: Stage, le: str, step: Step, canvas: Canvas, at: BenchScene, size: tuple[int, int]) -> Cell:
     need: Rect = s.needs(step.out, at.facts, at.scene, le).union(step.out).clip(at.scene.camera.rect)
-    here = Step(step.stage, le.name, step.out, need, step.reason, None)
+    here = Step(step.stage, le, step.out, need, step.reason, None)
     frozen = Canvas(canvas.plate, canvas.rect)
     frozen.stored = dict(canvas.stored)  # later steps must not change what this one reads
     prepared: list[Any] = []
@@ -139,10 +158,10 @@ def _cell(s: Stage, le: Level, step: Step, canvas: Canvas, at: BenchScene, size:
             prepared[0].forget()
         _run(s, le, here, frozen, facts, at.scene, prepared[0])
 
-    return Cell(s.name, le.name, size, step.out.area, terms_of(need, at.facts, at.scene), prepare, go)
+    return Cell(s.name, le, size, step.out.area, terms_of(need, at.facts, at.scene), prepare, go)
 
 
-def _run(s: Stage, le: Level, step: Step, canvas: Canvas, facts: FrameFacts, scene: Scene, prepared: Any) -> Any:
+def _run(s: Stage, le: str, step: Step, canvas: Canvas, facts: FrameFacts, scene: Scene, prepared: Any) -> Any:
     need = step.need if canvas.rect.contains(step.need) else step.need.clip(canvas.rect)
     window = Window((canvas.view(s.reads, need),), (facts,))
     return s.run(window, scene, prepared, le, rng_for(0, 0, s.name))

@@ -13,6 +13,8 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.model import Material, Model, Part
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.real_depth import KEY, RealDepth, tile_ranges
+from arfx.core.rect import Rect
 from arfx.core.scene import Placement, Scene
 
 COVERED = 0.1
@@ -45,11 +47,30 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
 
 @dataclass(frozen=True)
 class BenchScene:
-    """scene, the facts of its one frame, and the real picture: linear RGB float32 (h, w, 3)."""
+    """scene, the facts of its one frame, and the real picture: linear RGB float32 (h, w, 3).
+
+    real_depth_m : (h, w) float32, measured depth of the real scene, None = it was not measured
+    """
 
     scene: Scene
     facts: FrameFacts
     plate: np.ndarray
+    real_depth_m: np.ndarray | None = None
+
+    def in_depth(self) -> BenchScene:
+        """With a measured depth: the plane, and a thing that hides the ball's left half."""
+        camera, pose = self.scene.camera, self.facts.camera_from_world
+        assert pose is not None
+        x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.matrix).T
+        normal = pose.rotation[:, 2]
+        depth_m = (normal @ pose.translation_m) / np.minimum(rays @ normal, -1e-3)
+        box = self.facts.model_box
+        half = Rect(box.x0, box.y0, (box.x0 + box.x1) // 2, box.y1).clip(camera.rect)
+        depth_m[half.slices] = 0.8 * self.facts.depth_range_m[0]
+        measured = RealDepth(0, 1.0, "", tile_ranges(depth_m, (camera.width, camera.height)))
+        facts = self.facts.with_(extra={**self.facts.extra, KEY: measured.to_json()})
+        return BenchScene(self.scene, facts, self.plate, depth_m.astype(np.float32))
 
 
 def bench_scene(width: int, height: int, covered: float = COVERED, model: Model | None = None) -> BenchScene:

@@ -154,7 +154,7 @@ def _time_scene(
     Returns what one thread alone took, as a share of what it took among `crowd`: of the runs that are long enough to tell.
     """
     every = make_cells(at, None, None, stages)
-    best = {name: cls.levels[-1].name for name, cls in stages.items() if len(cls.levels) > 1}  # type: ignore[attr-defined]
+    best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}  # type: ignore[attr-defined]
     alone = []
     for cell in (c for c in every if (best.get(c.stage) == c.level) == slow):
         made = f"prepare {cell.stage}/{cell.level}"

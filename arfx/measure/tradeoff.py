@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.cost import Prediction, exactly, together
+from arfx.core.cost import Prediction, Prices, exactly, together
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
@@ -123,20 +123,20 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     first = samples[0].index
     following = first + 1 if first + 1 in plans and _same_steps(plans, first) else None
     names = [s.stage for s in plans[first].steps]
-    slow = frozenset((n, s.levels[-1].name) for n, s in stages.items() if s.levels[-1].name == "reference" and _dear(s))
+    slow = frozenset((n, s.levels[-1]) for n, s in stages.items() if s.levels[-1] == "reference" and _slow(n, job.prices))
     quality = job.inputs.config.pipeline.quality
-    usual = {n: level_named(stages[n].levels, quality).name for n in names}
+    usual = {n: level_named(stages[n].levels, quality) for n in names}
     work = _Work(
         job, stages, samples, {}, usual,
-        {n: usual[n] if (n, usual[n]) not in slow else stages[n].levels[-2].name for n in names},
-        {n: stages[n].levels[-1].name for n in names}, slow, _shares(job, names), Times(), Found(samples, [], [], {}),
+        {n: usual[n] if (n, usual[n]) not in slow else stages[n].levels[-2] for n in names},
+        {n: stages[n].levels[-1] for n in names}, slow, _shares(job, names), Times(), Found(samples, [], [], {}),
     )  # fmt: skip
     _open_benches(work, [s.index for s in samples] + ([] if following is None else [following]), plans)
     effects = [n for n in names if len(stages[n].levels) > 1]
     total = len(samples) + len(effects) + len(QUALITIES) + 2
     for k, sample in enumerate(samples):
         progress("times", k, total)
-        _time(work, work.times, sample, work.shop, [(n, le.name) for n in names for le in stages[n].levels])
+        _time(work, work.times, sample, work.shop, [(n, level) for n in names for level in stages[n].levels])
     _choose_windows(work, effects, following)
     found = work.found
     for k, name in enumerate(effects):
@@ -162,8 +162,10 @@ def _same_steps(plans: Mapping[int, FramePlan], index: int) -> bool:
     return [s.stage for s in plans[index].steps] == [s.stage for s in plans[index + 1].steps]
 
 
-def _dear(stage: Stage) -> bool:
-    return stage.levels[-1].seconds_per_mpx > 2.0
+def _slow(stage: str, prices: Prices) -> bool:
+    """Whether the reference takes more than two seconds for a megapixel, or nobody knows."""
+    found = prices.predict(f"{stage}/reference", {"frames": 1.0, "mpx": 1.0, "object_mpx": 0.2})
+    return found is None or found.seconds > 2.0
 
 
 def _shares(job: Job, names: Sequence[str]) -> dict[str, float]:
@@ -221,8 +223,8 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
     stage, usual, benches, found = work.stages[name], work.usual, work.benches, work.found
     best, formula = work.best[name], getattr(stage.params, "formula", "")
     rows = [
-        Row(name, le.name, formula, work.times.of((name, le.name)) or exactly(0.0), levels={**usual, name: le.name})
-        for le in stage.levels
+        Row(name, level, formula, work.times.of((name, level)) or exactly(0.0), levels={**usual, name: level})
+        for level in stage.levels
     ]
     for sample in work.samples:
         if not work.has(sample, name):
@@ -272,7 +274,7 @@ def _other_stages(work: _Work) -> dict[str, Stage]:
         params: Any = work.stages[name].params
         if hasattr(params, "formula"):
             other = "paper" if params.formula == "corrected" else "corrected"
-            out[name] = type(work.stages[name])(replace(params, formula=other))  # type: ignore[call-arg]
+            out[name] = type(work.stages[name])(replace(params, formula=other))
     return out
 
 
@@ -301,7 +303,7 @@ def _whole(work: _Work) -> list[Row]:
     """Pipelines by quality, and those in between that give the least error for each second saved."""
     wanted: dict[tuple[str, ...], tuple[str, Mapping[str, str]]] = {}
     for quality in QUALITIES:
-        levels = {n: level_named(work.stages[n].levels, quality).name for n in work.usual}
+        levels = {n: level_named(work.stages[n].levels, quality) for n in work.usual}
         wanted.setdefault(tuple(levels.values()), (quality, levels))
     for levels in _between(work):
         wanted.setdefault(tuple(levels.values()), ("mixed", levels))

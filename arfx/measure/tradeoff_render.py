@@ -19,7 +19,7 @@ from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Stage, Window
+from arfx.core.stage import Stage, Window
 from arfx.measure.tradeoff_time import Times, areas_of
 from arfx.run.frame import Canvas, rng_for
 
@@ -39,8 +39,8 @@ class Shop:
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
     spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the pictures took, processor time
 
-    def at(self, stage: str, level: Level) -> Any:
-        key = (stage, level.name)
+    def at(self, stage: str, level: str) -> Any:
+        key = (stage, level)
         if key not in self.prepared:
             start = time.process_time()
             self.prepared[key] = self.stages[stage].prepare(self.scene, level)
@@ -125,23 +125,22 @@ class FrameBench:
     def _do(self, canvas: Canvas, step: Step) -> None:
         began = time.process_time()
         stage = self.shop.stages[step.stage]
-        level = next(le for le in stage.levels if le.name == step.level)
+        level = step.level
         prepared = self.shop.at(stage.name, level)
         window = Window((canvas.view(stage.reads, step.need),), (self.facts,), step.out)
         rng = rng_for(self.shop.scene.seed, self.facts.index, stage.name)
         for layer, array in stage.run(window, self.shop.scene, prepared, level, rng).items():
             canvas.take(layer, array, step.need, step.out)
-        told = f"{stage.name}/{level.name}"
+        told = f"{stage.name}/{level}"
         self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.process_time() - began
 
     def _step(self, chain: Chain) -> Step | None:
         """Of what the plan asks of the chain's last stage, that which the later stages need for the window."""
-        name, level_name = chain[-1]
+        name, level = chain[-1]
         planned = {s.stage: s for s in self.plan.steps}
         if name not in planned:
             return None
         stage, facts, scene = self.shop.stages[name], self.facts, self.shop.scene
-        level = next(le for le in stage.levels if le.name == level_name)
         want, order = self.window, list(planned)
         for later in reversed(order[order.index(name) + 1 :]):
             s = self.shop.stages[later]
@@ -153,7 +152,7 @@ class FrameBench:
         out = planned[name].out.clip(want)
         if out.empty:
             return None
-        return Step(name, level_name, out, stage.needs(out, facts, scene, level).union(out).clip(scene.camera.rect), "", None)
+        return Step(name, level, out, stage.needs(out, facts, scene, level).union(out).clip(scene.camera.rect), "", None)
 
 
 def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -> Rect:

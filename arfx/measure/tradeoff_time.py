@@ -23,7 +23,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Stage, Window
+from arfx.core.stage import Stage, Window
 from arfx.run.frame import Canvas, rng_for
 
 At = tuple[str, str]  # stage, level
@@ -121,7 +121,7 @@ def time_frame(
     plan: FramePlan,
     scene: Scene,
     stages: Mapping[str, Stage],
-    prepared: Callable[[str, Level], Any],
+    prepared: Callable[[str, str], Any],
     usual: Mapping[str, str],
     wanted: Collection[At],
     slow: Collection[At],
@@ -134,10 +134,10 @@ def time_frame(
     """
     for at, step in enumerate(plan.steps):
         stage = stages[step.stage]
-        later = any((s.stage, le.name) in wanted for s in plan.steps[at + 1 :] for le in stages[s.stage].levels)
+        later = any((s.stage, level) in wanted for s in plan.steps[at + 1 :] for level in stages[s.stage].levels)
         for level in stage.levels:
-            key = (step.stage, level.name)
-            if key not in wanted and not (later and level.name == usual[step.stage]):
+            key = (step.stage, level)
+            if key not in wanted and not (later and level == usual[step.stage]):
                 continue
             began = times.clock()
             runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
@@ -148,7 +148,7 @@ def time_frame(
             told = "/".join(key)
             times.spent_s[told] = times.spent_s.get(told, 0.0) + times.clock() - began
         if later:
-            level = next(le for le in stage.levels if le.name == usual[step.stage])
+            level = usual[step.stage]
             runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
             runner.run(step.out)
             for layer, array in runner.made.items():
@@ -161,7 +161,7 @@ class _Runner:
 
     times: Times
     stage: Stage
-    level: Level
+    level: str
     prepared: Any
     facts: FrameFacts
     canvas: Canvas

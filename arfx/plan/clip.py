@@ -10,13 +10,12 @@ from typing import Any
 from arfx.core.cost import Prediction, Prices, exactly
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
-from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Stage, level_named
+from arfx.core.stage import Stage, level_named
 from arfx.plan.errors import Errors
 from arfx.plan.levels import Chosen, Option, Place, alike, keep_budget, keep_error, named
 from arfx.plan.planner import plan_frame
-from arfx.plan.work import predicted, terms_of, what_is_new
+from arfx.plan.work import terms_of, what_is_new
 
 SecondsOf = Callable[[Sequence[FramePlan], Prediction], float]
 Once = Callable[[str, str], Prediction | None]
@@ -79,14 +78,10 @@ def plan_clip(
     elif wish.max_error is not None:
         chosen = keep_error(options, wish.max_error)
     else:
-        return ClipPlan(plans, named(options, {name: le.name for name, le in usual.items()}), shots)
-    by_shot = {shot: {s.name: _level(s, chosen.levels.get((shot, s.name)), usual[s.name]) for s in stages} for shot in shots}
+        return ClipPlan(plans, named(options, usual), shots)
+    by_shot = {shot: {name: chosen.levels.get((shot, name), level) for name, level in usual.items()} for shot in shots}
     plans = [plan_frame(stages, by_shot[f.shot], f, scene, frame, skip, prices, n) for f, n in zip(facts, new, strict=True)]
     return ClipPlan(plans, chosen, shots)
-
-
-def _level(stage: Stage, name: str | None, usual: Level) -> Level:
-    return next((le for le in stage.levels if le.name == name), usual)
 
 
 def _options(
@@ -101,20 +96,20 @@ def _options(
 ) -> dict[Place, list[Option]]:
     """Every level of every stage that runs, shot by shot. A level without a price cannot be chosen by a budget."""
     by_name = {s.name: s for s in stages}
-    work: dict[Place, list[tuple[Rect, FrameFacts, dict[str, float]]]] = {}
+    work: dict[Place, list[dict[str, float]]] = {}
     for plan, f, n in zip(plans, facts, new, strict=True):
         for step in plan.steps:
-            work.setdefault((f.shot, step.stage), []).append((step.need, f, terms_of(step.need, f, scene, n)))
+            work.setdefault((f.shot, step.stage), []).append(terms_of(step.need, f, scene, n))
     out: dict[Place, list[Option]] = {}
     shots = Counter(name for _, name in work)
     for (shot, name), runs in work.items():
         stage = by_name[name]
         for level in stage.levels:
-            costs = [predicted(prices, stage, level, need, f, scene, terms) for need, f, terms in runs]
-            made = once(name, level.name)
+            costs = [prices.predict(f"{name}/{level}", terms) for terms in runs]
+            made = once(name, level)
             costs.append(None if made is None else made.times(1 / shots[name]))
             known = [c for c in costs if c is not None]
             cost = alike(known) if len(known) == len(costs) else Prediction(float("inf"), 0.0, float("inf"))
-            error = errors.of(name, level.name, stage.levels[-1].name)
-            out.setdefault((shot, name), []).append(Option(level.name, cost, error, len(runs)))
+            error = errors.of(name, level, stage.levels[-1])
+            out.setdefault((shot, name), []).append(Option(level, cost, error, len(runs)))
     return out

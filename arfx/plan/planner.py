@@ -1,6 +1,6 @@
 """Decide what one frame needs: which stages, at which level, on which pixels. Pure; touches no pixel.
 
-1. demand: each stage says what it would change, or why it is not called for
+1. demand: each stage says what it would change, or why it does not run; where the object is not visible, only those that can
 2. unread: walking backwards from the image, a stage that writes nothing anyone reads is dropped
 3. rectangles: the same walk carries one growing rectangle of wanted pixels
 """
@@ -15,9 +15,10 @@ from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Skip, Step
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Stage
-from arfx.plan.work import predicted, terms_of
+from arfx.core.stage import Demand, Stage
+from arfx.plan.work import terms_of
 
+ABSENT = "marker not visible"
 UNREAD = "nobody reads what it writes"
 FORCED = "forced (no skipping)"
 NOTHING_BEFORE = "nothing before it changes a pixel"
@@ -26,7 +27,7 @@ NO_PRICES = Prices()
 
 def plan_frame(
     stages: Sequence[Stage],
-    levels: Mapping[str, Level],
+    levels: Mapping[str, str],
     facts: FrameFacts,
     scene: Scene,
     frame: Rect,
@@ -50,7 +51,7 @@ def plan_frame(
             chosen.append((stage, demand))
     changed = EMPTY
     for _, demand in chosen:
-        if not demand.follows:
+        if not demand.within_earlier:
             changed = changed.union(demand.rect)
     live, want, read = {Layer.IMAGE}, changed, EMPTY
     steps: list[Step] = []
@@ -60,10 +61,10 @@ def plan_frame(
             skipped.append(Skip(stage.name, UNREAD))
             continue
         reachable = demand.rect
-        if demand.follows:
+        if demand.within_earlier:
             reachable = EMPTY
             for _, earlier in chosen[:at]:
-                if not earlier.follows:
+                if not earlier.within_earlier:
                     reachable = reachable.union(earlier.rect)
         out = want.clip(reachable)
         if out.empty:
@@ -71,9 +72,9 @@ def plan_frame(
             continue
         level = levels[stage.name]
         need = stage.needs(out, facts, scene, level).union(out).clip(frame)
-        cost = predicted(prices, stage, level, need, facts, scene, terms_of(need, facts, scene, new))
+        cost = prices.predict(f"{stage.name}/{level}", terms_of(need, facts, scene, new))
         seconds, between = (None, None) if cost is None else (cost.seconds, (cost.low_s, cost.high_s))
-        steps.append(Step(stage.name, level.name, out, need, demand.reason, seconds, between))
+        steps.append(Step(stage.name, level, out, need, demand.reason, seconds, between))
         read = read.union(need)
         want = want.union(need)
         live |= stage.reads
@@ -88,7 +89,7 @@ def plan_frame(
 
 
 def _demand(stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bool) -> Demand:
+    if not (facts.present or stage.without_object):
+        return Demand(EMPTY, ABSENT)
     demand = stage.demand(facts, scene, frame)
-    if skip or facts.camera_from_world is None or facts.opacity <= 0:
-        return demand
-    return Demand(frame, FORCED, demand.follows)
+    return demand if skip or not facts.present else Demand(frame, FORCED, demand.within_earlier)

@@ -1,4 +1,4 @@
-"""How much work a step is, in the terms of the price list (core/cost.py), and what it is predicted to cost."""
+"""How much work a step is, in the terms of the price list (core/cost.py)."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from arfx.core.cost import Prediction, Prices, with_spread
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Stage
 from arfx.stages.gi.frame_light import KEY as ENVIRONMENT
 from arfx.stages.gi.frame_light import rounded
 
@@ -32,20 +30,6 @@ def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = 
         "mfaces": scene.model.face_count / 1e6,
         **{name: 1.0 for name in sorted(new)},
     }
-
-
-def predicted(
-    prices: Prices, stage: Stage, level: Level, need: Rect, facts: FrameFacts, scene: Scene, terms: Mapping[str, float]
-) -> Prediction | None:
-    """Of one step, from the price list; where that does not hold the stage, from what the stage says of itself.
-
-    terms : `terms_of` the step
-    """
-    found = prices.predict(f"{stage.name}/{level.name}", terms)
-    if found is not None:
-        return found
-    seconds = stage.cost(need, facts, scene, level).seconds
-    return None if seconds is None else with_spread(seconds, 1.0)
 
 
 def what_is_new(facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:

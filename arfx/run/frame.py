@@ -22,7 +22,7 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.sheet import Sheet
-from arfx.core.stage import Level, Stage, Window
+from arfx.core.stage import Stage, Window
 from arfx.errors import RenderError
 from arfx.media.frame import Frame
 
@@ -132,7 +132,7 @@ def run_frame(
     plan: FramePlan,
     scene: Scene,
     stages: Mapping[str, Stage],
-    levels: Mapping[str, Level],
+    levels: Mapping[str, str],
     prepared: Mapping[str, Any],
     seed: int = 0,
     past: Sequence[tuple[Canvas, FrameFacts]] = (),
@@ -141,7 +141,7 @@ def run_frame(
     """Run a plan that has steps.
 
     plate : (h, w, 3) float32 linear light over plan.rect; with a `Plate` the last stage may leave IMAGE as `Dimmed`
-    past : canvases of the frames before, oldest first, as many as the largest reach asks for
+    past : canvases of the frames before, oldest first, as many as the longest history asks for
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite.
@@ -153,7 +153,7 @@ def run_frame(
     dimmed: Dimmed | None = None
     spans: Spans | None = None
     painted = EMPTY  # where IMAGE was written before them
-    may_dim = isinstance(plate, Plate) and not any(s.reach for s in stages.values())
+    may_dim = isinstance(plate, Plate) and not any(s.history for s in stages.values())
 
     def spent() -> float:
         """Seconds so far without those of converting the plate, which are no stage's."""
@@ -162,9 +162,9 @@ def run_frame(
     for step in plan.steps:
         stage = stages[step.stage]
         start = spent()
-        earlier = past[len(past) - stage.reach :] if stage.reach else ()
+        earlier = past[len(past) - stage.history :] if stage.history else ()
         seen = canvas.view(stage.reads, step.need)
-        if stage.reach:
+        if stage.history:
             canvas.read[stage.name] = seen
         window = Window(
             (*(c.read.get(stage.name) or c.view(stage.reads, step.need) for c, _ in earlier), seen),

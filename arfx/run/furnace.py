@@ -20,7 +20,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import level_named
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import run_frame
-from arfx.stages import STAGES, TAKES_OVER
+from arfx.stages import STAGES
 
 SIZE = (96, 72)
 LIMIT = 0.05  # of the mean: thin parts and corners darken a little, as each sees the other darkened once more
@@ -46,7 +46,7 @@ def furnace_mean(scene: Scene, level: str) -> float | None:
     seen = FrameFacts(0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1.0, light=even)
     (facts,) = with_model([seen], small)
     names = ("raster", "lightmap", "gi", "composite")
-    over = TAKES_OVER["gi"]
+    over = STAGES["gi"].overrides
     stages = {n: STAGES[n](replace(STAGES[n].Params(), **over.get(n, {}))) for n in names}
     levels = {n: level_named(s.levels, level if n == "gi" else "standard") for n, s in stages.items()}
     plan = plan_frame(list(stages.values()), levels, facts, small, camera.rect)

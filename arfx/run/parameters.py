@@ -10,7 +10,7 @@ from arfx.config.load import near
 from arfx.config.sections import JobConfig
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.stages import ASKED_FOR, EFFECTS, STAGES, TAKES_OVER, stages_with
+from arfx.stages import STAGES, stages_with
 
 
 def parameters() -> Mapping[str, type]:
@@ -20,19 +20,25 @@ def parameters() -> Mapping[str, type]:
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:
     """Names of the stages that a job may run, in running order. Raises ConfigError for unknown or misordered effects."""
+    inputs = {"depth"} if config.input.depth is not None else set()
     if config.pipeline.stages == "auto":
-        asked = [n for n in EFFECTS if n not in ASKED_FOR or _set(config, n)]
+        asked = [name for name in STAGES if _set(config, name) and STAGES[name].requires <= inputs]
     else:
         asked = list(config.pipeline.stages)
     for name in asked:
-        if name not in EFFECTS:
-            raise ConfigError(f"there is no effect {name!r}; effects in this version: {', '.join(EFFECTS)}", near(name, EFFECTS))
-    ordered = [name for name in EFFECTS if name in asked]
+        if name not in STAGES:
+            effects = [n for n in STAGES if not STAGES[n].always]
+            raise ConfigError(
+                f"there is no effect {name!r}; effects in this version: {', '.join(effects)}", near(name, list(STAGES))
+            )
+        if lacking := STAGES[name].requires - inputs:
+            raise ConfigError(f"{name} needs {', '.join(lacking)}", f"give --{next(iter(lacking))}, or leave {name} out")
+    ordered = [name for name in STAGES if name in asked]
     if asked != ordered:
         raise ConfigError(
             f"effects run in the order {','.join(ordered)}, not {','.join(asked)}", "write them in that order, once each"
         )
-    return stages_with(asked, config.input.depth is not None)
+    return stages_with(asked, inputs)
 
 
 def _set(config: JobConfig, name: str) -> bool:
@@ -48,7 +54,7 @@ def make_stages(config: JobConfig) -> dict[str, Stage]:
     names = pipeline(config)
     settings = dict(config.params)
     for effect in names:
-        for name, changes in TAKES_OVER.get(effect, {}).items():
+        for name, changes in STAGES[effect].overrides.items():
             settings[name] = replace(settings[name], **changes)
     return {name: STAGES[name](settings[name]) for name in names}
 
@@ -65,4 +71,4 @@ def on_this_machine(config: JobConfig) -> JobConfig:
 
 def folds_wanted(config: JobConfig) -> frozenset[str]:
     """What the stages of the job need of the analysis, by name."""
-    return frozenset().union(*(stage.needs_facts for stage in make_stages(config).values()))
+    return frozenset().union(*(stage.facts for stage in make_stages(config).values()))

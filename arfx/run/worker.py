@@ -22,7 +22,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Stage, level_named
+from arfx.core.stage import Stage
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps
@@ -66,10 +66,7 @@ class Context:
     def prepare(self, wanted: set[tuple[str, str]]) -> None:
         """wanted : (stage, level)"""
         for name, level in sorted(wanted - self.prepared.keys()):
-            self.prepared[name, level] = self.stages[name].prepare(self.scene, self.level(name, level))
-
-    def level(self, stage: str, name: str) -> Level:
-        return level_named(self.stages[stage].levels, name)
+            self.prepared[name, level] = self.stages[name].prepare(self.scene, level)
 
 
 @cache
@@ -123,8 +120,8 @@ def render_chunk(
     with _OPENING:
         context = open_context(folder, job_key)
     place = JobFolder(Path(folder))
-    reach = max((s.reach for s in context.stages.values()), default=0)
-    begin = max(first - reach, 0)
+    history = max((s.history for s in context.stages.values()), default=0)
+    begin = max(first - history, 0)
     facts, plans = _told(context, place, begin, last)
     start = time.perf_counter()
     needed = {(s.stage, s.level) for p in plans.values() for s in p.steps}
@@ -133,7 +130,7 @@ def render_chunk(
             context.prepare(needed)
     seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
     stage_seconds: dict[str, float] = {}
-    past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=max(reach, 1))
+    past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=max(history, 1))
 
     def encode(out: Frame) -> None:
         start = time.perf_counter()
@@ -206,7 +203,7 @@ def _frame(
         start = time.perf_counter()
         depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
         seconds["decode"] += time.perf_counter() - start
-    levels = {s.stage: context.level(s.stage, s.level) for s in plan.steps}
+    levels = {s.stage: s.level for s in plan.steps}
     prepared = {s.stage: context.prepared[s.stage, s.level] for s in plan.steps}
     result = run_frame(
         plate, facts, plan, context.scene, context.stages, levels, prepared, context.scene.seed, tuple(past), depth

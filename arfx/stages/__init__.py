@@ -40,19 +40,13 @@ STAGES: Mapping[str, Any] = _Table(
         "watercolor": "arfx.stages.watercolor.Watercolor",
     }
 )
-# Stages that every job has; the others are effects that a pipeline names.
-IMPLICIT = ("raster", "lightmap", "holdout", "hide", "composite")
-# Those that a pipeline may name; that `lightmap` is always there is no reason to refuse its name.
-EFFECTS = ("lightmap", *(name for name in STAGES if name not in IMPLICIT))
-# Those of them that only a job with measured depth of the real scene has.
-WITH_DEPTH = ("holdout", "hide")
-# Effects that `auto` takes only where a job sets something of theirs: they change the whole real picture, or are dear.
-ASKED_FOR = ("gi", "dof", "watercolor")
-# Settings of other stages that an effect takes over: gi gives all light without a direction, lightmap the rest.
-TAKES_OVER: Mapping[str, Mapping[str, Mapping[str, Any]]] = {"gi": {"lightmap": {"ambient": False}}}
 
 
-def stages_with(effects: Collection[str], depth: bool = False) -> tuple[str, ...]:
-    """Names of the stages of a job with these effects, in running order. depth : of the real scene is given"""
-    left_out = () if depth else WITH_DEPTH
-    return tuple(name for name in STAGES if (name in IMPLICIT and name not in left_out) or name in effects)
+def stages_with(effects: Collection[str], inputs: Collection[str] = ()) -> tuple[str, ...]:
+    """Names of the stages of a job with these effects, in running order. inputs : that the job has and a stage may require"""
+
+    def part(name: str) -> bool:
+        stage = STAGES[name]
+        return (stage.always or name in effects) and stage.requires <= set(inputs)
+
+    return tuple(name for name in STAGES if part(name))

@@ -9,53 +9,29 @@ Leaves out: depth order against real objects (stage `hide`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numba
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Dimmed, Layer, Layers, Patch
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 
 
-@dataclass(frozen=True)
-class CompositeParams:
-    """No settings: the operator is fixed."""
-
-
-class Composite:
+class Composite(Stage):
     name = "composite"
     reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("standard", 0.004),)
-    needs_facts = frozenset({"pose"})
-    reach = 0
-    Params = CompositeParams
-
-    def __init__(self, params: CompositeParams | None = None) -> None:
-        self.params = params or CompositeParams()
+    always = True
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if facts.camera_from_world is None or facts.opacity <= 0:
-            return Demand(EMPTY, "marker not visible")
-        return Demand(frame, "something virtual is in view", follows=True)
-
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
-        return out
-
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 14)
-
-    def prepare(self, scene: Scene, level: Level) -> None:
-        return None
+        return Demand(frame, "something virtual is in view", within_earlier=True)
 
     def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray | Dimmed]:
         now, facts = window.now, window.facts[-1]
         if window.last:  # beside the object nothing is mixed: the light alone is less

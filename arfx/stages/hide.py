@@ -18,13 +18,12 @@ from typing import Any
 import numba
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.real_depth import TILE_PX, real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 from arfx.errors import ConfigError
 from arfx.stages.guided import reach_px, refined, window_px
 
@@ -40,21 +39,14 @@ class HideParams:
             raise ConfigError(f"hide.margin must be above 0 and at most 1, is {self.margin}", "a share of the distance: 0.03")
 
 
-class Hide:
+class Hide(Stage):
     name = "hide"
     reads = frozenset({Layer.PLATE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.REAL_DEPTH})
     writes = frozenset({Layer.VIRTUAL, Layer.COVERAGE})
-    levels = (Level("standard", 0.09),)
-    needs_facts = frozenset({"pose"})
-    reach = 0
     Params = HideParams
-
-    def __init__(self, params: HideParams | None = None) -> None:
-        self.params = params or HideParams()
+    always, requires = True, frozenset({"depth"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if facts.camera_from_world is None or facts.opacity <= 0:
-            return Demand(EMPTY, "marker not visible")
         told = real_depth_of(facts)
         if told is None:
             return Demand(EMPTY, "the real scene's depth is not known")
@@ -71,17 +63,11 @@ class Hide:
             return Demand(EMPTY, f"nothing real is nearer than the object's {farthest:.2f} m")
         return Demand(rect.pad(reach_px(scene)).clip(box), "something real may stand before the object")
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out.pad(reach_px(scene)).clip(scene.camera.rect)
 
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 20)
-
-    def prepare(self, scene: Scene, level: Level) -> None:
-        return None
-
     def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         now = window.now
         coverage, virtual = now[Layer.COVERAGE], now[Layer.VIRTUAL]

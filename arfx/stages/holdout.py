@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Patch
 from arfx.core.numerics import divide
@@ -25,7 +24,7 @@ from arfx.core.pose import Pose
 from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 from arfx.errors import ConfigError
 from arfx.stages.guided import reach_px, refined, window_px
 from arfx.stages.viewing import direction_grid, viewing
@@ -48,35 +47,25 @@ class HoldoutParams:
             )
 
 
-class Holdout:
+class Holdout(Stage):
     name = "holdout"
     reads = frozenset({Layer.PLATE, Layer.SHADOW, Layer.REAL_DEPTH})
     writes = frozenset({Layer.SHADOW})
-    levels = (Level("standard", 0.13),)
-    needs_facts = frozenset({"pose"})
-    reach = 0
     Params = HoldoutParams
-
-    def __init__(self, params: HoldoutParams | None = None) -> None:
-        self.params = params or HoldoutParams()
+    always, requires = True, frozenset({"depth"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if facts.camera_from_world is None or facts.opacity <= 0:
-            return Demand(EMPTY, "marker not visible")
         if real_depth_of(facts) is None:
             return Demand(EMPTY, "the real scene's depth is not known")
-        return Demand(frame, "depth tells what of the picture is the plane", follows=True)
+        return Demand(frame, "depth tells what of the picture is the plane", within_earlier=True)
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out.pad(reach_px(scene)).clip(scene.camera.rect)
 
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 30)
-
-    def prepare(self, scene: Scene, level: Level) -> np.ndarray:
+    def prepare(self, scene: Scene, level: str) -> np.ndarray:
         return direction_grid(scene.camera)
 
-    def run(self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator) -> Mapping[Layer, Patch]:
+    def run(self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator) -> Mapping[Layer, Patch]:
         now, facts = window.now, window.facts[-1]
         inside = now.extent(Layer.SHADOW)
         if inside.empty:

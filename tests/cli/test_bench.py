@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arfx.stages import STAGES, WITH_DEPTH
+from arfx.stages import STAGES
 from tests.cli.conftest import Run
 
 
@@ -10,8 +10,7 @@ def test_every_stage_has_its_row(arfx: Run) -> None:
     r = arfx("bench", "--level", "standard", "--size", "160x120", "--json")
     assert r.code == 0, r.err
     rows = r.json
-    named = [name for name in STAGES if any(le.name == "standard" for le in STAGES[name].levels)]
-    assert [row["stage"] for row in rows] == [name for name in named if name not in WITH_DEPTH], "the scene has no measured depth"
+    assert {row["stage"] for row in rows} == set(STAGES), "those that need measured depth too"
     assert {"stage", "level", "size", "ms", "yardstick_ms", "ratio"} <= set(rows[0])
     assert all(row["ms"] > 0 and row["ratio"] > 0 and row["size"] == "160x120" for row in rows)
 
@@ -24,7 +23,6 @@ def test_the_table_is_for_people(arfx: Run) -> None:
 def test_what_is_unknown_is_a_usage_error(arfx: Run) -> None:
     for words, said in (
         (("--stage", "rastr"), "'raster'"),
-        (("--stage", "hide"), "depth is not known"),
         (("--size", "big"), "1280x720"),
         (("--level", "hgh"), "'high'"),
     ):

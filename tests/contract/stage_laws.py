@@ -11,7 +11,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Stage, Window
+from arfx.core.stage import Stage, Window
 from arfx.run.frame import rng_for
 
 
@@ -52,13 +52,13 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
     return Layers(rect).adding(out)
 
 
-def run(stage: Stage, layers: Layers, f: FrameFacts, scene: Scene, prepared: Any, level: Level) -> Mapping[Layer, np.ndarray]:
-    window = Window(tuple([layers] * (stage.reach + 1)), tuple([f] * (stage.reach + 1)))
+def run(stage: Stage, layers: Layers, f: FrameFacts, scene: Scene, prepared: Any, level: str) -> Mapping[Layer, np.ndarray]:
+    window = Window(tuple([layers] * (stage.history + 1)), tuple([f] * (stage.history + 1)))
     made = stage.run(window, scene, prepared, level, rng_for(0, f.index, stage.name))
     return {name: a.over(name, layers.rect) if isinstance(a, Patch) else a for name, a in made.items()}
 
 
-def check_roi_law(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared: Any, seed: int, atol: float = 1e-6) -> None:
+def check_roi_law(stage: Stage, level: str, scene: Scene, f: FrameFacts, prepared: Any, seed: int, atol: float = 1e-6) -> None:
     """run(crop(needs(out))) == crop(run(all)) on `out`."""
     frame = scene.camera.rect
     g = np.random.default_rng(seed)
@@ -72,7 +72,7 @@ def check_roi_law(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepa
         np.testing.assert_allclose(b[name][out.slices_in(need)], a[name][out.slices_in(frame)], rtol=0, atol=atol, err_msg=name)
 
 
-def check_pure(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared: Any) -> None:
+def check_pure(stage: Stage, level: str, scene: Scene, f: FrameFacts, prepared: Any) -> None:
     """Inputs stay unchanged, only declared layers are read and written, the same seed gives the same bits."""
     rect = Rect(20, 15, 95, 80)
     layers = random_layers(rect, 5, stage.reads)
@@ -87,7 +87,7 @@ def check_pure(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared
         assert np.array_equal(array, second[name], equal_nan=True), f"{stage.name} gives other bits for the same seed: {name}"
 
 
-def check_finite(stage: Stage, level: Level, scene: Scene, f: FrameFacts, prepared: Any) -> None:
+def check_finite(stage: Stage, level: str, scene: Scene, f: FrameFacts, prepared: Any) -> None:
     """Hard but legal layers give finite values (depth may be infinite where nothing is)."""
     made = run(stage, hard_layers(Rect(20, 15, 95, 80), stage.reads), f, scene, prepared, level)
     for name, array in made.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -10,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.core.cost import Cost
 from arfx.core.layers import Layer
 from arfx.core.rect import Rect
-from arfx.core.stage import Demand, Level, Stage
+from arfx.core.stage import LEVELS, Demand, Stage
+from arfx.plan.planner import ABSENT, plan_frame
 from arfx.stages import STAGES
 from tests.contract import stage_laws as laws
 from tests.scenes import camera, facts, scene
@@ -21,36 +20,40 @@ from tests.scenes import camera, facts, scene
 SCENE = scene(camera(160, 120, (0.05, -0.02, 0.001, 0.0005)))
 FACTS = facts(SCENE)
 CASES = [(name, level) for name in STAGES for level in range(len(STAGES[name].levels))]
-IDS = [f"{name}-{STAGES[name].levels[level].name}" for name, level in CASES]
+IDS = [f"{name}-{STAGES[name].levels[level]}" for name, level in CASES]
 
 
 QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}}  # the laws hold for any number of rays
 
 
 @cache
-def made(name: str, level: int) -> tuple[Stage, Level, Any]:
+def made(name: str, level: int) -> tuple[Stage, str, Any]:
     stage = STAGES[name](STAGES[name].Params(**QUICK.get(name, {})))
     return stage, stage.levels[level], stage.prepare(SCENE, stage.levels[level])
 
 
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_declares_what_the_contract_asks(name: str, level: int) -> None:
-    stage, at, _ = made(name, level)
+    stage, _, _ = made(name, level)
     assert isinstance(stage, Stage) and stage.name == name
-    assert len({le.name for le in stage.levels}) == len(stage.levels) and stage.reach >= 0
+    assert list(stage.levels) == [level for level in LEVELS if level in stage.levels] and stage.history >= 0
     demand = stage.demand(FACTS, SCENE, SCENE.camera.rect)
     assert demand.reason and SCENE.camera.rect.contains(demand.rect)
-    cost = stage.cost(Rect(0, 0, 100, 100), FACTS, SCENE, at)
-    more = stage.cost(Rect(0, 0, 150, 120), FACTS, SCENE, at)
-    assert isinstance(cost, Cost) and (cost.seconds is None or 0 <= cost.seconds <= (more.seconds or 0))
 
 
-@pytest.mark.parametrize("name", [n for n in STAGES if "pose" in STAGES[n].needs_facts])
-def test_asks_for_nothing_where_the_object_is_absent(name: str) -> None:
-    demand = STAGES[name]().demand(
-        FACTS.with_(camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0)), SCENE, SCENE.camera.rect
-    )
-    assert demand.rect.empty and "not visible" in demand.reason
+@pytest.mark.parametrize("name", STAGES)
+def test_runs_only_where_it_says_so_if_the_object_is_absent(name: str) -> None:
+    stage = STAGES[name]()
+    absent = FACTS.with_(camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0))
+    plan = plan_frame([stage], {name: stage.levels[0]}, absent, SCENE, SCENE.camera.rect)
+    assert stage.without_object or [s.reason for s in plan.skipped] == [ABSENT]
+
+
+def test_a_class_without_the_four_members_is_no_stage() -> None:
+    with pytest.raises(TypeError, match="lacks name, reads, writes, run"):
+        type("Nothing", (Stage,), {})
+    with pytest.raises(TypeError, match="lacks run"):
+        type("Idle", (Stage,), {"name": "idle", "reads": frozenset(), "writes": frozenset()})
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -72,39 +75,22 @@ def test_finite_on_hard_layers(name: str, level: int) -> None:
     laws.check_finite(stage, at, SCENE, FACTS, prepared)
 
 
-@dataclass(frozen=True)
-class _NoParams:
-    pass
-
-
-class Blur:
+class Blur(Stage):
     """A stage made only to be broken in one way at a time."""
 
     name = "blur"
     reads = frozenset({Layer.IMAGE})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("standard", 0.01),)
-    needs_facts: frozenset[str] = frozenset()
-    reach = 0
-    Params = _NoParams
 
     def __init__(self, fault: str = "") -> None:
-        self.params = _NoParams()
+        super().__init__()
         self.fault = fault
+        self.padding_px = 0 if fault == "no padding" else 4
 
     def demand(self, f: Any, s: Any, frame: Rect) -> Demand:
         return Demand(frame, "always")
 
-    def needs(self, out: Rect, f: Any, s: Any, level: Level) -> Rect:
-        return out if self.fault == "no padding" else out.pad(4)
-
-    def cost(self, need: Rect, f: Any, s: Any, level: Level) -> Cost:
-        return Cost(0.0)
-
-    def prepare(self, s: Any, level: Level) -> None:
-        return None
-
-    def run(self, window: Any, s: Any, prepared: Any, level: Level, rng: np.random.Generator) -> dict[Layer, np.ndarray]:
+    def run(self, window: Any, s: Any, prepared: Any, level: str, rng: np.random.Generator) -> dict[Layer, np.ndarray]:
         image = window.now[Layer.IMAGE]
         out = cv2.blur(image, (9, 9), borderType=cv2.BORDER_REPLICATE)
         if self.fault == "not deterministic":

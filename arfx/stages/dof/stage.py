@@ -16,13 +16,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Patch
 from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 from arfx.stages.dof import demand as called
 from arfx.stages.dof import paper
 from arfx.stages.dof.corrected import render
@@ -41,30 +40,26 @@ def grid_of(camera: Camera) -> np.ndarray:
     return _GRIDS[camera]
 
 
-class Dof:
+class Dof(Stage):
     name = "dof"
     reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.SHADOW, Layer.REAL_DEPTH})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.02), Level("standard", 0.03), Level("high", 0.1), Level("reference", 60.0))
-    needs_facts = frozenset({"pose"})
-    reach = 0
+    levels = ("draft", "standard", "high", "reference")
     Params = DofParams
 
     def __init__(self, params: DofParams | None = None) -> None:
         self.params = params or DofParams()
         if self.params.lens == "footage":
-            self.needs_facts = frozenset({"pose", "lens"})
+            self.facts = frozenset({"pose", "lens"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if facts.camera_from_world is None or facts.opacity <= 0:
-            return Demand(EMPTY, "marker not visible")
         if unknown := unknown_lens(self.params, facts):
             return Demand(EMPTY, unknown)
         at, real = self._frame(facts, scene)
         ask = called.paper_demand if self._paper else called.demand
         return ask(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
         if self._paper:
@@ -73,18 +68,15 @@ class Dof:
         grid = grid_of(scene.camera)
         return called.needs(out, facts, at, real if self.params.scope == "all" else None, grid, scene.camera.rect)
 
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 16)
-
-    def prepare(self, scene: Scene, level: Level) -> Any:
-        if level.name == "reference" and not self._paper:
+    def prepare(self, scene: Scene, level: str) -> Any:
+        if level == "reference" and not self._paper:
             from arfx.stages.dof import reference
 
             return reference.prepare(scene)
         return grid_of(scene.camera)
 
     def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray | Patch]:
         facts, now = window.facts[-1], window.now
         if facts.camera_from_world is None or facts.opacity <= 0 or unknown_lens(self.params, facts):
@@ -95,12 +87,12 @@ class Dof:
             if called.demand(facts, scene.camera.rect, at, shown, prepared).rect.empty:
                 return {Layer.IMAGE: now[Layer.IMAGE].copy()}
             return {Layer.IMAGE: paper.render(now, facts, real, prepared, at, self.params)}
-        if level.name == "reference":
+        if level == "reference":
             from arfx.stages.dof import reference
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
         out = now.rect if window.out is None else window.out
-        return {Layer.IMAGE: render(now, facts, scene.camera.rect, out, real, prepared, at, LADDERS[level.name], self.params)}
+        return {Layer.IMAGE: render(now, facts, scene.camera.rect, out, real, prepared, at, LADDERS[level], self.params)}
 
     @property
     def _paper(self) -> bool:

@@ -12,18 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
 from arfx.core.numerics import divide
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 from arfx.errors import ConfigError
 from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, make_body
@@ -88,7 +87,7 @@ class Prepared:
     kept: Kept = field(default_factory=lambda: Kept(8))
 
 
-class Gi:
+class Gi(Stage):
     name = "gi"
     reads = frozenset(
         {
@@ -97,17 +96,12 @@ class Gi:
         }
     )  # fmt: skip
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
-    levels = (Level("draft", 0.02), Level("standard", 0.3), Level("high", 1.5), Level("reference", 60.0))
-    needs_facts = frozenset({"pose", "light", "environment"})
-    reach = 0
+    levels = ("draft", "standard", "high", "reference")
+    facts = frozenset({"pose", "light", "environment"})
     Params = GiParams
-
-    def __init__(self, params: GiParams | None = None) -> None:
-        self.params = params or GiParams()
+    overrides: ClassVar = {"lightmap": {"ambient": False}}  # gi gives all light without a direction
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if facts.camera_from_world is None or facts.opacity <= 0:
-            return Demand(EMPTY, "marker not visible")
         model = facts.drawn_box.clip(frame)
         if size_px := self._unseen_px(facts, scene):
             return Demand(model, f"no cones: model matt and grey, all that it changes is {size_px} px wide; even light")
@@ -119,23 +113,19 @@ class Gi:
             why += f", and mirrors {self.params.plane_gloss:g} of the light"
         return Demand(model.union(disc).union(mirror), f"{'model' if not model.empty else 'no model'} in view; {why}")
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         """The picture that the object reflects lies on the planes around it; blocks of pixels are whole."""
-        block = LEVELS[level.name].block if level.name in LEVELS else 1
+        block = LEVELS[level].block if level in LEVELS else 1
         frame = scene.camera.rect
         return out.pad(2 * block).align(block, block).union(self._seen(facts, scene, frame)).clip(frame)
 
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        """Of a light that stands still. Priced by pixel; most of it is the object's own."""
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 22)
-
-    def prepare(self, scene: Scene, level: Level) -> Prepared:
+    def prepare(self, scene: Scene, level: str) -> Prepared:
         planes = planes_of(scene)
         grid = direction_grid(scene.camera)
         empty = np.zeros(0, np.float32)
-        if level.name == "reference":
+        if level == "reference":
             return Prepared(planes, grid, None, empty, empty, empty, empty, empty)
-        at = LEVELS[level.name]
+        at = LEVELS[level]
         body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, self._paper, at.plane_rays)
         tangents = mirror_tangent(np.linspace(0, 1, LOBES))
         rows = [steps_of(float(t), at.voxels) for t in tangents]
@@ -148,7 +138,7 @@ class Gi:
         )  # fmt: skip
 
     def run(
-        self, window: Window, scene: Scene, prepared: Prepared, level: Level, rng: np.random.Generator
+        self, window: Window, scene: Scene, prepared: Prepared, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         facts, now = window.facts[-1], window.now
         pose = facts.camera_from_world
@@ -158,13 +148,13 @@ class Gi:
         if self._unseen_px(facts, scene):
             return even_light(now, light)
         disc = self._disc(facts, scene, frame)[0]
-        if level.name == "reference":
+        if level == "reference":
             return trace_frame(
                 now, scene, facts, light, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples,
                 self.params.strength, rng, (self.params.plane_gloss, self.params.plane_roughness),
                 self._mirror_rect(facts, scene, frame), window.out,
             )  # fmt: skip
-        at = LEVELS[level.name]
+        at = LEVELS[level]
         assert prepared.body is not None
         made = around(now, self._seen(facts, scene, frame), scene, facts, light, prepared.planes, prepared.places, prepared.kept)
         whole = frame_field(prepared.body, scene, facts, light, prepared.planes, made, at, self._paper, prepared.kept)

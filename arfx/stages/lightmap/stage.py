@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.light import Light
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 from arfx.errors import ConfigError
 from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.blocked import blocked_texture
@@ -106,21 +105,16 @@ class Prepared:
     kept: Kept = field(default_factory=Kept)
 
 
-class Lightmap:
+class Lightmap(Stage):
     name = "lightmap"
     reads = frozenset({Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE})
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
-    levels = (Level("draft", 0.012), Level("standard", 0.016), Level("high", 0.8), Level("reference", 5.0))
-    needs_facts = frozenset({"pose", "light"})
-    reach = 0
+    levels = ("draft", "standard", "high", "reference")
+    facts = frozenset({"pose", "light"})
     Params = LightmapParams
-
-    def __init__(self, params: LightmapParams | None = None) -> None:
-        self.params = params or LightmapParams()
+    always = True
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if facts.camera_from_world is None or facts.opacity <= 0:
-            return Demand(EMPTY, "marker not visible")
         model = facts.drawn_box.clip(frame)
         light = self._light(facts, scene)
         shadow, why = self._shadow_rect(facts, scene, frame, light)
@@ -129,21 +123,14 @@ class Lightmap:
         lit = f"model lit ({_source(facts, scene).source})" if not model.empty else "model out of view"
         return Demand(model.union(shadow), f"{lit}; {why}")
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
-        return out
-
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        """Of a light that stands still, as shadows are kept: what a moving one adds is not known from one frame."""
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 23)
-
-    def prepare(self, scene: Scene, level: Level) -> Prepared:
+    def prepare(self, scene: Scene, level: str) -> Prepared:
         ground = ground_of(scene)
         grid = direction_grid(scene.camera).astype(np.float32)
-        ambient = ground.ambient_picture(self.params.faint, PLANE_LEVELS[level.name])
+        ambient = ground.ambient_picture(self.params.faint, PLANE_LEVELS[level])
         return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), grid)
 
     def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray | Patch]:
         facts, now = window.facts[-1], window.now
         light = self._light(facts, scene)
@@ -154,7 +141,7 @@ class Lightmap:
         }
 
     def _virtual(
-        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, light: FrameLight
+        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, level: str, light: FrameLight
     ) -> np.ndarray:
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
@@ -166,7 +153,7 @@ class Lightmap:
         left = np.ones((len(reaching), now.rect.height, now.rect.width), np.float32)
         anchor_from_world = scene.world_from_anchor.inverse()
         if self.params.self_shadow > 0:
-            at = SELF_LEVELS[level.name]
+            at = SELF_LEVELS[level]
             for i, k in enumerate(reaching):
                 beam = light.beams[k]
                 if at.rays:
@@ -189,7 +176,7 @@ class Lightmap:
         return virtual
 
     def _shadow(
-        self, rect: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, light: FrameLight
+        self, rect: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: str, light: FrameLight
     ) -> np.ndarray:
         pose = facts.camera_from_world
         assert pose is not None
@@ -201,7 +188,7 @@ class Lightmap:
         for beam, share in zip(light.beams, light.direct_shares, strict=True):
             if beam.on_plane and share.max() > 0:
                 make = lambda b=beam: bounded(  # noqa: E731
-                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[level.name], self._paper), scene.surface_m
+                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[level], self._paper), scene.surface_m
                 )
                 textures.append(prepared.kept.get(("plane", beam), make))
                 shares.append(share)

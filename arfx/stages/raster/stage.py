@@ -10,17 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, neutral
 from arfx.core.pose import Pose
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 from arfx.errors import ConfigError
 from arfx.stages.raster.backends import BACKENDS, choose_backend
 from arfx.stages.raster.rays import OUTPUTS
@@ -57,44 +56,32 @@ class Renderer(Protocol):
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]: ...
 
 
-class Raster:
+class Raster(Stage):
     name = "raster"
-    reads: frozenset[Layer] = frozenset()
+    reads: ClassVar[frozenset[Layer]] = frozenset()
     writes = frozenset(OUTPUTS)
-    levels = (Level("draft", 0.12), Level("standard", 0.15), Level("high", 0.23), Level("reference", 150.0))
-    needs_facts = frozenset({"pose"})
-    reach = 0
+    levels = ("draft", "standard", "high", "reference")
     Params = RasterParams
-
-    def __init__(self, params: RasterParams | None = None) -> None:
-        self.params = params or RasterParams()
+    always = True
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if facts.camera_from_world is None or facts.opacity <= 0:
-            return Demand(EMPTY, "marker not visible")
         rect = facts.drawn_box.clip(frame)
         return Demand(rect, f"model covers up to {rect.area} px" if not rect.empty else "model out of view")
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
-        return out
-
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 4.0 * 17)
-
-    def prepare(self, scene: Scene, level: Level) -> Renderer:
+    def prepare(self, scene: Scene, level: str) -> Renderer:
         """Raises InputError for a model too large for the scene, RenderError where the chosen back end cannot open."""
         from arfx.stages.raster.mesh import build_mesh
 
         mesh = build_mesh(scene)
-        if level.name == "reference":
+        if level == "reference":
             from arfx.stages.raster.reference import ReferenceRenderer
 
             return ReferenceRenderer(mesh, scene.camera)
         backend = choose_backend(self.params.backend)
-        return backend.renderer(mesh, scene.camera, self.params.samples or backend.samples[level.name])
+        return backend.renderer(mesh, scene.camera, self.params.samples or backend.samples[level])
 
     def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         rect, facts = window.now.rect, window.facts[-1]
         box = facts.drawn_box.clip(scene.camera.rect)

@@ -25,13 +25,12 @@ import cv2
 import numba
 import numpy as np
 
-from arfx.core.cost import Cost
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Level, Window
+from arfx.core.stage import Demand, Stage, Window
 from arfx.stages.bands import Beside
 from arfx.stages.lightmap.stage import Kept
 from arfx.stages.watercolor.cells import cell_colours, neighbours, toned, washed
@@ -91,36 +90,33 @@ class Prepared:
         self.measures.clear()
 
 
-class Watercolor:
+class Watercolor(Stage):
     name = "watercolor"
     reads = frozenset({Layer.IMAGE, *_VIRTUAL})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.1), Level("standard", 0.13), Level("high", 0.26), Level("reference", 4.0))
-    needs_facts = frozenset({"flow", "light"})
-    reach = 0
+    levels = ("draft", "standard", "high", "reference")
+    facts = frozenset({"flow", "light"})
     Params = WatercolorParams
+    without_object = True
 
     def __init__(self, params: WatercolorParams | None = None) -> None:
         self.params = p = params or WatercolorParams()
-        self.reach = int(p.line_hold and p.lines > 0 and p.formula == "corrected")
+        self.history = int(p.line_hold and p.lines > 0 and p.formula == "corrected")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         return Demand(frame, "the whole picture is painted")
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Rect:
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         """All of it: a cell's colour and a line's strength may depend on pixels far outside."""
         return scene.camera.rect
 
-    def cost(self, need: Rect, facts: FrameFacts, scene: Scene, level: Level) -> Cost:
-        return Cost(level.seconds_per_mpx * need.area / 1e6, need.area * 40.0)
-
-    def prepare(self, scene: Scene, level: Level) -> Prepared:
+    def prepare(self, scene: Scene, level: str) -> Prepared:
         p = self.params
         wobbles = Wobbles(scene.seed, p.wobble_px if p.pigment else 0.0)
         return Prepared(paper_grain(scene.seed, p.grain_px), wobbles, surface_of(scene, scene.seed))
 
     def run(
-        self, window: Window, scene: Scene, prepared: Any, level: Level, rng: np.random.Generator
+        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray]:
         now, facts, p = window.now, window.facts[-1], self.params
         box = _box(facts, now.rect)
@@ -128,8 +124,7 @@ class Watercolor:
             image = self._with_toon(now, box, facts, scene).whole()
             return {Layer.IMAGE: printed(image, now.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, rng)}
         fields = [
-            (self._field(facts, scene, prepared, level, way), share)
-            for way, share in ways(facts, p.anchored, level.name == "high")
+            (self._field(facts, scene, prepared, level, way), share) for way, share in ways(facts, p.anchored, level == "high")
         ]
 
         before = self._before(window)
@@ -159,7 +154,7 @@ class Watercolor:
         return {Layer.IMAGE: prepared.pictures.get(key, make)}
 
     def _field(
-        self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: Level, way: str
+        self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: str, way: str
     ) -> tuple[Field, Any, bytes]:  # fmt: skip
         """(where the sites come from, the pose that goes with it, a number of the field's content)."""
         p, cell_px = self.params, self._cell_px(level)
@@ -173,8 +168,8 @@ class Watercolor:
         made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
         return made
 
-    def _cell_px(self, level: Level) -> float:
-        return self.params.cell_px * (1.4 if level.name == "draft" else 1.0)
+    def _cell_px(self, level: str) -> float:
+        return self.params.cell_px * (1.4 if level == "draft" else 1.0)
 
     def _with_toon(self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> Picture:
         p, image = self.params, now[Layer.IMAGE]
@@ -195,7 +190,7 @@ class Watercolor:
         return Picture(image, patch, *offset(box, now.rect))
 
     def _painted(
-        self, now: Layers, box: Rect, scene: Scene, prepared: Prepared, level: Level, where: Field, pose: Any,
+        self, now: Layers, box: Rect, scene: Scene, prepared: Prepared, level: str, where: Field, pose: Any,
         sites_key: bytes, picture: Beside[Picture], lines: Beside[np.ndarray],
     ) -> np.ndarray:  # fmt: skip
         p, rect = self.params, now.rect
@@ -222,7 +217,7 @@ class Watercolor:
 
     def _before(self, window: Window) -> tuple[Layers, FrameFacts] | None:
         """The frame before, where lines are held and it shows the same things."""
-        if not self.reach or len(window.layers) < 2:
+        if not self.history or len(window.layers) < 2:
             return None
         then, now = window.facts[-2:]
         same = then.index == now.index - 1 and then.shot == now.shot and window.layers[-2].rect == window.now.rect
@@ -230,7 +225,7 @@ class Watercolor:
 
     def _held_lines(
         self, now: tuple[Layers, FrameFacts, Key], before: tuple[Layers, FrameFacts, Key], scene: Scene, prepared: Prepared,
-        level: Level,
+        level: str,
     ) -> np.ndarray:  # fmt: skip
         """Strength of lines, from the measures of both frames: each is made once."""
         p = self.params
@@ -265,7 +260,7 @@ class Watercolor:
         at, shape = offset(seen, whole), (whole.height, whole.width)
         return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity, at, shape), (y, x)
 
-    def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: Level) -> Cells:
+    def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: str) -> Cells:
         cell, area = self._cell_px(level), scene.camera.rect.area
         most = int(min(2 * area + 4096, 12 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
@@ -285,15 +280,15 @@ class Watercolor:
             near, share = np.zeros((labels.count, 0), np.int32), np.zeros((labels.count, 0), np.float32)
         return Cells(labels, flow, near, share)
 
-    def _labels(self, sites: Sites, rect: Rect, wobble: Wobble, level: Level, mask: np.ndarray | None = None) -> Labels:
-        blend = BLEND_PX if self.params.pigment and level.name != "draft" else 0.0
-        if level.name == "reference":
+    def _labels(self, sites: Sites, rect: Rect, wobble: Wobble, level: str, mask: np.ndarray | None = None) -> Labels:
+        blend = BLEND_PX if self.params.pigment and level != "draft" else 0.0
+        if level == "reference":
             moved = laid_out(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height)
             return reference_labels(sites, rect, moved.astype(np.float32), blend)
         return label(sites, rect, wobble, blend, mask)
 
     def _with_object(
-        self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: Level, pose: Any
+        self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: str, pose: Any
     ) -> tuple[Cover, Cells]:
         """Labels, and what is known of all cells, with those of the object's surface in the pixels that it mostly covers."""
         rect, cell, box = now.rect, 0.8 * self._cell_px(level), now.extent(Layer.COVERAGE).clip(box)

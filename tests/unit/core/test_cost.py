@@ -44,15 +44,14 @@ def test_the_file_holds_the_list_and_a_damaged_one_is_not_believed(tmp_path) -> 
     assert not load_prices(tmp_path / "absent.json").calibrated
 
 
-def test_the_shipped_list_prices_every_level_but_those_which_price_themselves() -> None:
-    from arfx.stages import STAGES, WITH_DEPTH
+def test_the_shipped_list_prices_every_stage_at_every_level() -> None:
+    from arfx.stages import STAGES
 
     shipped = load_prices(Path("/nonexistent/costs.json"))
     assert shipped.predict("encode h264", {"frames": 30, "mpx": 27.0}) is not None
-    for name, cls in STAGES.items():
-        for level in cls.levels:
-            found = shipped.predict(f"{name}/{level.name}", {"frames": 1, "mpx": 0.5, "object_mpx": 0.1, "mfaces": 0.006})
-            if level.name == "reference" or name in WITH_DEPTH:  # of these the calibration's scene has none
-                assert level.seconds_per_mpx > 0
-                continue
+    for name, stage in STAGES.items():
+        for level in stage.levels:
+            found = shipped.predict(f"{name}/{level}", {"frames": 1, "mpx": 0.5, "object_mpx": 0.1, "mfaces": 0.006})
             assert found is not None and 0 <= found.low_s <= found.seconds <= found.high_s
+            prepared = [key for key in shipped.prices if key.startswith(f"prepare {name}/")]
+            assert prepared, f"what {name} prepares has a price"

@@ -8,40 +8,33 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arfx.core.cost import Cost
 from arfx.core.layers import Layer
-from arfx.core.stage import Demand, Level
+from arfx.core.stage import Demand, Stage
 from arfx.errors import ConfigError
 from arfx.measure.bench import bench
 from arfx.measure.bench_scene import ball, bench_scene
 
 
-class Sleeper:
+class Sleeper(Stage):
     """A stage whose levels take known times."""
 
     name = "sleeper"
     reads = frozenset({Layer.IMAGE})
     writes = frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.0), Level("standard", 0.0), Level("reference", 0.0))
-    needs_facts: frozenset[str] = frozenset()
-    reach = 0
-    params = None
+    levels = ("draft", "standard", "reference")
 
     def demand(self, facts: Any, scene: Any, frame: Any) -> Demand:
         return Demand(facts.model_box, "always")
 
-    def needs(self, out: Any, facts: Any, scene: Any, level: Level) -> Any:
-        return out.pad(3 if level.name == "reference" else 0)
+    def needs(self, out: Any, facts: Any, scene: Any, level: str) -> Any:
+        return out.pad(3 if level == "reference" else 0)
 
-    def cost(self, need: Any, facts: Any, scene: Any, level: Level) -> Cost:
-        return Cost(None)
+    def prepare(self, scene: Any, level: str) -> str:
+        return level
 
-    def prepare(self, scene: Any, level: Level) -> str:
-        return level.name
-
-    def run(self, window: Any, scene: Any, prepared: str, level: Level, rng: Any) -> dict:
-        assert prepared == level.name, "each level is run with what was prepared for it"
-        time.sleep({"draft": 0.002, "standard": 0.02, "reference": 0.08}[level.name])
+    def run(self, window: Any, scene: Any, prepared: str, level: str, rng: Any) -> dict:
+        assert prepared == level, "each level is run with what was prepared for it"
+        time.sleep({"draft": 0.002, "standard": 0.02, "reference": 0.08}[level])
         return {Layer.IMAGE: window.now[Layer.IMAGE] * 0.5}
 
 
@@ -73,7 +66,7 @@ def test_it_covers_a_tenth_of_the_picture(size: tuple[int, int]) -> None:
 
 def test_rows_order_levels_by_their_cost() -> None:
     rows = bench([(128, 96)], stages=STAGES)
-    assert [(r["stage"], r["level"], r["size"]) for r in rows] == [("sleeper", le.name, "128x96") for le in Sleeper.levels]
+    assert [(r["stage"], r["level"], r["size"]) for r in rows] == [("sleeper", le, "128x96") for le in Sleeper.levels]
     assert rows[0]["ms"] < rows[1]["ms"] < rows[2]["ms"]
     for r in rows:
         assert r["ratio"] == pytest.approx(r["ms"] / r["yardstick_ms"]) and r["yardstick_ms"] > 0 and r["runs"] >= 3

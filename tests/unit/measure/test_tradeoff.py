@@ -10,7 +10,7 @@ from arfx.core.cost import Prediction, exactly
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.core.stage import Level, level_named
+from arfx.core.stage import level_named
 from arfx.measure.difference import Difference, difference, touched, unrest
 from arfx.measure.tradeoff import Found, Row
 from arfx.measure.tradeoff_document import _share, front, recommendation
@@ -96,7 +96,7 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     plate = NOISE.uniform(0.1, 0.6, (120, 160, 3)).astype(np.float32)
     window = window_of(plan, f, s.camera.rect, 900)
     assert window.area <= 1100 and plan.changed.contains(window)
-    chain = chain_of(plan, {n: le.name for n, le in levels.items()})
+    chain = chain_of(plan, levels)
     pictures = []
     for slow in (frozenset(), frozenset(chain)):
         bench = FrameBench(f, plate, plan, window, Shop(s, stages), slow)
@@ -109,7 +109,7 @@ class Deep:
     """Shows the real depth, 255 grey levels a metre."""
 
     name, reads, writes = "deep", frozenset({Layer.IMAGE, Layer.REAL_DEPTH}), frozenset({Layer.IMAGE})
-    levels = (Level("standard", 0.1),)
+    levels = ("standard",)
 
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out

@@ -10,7 +10,7 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import EMPTY, Rect
-from arfx.core.stage import Level, Window
+from arfx.core.stage import Stage, Window
 from arfx.measure.tradeoff_time import Tiles, Times, time_frame
 from arfx.run.frame import Canvas
 from tests.scenes import camera, facts, look_at, scene
@@ -18,11 +18,11 @@ from tests.scenes import camera, facts, look_at, scene
 ALONE_S, BOX_S, REST_S, NEW_S = 0.05, 60e-6, 2e-6, 0.4
 
 
-class Slow:
+class Slow(Stage):
     """A stage that takes its time by the clock it is given: dear in the object's box, and unevenly so; cheap elsewhere."""
 
     name, reads, writes = "slow", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE})
-    levels = (Level("draft", 0.1), Level("reference", 60.0))
+    levels = ("draft", "reference")
 
     def __init__(self, box: Rect, seed: int, reads: bool = False) -> None:
         """reads : it takes time for what it reads, not for what it makes"""
@@ -36,10 +36,10 @@ class Slow:
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out.pad(9)
 
-    def run(self, window: Window, _scene: Any, prepared: Any, level: Level, _rng: Any) -> dict[Layer, np.ndarray]:
+    def run(self, window: Window, _scene: Any, prepared: Any, level: str, _rng: Any) -> dict[Layer, np.ndarray]:
         assert window.out is not None
-        share = 1.0 if level.name == "reference" else 1e-3
-        self.most_px = max(self.most_px, window.out.area if level.name == "reference" else 0)
+        share = 1.0 if level == "reference" else 1e-3
+        self.most_px = max(self.most_px, window.out.area if level == "reference" else 0)
         if not prepared.kept:
             self.now_s += NEW_S * share
             prepared.kept.add(1)

@@ -16,7 +16,7 @@ SCENE = scene()
 NAMES = ("raster", "lightmap", "composite", "dof")
 LEVELS = ("draft", "standard", "high", "reference")
 PRICES = Prices(
-    {f"{n}/{le.name}": Price({"frames": 0.01 * 4**k, "object_mpx": 1.0}, 0.1, 5) for n in NAMES
+    {f"{n}/{le}": Price({"frames": 0.01 * 4**k, "object_mpx": 1.0}, 0.1, 5) for n in NAMES
      for k, le in enumerate(STAGES[n].levels)}, 1, "a test", True,
 )  # fmt: skip
 ERRORS = Errors({n: {"draft": 2.0, "standard": 0.6, "high": 0.2} for n in NAMES}, "a test")
@@ -52,7 +52,7 @@ def test_an_error_limit_holds_for_the_sum_over_the_stages() -> None:
         made = planned(Wish(max_error=limit))
         for shot in (0, 1):
             found = {n: le for (s, n), le in made.chosen.levels.items() if s == shot}
-            assert sum(ERRORS.of(n, le, STAGES[n].levels[-1].name) for n, le in found.items()) <= limit + 1e-9
+            assert sum(ERRORS.of(n, le, STAGES[n].levels[-1]) for n, le in found.items()) <= limit + 1e-9
 
 
 def test_a_named_quality_is_that_quality() -> None:

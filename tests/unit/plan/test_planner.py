@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from arfx.core.cost import Cost
+from arfx.core.cost import Price, Prices
 from arfx.core.layers import Layer
 from arfx.core.rect import EMPTY, Rect
-from arfx.core.stage import Demand, Level
+from arfx.core.stage import Demand
 from arfx.plan.explain import group_reasons, summarise
 from arfx.plan.planner import FORCED, UNREAD, plan_frame
 from tests.scenes import facts, scene
@@ -18,26 +18,22 @@ from tests.scenes import facts, scene
 SCENE = scene()
 FACTS = facts(SCENE)
 FRAME = SCENE.camera.rect
-LEVEL = Level("standard", 0.1)
+LEVEL = "standard"
 
 
 class Fake:
     levels = (LEVEL,)
-    needs_facts: frozenset[str] = frozenset()
-    reach = 0
+    without_object = False
 
-    def __init__(self, name: str, reads: set[Layer], writes: set[Layer], rect: Rect, pad: int = 0, follows: bool = False) -> None:
+    def __init__(self, name: str, reads: set[Layer], writes: set[Layer], rect: Rect, pad: int = 0, within: bool = False) -> None:
         self.name, self.reads, self.writes = name, frozenset(reads), frozenset(writes)
-        self._demand, self._pad = Demand(rect, "because" if not rect.empty else "circle 0.4 px < 1 px", follows), pad
+        self._demand, self._pad = Demand(rect, "because" if not rect.empty else "circle 0.4 px < 1 px", within), pad
 
     def demand(self, *_: Any) -> Demand:
         return self._demand
 
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out.pad(self._pad)
-
-    def cost(self, need: Rect, *_: Any) -> Cost:
-        return Cost(LEVEL.seconds_per_mpx * need.area / 1e6)
 
 
 BOX = Rect(40, 30, 90, 80)
@@ -47,13 +43,14 @@ def pipeline(dof_rect: Rect = EMPTY, raster_rect: Rect = BOX) -> list[Any]:
     return [
         Fake("raster", set(), {Layer.COVERAGE, Layer.DEPTH}, raster_rect),
         Fake("plain", {Layer.COVERAGE}, {Layer.VIRTUAL}, raster_rect),
-        Fake("composite", {Layer.VIRTUAL, Layer.COVERAGE}, {Layer.IMAGE}, FRAME, follows=True),
+        Fake("composite", {Layer.VIRTUAL, Layer.COVERAGE}, {Layer.IMAGE}, FRAME, within=True),
         Fake("dof", {Layer.IMAGE, Layer.DEPTH}, {Layer.IMAGE}, dof_rect, pad=6),
     ]
 
 
 def plan(stages: list[Any], **kw: Any) -> Any:
-    return plan_frame(stages, {s.name: LEVEL for s in stages}, FACTS, SCENE, FRAME, **kw)
+    prices = Prices({f"{s.name}/{LEVEL}": Price({"mpx": 0.1}, 0.2) for s in stages})
+    return plan_frame(stages, {s.name: LEVEL for s in stages}, FACTS, SCENE, FRAME, prices=prices, **kw)
 
 
 def test_the_composite_covers_what_changes_and_no_more() -> None:

@@ -10,7 +10,7 @@ import pytest
 from arfx.core.layers import Layer, Spans
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.core.stage import Level
+from arfx.core.stage import Stage
 from arfx.errors import RenderError
 from arfx.plan.planner import plan_frame
 from arfx.run.chunks import borders
@@ -22,7 +22,7 @@ from tests.unit.media.test_frame import frame
 
 SCENE = scene()
 FACTS = facts(SCENE)
-LEVEL = Level("standard", 0.1)
+LEVEL = "standard"
 
 
 def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
@@ -41,8 +41,8 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
     assert np.array_equal(untouched, plate), "and the plate itself was not written to"
 
 
-class Bad:
-    name, reads, writes, reach = "bad", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 0
+class Bad(Stage):
+    name, reads, writes = "bad", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE})
 
     def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
         out = window.now[Layer.IMAGE].copy()
@@ -59,12 +59,11 @@ def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
         )  # type: ignore[dict-item]
 
 
-class Paint:
+class Paint(Stage):
     """Covers a fixed rectangle with red."""
 
-    name, reads, reach = "paint", frozenset(), 0
+    name, reads = "paint", frozenset()
     writes = frozenset({Layer.COVERAGE, Layer.VIRTUAL})
-    levels = (LEVEL,)
 
     def demand(self, f: Any, s: Any, frame: Rect) -> Any:
         from arfx.core.stage import Demand
@@ -73,11 +72,6 @@ class Paint:
 
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out
-
-    def cost(self, *_: Any) -> Any:
-        from arfx.core.cost import Cost
-
-        return Cost(0.0)
 
     def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
         r = window.now.rect
@@ -139,7 +133,7 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
 class Streak:
     """Brightens some columns of each row of IMAGE, and says which."""
 
-    name, reads, writes, reach = "streak", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 0
+    name, reads, writes, history = "streak", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 0
 
     def demand(self, f: Any, s: Any, frame: Rect) -> Any:
         from arfx.core.stage import Demand
@@ -148,11 +142,6 @@ class Streak:
 
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out
-
-    def cost(self, *_: Any) -> Any:
-        from arfx.core.cost import Cost
-
-        return Cost(0.0, 0.0)
 
     def run(self, window: Any, *_: Any) -> dict[Layer, Spans]:
         now = window.now

@@ -15,7 +15,7 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
-from arfx.core.stage import Level, Window, level_named
+from arfx.core.stage import Window, level_named
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from tests.scenes import box_model, facts
 
@@ -61,7 +61,7 @@ def run_stage(
 ) -> dict[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL and SHADOW over the whole picture; without layers nothing virtual covers it."""
     stage = Lightmap(params)
-    at: Level = level_named(stage.levels, level)
+    at: str = level_named(stage.levels, level)
     f: FrameFacts = facts(s, pose or from_above()).with_(**changes)
     if layers is None:
         layers = Layers(s.camera.rect).adding({name: neutral(name, s.camera.rect) for name in stage.reads})

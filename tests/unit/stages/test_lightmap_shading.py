@@ -258,7 +258,7 @@ def test_no_light_makes_anything_that_is_not_finite(level: str) -> None:
     s = on_plane(box_model(), DARK)
     layers = surface(s, any_normals(s), far(s) * 0, material=(0.5, 0.0, 1.0)).crop(Rect(100, 80, 140, 110))
     stage = Lightmap()
-    at = next(le for le in stage.levels if le.name == level)
+    at = level
     prepared = stage.prepare(s, at)
     for light in odd:
         f = facts(s, from_above()).with_(light=Light((0.0, 0.0, 0.0), (light,)))

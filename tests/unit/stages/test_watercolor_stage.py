@@ -50,7 +50,7 @@ def painted(
     prepared: Any = None, seed: int = 0, s: Any = SCENE, **more: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     stage = Watercolor(params)
-    at = next(le for le in stage.levels if le.name == level)
+    at = level
     prepared = prepared or stage.prepare(s, at)
     window = Window((layers(image, **more),), (f,))
     return stage.run(window, s, prepared, at, np.random.default_rng(seed))[Layer.IMAGE]
@@ -194,7 +194,7 @@ def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
     for k in range(9):
         most = base64.b64encode(zlib.compress(np.full(nodes.u.shape, 255 * 16, np.uint16).tobytes())).decode()
         fact = {**fact_of(nodes, nodes.u + 3 * k, nodes.v), "detail": most}  # as many cells as can be asked for
-        frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.reach)]
+        frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.history)]
         seen = [FrameFacts(j, j / 30, extra={"watercolor": fact}) for j in range(len(frames))]
         window = Window(tuple(frames), tuple(seen))
         if k == 1:
@@ -291,10 +291,10 @@ def test_a_draft_is_less_work_than_the_standard() -> None:
     for level in Watercolor.levels[:2]:
         stage = Watercolor()
         prepared = stage.prepare(SCENE, level)
-        painted(picture(), f=SEEN, level=level.name, prepared=prepared)
+        painted(picture(), f=SEEN, level=level, prepared=prepared)
         made = [c.labels for c in prepared.cells._things.values()]
-        cells[level.name] = sum(len(np.unique(c.first)) for c in made)
-        bytes_read[level.name] = sum(c.first.nbytes + c.second.nbytes + c.inside.nbytes for c in made)
+        cells[level] = sum(len(np.unique(c.first)) for c in made)
+        bytes_read[level] = sum(c.first.nbytes + c.second.nbytes + c.inside.nbytes for c in made)
     assert cells["draft"] < 0.65 * cells["standard"] and bytes_read["draft"] * 9 == bytes_read["standard"] * 4
 
 
@@ -379,9 +379,9 @@ def test_held_lines_change_less_and_are_the_same_whoever_painted_the_frame_befor
             return stage.run(window, SCENE, prepared, level, g)[Layer.IMAGE]
 
         for k in range(1, 6):
-            out.append(run(slice(k - stage.reach, k + 1), prepared))
+            out.append(run(slice(k - stage.history, k + 1), prepared))
             if k == 3:
-                assert np.array_equal(out[-1], run(slice(k - stage.reach, k + 1), stage.prepare(SCENE, level)))
+                assert np.array_equal(out[-1], run(slice(k - stage.history, k + 1), stage.prepare(SCENE, level)))
         lines = [(b - o)[..., 0] / (b - stage.params.ink_rgb[0])[..., 0] for b, o in zip(bare[1:], out, strict=True)]
         pairs = [(a[8:-8, 10:-8], b[8:-8, 8:-10]) for a, b in itertools.pairwise(lines)]
         changed[hold] = float(np.mean([np.mean((a - b) ** 2) for a, b in pairs]))
