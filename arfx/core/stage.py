@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
+from arfx.core.health import Check, JobView
 from arfx.core.layers import Dimmed, Layer, Layers, Patch
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -74,6 +75,7 @@ class Stage:
     facts: frozenset[str] = frozenset({"pose"})  # parts of the analysis that it reads, by name
     history: int = 0  # earlier frames that it looks at
     padding_px: int = 0  # input pixels that it takes around each output pixel
+    terms: ClassVar[tuple[str, ...]] = ("frames", "mpx", "object_mpx")  # its price is linear in these (core/cost.py)
     without_object: ClassVar[bool] = False  # it also runs in frames in which the object is not visible
 
     def __init__(self, params: Any = None) -> None:
@@ -96,9 +98,17 @@ class Stage:
         """Pixels that it reads to make `out`; what lies outside the frame is cut off by the planner."""
         return out.pad(self.padding_px)
 
+    def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
+        """Terms of its price whose work is done once for each new value: {"new_lights": what the light is known by}."""
+        return {}
+
     def prepare(self, scene: Scene, level: str) -> Any:
         """What the code needs (textures, tables). Raises InputError, RenderError."""
         return None
+
+    def health(self, job: JobView) -> Iterable[Check]:
+        """What it estimated in a job, for the report."""
+        return ()
 
     def run(
         self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator

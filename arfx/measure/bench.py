@@ -70,7 +70,7 @@ def bench(
     stage: str | None = None,
     level: str | None = None,
     progress: Progress = lambda *_: None,
-    stages: Mapping[str, type] = STAGES,
+    stages: Mapping[str, type[Stage]] = STAGES,
 ) -> list[dict[str, Any]]:
     """Rows of {stage, level, size, ms, yardstick_ms, ratio, runs, area_px}; ms >= 0, medians.
 
@@ -87,19 +87,19 @@ def bench(
     return rows
 
 
-def check(stages: Mapping[str, type], stage: str | None, level: str | None, sizes: Sequence[tuple[int, int]]) -> None:
+def check(stages: Mapping[str, type[Stage]], stage: str | None, level: str | None, sizes: Sequence[tuple[int, int]]) -> None:
     if stage is not None and stage not in stages:
         raise ConfigError(f"there is no stage {stage!r}", near(stage, list(stages)))
     for width, height in sizes:
         if min(width, height) < 64 or max(width, height) > 8192:
             raise ConfigError(f"size {width}x{height} cannot be benchmarked", "from 64 to 8192 px a side: 1280x720")
     chosen = [stages[stage]] if stage is not None else list(stages.values())
-    levels = {level for s in chosen for level in s.levels}  # type: ignore[attr-defined]
+    levels = {level for s in chosen for level in s.levels}
     if level is not None and level not in levels:
         raise ConfigError(f"no such level {level!r}" + (f" of stage {stage!r}" if stage else ""), near(level, sorted(levels)))
 
 
-def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type]) -> list[Cell]:
+def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type[Stage]]) -> list[Cell]:
     """What is to be timed; the layers that a stage reads are made once by the standard levels of those before it.
 
     Stages that require measured depth are timed on the same scene with a depth map.

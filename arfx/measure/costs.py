@@ -26,6 +26,7 @@ from arfx.core.cube import face_directions, packed
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
+from arfx.core.stage import Stage
 from arfx.measure.bench import make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
@@ -48,13 +49,6 @@ PREPARE_S = 1.0  # of one level: preparing it again and again would take all the
 LONG_S, DEAR_S = 0.01, 0.1  # a run that is shorter tells of the clock and the interpreter; one that is longer is made once
 ENVIRONMENT_SIZE = 16
 LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
-TERMS_OF: Mapping[str, tuple[str, ...]] = {
-    "raster": ("frames", "mpx", "object_mpx", "mfaces"),
-    "lightmap": ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions"),
-    "gi": ("frames", "mpx", "object_mpx", "lamps", "new_lights"),
-    "watercolor": ("frames", "mpx", "object_mpx"),
-}  # fmt: skip
-USUAL_TERMS = ("frames", "mpx", "object_mpx")
 
 
 def fit(runs: Runs, terms: Iterable[str]) -> Price:
@@ -102,7 +96,7 @@ def _left_out(rows: np.ndarray, measured: np.ndarray) -> float:
 
 def calibrate(
     progress: Progress = lambda *_: None,
-    stages: Mapping[str, type] = STAGES,
+    stages: Mapping[str, type[Stage]] = STAGES,
     limit_s: float = LIMIT_S,
     output: bool = True,
     watch: Watch = WALL,
@@ -131,7 +125,13 @@ def calibrate(
     prices = {}
     for key, runs in timed.items():
         stage = key.removeprefix("prepare ").split("/")[0]
-        wanted = ("frames", "mfaces") if key.startswith("prepare ") else TERMS_OF.get(stage, USUAL_TERMS)
+        wanted = (
+            ("frames", "mfaces")
+            if key.startswith("prepare ")
+            else stages[stage].terms
+            if stage in stages
+            else ("frames", "mpx", "object_mpx")
+        )
         prices[key] = fit(runs, wanted)
     source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
     return Prices(prices, crowd, source, True, float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0)
@@ -146,7 +146,7 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 
 
 def _time_scene(
-    at: BenchScene, slow: bool, stages: Mapping[str, type], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int,
+    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int,
     watch: Watch,
 ) -> list[float]:  # fmt: skip
     """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones twice, and under a light that changes
@@ -154,14 +154,14 @@ def _time_scene(
     Returns what one thread alone took, as a share of what it took among `crowd`: of the runs that are long enough to tell.
     """
     every = make_cells(at, None, None, stages)
-    best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}  # type: ignore[attr-defined]
+    best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}
     alone = []
     for cell in (c for c in every if (best.get(c.stage) == c.level) == slow):
         made = f"prepare {cell.stage}/{cell.level}"
         if sum(timed[made].seconds) < PREPARE_S:
             timed[made].add({**cell.terms, "frames": 1.0}, watch.of(cell.prepare))
         key = f"{cell.stage}/{cell.level}"
-        own = set(TERMS_OF.get(cell.stage, ()))
+        own = set(stages[cell.stage].terms)
         if slow:  # seconds long: what loading it takes hardly shows
             once: dict[str, float] = {t: 1.0 for t in ("new_directions", "new_lights") if t in own}
             for new in [once, {}] if once else [{}]:

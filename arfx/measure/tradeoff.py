@@ -22,7 +22,6 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Stage, level_named
 from arfx.errors import NothingToDoError
-from arfx.measure.costs import TERMS_OF
 from arfx.measure.difference import Difference, difference, touched, unrest
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_render import FrameBench, Shop, chain_of, window_of
@@ -170,10 +169,10 @@ def _slow(stage: str, prices: Prices) -> bool:
 
 def _shares(job: Job, names: Sequence[str]) -> dict[str, float]:
     """By stage: the share of the frames it runs in whose light was not met before."""
-    new = dict(zip((f.index for f in job.facts), what_is_new(job.facts), strict=True))
+    new = dict(zip((f.index for f in job.facts), what_is_new(job.stages.values(), job.facts), strict=True))
     out = {}
     for name in names:
-        terms = set(TERMS_OF.get(name, ())) & {"new_lights", "new_directions"}
+        terms = {term for term in job.stages[name].terms if term.startswith("new_")}
         runs = [bool(new[p.index] & terms) for p in job.plan.frames if any(s.stage == name for s in p.steps)]
         out[name] = float(np.mean(runs)) if runs else 0.0
     return out

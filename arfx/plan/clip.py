@@ -66,7 +66,7 @@ def plan_clip(
     once : what a stage prepares at a level, in the same seconds as its work; None = not known
     """
     frame = scene.camera.rect
-    new = list(what_is_new(facts))
+    new = list(what_is_new(stages, facts))
     usual = {s.name: level_named(s.levels, wish.quality) for s in stages}
     plans = [plan_frame(stages, usual, f, scene, frame, skip, prices, n) for f, n in zip(facts, new, strict=True)]
     shots: dict[int, int] = {}

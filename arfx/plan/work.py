@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
-
-import numpy as np
+from collections.abc import Iterable, Iterator
 
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.frame_light import KEY as ENVIRONMENT
-from arfx.stages.gi.frame_light import rounded
-
-_BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
-NO_LAMP = ()  # without lamps no shadow is made
+from arfx.core.stage import Stage
 
 
 def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()) -> dict[str, float]:
@@ -32,23 +26,14 @@ def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = 
     }
 
 
-def what_is_new(facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:
-    """Of each frame, in order: is its light one whose shadows, or whose whole field, have not been made yet?"""
-    met: Mapping[str, set[Hashable]] = {"new_directions": set(), "new_lights": set()}
+def what_is_new(stages: Iterable[Stage], facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:
+    """Of each frame, in order: the terms (`Stage.once`) whose work has not been done yet, for its light is a new one."""
+    every, met = list(stages), set()
     for f in facts:
         new = set()
         if f.visible:
-            for name, key in _light_keys(f).items():
-                if key != NO_LAMP and key not in met[name]:
-                    met[name].add(key)
+            for name, key in (item for stage in every for item in stage.once(f).items()):
+                if (name, key) not in met:
+                    met.add((name, key))
                     new.add(name)
         yield frozenset(new)
-
-
-def _light_keys(facts: FrameFacts) -> dict[str, Hashable]:
-    if facts.light is None:
-        return {"new_directions": None, "new_lights": None}
-    lights = [li for li in facts.light.lights if any(c > 0 for c in li.rgb)]
-    directions = tuple((*np.round(li.unit / _BEAM_STEP).astype(int).tolist(), round(li.angular_size_deg, 1)) for li in lights)
-    surroundings = str(facts.extra.get(ENVIRONMENT))
-    return {"new_directions": directions or NO_LAMP, "new_lights": (repr(rounded(facts.light)), surroundings)}

@@ -4,54 +4,78 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arfx.core.cube import face_directions
+from arfx.analyse.visibility import with_model
 from arfx.core.facts import ABSENT, FrameFacts
-from arfx.core.numerics import angle_between, divide
+from arfx.core.health import Check, JobView
+from arfx.core.layers import Layer, Layers
+from arfx.core.numerics import divide
 from arfx.core.opener import read_text
 from arfx.core.pose import find_rotvecs
+from arfx.core.scene import Scene
 from arfx.errors import InputError
+from arfx.plan.planner import plan_frame
+from arfx.run.frame import run_frame
 from arfx.run.planned import Job
+from arfx.stages import STAGES
 
-Rows = list[dict[str, Any]]
-_LOOKS = 5  # environments that are looked at, evenly over the clip
+Rows = list[Check]
 
 
-def health(job: Job) -> Rows:
+def health(job: Job) -> list[dict[str, Any]]:
     """Rows of {check, value, limit, verdict "ok" or "warn", action}. A job that got here made no value that is not finite:
     one that does stops with an error that names stage, frame and pixel."""
     facts, summary, truncated = job.facts, job.analysed.summary, job.analysed.truncated
     rows = [*_calibration(job), *_pose(facts, summary), *_light(summary.get("light"))]
-    rows += _lens(job) + _depth(job.analysed.depth) + _environment(facts) + _furnace(job)
+    rows += _depth(job.analysed.depth)
+    levels: dict[str, set[str]] = {name: set() for name in job.stages}
+    for step in (step for frame in job.plan.frames for step in frame.steps):
+        levels[step.stage].add(step.level)
+    view = JobView(facts, job.scene, {name: frozenset(used) for name, used in levels.items()}, picture)
+    rows += [row for stage in job.stages.values() for row in stage.health(view)]
     absent = sum(f.status == ABSENT for f in facts)
-    rows.append(check("frames without a pose", absent, 0, absent == 0, "object left out there"))
-    rows.append(check("source file", truncated or "whole", "whole", truncated is None, "processed to its last good frame"))
+    rows.append(Check("frames without a pose", absent, 0, absent == 0, "object left out there"))
+    rows.append(Check("source file", truncated or "whole", "whole", truncated is None, "processed to its last good frame"))
     find_rotvecs(p for f in facts for p in f.poses)
     bad = non_finite(f.to_json() for f in facts)
-    rows.append(check("values that are not finite in the facts", bad, 0, bad == 0, "frames with them are not drawn"))
-    rows.append(check("values that are not finite in the pictures", 0, 0, True, "the job would have stopped there"))
-    return rows
+    rows.append(Check("values that are not finite in the facts", bad, 0, bad == 0, "frames with them are not drawn"))
+    rows.append(Check("values that are not finite in the pictures", 0, 0, True, "the job would have stopped there"))
+    return [row.to_json() for row in rows]
 
 
-def check(name: str, value: Any, limit: Any, ok: bool, action: str) -> dict[str, Any]:
-    return {"check": name, "value": value, "limit": limit, "verdict": "ok" if ok else "warn", "action": "none" if ok else action}
+def picture(scene: Scene, facts: FrameFacts, levels: Mapping[str, str]) -> Layers | None:
+    """One frame by these stages with their usual settings: see `JobView`."""
+    (facts,) = with_model([facts], scene)
+    settings = {name: STAGES[name].Params() for name in levels}
+    for name in levels:
+        for other, changes in STAGES[name].overrides.items():
+            settings[other] = replace(settings[other], **changes)
+    stages = {name: STAGES[name](settings[name]) for name in levels}
+    plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
+    if not plan.steps:
+        return None
+    plate = np.ones((plan.rect.height, plan.rect.width, 3), np.float32)
+    prepared = {s.stage: stages[s.stage].prepare(scene, s.level) for s in plan.steps}
+    canvas = run_frame(plate, facts, plan, scene, stages, levels, prepared).canvas
+    return canvas.view(frozenset(Layer), plan.rect)
 
 
 def _calibration(job: Job) -> Rows:
     camera, config = job.inputs.camera, job.inputs.config
     known = "guessed" if camera.guessed else "given"
-    rows = [check("camera calibration", known, "given", not camera.guessed, "field of view assumed")]
+    rows = [Check("camera calibration", known, "given", not camera.guessed, "field of view assumed")]
     told = {} if config.input.camera is None else stated(config.input.camera)
     if "verdict" in told:
         word = told["verdict"]
-        rows.append(check("calibration's own verdict", word, "usable", word in ("good", "usable"), "calibrate again"))
+        rows.append(Check("calibration's own verdict", word, "usable", word in ("good", "usable"), "calibrate again"))
     if "condition" in told:
-        rows.append(check("calibration condition number", told["condition"], 1e8, told["condition"] <= 1e8, "calibrate again"))
+        rows.append(Check("calibration condition number", told["condition"], 1e8, told["condition"] <= 1e8, "calibrate again"))
     return rows
 
 
@@ -74,27 +98,27 @@ def _pose(facts: Sequence[FrameFacts], summary: dict[str, Any]) -> Rows:
     reprojection = summary["reprojection_px"]["smoothed"]["median"]
     if reprojection is not None:
         action = "check marker size, calibration and lens mode"
-        rows.append(check("reprojection median (px)", reprojection, 1.0, reprojection <= 1.0, action))
+        rows.append(Check("reprojection median (px)", reprojection, 1.0, reprojection <= 1.0, action))
     ambiguous, sightings = summary["ambiguous_sightings"], sum(summary["markers_seen"].values())
     action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
-    rows.append(check("ambiguous sightings", ambiguous, sightings // 2, ambiguous <= sightings // 2, action))
+    rows.append(Check("ambiguous sightings", ambiguous, sightings // 2, ambiguous <= sightings // 2, action))
     ratios = [m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)]
     if ratios:
         low = float(np.percentile(ratios, 5))
-        rows.append(check("pose hypotheses: second error / first, 5th percentile", low, 3.0, low >= 3.0, action))
+        rows.append(Check("pose hypotheses: second error / first, 5th percentile", low, 3.0, low >= 3.0, action))
     condition = summary["pose_condition"]["median"]
     if condition is not None:
         weak = "pose is weak: larger or more tilted marker"
-        rows.append(check("pose condition number", condition, 1e6, condition <= 1e6, weak))
+        rows.append(Check("pose condition number", condition, 1e6, condition <= 1e6, weak))
     spread = [s for s in map(_pose_deviation, facts) if s is not None]
     if spread:
         turn, shift = (float(np.percentile([s[k] for s in spread], 95)) for k in (0, 1))
-        rows.append(check("pose standard deviation, 95th percentile (deg)", turn, 2.0, turn <= 2.0, "smoothed over more frames"))
-        rows.append(check("pose standard deviation, 95th percentile (% of distance)", shift, 2.0, shift <= 2.0,
+        rows.append(Check("pose standard deviation, 95th percentile (deg)", turn, 2.0, turn <= 2.0, "smoothed over more frames"))
+        rows.append(Check("pose standard deviation, 95th percentile (% of distance)", shift, 2.0, shift <= 2.0,
                           "smoothed over more frames"))  # fmt: skip
     if not summary["map"]["given"] and summary["map"].get("condition") is not None:
         value = summary["map"]["condition"]
-        rows.append(check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
+        rows.append(Check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
     return rows
 
 
@@ -116,35 +140,16 @@ def _light(light: dict[str, Any] | None) -> Rows:
     photometry = light["photometry"]
     condition = max((c for c in photometry["condition"] if c is not None), default=None)
     ok = photometry["verdict"] == "measured"
-    rows = [check("photometry condition number", condition, 1e6, ok, f"bias taken for 0: {photometry['reason']}")]
+    rows = [Check("photometry condition number", condition, 1e6, ok, f"bias taken for 0: {photometry['reason']}")]
     if "verdict" not in light:  # no frame with a pose that lasts
         return rows
     # what the markers' normals say of a direction beside ambient light; a given light does not need it
     known = light["verdict"] != "refused"
-    rows.append(check("light direction", light["verdict"], "measured or given", known, light["reason"]))
+    rows.append(Check("light direction", light["verdict"], "measured or given", known, light["reason"]))
     if light["normals_seen"]:
-        rows.append(check("light fit condition number", light["condition"], 1e3, known, "no direction claimed"))
-    rows.append(check("clipped share of the markers", light["clipped_fraction"], 0.5, light["clipped_fraction"] <= 0.5,
+        rows.append(Check("light fit condition number", light["condition"], 1e3, known, "no direction claimed"))
+    rows.append(Check("clipped share of the markers", light["clipped_fraction"], 0.5, light["clipped_fraction"] <= 0.5,
                       "clipped samples left out: brightness rests on the others"))  # fmt: skip
-    return rows
-
-
-def _lens(job: Job) -> Rows:
-    """The lens of the blur: given, or measured from the footage's edges."""
-    params = job.inputs.config.params.get("dof")
-    if "dof" not in job.stages or params is None:
-        return []
-    if params.lens != "footage":
-        return [check("lens of the blur", "given", "given or measured", True, "")]
-    fits = [f.extra["footage_lens"] for f in job.facts if f.extra.get("footage_lens")]
-    known = [f for f in fits if f["known"]]
-    reason = fits[0]["reason"] if fits else "not measured"
-    rows = [
-        check("lens of the blur", "measured" if known else "refused", "measured", bool(known), f"object stays sharp: {reason}")
-    ]
-    if known:
-        share = max(float(divide(f["px_per_dioptre_ci95"], f["px_per_dioptre"])) for f in known)
-        rows.append(check("lens of the blur, half width of its interval", share, 0.5, share <= 0.5, "blur is a rough guess"))
     return rows
 
 
@@ -153,64 +158,11 @@ def _depth(depth: dict[str, Any] | None) -> Rows:
     if depth is None:
         return []
     told = "as stated" if depth["residual"] is None else depth["residual"]
-    rows = [check("real depth: miss of the markers' planes", told if depth["known"] else depth["reason"], 0.1, depth["known"],
+    rows = [Check("real depth: miss of the markers' planes", told if depth["known"] else depth["reason"], 0.1, depth["known"],
                   "not used: the real scene is the markers' planes")]  # fmt: skip
     if depth["known"]:
         without = depth["frames_without"]
-        rows.append(check("frames without real depth", without, 0, without == 0, "markers' planes there"))
-    return rows
-
-
-def _environment(facts: Sequence[FrameFacts]) -> Rows:
-    """Steps of the environment map across the edges of its cube beside those between texels within a face."""
-    told = [f.extra["environment"] for f in facts if f.extra.get("environment")]
-    if not told:
-        return []
-    from arfx.stages.gi.frame_light import decoded
-
-    worst = max(seam_ratio(np.asarray(decoded(told[i]), float)) for i in np.linspace(0, len(told) - 1, _LOOKS).astype(int))
-    return [
-        check("environment: steps across cube edges / within faces", worst, 3.0, worst <= 3.0, "seam may show in reflections")
-    ]
-
-
-def seam_ratio(faces: np.ndarray) -> float:
-    """Median step across the edges of a cube (6, n, n, 3) over that within its faces next to them; 1 = no seam.
-
-    Flat maps have neither: steps below a thousandth of the mean count as that.
-    """
-    n = faces.shape[1]
-    directions = face_directions(n)
-    flat, values = directions.reshape(-1, 3), faces.reshape(-1, faces.shape[-1])
-    border = np.zeros((n, n), bool)
-    border[[0, -1], :] = border[:, [0, -1]] = True
-    across: list[np.ndarray] = []
-    within: list[np.ndarray] = []
-    for face in range(6):
-        own = np.arange(face * n * n, (face + 1) * n * n)[border.ravel()]
-        others = np.delete(np.arange(6 * n * n), np.s_[face * n * n : (face + 1) * n * n])
-        inner = np.setdiff1d(np.arange(face * n * n, (face + 1) * n * n), own)
-        for candidates, steps in ((others, across), (inner if len(inner) else own, within)):
-            near = candidates[np.argmax(flat[own] @ flat[candidates].T, axis=1)]
-            apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
-            steps.append(divide(np.abs(values[own] - values[near]).mean(1), apart_rad))
-    least = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9)
-    return float(max(np.median(np.concatenate(across)), least) / max(np.median(np.concatenate(within)), least))
-
-
-def _furnace(job: Job) -> Rows:
-    """Only where voxels were used: not at level reference."""
-    used = {s.level for p in job.plan.frames for s in p.steps if s.stage == "gi"} - {"reference"}
-    if not used:
-        return []
-    from arfx.run.furnace import LIMIT, furnace_mean
-
-    rows = []
-    for level in sorted(used):
-        mean = furnace_mean(job.scene, level)
-        if mean is not None:
-            ok = abs(mean - 1) <= LIMIT
-            rows.append(check(f"voxel furnace at {level}: mean of 1", mean, f"1 ± {LIMIT}", ok, "gi at a higher level"))
+        rows.append(Check("frames without real depth", without, 0, without == 0, "markers' planes there"))
     return rows
 
 

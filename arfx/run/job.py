@@ -6,7 +6,7 @@ import contextlib
 import json
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from arfx.core.machine import usable_cores
 from arfx.core.marker import anchor_marker
 from arfx.core.plan import FramePlan
 from arfx.core.real_plane import RealPlane
+from arfx.core.stage import Stage
 from arfx.errors import JobInterruptedError
 from arfx.media.join import join_chunks
 from arfx.media.output import check_times
@@ -166,7 +167,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     scene = analysed.scene(config, inputs.camera, inputs.model)
     start = time.perf_counter()
     if fresh:
-        size = _size(inputs, analysed, log.spent(analysis_key, []), options)
+        size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
         plans, document = choose(config, stages, facts, scene, wish, errors, prices, size, options.notice)
         write_text(folder.plan_summary, json.dumps(document, indent=1))
         write_lines(folder.plan, (p.to_json() for p in plans))
@@ -184,7 +185,7 @@ def _compiled(parts: Sequence[str], options: Options, started: float | None) -> 
     return time.perf_counter() - (0.0 if started is None else before - started)
 
 
-def _size(inputs: Inputs, analysed: Analysed, spent: Spent, options: Options) -> Terms:
+def _size(inputs: Inputs, analysed: Analysed, stages: Mapping[str, Stage], spent: Spent, options: Options) -> Terms:
     frames = len(analysed.pts)
     workers, threads = options.workers, False
     if workers is None:
@@ -193,6 +194,7 @@ def _size(inputs: Inputs, analysed: Analysed, spent: Spent, options: Options) ->
     return Terms(
         frames, inputs.camera.rect.area / 1e6, spent.seconds.get("decode", 0.0), spent.wall_s, inputs.output.codec, workers,
         0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6, tuple(analysed.keys),
+        frozenset(name for name, stage in stages.items() if type(stage).health is not Stage.health),
     )  # fmt: skip
 
 

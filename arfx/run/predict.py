@@ -15,7 +15,6 @@ from arfx.core.cost import Prediction, Prices, exactly, together, with_spread
 from arfx.core.plan import FramePlan
 from arfx.plan.levels import alike
 from arfx.run.chunks import borders
-from arfx.run.furnace import SIZE
 from arfx.run.schedule import Load, elapsed
 
 DECODE_SPREAD = 0.25  # decoding again beside the rendering, against decoding beside the analysis
@@ -27,7 +26,7 @@ class Terms:
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all frames, as the analysis measured it
     before_s : seconds up to now;  workers, processes : how many render, and how many of them are further processes
-    keys : frames that decoding can begin at
+    keys : frames that decoding can begin at;  checked : stages that the report may prepare once more, for their health
     """
 
     frames: int
@@ -39,6 +38,7 @@ class Terms:
     processes: int = 0
     mfaces: float = 0.0
     keys: tuple[int, ...] = (0,)
+    checked: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def predict(
         "edit": edit,
         "encode": encode,
         "join": prices.predict("join", whole),
-        "report": _report(_levels(plans), terms, prices),
+        "report": prepare({at for at in _levels(plans) if at[0] in terms.checked}, terms, prices),
     }
     return JobPrediction(phases, share, terms.workers)
 
@@ -129,17 +129,6 @@ def prepare_one(stage: str, level: str, terms: Terms, prices: Prices) -> Predict
         return own
     others = [p.seconds(work) for key, p in prices.prices.items() if key.startswith(f"prepare {stage}/")]
     return with_spread(max(others), 1.0) if others else None
-
-
-def _report(wanted: Collection[tuple[str, str]], terms: Terms, prices: Prices) -> Prediction | None:
-    """The white furnace of a job with `gi` (run/furnace.py) prepares its level once more and renders one small picture."""
-    levels = [level for stage, level in wanted if stage == "gi"]
-    if not levels or levels[0] == "reference":
-        return exactly(0.0)
-    mpx = SIZE[0] * SIZE[1] / 1e6
-    picture = prices.predict(f"gi/{levels[0]}", {"frames": 1.0, "mpx": mpx, "object_mpx": mpx / 2, "new_lights": 1.0})
-    anew = prepare({("gi", levels[0]), ("lightmap", "standard")}, terms, prices)
-    return None if anew is None or picture is None else together([anew, picture])
 
 
 def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:

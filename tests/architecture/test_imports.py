@@ -19,9 +19,9 @@ ALLOWED: dict[str, set[str]] = {
     "stages": FIRST,
     "analyse": FIRST,
     "synth": FIRST | {"media"},
-    "plan": FIRST | {"config", "media", "calibrate", "synth", "stages", "analyse"},
+    "plan": FIRST,
 }
-ALLOWED["run"] = ALLOWED["plan"] | {"plan"}
+ALLOWED["run"] = FIRST | {"config", "media", "calibrate", "synth", "stages", "analyse", "plan"}
 ALLOWED["measure"] = ALLOWED["run"] | {"run"}
 ALLOWED["arfx_cli"] = ALLOWED["measure"] | {"measure"}
 EMPTY_NAMES = {"utils", "util", "helpers", "helper", "manager", "base", "misc", "common"}

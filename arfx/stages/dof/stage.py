@@ -9,7 +9,7 @@ aberrations, vignetting, motion. Source: S2 (paper, and corrections in SYSTEMS.m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -17,7 +17,9 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
+from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Patch
+from arfx.core.numerics import divide
 from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -26,7 +28,7 @@ from arfx.stages.dof import demand as called
 from arfx.stages.dof import paper
 from arfx.stages.dof.corrected import render
 from arfx.stages.dof.ladder import LADDERS
-from arfx.stages.dof.optics import Circles, circles, unknown_lens
+from arfx.stages.dof.optics import FOOTAGE_LENS, Circles, circles, unknown_lens
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
 
@@ -67,6 +69,20 @@ class Dof(Stage):
         at, real = self._frame(facts, scene)
         grid = grid_of(scene.camera)
         return called.needs(out, facts, at, real if self.params.scope == "all" else None, grid, scene.camera.rect)
+
+    def health(self, job: JobView) -> Iterator[Check]:
+        """The lens of the blur: given, or measured from the footage's edges."""
+        name = "lens of the blur"
+        if self.params.lens != "footage":
+            yield Check(name, "given", "given or measured", True, "")
+            return
+        fits = [f.extra[FOOTAGE_LENS] for f in job.facts if f.extra.get(FOOTAGE_LENS)]
+        known = [f for f in fits if f["known"]]
+        reason = fits[0]["reason"] if fits else "not measured"
+        yield Check(name, "measured" if known else "refused", "measured", bool(known), f"object stays sharp: {reason}")
+        if known:
+            share = max(float(divide(f["px_per_dioptre_ci95"], f["px_per_dioptre"])) for f in known)
+            yield Check(f"{name}, half width of its interval", share, 0.5, share <= 0.5, "blur is a rough guess")
 
     def prepare(self, scene: Scene, level: str) -> Any:
         if level == "reference" and not self._paper:

@@ -10,13 +10,14 @@ caustics, refraction, light that the object sends through its own transparent pa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
+from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
 from arfx.core.numerics import divide
@@ -26,7 +27,8 @@ from arfx.core.stage import Demand, Stage, Window
 from arfx.errors import ConfigError
 from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, make_body
-from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field
+from arfx.stages.gi.frame_light import KEY, Around, LevelSettings, around, frame_field, rounded
+from arfx.stages.gi.health import furnace, seams
 from arfx.stages.gi.pixels import LOBES, chosen, light_points, reflected, spread
 from arfx.stages.gi.plane_gloss import SHARPEST, mirror_in_planes, mirror_rect
 from arfx.stages.gi.plane_pixels import DARKEST, add_delta, measured, shown_radius_m
@@ -99,6 +101,7 @@ class Gi(Stage):
     levels = ("draft", "standard", "high", "reference")
     facts = frozenset({"pose", "light", "environment"})
     Params = GiParams
+    terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
     overrides: ClassVar = {"lightmap": {"ambient": False}}  # gi gives all light without a direction
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
@@ -118,6 +121,16 @@ class Gi(Stage):
         block = LEVELS[level].block if level in LEVELS else 1
         frame = scene.camera.rect
         return out.pad(2 * block).align(block, block).union(self._seen(facts, scene, frame)).clip(frame)
+
+    def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
+        """The voxels' light is made for each light and its surroundings, both rounded."""
+        if facts.light is None:
+            return {"new_lights": None}
+        return {"new_lights": (repr(rounded(facts.light)), str(facts.extra.get(KEY)))}
+
+    def health(self, job: JobView) -> Iterator[Check]:
+        yield from seams(job)
+        yield from furnace(job)
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
         planes = planes_of(scene)

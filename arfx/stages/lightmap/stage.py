@@ -37,6 +37,7 @@ from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth
 from arfx.stages.lightmap.shading import harmonic_terms, highlight_width, shade
 from arfx.stages.viewing import direction_grid
 
+_BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
 _KEPT = 8  # lights whose shadows are kept; at the standard level 1.3 MB each
 
 
@@ -113,6 +114,7 @@ class Lightmap(Stage):
     facts = frozenset({"pose", "light"})
     Params = LightmapParams
     always = True
+    terms = ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.drawn_box.clip(frame)
@@ -122,6 +124,14 @@ class Lightmap(Stage):
             return Demand(EMPTY, f"model out of view; {why}")
         lit = f"model lit ({_source(facts, scene).source})" if not model.empty else "model out of view"
         return Demand(model.union(shadow), f"{lit}; {why}")
+
+    def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
+        """Shadows are made for each direction of a light, to within a step."""
+        if facts.light is None:
+            return {"new_directions": None}
+        lights = [li for li in facts.light.lights if any(c > 0 for c in li.rgb)]
+        key = tuple((*np.round(li.unit / _BEAM_STEP).astype(int).tolist(), round(li.angular_size_deg, 1)) for li in lights)
+        return {"new_directions": key} if key else {}
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
         ground = ground_of(scene)

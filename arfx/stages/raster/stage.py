@@ -63,6 +63,7 @@ class Raster(Stage):
     levels = ("draft", "standard", "high", "reference")
     Params = RasterParams
     always = True
+    terms = ("frames", "mpx", "object_mpx", "mfaces")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         rect = facts.drawn_box.clip(frame)

@@ -61,12 +61,13 @@ def test_a_named_quality_is_that_quality() -> None:
 
 
 def test_light_is_new_once() -> None:
+    stages = [STAGES["lightmap"](), STAGES["gi"]()]
     lamp = DirectionalLight((0.3, 0.2, 0.9), (0.5, 0.5, 0.5), 4.0)
     f = facts(SCENE)
     lit = replace(f, light=Light(lights=(lamp,)))
     dimmer = replace(f, light=Light(lights=(replace(lamp, rgb=(0.2, 0.2, 0.2)),)))
     gone = replace(f, camera_from_world=None)
-    found = list(what_is_new([gone, lit, lit, dimmer, lit]))
+    found = list(what_is_new(stages, [gone, lit, lit, dimmer, lit]))
     soft = replace(f, light=Light(lights=()))
-    assert list(what_is_new([soft])) == [{"new_lights"}], "no lamp, no shadow to make"
+    assert list(what_is_new(stages, [soft])) == [{"new_lights"}], "no lamp, no shadow to make"
     assert found == [frozenset(), {"new_directions", "new_lights"}, frozenset(), {"new_lights"}, frozenset()]

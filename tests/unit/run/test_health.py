@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from arfx.core.cube import face_directions
-from arfx.run.furnace import LIMIT, furnace_mean
-from arfx.run.health import _pose_deviation, check, non_finite, seam_ratio, stated
+from arfx.core.health import Check, JobView
+from arfx.run.health import _pose_deviation, non_finite, picture, stated
+from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio
 from tests.scenes import facts, scene
 
 
@@ -23,8 +24,8 @@ def test_a_smooth_environment_has_no_seam_and_a_face_of_another_brightness_has()
 
 
 def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    mean = furnace_mean(scene(), "draft")
-    assert mean == pytest.approx(1, abs=LIMIT)
+    job = JobView((), scene(), {"gi": frozenset({"draft"})}, picture)
+    assert furnace_mean(job, "draft") == pytest.approx(1, abs=LIMIT)
     from arfx.stages.gi.stage import Gi
 
     run = Gi.run
@@ -33,7 +34,7 @@ def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(monkeypatch:
         return {layer: 0.9 * a for layer, a in run(self, window, *rest).items()}
 
     monkeypatch.setattr(Gi, "run", darker)
-    assert abs(furnace_mean(scene(), "draft") - 1) > LIMIT
+    assert abs(furnace_mean(job, "draft") - 1) > LIMIT
 
 
 def test_numbers_that_are_not_finite_are_counted_but_for_those_that_mean_unknown() -> None:
@@ -56,4 +57,4 @@ def test_what_a_calibration_says_of_itself_is_read(tmp_path) -> None:
     assert stated(tmp_path / "a.yaml") == {"verdict": "usable", "condition": 3.5e4}
     (tmp_path / "c.yaml").write_text("condition: e.e\n")
     assert stated(tmp_path / "c.yaml") == {} and stated(tmp_path / "b.yaml") == {} and stated(tmp_path / "none") == {}
-    assert check("a", 2, 1, False, "told")["action"] == "told" and check("a", 0, 1, True, "told")["action"] == "none"
+    assert Check("a", 2, 1, False, "told").to_json()["action"] == "told" and Check("a", 0, 1, True, "told").to_json()["action"] == "none"

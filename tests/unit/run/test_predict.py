@@ -16,7 +16,6 @@ PRICES = Prices(
     {
         "edit": Price({"frames": 0.0}, 0.1), "encode h264": Price({"frames": 0.01}, 0.1), "join": Price({"frames": 0.001}, 0.1),
         "prepare gi/draft": Price({"frames": 0.5}, 0.1), "prepare lightmap/standard": Price({"frames": 0.2}, 0.1),
-        "gi/draft": Price({"frames": 0.3}, 0.1),
     },
     threads=2, calibrated=True,
 )  # fmt: skip
@@ -46,10 +45,10 @@ def test_the_second_thread_decodes_what_lies_before_its_stretch() -> None:
     assert far.phases["decode"].seconds == pytest.approx(1.2 + 0.6) and near.phases["decode"].seconds == pytest.approx(1.2)
 
 
-def test_the_report_of_a_job_with_gi_prepares_it_again() -> None:
+def test_the_report_prepares_a_stage_again_whose_health_is_checked() -> None:
     frames = plans(range(120), "gi")
-    found = predict(frames, stages_of(frames), TERMS, PRICES)
-    assert found.phases["report"].seconds == pytest.approx(0.5 + 0.2 + 0.3) and of(plans(range(9))).phases["report"].seconds == 0
+    found = predict(frames, stages_of(frames), replace(TERMS, checked=frozenset({"gi", "dof"})), PRICES)
+    assert found.phases["report"].seconds == pytest.approx(0.5) and of(plans(range(9))).phases["report"].seconds == 0
     told = to_json(found, PRICES)
     assert told["wall"]["low_s"] < told["wall"]["s"] < told["wall"]["high_s"] and told["phases"]["report"]["s"] > 0
 

@@ -1,0 +1,94 @@
+"""Health of indirect light: seams of the environment map, and the white furnace of the job's own voxels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.cube import face_directions
+from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.health import Check, JobView
+from arfx.core.layers import Layer
+from arfx.core.light import Light
+from arfx.core.model import Material
+from arfx.core.numerics import angle_between, divide
+from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.stages.gi.frame_light import KEY, decoded
+
+SIZE = (96, 72)
+LIMIT = 0.05  # of the mean: thin parts and corners darken a little, as each sees the other darkened once more
+_LOOKS = 5  # environments that are looked at, evenly over the clip
+
+
+def seams(job: JobView) -> Iterator[Check]:
+    """Steps of the environment map across the edges of its cube beside those between texels within a face."""
+    maps = [f.extra[KEY] for f in job.facts if f.extra.get(KEY)]
+    if maps:
+        worst = max(seam_ratio(np.asarray(decoded(maps[i]), float)) for i in np.linspace(0, len(maps) - 1, _LOOKS).astype(int))
+        name = "environment: steps across cube edges / within faces"
+        yield Check(name, worst, 3.0, worst <= 3.0, "seam may show in reflections")
+
+
+def seam_ratio(faces: np.ndarray) -> float:
+    """Median step across the edges of a cube (6, n, n, 3) over that within its faces next to them; 1 = no seam.
+
+    Flat maps have neither: steps below a thousandth of the mean count as that.
+    """
+    n = faces.shape[1]
+    directions = face_directions(n)
+    flat, values = directions.reshape(-1, 3), faces.reshape(-1, faces.shape[-1])
+    border = np.zeros((n, n), bool)
+    border[[0, -1], :] = border[:, [0, -1]] = True
+    across: list[np.ndarray] = []
+    within: list[np.ndarray] = []
+    for face in range(6):
+        own = np.arange(face * n * n, (face + 1) * n * n)[border.ravel()]
+        others = np.delete(np.arange(6 * n * n), np.s_[face * n * n : (face + 1) * n * n])
+        inner = np.setdiff1d(np.arange(face * n * n, (face + 1) * n * n), own)
+        for candidates, steps in ((others, across), (inner if len(inner) else own, within)):
+            near = candidates[np.argmax(flat[own] @ flat[candidates].T, axis=1)]
+            apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
+            steps.append(divide(np.abs(values[own] - values[near]).mean(1), apart_rad))
+    least = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9)
+    return float(max(np.median(np.concatenate(across)), least) / max(np.median(np.concatenate(within)), least))
+
+
+def furnace(job: JobView) -> Iterator[Check]:
+    """Of every level at which voxels were used: not of `reference`."""
+    for level in sorted(job.levels["gi"] - {"reference"}):
+        mean = furnace_mean(job, level)
+        if mean is not None:
+            ok = abs(mean - 1) <= LIMIT
+            yield Check(f"voxel furnace at {level}: mean of 1", mean, f"1 ± {LIMIT}", ok, "gi at a higher level")
+
+
+def furnace_mean(job: JobView, level: str) -> float | None:
+    """Mean radiance of the model, made white, on a white plane in a light of 1: it has to vanish. Energy that cones lose or
+    invent is a mean other than 1. Over pixels inside its outline; None where it shows too few. Cost: one small picture."""
+    scene = job.scene
+    white = Material("white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0)
+    model = replace(scene.model, parts=tuple(replace(p, material=white, colours=None) for p in scene.model.parts))
+    width, height = SIZE
+    focal = 0.9 * width
+    camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))
+    even = Light(ambient_rgb=(1.0, 1.0, 1.0), lights=())
+    small = replace(scene, camera=camera, model=model, light=even, surface_m=None)
+    box = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
+    centre, size_m = (box.min(0) + box.max(0)) / 2, float(np.linalg.norm(np.ptp(box, axis=0)))
+    turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-40, 0, 0)
+    camera_from_anchor = Pose(turn, np.array([0, 0, 1.3 * size_m]) - turn @ centre)
+    pose = camera_from_anchor @ scene.world_from_anchor.inverse()
+    facts = FrameFacts(0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1.0, light=even)
+    levels = {"raster": "standard", "lightmap": "standard", "gi": level, "composite": "standard"}
+    seen = job.picture(small, facts, levels)
+    if seen is None:
+        return None
+    whole = seen[Layer.COVERAGE] > 0.999
+    inside = whole.copy()
+    for axis in (0, 1):
+        for step in (-1, 1):
+            inside &= np.roll(whole, step, axis)
+    return float(seen[Layer.VIRTUAL][inside].mean()) if inside.sum() >= 20 else None
