@@ -11,6 +11,7 @@ from arfx.core.cube import face_directions, unpacked
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
+from arfx.core.memo import Memo
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -20,7 +21,6 @@ from arfx.stages.gi.plane_pixels import measured
 from arfx.stages.gi.pyramid import Atlas
 from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
-from arfx.stages.lightmap.stage import Kept
 
 KEY = "environment"  # in FrameFacts.extra: a cube as core.cube packs it, WORLD axes
 PLANE = "plane"  # in that: radiance of the plane, where the cube is a guess
@@ -159,7 +159,7 @@ def decoded(told: dict[str, Any]) -> np.ndarray:
 
 
 def around(
-    now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, places: np.ndarray, kept: Kept
+    now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, places: np.ndarray, kept: Memo
 ) -> Around:
     """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  places : of the
     texels of the picture on the planes;  kept : environments that were made ready before"""
@@ -206,7 +206,7 @@ def frame_field(
     made: Around,
     at: LevelSettings,
     paper: bool,
-    kept: Kept,
+    kept: Memo,
 ) -> Field:
     """The voxels' light and the planes' change, made anew only where light, environment or plane differ."""
     coarse = rounded(light)

@@ -20,6 +20,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
+from arfx.core.memo import Memo
 from arfx.core.numerics import divide
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -36,7 +37,6 @@ from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_o
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.split_sum import split_sum
 from arfx.stages.gi.surroundings import Planes
-from arfx.stages.lightmap.stage import Kept
 from arfx.stages.viewing import direction_grid, viewing
 
 SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
@@ -86,7 +86,7 @@ class Prepared:
     tangents: np.ndarray
     steps: np.ndarray
     places: np.ndarray
-    kept: Kept = field(default_factory=lambda: Kept(8))
+    kept: Memo = field(default_factory=lambda: Memo(8))
 
 
 class Gi(Stage):

@@ -9,11 +9,9 @@ Source: SYSTEMS.md S1 (paper and corrections).
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.light import Light
+from arfx.core.memo import Memo
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, Window
@@ -69,32 +68,6 @@ class LightmapParams:
             raise ConfigError(f"lightmap.faint must be between 0 and 0.3, is {self.faint:g}")
 
 
-class Kept:
-    """The last few things that were made, by key. Making is pure, so a thing that two threads make is the same twice."""
-
-    def __init__(self, most: int = _KEPT) -> None:
-        self._most, self._lock = most, Lock()
-        self._things: OrderedDict[Hashable, Any] = OrderedDict()
-        self.made = 0
-
-    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        with self._lock:
-            if key in self._things:
-                self._things.move_to_end(key)
-                return self._things[key]
-        thing = make()
-        with self._lock:
-            self.made += 1
-            self._things[key] = thing
-            while len(self._things) > self._most:
-                self._things.popitem(last=False)
-        return thing
-
-    def clear(self) -> None:
-        with self._lock:
-            self._things.clear()
-
-
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """Of one clip, worker and level. grid : viewing directions;  kept : shadows by their light"""
@@ -103,7 +76,7 @@ class Prepared:
     rays: Rays
     ambient: PlaneTexture
     grid: np.ndarray
-    kept: Kept = field(default_factory=Kept)
+    kept: Memo = field(default_factory=lambda: Memo(_KEPT))
 
 
 class Lightmap(Stage):

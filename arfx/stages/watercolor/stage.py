@@ -27,12 +27,12 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
+from arfx.core.memo import Memo
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, Window
 from arfx.stages.bands import Beside
-from arfx.stages.lightmap.stage import Kept
 from arfx.stages.watercolor.cells import cell_colours, neighbours, toned, washed
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
@@ -77,10 +77,10 @@ class Prepared:
     grain: np.ndarray
     wobbles: Wobbles
     surface: Surface
-    cells: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
-    pictures: Kept = field(default_factory=lambda: Kept(_KEPT_PICTURES))
-    fields: Kept = field(default_factory=lambda: Kept(_KEPT_SETS))
-    measures: Kept = field(default_factory=lambda: Kept(_KEPT_MEASURES))
+    cells: Memo = field(default_factory=lambda: Memo(_KEPT_SETS))
+    pictures: Memo = field(default_factory=lambda: Memo(_KEPT_PICTURES))
+    fields: Memo = field(default_factory=lambda: Memo(_KEPT_SETS))
+    measures: Memo = field(default_factory=lambda: Memo(_KEPT_MEASURES))
 
     def forget(self) -> None:
         """Drop what was kept between frames, so that the next one costs what a new frame costs."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.memo import Memo
 from arfx.core.pose import Pose
-from arfx.stages.lightmap.stage import Kept
 from arfx.stages.watercolor.labels import STILL, Wobble, wobble_of
 from arfx.stages.watercolor.pigment import wobble_tile
 from arfx.stages.watercolor.sites import GRID_PX, Field
@@ -29,7 +29,7 @@ class Wobbles:
 
     seed: int
     reach_px: float
-    _made: Kept = field(default_factory=lambda: Kept(PARTS * PARTS))
+    _made: Memo = field(default_factory=lambda: Memo(PARTS * PARTS))
 
     def at(self, x_px: float, y_px: float) -> Wobble:
         """Moved so that pixel (0, 0) of the frame has what lies at (x_px, y_px)."""

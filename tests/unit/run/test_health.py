@@ -57,4 +57,7 @@ def test_what_a_calibration_says_of_itself_is_read(tmp_path) -> None:
     assert stated(tmp_path / "a.yaml") == {"verdict": "usable", "condition": 3.5e4}
     (tmp_path / "c.yaml").write_text("condition: e.e\n")
     assert stated(tmp_path / "c.yaml") == {} and stated(tmp_path / "b.yaml") == {} and stated(tmp_path / "none") == {}
-    assert Check("a", 2, 1, False, "told").to_json()["action"] == "told" and Check("a", 0, 1, True, "told").to_json()["action"] == "none"
+    assert (
+        Check("a", 2, 1, False, "told").to_json()["action"] == "told"
+        and Check("a", 0, 1, True, "told").to_json()["action"] == "none"
+    )
