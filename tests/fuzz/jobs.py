@@ -58,14 +58,16 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
     if rng.random() < 0.15:
         (folder / "job.toml").write_bytes(mutated_bytes(rng, text.encode()))
     else:
-        (folder / "job.toml").write_text(mutated_text(rng, text), errors="replace")
+        # an output elsewhere would be written there, as the file says
+        damaged = re.sub(r'^(path\s*=\s*)"[^"\n]*[/\\][^"\n]*"', r'\1"out.mp4"', mutated_text(rng, text), flags=re.MULTILINE)
+        (folder / "job.toml").write_text(damaged, errors="replace")
     return Case(folder, args, _output(folder), note="damaged job.toml")
 
 
 def _output(folder: Path) -> str:
     """Where a damaged job file says that the output goes, as far as one can tell."""
     found = re.search(r'^path\s*=\s*"([^"\n]*)"', (folder / "job.toml").read_text(errors="replace"), re.MULTILINE)
-    return found[1] if found and "/" not in found[1] and "\\" not in found[1] else "out.mp4"
+    return found[1] if found else "out.mp4"
 
 
 def hostile(rng: random.Random, folder: Path, material: Path) -> Case:

@@ -75,7 +75,7 @@ def judge(case: Case, ended: list[Ended], before: dict[str, str], reached: Found
 
 def _messages(case: Case, e: Ended) -> Found:
     found: Found = []
-    if "Traceback (most recent" in e.err:
+    if "Traceback (most recent" in e.err and not before_arfx(e):
         found.append(("traceback", e.err.strip().splitlines()[-1]))
     if "arfx failed" in e.err:
         found.append(("internal error", _first(e.err)))
@@ -94,6 +94,11 @@ def _messages(case: Case, e: Ended) -> Found:
     return found
 
 
+def before_arfx(e: Ended) -> bool:
+    """Whether the interpreter itself was interrupted while it started (in `site`, say), which it ends with 1 and a traceback."""
+    return e.code == 1 and "KeyboardInterrupt" in e.err and not re.search(r'File ".*arfx', e.err)
+
+
 def _no_number(text: str) -> None:
     raise ValueError(f"{text} is no JSON")
 
@@ -105,7 +110,7 @@ def _stopped(case: Case, first: Ended, there: bool) -> Found:
     if first.code == 0 and not there:
         return [("exit code", f"{number.name}: 0 without the output")]
     # the interpreter's first moments belong to nobody: then the signal itself ends the process, before there is anything
-    allowed = {0, STOPPED[number]} | (set() if there else {-number})
+    allowed = {0, STOPPED[number]} | (set() if there else {-number}) | ({1} if before_arfx(first) else set())
     if first.code not in allowed:
         return [("exit code", f"{number.name}: {first.code}: {_first(first.err)}")]
     # put in place long after: the signal was lost; a busy machine may take a while over what was begun
