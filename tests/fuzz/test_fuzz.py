@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import signal
 import random
+import signal
 import sys
 from pathlib import Path
 
