@@ -72,6 +72,12 @@ def test_a_frozen_job_reads_back_as_the_same_job(tmp_path: Path) -> None:
     assert frozen(again) == frozen(job) and tomllib.loads(text)["model"]["fit"] == "0.15m"
 
 
+def test_a_frozen_job_holds_from_wherever_it_is_read() -> None:
+    told = {"input": {"clip": "c.mp4", "poses": "poses.txt", "depth": "maps"}, "pipeline": {"tradeoff": "t.json"}}
+    kept = frozen(load(None, told, TABLE))
+    assert all(kept[section][key] == str(Path(path).absolute()) for section, table in told.items() for key, path in table.items())
+
+
 @pytest.mark.parametrize(
     ("old", "new", "line", "says"),
     [
