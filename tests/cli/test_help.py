@@ -31,3 +31,8 @@ def test_a_misspelt_command_gets_the_nearest(arfx: Run, word: str, near: str) ->
 def test_an_unknown_option_is_a_usage_error(arfx: Run) -> None:
     r = arfx("inspect", "--nonsense")
     assert r.code == 2 and "--nonsense" in r.err and "Traceback" not in r.err
+
+
+def test_a_number_below_zero_is_the_value_of_its_option(arfx: Run) -> None:
+    r = arfx("plan", "--crf", "-5000")
+    assert r.code == 2 and "output.crf" in r.err and "-1000" in r.err
