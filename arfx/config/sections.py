@@ -118,7 +118,9 @@ class ModelSection(Section):
 
 class PipelineSection(Section):
     stages: list[str] | Literal["auto"] = _field(
-        "auto", "Effects allowed, in order; default auto = all that exist.", "--pipeline A,B,C"
+        "auto",
+        "Effects allowed, in order; default auto = lightmap and every other effect with a setting of its own.",
+        "--pipeline A,B,C",
     )
     quality: Literal["draft", "standard", "high", "reference"] = _field("standard", "Level of every effect.", "--quality")
     budget: Time | None = _field(None, "Levels: the best that keep the whole job within it: 90s, 1:30.", "--budget TIME", gt=0)

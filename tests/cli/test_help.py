@@ -36,3 +36,15 @@ def test_an_unknown_option_is_a_usage_error(arfx: Run) -> None:
 def test_a_number_below_zero_is_the_value_of_its_option(arfx: Run) -> None:
     r = arfx("plan", "--crf", "-5000")
     assert r.code == 2 and "output.crf" in r.err and "-1000" in r.err
+
+
+def test_help_says_what_the_pipeline_auto_is(arfx: Run) -> None:
+    from arfx.config.load import load
+    from arfx.run.parameters import parameters, pipeline
+
+    text = " ".join(arfx("process", "--help").out.split())
+    assert "auto = lightmap and every other effect with a setting of its own" in text
+    usual, lens, printed = (
+        pipeline(load(None, tree, parameters())) for tree in ({}, {"dof": {"fnumber": 4}}, {"dof": {"formula": "paper"}})
+    )
+    assert "lightmap" in usual and {*lens} - {*usual} == {"dof"} and printed == usual, "a formula alone asks for no effect"
