@@ -8,9 +8,9 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -22,29 +22,34 @@ from arfx.errors import ConfigError
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
 
-def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[str, type]) -> JobConfig:
+class _JobFile(NamedTuple):
+    path: Path
+    text: str
+    document: dict[str, Any]
+
+
+def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], parameters: Mapping[str, type]) -> JobConfig:
     """Read a job.
 
-    file : job file or None;  overrides : nested mapping from the command line, which wins
+    files : job file or several; key by key the later wins;  overrides : nested mapping from the command line, which wins over all
     parameters : section name -> frozen dataclass, for every stage and for "analyse"
 
-    Raises ConfigError holding every problem found; InputError if the file cannot be read.
+    Raises ConfigError holding every problem found; InputError if a file cannot be read.
     """
-    text, document = _read(file)
-    base = file.parent if file else Path()
-    for section, key in _paths(parameters):
-        table = document.get(section)
-        if isinstance(table, dict) and isinstance(table.get(key), str):
-            table[key] = str(base / table[key])
-    merged = merge(document, overrides)
+    paths = [files] if isinstance(files, Path) else files or ()
+    read = [_read(path, parameters) for path in paths]
+    merged: dict[str, Any] = {}
+    for tree in (*(file.document for file in read), overrides):
+        merged = merge(merged, tree)
     problems: list[str] = []
 
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
-        if _reaches(overrides, path) or file is None:
+        if _reaches(overrides, path) or not read:
             dotted = ".".join(map(str, path))
             problems.append(f"{message}\n  --> command line: {dotted}" + (f"\nhelp: {hint}" if hint else ""))
         else:
-            problems.append(pointed(message, str(file), text, path, hint))
+            file = _origin(read, path)
+            problems.append(pointed(message, str(file.path), file.text, path, hint))
 
     sections = {s.section for s in settings()}
     params: dict[str, Any] = {}
@@ -59,7 +64,7 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
         params[name] = _params(name, kind, table, problem)
     job = None
     try:
-        own = {"params": params, "sources": () if file is None else (file,)}
+        own = {"params": params, "sources": tuple(paths)}
         job = JobConfig.model_validate({**{k: merged[k] for k in sections if k in merged}, **own})
     except ValidationError as e:
         for error in e.errors(include_url=False):
@@ -75,14 +80,23 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
     return job
 
 
-def _read(file: Path | None) -> tuple[str, dict[str, Any]]:
-    if file is None:
-        return "", {}
+def _read(file: Path, parameters: Mapping[str, type]) -> _JobFile:
+    """A job file with its paths as they are from here."""
     text = read_text(file, "job file")
     try:
-        return text, parse_toml(text)
+        document = parse_toml(text)
     except ValueError as e:
         raise ConfigError(f"{file}: not valid TOML: {e}") from None
+    for section, key in _paths(parameters):
+        table = document.get(section)
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(file.parent / table[key])
+    return _JobFile(file, text, document)
+
+
+def _origin(files: Sequence[_JobFile], path: KeyPath) -> _JobFile:
+    """The file from which a key was taken: the last that holds it, or else its nearest parent."""
+    return next(f for n in range(len(path), -1, -1) for f in reversed(files) if _reaches(f.document, path[:n]))
 
 
 def _paths(parameters: Mapping[str, type]) -> list[tuple[str, str]]:

@@ -22,7 +22,8 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
 _OTHERS = [
-    click.Option(["--config"], type=FILE, help="Job file (TOML) or preset name; the command line wins."),
+    click.Option(["--config"], type=FILE, multiple=True,
+                 help="Job file (TOML) or preset name, repeatable: the later wins, the command line over all."),
     click.Option(["--light"], metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation; degrees."),
     click.Option(["--environment"], type=FILE, help="A known light: HDR panorama, its top the marker's z, its middle x."),
     click.Option(["--formula"], type=click.Choice(["paper", "corrected"]), help="As printed, or with its defects removed."),
@@ -31,7 +32,7 @@ _OTHERS = [
     click.Option(["--job", "job_dir"], type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),
     click.Option(["--resume"], is_flag=True, help="Go on with an interrupted or killed job."),
     click.Option(["--workers"], type=click.IntRange(1), help="Worker processes; default: threads on up to 4 cores."),
-]
+]  # fmt: skip
 # As help shows them; what is not named here comes last.
 _ORDER = (
     "clip config camera marker marker-map model scale fit offset rotate up pipeline no-skip quality budget fps max-error "
@@ -72,8 +73,7 @@ def job_config(given: dict[str, Any]) -> Any:
     kinds = parameters()
     formulas = [name for name, kind in kinds.items() if any(f.name == "formula" for f in dataclasses.fields(kind))]
     tree = overrides(itertools.chain(of_sections(given), _of_stages(given, formulas)), given["set"])
-    file = given["config"]
-    config = load(None if file is None else find(file), tree, kinds)
+    config = load([find(file) for file in given["config"]], tree, kinds)
     pipeline(config)
     return config
 

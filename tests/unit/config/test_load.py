@@ -114,6 +114,44 @@ def test_errors_point_at_the_line_and_say_what_would_be_right(tmp_path: Path, ol
     assert e.value.exit_code == 2
 
 
+def two_files(tmp_path: Path, later: str) -> list[Path]:
+    """GOOD, and a later file in a folder of its own."""
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "later.toml").write_text(later)
+    return [write(tmp_path, GOOD), tmp_path / "more" / "later.toml"]
+
+
+def test_of_several_files_the_later_wins_key_by_key(tmp_path: Path) -> None:
+    later = '[input]\ncamera = "c.yaml"\nend = "2s"\n[[marker]]\nspec = "4X4_50:0:5cm"\n[dof]\nblades = 5\n'
+    files = two_files(tmp_path, later)
+    job = load(files, {"input": {"start": "1s"}}, TABLE)
+    assert (job.input.start, job.input.end, job.params["dof"]) == (1.0, 2.0, Lens(4.0, 5)) and job.sources == tuple(files)
+    assert job.input.clip == tmp_path / "clip.mp4" and job.input.camera == tmp_path / "more" / "c.yaml"
+    assert [m.key for m in job.markers] == ["4X4_50:0"], "lists are replaced"
+    assert load(files[::-1], {}, TABLE).input.end == 1.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "later", "where"),
+    [
+        ("aperture = 4", "apperture = 4", "[dof]\nblades = 5", "job.toml:17"),
+        ("aperture = 4", "blades = 5", "[dof]\naperture = 2\nblades = 2", "later.toml:3"),
+        ("aperture = 4", "blades = 2", "[dof]\naperture = 2", "job.toml:17"),
+        ('"15cm"', '"15"', "[input]\nend = 2\n[model]\nup = 'z'", "job.toml:13"),
+        ('"15cm"', '"15"', "[model]\nfit = '15'", "later.toml:2"),
+        ('spec = "36h11:4:165.1mm"', "", "[model]\nup = 'z'", "job.toml:8"),
+        ("aperture", "aperture", "dof = 3", "later.toml:1"),
+        ("[dof]", "[dov]", "[dof]\nblades = 5", "job.toml:16"),
+    ],
+)
+def test_of_several_files_errors_name_the_one_that_is_wrong(tmp_path: Path, old: str, new: str, later: str, where: str) -> None:
+    files = two_files(tmp_path, later)
+    files[0].write_text(GOOD.replace(old, new))
+    with pytest.raises(ConfigError) as e:
+        load(files, {}, TABLE)
+    assert f"{where}\n" in str(e.value) and str(e.value).count(" --> ") == 1, e.value
+
+
 def test_all_errors_are_told_at_once_and_the_command_line_is_named(tmp_path: Path) -> None:
     text = GOOD.replace("aperture", "apperture").replace("end =", "ende =")
     with pytest.raises(ConfigError) as e:
