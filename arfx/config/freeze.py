@@ -13,7 +13,7 @@ from arfx.core.marker import MarkerSpec
 
 
 def plain(value: Any) -> Any:
-    """Nested dicts, lists, strings and numbers only; None left out; lengths and times as numbers with units."""
+    """Nested dicts, lists, strings and numbers only; None left out; paths absolute."""
     if isinstance(value, MarkerSpec):
         return str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -23,7 +23,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     if isinstance(value, Path):
-        return str(value)
+        return str(value.absolute())
     return value
 
 
@@ -34,18 +34,7 @@ def frozen(config: JobConfig) -> dict[str, Any]:
     if tree["model"]["fit"] is not None:
         tree["model"]["fit"] = f"{float(tree['model']['fit'])!r}m"
     tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]
-    for section, key in (
-        ("input", "clip"), ("input", "camera"), ("input", "marker_map"), ("input", "depth"), ("model", "file"),
-        ("output", "path"), ("pipeline", "tradeoff"),
-    ):  # fmt: skip
-        path = tree[section][key]
-        if path is not None:
-            tree[section][key] = str(Path(path).absolute())
-    result: dict[str, Any] = plain({**tree, **config.params})
-    environment = result.get("light", {}).get("environment")
-    if environment is not None:
-        result["light"]["environment"] = str(Path(environment).absolute())
-    return result
+    return {**plain(tree), **plain(config.params)}
 
 
 def to_toml(tree: Mapping[str, Any], prefix: str = "") -> str:

@@ -8,60 +8,50 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
 from arfx.config.locate import KeyPath, pointed
-from arfx.config.sections import JobConfig
+from arfx.config.sections import JobConfig, kinds, settings
 from arfx.core.opener import parse_toml, read_text
 from arfx.errors import ConfigError
 
-_PATHS: tuple[KeyPath, ...] = (
-    ("input", "clip"),
-    ("input", "camera"),
-    ("input", "marker_map"),
-    ("input", "depth"),
-    ("input", "poses"),
-    ("model", "file"),
-    ("light", "environment"),
-    ("output", "path"),
-    ("pipeline", "tradeoff"),
-)
-
-
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
-_MOST_PARTS = 8  # of a --set key: settings have two
 
 
-def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[str, type]) -> JobConfig:
+class _JobFile(NamedTuple):
+    path: Path
+    text: str
+    document: dict[str, Any]
+
+
+def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], parameters: Mapping[str, type]) -> JobConfig:
     """Read a job.
 
-    file : job file or None;  overrides : nested mapping from the command line, which wins
+    files : job file or several; key by key the later wins;  overrides : nested mapping from the command line, which wins over all
     parameters : section name -> frozen dataclass, for every stage and for "analyse"
 
-    Raises ConfigError holding every problem found; InputError if the file cannot be read.
+    Raises ConfigError holding every problem found; InputError if a file cannot be read.
     """
-    text, document = _read(file)
-    base = file.parent if file else Path()
-    for section, key in _PATHS:
-        table = document.get(str(section))
-        if isinstance(table, dict) and isinstance(table.get(key), str):
-            table[key] = str(base / table[key])
-    merged = merge(document, overrides)
+    paths = [files] if isinstance(files, Path) else files or ()
+    read = [_read(path, parameters) for path in paths]
+    merged: dict[str, Any] = {}
+    for tree in (*(file.document for file in read), overrides):
+        merged = merge(merged, tree)
     problems: list[str] = []
 
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
-        if _reaches(overrides, path) or file is None:
+        if _reaches(overrides, path) or not read:
             dotted = ".".join(map(str, path))
             problems.append(f"{message}\n  --> command line: {dotted}" + (f"\nhelp: {hint}" if hint else ""))
         else:
-            problems.append(pointed(message, str(file), text, path, hint))
+            file = _origin(read, path)
+            problems.append(pointed(message, str(file.path), file.text, path, hint))
 
-    sections = {k for k in JobConfig.model_fields if k not in ("params", "sources")}
+    sections = {s.section for s in settings()}
     params: dict[str, Any] = {}
     for name in merged:
         if name not in sections and name not in parameters:
@@ -74,12 +64,12 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
         params[name] = _params(name, kind, table, problem)
     job = None
     try:
-        own = {"params": params, "sources": () if file is None else (file,)}
+        own = {"params": params, "sources": tuple(paths)}
         job = JobConfig.model_validate({**{k: merged[k] for k in sections if k in merged}, **own})
     except ValidationError as e:
         for error in e.errors(include_url=False):
             path = tuple(p for p in error["loc"] if not _is_type_tag(p))
-            known = _known_keys(path)
+            known = [s.key for s in settings() if s.section == path[0]]
             if error["type"] == "extra_forbidden" and known:
                 problem(path, f"section {path[0]!r} has no setting {path[-1]!r}", near(str(path[-1]), known))
             else:
@@ -90,14 +80,30 @@ def load(file: Path | None, overrides: Mapping[str, Any], parameters: Mapping[st
     return job
 
 
-def _read(file: Path | None) -> tuple[str, dict[str, Any]]:
-    if file is None:
-        return "", {}
+def _read(file: Path, parameters: Mapping[str, type]) -> _JobFile:
+    """A job file with its paths as they are from here."""
     text = read_text(file, "job file")
     try:
-        return text, parse_toml(text)
+        document = parse_toml(text)
     except ValueError as e:
         raise ConfigError(f"{file}: not valid TOML: {e}") from None
+    for section, key in _paths(parameters):
+        table = document.get(section)
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(file.parent / table[key])
+    return _JobFile(file, text, document)
+
+
+def _origin(files: Sequence[_JobFile], path: KeyPath) -> _JobFile:
+    """The file from which a key was taken: the last that holds it, or else its nearest parent."""
+    return next(f for n in range(len(path), -1, -1) for f in reversed(files) if _reaches(f.document, path[:n]))
+
+
+def _paths(parameters: Mapping[str, type]) -> list[tuple[str, str]]:
+    """(section, key) of the settings that are paths: in a job file they are relative to it."""
+    hints = ((name, key, hint) for name, kind in parameters.items() for key, hint in get_type_hints(kind).items())
+    typed = [*((s.section, s.key, s.kinds) for s in settings()), *((name, key, kinds(hint)) for name, key, hint in hints)]
+    return [(section, key) for section, key, made_of in typed if Path in made_of]
 
 
 def _params(name: str, kind: type, table: dict[str, Any], problem: Any) -> Any:
@@ -144,13 +150,6 @@ def _is_type_tag(part: Any) -> bool:
     return isinstance(part, str) and ("[" in part or part in ("constrained-str", "function-before"))
 
 
-def _known_keys(path: KeyPath) -> list[str]:
-    field = JobConfig.model_fields.get(str(path[0]))
-    kind = field.annotation if field else None
-    kind = getattr(kind, "__args__", (kind,))[0]
-    return list(getattr(kind, "model_fields", {}))
-
-
 def near(name: str, known: Any) -> str:
     """'did you mean …?' or the list of what is known."""
     hit = difflib.get_close_matches(str(name), list(known), 1)
@@ -173,50 +172,3 @@ def _reaches(tree: Any, path: KeyPath) -> bool:
         else:
             return isinstance(tree, (list, tuple))
     return True
-
-
-def parse_setting(text: str) -> tuple[list[str], Any]:
-    """`--set raster.backend=rays` to (["raster", "backend"], "rays"). Values are TOML where they parse as it, else text.
-
-    Raises ConfigError.
-    """
-    key, equals, value = text.partition("=")
-    parts = [p.strip() for p in key.split(".")]
-    if not equals or len(parts) < 2 or not all(parts):
-        raise ConfigError(f"--set {_short(text)!r} is not STAGE.KEY=VALUE", "for example --set output.crf=20")
-    if len(parts) > _MOST_PARTS:
-        raise ConfigError(f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE")
-    try:
-        return parts, parse_toml(f"x = {value.strip()}")["x"]
-    except tomllib.TOMLDecodeError:
-        return parts, value.strip()
-    except ValueError as e:
-        raise ConfigError(f"--set {_short(text)}: {e}") from None
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 80 else f"{text[:80]}…"
-
-
-def put_setting(tree: dict[str, Any], parts: Sequence[str], value: Any, words: str) -> None:
-    """Put a value into nested tables. words : what gave it, for the error. Raises ConfigError where the way is barred."""
-    at = tree
-    for part in parts[:-1]:
-        at = at.setdefault(part, {})
-        if not isinstance(at, dict):
-            raise ConfigError(f"{words}: {part!r} was given a value of its own, it has no keys", "give one of them")
-    if isinstance(at.get(parts[-1]), dict):
-        raise ConfigError(f"{words}: keys of {parts[-1]!r} were given values already", "give one of them")
-    at[parts[-1]] = value
-
-
-def same_value(path: Sequence[str], a: Any, b: Any) -> bool:
-    """Whether two ways to write a value of a job's key mean the same: 15cm and 0.15m, [0, 0, 90] and [0.0, 0.0, 90.0]."""
-    section, *keys = path
-    if len(keys) != 1:
-        return bool(a == b)
-    try:
-        read = [getattr(getattr(JobConfig.model_validate({section: {keys[0]: v}}), section), keys[0]) for v in (a, b)]
-    except (ValidationError, AttributeError):
-        return str(a) == str(b)  # what is wrong with them is said when the whole job is read
-    return bool(read[0] == read[1])

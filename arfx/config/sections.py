@@ -1,9 +1,13 @@
-"""The sections of a job file, as typed, frozen models. One docstring line per key: it is also the documentation."""
+"""The sections of a job file, as typed, frozen models: all there is to say of a setting stands on its field.
+
+Options of the commands, and which settings are paths, follow from `settings`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -57,63 +61,85 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
+def _field(default: Any, text: str, option: str = "", help: str = "", **limits: Any) -> Any:
+    """A setting and what it does.
+
+    option : its option as in help, "-o --output PATH"; FILE is no folder, PATH may be one; CLIP alone is an argument.
+    What a bool's option gives is not the default;  help : where the option says something else than `text`
+    """
+    return Field(default=default, description=text, json_schema_extra={"option": option, "help": help or text}, **limits)
+
+
 class InputSection(Section):
-    clip: Path | None = Field(default=None, description="the video to process")
-    camera: Path | None = Field(default=None, description="calibration file; missing: a stated guess, with a warning")
-    marker_map: Path | None = Field(default=None, description="known layout of several markers (TOML, or WPILib field JSON)")
-    poses: Path | None = Field(
-        default=None, description="camera poses, a line tx ty tz qx qy qz qw for each frame, or with times"
+    clip: Path | None = _field(None, "The video to process.", "CLIP")
+    camera: Path | None = _field(None, "Calibration: OpenCV, ROS, COLMAP, Kalibr, WPILib. Missing: a guess.", "--camera FILE")
+    marker_map: Path | None = _field(  # TOML, or WPILib field JSON
+        None, "Known layout of several markers; without it they are mapped from the clip.", "--marker-map FILE"
     )
-    depth: Path | None = Field(
-        default=None, description="real depth: a folder of maps (16-bit PNG or PGM, TIFF, EXR), one map, or a file of many"
+    poses: Path | None = _field(  # or with the time before the pose
+        None, "Camera poses for --anchor plane: tx ty tz qx qy qz qw a frame.", "--poses FILE"
     )
-    depth_scale: float | None = Field(
-        default=None, ge=1e-6, le=1e9, description="stored values to a metre; default 1000, of EXR 1"
+    depth: Path | None = _field(None, "Real depth: maps (16-bit PNG, PGM, EXR, TIFF), video (FFV1).", "--depth PATH")
+    depth_scale: float | None = _field(
+        None, "Stored depth values to a metre; default 1000 (mm), EXR 1.", "--depth-scale N", ge=1e-6, le=1e9
     )
-    depth_start: Time | None = Field(default=None, description="when the first map was taken, from the clip's first frame")
-    depth_align: Literal["marker", "none"] = Field(
-        default="marker", description="marker: the maps' scale is what makes the markers' planes true; none: as stated"
+    depth_start: Time | None = _field(None, "When the first map was taken, from the clip's first frame.")
+    depth_align: Literal["marker", "none"] = _field(
+        "marker", "marker: the maps' scale is what makes the markers' planes true; none: as stated."
     )
-    start: Time | None = Field(default=None, description="first moment to process, from the clip's first frame")
-    end: Time | None = Field(default=None, description="last moment to process, from the clip's first frame")
-    transfer: Annotated[str, BeforeValidator(lambda v: Transfer(str(v)).name)] = Field(
-        default="srgb", description="how coded values become light: srgb, bt709, bt1886, gamma:X"
+    start: Time | None = _field(None, "First moment to process, from the clip's first frame: 1.5s, 0:10.", "--start T")
+    end: Time | None = _field(None, "Last moment to process.", "--end T")
+    transfer: Annotated[str, BeforeValidator(lambda v: Transfer(str(v)).name)] = _field(
+        "srgb", "How coded values become light: srgb, bt709, bt1886, gamma:X."
     )
 
 
 class MarkerSection(Section):
-    spec: Annotated[MarkerSpec, BeforeValidator(_marker)] = Field(description="FAMILY:ID:SIZE, such as 36h11:3:165mm")
+    spec: Annotated[MarkerSpec, BeforeValidator(_marker)] = _field(
+        ..., "FAMILY:ID:SIZE, such as 36h11:3:165mm.", "--marker FAMILY:ID:SIZE", "Repeatable: 36h11:3:165mm."
+    )
 
 
 class ModelSection(Section):
-    file: Path | None = Field(default=None, description="glTF/GLB, OBJ, PLY, STL or another format that trimesh reads")
-    anchor: Literal["marker", "plane"] = Field(
-        default="marker", description="what the model stands on: a marker, or the dominant level plane of the depth input"
+    file: Path | None = _field(
+        None, "glTF/GLB, OBJ, PLY, STL …; the middle of its base stands on the marker's centre.", "--model FILE"
     )
-    scale: float = Field(default=1.0, ge=1e-12, le=1e12, description="metres per file unit")
-    fit: Length | None = Field(default=None, description="largest extent after scaling; overrides scale")
-    rotate: tuple[Turn, Turn, Turn] = Field(default=(0.0, 0.0, 0.0), description="degrees about marker x, y, z, in this order")
-    offset: tuple[Length, Length, Length] = Field(default=(0.0, 0.0, 0.0), description="lengths along marker x, y, z")
-    up: Literal["x", "y", "z"] | None = Field(default=None, description="file axis that points up; default by file type")
+    anchor: Literal["marker", "plane"] = _field("marker", "Stand on the marker, or on the depth's main plane.", "--anchor")
+    scale: float = _field(1.0, "Metres per file unit.", "--scale", ge=1e-12, le=1e12)
+    fit: Length | None = _field(  # after scaling: it overrides scale
+        None, "Scale the model's largest extent to this length: 15cm.", "--fit SIZE"
+    )
+    rotate: tuple[Turn, Turn, Turn] = _field((0.0, 0.0, 0.0), "Degrees about the marker's axes, in this order.", "--rotate X,Y,Z")
+    offset: tuple[Length, Length, Length] = _field(
+        (0.0, 0.0, 0.0), "Lengths along the marker's axes (x right, y up, z out): 0cm,2cm,0cm.", "--offset X,Y,Z"
+    )
+    up: Literal["x", "y", "z"] | None = _field(None, "Which axis of the file points up; default by file type.", "--up")
 
 
 class PipelineSection(Section):
-    stages: list[str] | Literal["auto"] = Field(default="auto", description="effects allowed, in order; auto = those that exist")
-    quality: Literal["draft", "standard", "high", "reference"] = Field(default="standard", description="level of every effect")
-    budget: Time | None = Field(default=None, gt=0, description="seconds for the whole job: levels are the best that keep it")
-    fps: float | None = Field(default=None, gt=0, le=1e6, description="the same as a rate: frames of the clip per second of work")
-    max_error: float | None = Field(default=None, ge=0, le=255, description="levels are the cheapest within it, mean grey levels")
-    tradeoff: Path | None = Field(default=None, description="tradeoff.json of this clip, for its errors; default shipped ones")
-    skip: bool = Field(default=True, description="leave out what a frame does not call for; false forces every stage")
-    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of all random numbers")
+    stages: list[str] | Literal["auto"] = _field(
+        "auto",
+        "Effects allowed, in order; default auto = lightmap and every other effect with a setting of its own.",
+        "--pipeline A,B,C",
+    )
+    quality: Literal["draft", "standard", "high", "reference"] = _field("standard", "Level of every effect.", "--quality")
+    budget: Time | None = _field(None, "Levels: the best that keep the whole job within it: 90s, 1:30.", "--budget TIME", gt=0)
+    fps: float | None = _field(None, "The same as frames per second of work.", "--fps", gt=0, le=1e6)
+    max_error: float | None = _field(None, "Levels: the cheapest within E mean grey levels.", "--max-error E", ge=0, le=255)
+    tradeoff: Path | None = _field(None, "Errors of this clip's levels: a tradeoff.json; default shipped.", "--tradeoff FILE")
+    skip: bool = _field(
+        True, "Leave out what a frame does not call for; false forces every stage.",
+        "--no-skip", "Force every stage on every frame that has a pose.",
+    )  # fmt: skip
+    seed: int = _field(0, "Seed of all random numbers.", ge=0, lt=2**63)
 
 
 class OutputSection(Section):
-    path: Path | None = Field(default=None, description="output file, or frames/%06d.png")
-    codec: str | None = Field(default=None, description="h264, h265, av1, prores, ffv1, png, exr; default by file name")
-    crf: float | None = Field(default=None, ge=-1e3, le=1e3, description="constant rate factor of the codec")
-    preset: str | None = Field(default=None, description="encoder preset")
-    pixel_format: str | None = Field(default=None, description="FFmpeg pixel format, such as yuv444p10le")
+    path: Path | None = _field(None, "out.mp4 .mkv .mov .webm, or frames/%06d.png|exr.", "-o --output PATH")
+    codec: str | None = _field(None, "h264, h265, av1, prores, ffv1, png, exr; default by the output's name.", "--codec NAME")
+    crf: float | None = _field(None, "Constant rate factor of the codec: lower is better and larger.", "--crf", ge=-1e3, le=1e3)
+    preset: str | None = _field(None, "Encoder preset.")
+    pixel_format: str | None = _field(None, "FFmpeg pixel format, such as yuv444p10le.", "--pixel-format NAME")
 
 
 class JobConfig(Section):
@@ -131,3 +157,40 @@ class JobConfig(Section):
     @property
     def markers(self) -> tuple[MarkerSpec, ...]:
         return tuple(m.spec for m in self.marker)
+
+
+class Setting(NamedTuple):
+    """A setting of a job file. kinds : its type and what that is made of;  repeated : its section is an array of tables;
+    limits : of pydantic;  flags, metavar, help : of its option; no flags: it has none; messages name the first"""
+
+    section: str
+    key: str
+    kinds: tuple[Any, ...]
+    repeated: bool
+    default: Any
+    limits: list[Any]
+    flags: list[str]
+    metavar: str | None
+    help: str
+
+    @property
+    def name(self) -> str:
+        """Of its option in Python, marker_map of --marker-map."""
+        return self.flags[-1].lower().lstrip("-").replace("-", "_")
+
+
+def settings() -> Iterator[Setting]:
+    """Every setting of a job file but those of the stages."""
+    for section, outer in JobConfig.model_fields.items():
+        repeated = get_origin(outer.annotation) is tuple
+        for key, field in getattr(kinds(outer.annotation)[int(repeated)], "model_fields", {}).items():
+            option = field.json_schema_extra["option"].split()
+            flags = [word for word in option if word.startswith("-")] or option
+            metavar = option[-1] if len(option) > len(flags) else None
+            about = (field.default, field.metadata, flags, metavar, field.json_schema_extra["help"])
+            yield Setting(section, key, kinds(field.annotation), repeated, *about)
+
+
+def kinds(annotation: Any) -> tuple[Any, ...]:
+    """A type and what it is made of: of Path | None itself, Path and None."""
+    return (annotation, *get_args(annotation))

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, say, verbose
-from arfx_cli.job_options import job_options, run_options
+from arfx_cli.job_options import job_options
 from arfx_cli.planned import planned_aside
 
 if TYPE_CHECKING:
     from arfx.core.plan import FramePlan
 
 
-@click.command()
-@job_options
-@run_options
+@click.command(params=job_options())
 @overwrite_option
 @message_options
-def command(output: Path | None, as_json: bool, **given: Any) -> None:
+def command(as_json: bool, **given: Any) -> None:
     """Explain what `arfx process` with the same arguments would do to CLIP, with predicted time. Nothing is written.
 
     \b
@@ -31,7 +28,7 @@ def command(output: Path | None, as_json: bool, **given: Any) -> None:
     """
     from arfx.plan.explain import level_lines, summarise, table, total_line
 
-    with Progress() as progress, planned_aside(given, output, progress) as job:
+    with Progress() as progress, planned_aside(given, progress) as job:
         rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     stages = [r["predicted_s"] for r in rows]
     total = None if any(p is None for p in stages) else sum(stages)

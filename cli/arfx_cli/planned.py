@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def planned_aside(
-    given: dict[str, Any], output: Path | None, progress: Progress, check: Callable[[Inputs], None] | None = None
-) -> Iterator[Job]:
+def planned_aside(given: dict[str, Any], progress: Progress, check: Callable[[Inputs], None] | None = None) -> Iterator[Job]:
     """The job that `process` would run with these arguments, analysed and planned. Its folder is gone afterwards.
 
     check : called with all that was opened, before any work
@@ -30,7 +28,7 @@ def planned_aside(
     from arfx.run.place import Places
 
     with tempfile.TemporaryDirectory(prefix="arfx-") as scratch:
-        config = job_config(given, output)
+        config = job_config(given)
         named = config.output.path is not None
         if not named:  # only where it would go is open; mkv holds what any clip has
             config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})

@@ -8,17 +8,14 @@ from typing import Any
 import click
 
 from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option, say
-from arfx_cli.job_options import job_config, job_options, run_options
+from arfx_cli.job_options import job_config, job_options
 from arfx_cli.job_summary import say_job
 
 
-@click.command()
-@job_options
-@run_options
+@click.command(params=job_options())
 @overwrite_option
 @message_options
 def command(
-    output: Path | None,
     report_dir: Path | None,
     job_dir: Path | None,
     resume: bool,
@@ -38,7 +35,7 @@ def command(
     """
     from arfx.run.job import Options, process
 
-    config = job_config(given, output)
+    config = job_config(given)
 
     def write_report(job: Path) -> None:
         from arfx.measure.report import report_of_job

@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, say
-from arfx_cli.job_options import job_options, run_options
+from arfx_cli.job_options import job_options
 from arfx_cli.planned import planned_aside
 
 if TYPE_CHECKING:
     from arfx.run.inputs import Inputs
 
 
-@click.command()
-@job_options
-@run_options
+@click.command(params=job_options())
 @click.option("--frames", type=click.IntRange(1, 24), default=2, show_default=True, help="How many frames stand for the clip.")
 @overwrite_option
 @message_options
-def command(output: Path | None, report_dir: Path | None, frames: int, overwrite: bool, as_json: bool, **given: Any) -> None:
+def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool, **given: Any) -> None:
     """Measure what accuracy costs on CLIP: every level of every effect against its reference, and whole pipelines.
 
     The arguments are those of `arfx process`; nothing is encoded. --report DIR gets tradeoff.json, which `--tradeoff` of
@@ -52,7 +50,7 @@ def command(output: Path | None, report_dir: Path | None, frames: int, overwrite
 
     began = time.perf_counter()
     with contextlib.ExitStack() as report:
-        with Progress() as progress, planned_aside(given, output, progress, check) as job:
+        with Progress() as progress, planned_aside(given, progress, check) as job:
             found = measure(job, frames, progress)
         told = finite(document(found, job, time.perf_counter() - began))
         if report_dir is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from arfx_cli.main import COMMANDS
@@ -31,3 +33,27 @@ def test_a_misspelt_command_gets_the_nearest(arfx: Run, word: str, near: str) ->
 def test_an_unknown_option_is_a_usage_error(arfx: Run) -> None:
     r = arfx("inspect", "--nonsense")
     assert r.code == 2 and "--nonsense" in r.err and "Traceback" not in r.err
+
+
+def test_a_number_below_zero_is_the_value_of_its_option(arfx: Run) -> None:
+    r = arfx("plan", "--crf", "-5000")
+    assert r.code == 2 and "output.crf" in r.err and "-1000" in r.err
+
+
+def test_every_config_that_is_given_counts(arfx: Run, tmp_path: Path) -> None:
+    (tmp_path / "first.toml").write_text('[model]\nfit = "15"\n')
+    (tmp_path / "second.toml").write_text("[dof]\nfnumbr = 2\n")
+    r = arfx("plan", "--config", "first.toml", "--config", "second.toml", "--config", "final")
+    assert r.code == 2 and "first.toml:2" in r.err and "second.toml:2" in r.err and "Traceback" not in r.err, r.err
+
+
+def test_help_says_what_the_pipeline_auto_is(arfx: Run) -> None:
+    from arfx.config.load import load
+    from arfx.run.parameters import parameters, pipeline
+
+    text = " ".join(arfx("process", "--help").out.split())
+    assert "auto = lightmap and every other effect with a setting of its own" in text
+    usual, lens, printed = (
+        pipeline(load(None, tree, parameters())) for tree in ({}, {"dof": {"fnumber": 4}}, {"dof": {"formula": "paper"}})
+    )
+    assert "lightmap" in usual and {*lens} - {*usual} == {"dof"} and printed == usual, "a formula alone asks for no effect"

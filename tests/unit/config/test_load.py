@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from arfx.config.freeze import frozen, to_toml
-from arfx.config.load import load, parse_setting
+from arfx.config.given import parse_setting
+from arfx.config.load import load
 from arfx.config.locate import line_of
+from arfx.config.sections import settings
 from arfx.errors import ConfigError, InputError
 
 
@@ -58,6 +60,20 @@ def test_a_job_is_read_with_paths_relative_to_its_file(tmp_path: Path) -> None:
     assert job.input.end == 1.5 and job.params["dof"] == Lens(4.0)
 
 
+def test_every_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
+    @dataclass(frozen=True)
+    class Sky:
+        picture: Path | None = None
+
+    tree: dict = {"sky": {"picture": "a"}}
+    for s in settings():
+        if Path in s.kinds:
+            tree.setdefault(s.section, {})[s.key] = "a"
+    assert len(tree["input"]) >= 5 and {"path"} == tree["output"].keys()
+    kept = frozen(load(write(tmp_path, to_toml(tree)), {}, {"sky": Sky}))
+    assert {kept[section][key] for section, table in tree.items() for key in table} == {str(tmp_path / "a")}
+
+
 def test_the_command_line_wins(tmp_path: Path) -> None:
     over = {"dof": {"aperture": 1.0}, "input": {"end": "2s", "clip": "other.mp4"}, "marker": [{"spec": "4X4_50:0:5cm"}]}
     job = load(write(tmp_path, GOOD), over, TABLE)
@@ -70,6 +86,12 @@ def test_a_frozen_job_reads_back_as_the_same_job(tmp_path: Path) -> None:
     text = to_toml(frozen(job))
     again = load(write(tmp_path, text), {}, TABLE)
     assert frozen(again) == frozen(job) and tomllib.loads(text)["model"]["fit"] == "0.15m"
+
+
+def test_a_frozen_job_holds_from_wherever_it_is_read() -> None:
+    told = {"input": {"clip": "c.mp4", "poses": "poses.txt", "depth": "maps"}, "pipeline": {"tradeoff": "t.json"}}
+    kept = frozen(load(None, told, TABLE))
+    assert all(kept[section][key] == str(Path(path).absolute()) for section, table in told.items() for key, path in table.items())
 
 
 @pytest.mark.parametrize(
@@ -92,6 +114,44 @@ def test_errors_point_at_the_line_and_say_what_would_be_right(tmp_path: Path, ol
     assert e.value.exit_code == 2
 
 
+def two_files(tmp_path: Path, later: str) -> list[Path]:
+    """GOOD, and a later file in a folder of its own."""
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "later.toml").write_text(later)
+    return [write(tmp_path, GOOD), tmp_path / "more" / "later.toml"]
+
+
+def test_of_several_files_the_later_wins_key_by_key(tmp_path: Path) -> None:
+    later = '[input]\ncamera = "c.yaml"\nend = "2s"\n[[marker]]\nspec = "4X4_50:0:5cm"\n[dof]\nblades = 5\n'
+    files = two_files(tmp_path, later)
+    job = load(files, {"input": {"start": "1s"}}, TABLE)
+    assert (job.input.start, job.input.end, job.params["dof"]) == (1.0, 2.0, Lens(4.0, 5)) and job.sources == tuple(files)
+    assert job.input.clip == tmp_path / "clip.mp4" and job.input.camera == tmp_path / "more" / "c.yaml"
+    assert [m.key for m in job.markers] == ["4X4_50:0"], "lists are replaced"
+    assert load(files[::-1], {}, TABLE).input.end == 1.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "later", "where"),
+    [
+        ("aperture = 4", "apperture = 4", "[dof]\nblades = 5", "job.toml:17"),
+        ("aperture = 4", "blades = 5", "[dof]\naperture = 2\nblades = 2", "later.toml:3"),
+        ("aperture = 4", "blades = 2", "[dof]\naperture = 2", "job.toml:17"),
+        ('"15cm"', '"15"', "[input]\nend = 2\n[model]\nup = 'z'", "job.toml:13"),
+        ('"15cm"', '"15"', "[model]\nfit = '15'", "later.toml:2"),
+        ('spec = "36h11:4:165.1mm"', "", "[model]\nup = 'z'", "job.toml:8"),
+        ("aperture", "aperture", "dof = 3", "later.toml:1"),
+        ("[dof]", "[dov]", "[dof]\nblades = 5", "job.toml:16"),
+    ],
+)
+def test_of_several_files_errors_name_the_one_that_is_wrong(tmp_path: Path, old: str, new: str, later: str, where: str) -> None:
+    files = two_files(tmp_path, later)
+    files[0].write_text(GOOD.replace(old, new))
+    with pytest.raises(ConfigError) as e:
+        load(files, {}, TABLE)
+    assert f"{where}\n" in str(e.value) and str(e.value).count(" --> ") == 1, e.value
+
+
 def test_all_errors_are_told_at_once_and_the_command_line_is_named(tmp_path: Path) -> None:
     text = GOOD.replace("aperture", "apperture").replace("end =", "ende =")
     with pytest.raises(ConfigError) as e:
@@ -108,15 +168,6 @@ def test_unreadable_and_invalid_files() -> None:
 def test_invalid_toml(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="not valid TOML"):
         load(write(tmp_path, "[a\n"), {}, TABLE)
-
-
-def test_settings_of_the_command_line() -> None:
-    assert parse_setting("output.crf=20") == (["output", "crf"], 20)
-    assert parse_setting("raster.backend=rays") == (["raster", "backend"], "rays")
-    assert parse_setting("a.b.c=[1, 2]") == (["a", "b", "c"], [1, 2])
-    for bad in ("crf=20", "output.crf", "=1", ".x=1"):
-        with pytest.raises(ConfigError, match=r"STAGE\.KEY=VALUE"):
-            parse_setting(bad)
 
 
 def test_line_of_falls_back_to_the_nearest_parent() -> None:
@@ -161,8 +212,3 @@ def test_toml_beyond_what_a_job_holds_is_one_message(tmp_path: Path, text: str) 
 def test_sections_refuse_absurd_numbers_by_name(section: str, key: str, value: object) -> None:
     with pytest.raises(ConfigError, match=rf"{section}\.{key}"):
         load(None, {section: {key: value}}, TABLE)
-
-
-def test_a_set_key_of_many_parts_is_refused() -> None:
-    with pytest.raises(ConfigError, match="5000 parts"):
-        parse_setting(".".join("a" * 5000) + "=1")
