@@ -14,21 +14,20 @@ import numpy as np
 
 from arfx.analyse.anchors import with_anchors
 from arfx.analyse.background import BackgroundFlow
-from arfx.analyse.detect import Candidate
 from arfx.analyse.edge_blur import EdgeBlur
-from arfx.analyse.edge_domain import EdgeRefiner
 from arfx.analyse.flow import BackgroundMotion
 from arfx.analyse.fold import Fold
 from arfx.analyse.footage_lens import footage_lens, to_json, with_lens
 from arfx.analyse.lighting import lighted
 from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.markers.corners import EdgeRefiner
+from arfx.analyse.markers.detect import Candidate, Survey
+from arfx.analyse.markers.tracker import Found, Tracker
 from arfx.analyse.meter import LightMeter, Picture
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.records import Analysis, Record, Seen
 from arfx.analyse.shots import CutSignal
 from arfx.analyse.solve import solve
-from arfx.analyse.survey import Survey
-from arfx.analyse.tracker import Found, Tracker
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.marker import MarkerSpec, anchor_marker

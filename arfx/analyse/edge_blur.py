@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from arfx.analyse.detect import cells_per_side
 from arfx.analyse.fold import Fold
+from arfx.analyse.markers.detect import cells_per_side
 from arfx.analyse.records import Seen
 from arfx.core.numerics import divide, normalise
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from arfx.analyse import photometry_kernels as kernels
-from arfx.analyse.detect import cells_per_side, dictionary
+from arfx.analyse.markers.detect import cells_per_side, dictionary
 from arfx.core.codec import stored
 from arfx.core.numerics import HALF_GREY
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.background import decide_static
-from arfx.analyse.corners import aliasing_px
-from arfx.analyse.detect import cells_per_side
 from arfx.analyse.geometry import Observed, information, lens_scale, residuals, rms_px, stack
 from arfx.analyse.hypotheses import hypotheses
 from arfx.analyse.mapping import MarkerMap, View, map_markers
+from arfx.analyse.markers.corners import aliasing_px
+from arfx.analyse.markers.detect import cells_per_side
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.presence import lasting, opacities, statuses, stretches
 from arfx.analyse.records import Analysis, Record, Seen

@@ -118,7 +118,7 @@ def state(folds: dict[str, Any]) -> dict[str, Any]:
 
 def modules() -> Iterator[ModuleType]:
     for room in (arfx.analyse, arfx.run):
-        for m in pkgutil.iter_modules(room.__path__, room.__name__ + "."):
+        for m in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
             yield importlib.import_module(m.name)
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.detect import MarkerDetector
+from arfx.analyse.markers.detect import MarkerDetector
 from arfx.analyse.photometry import WHITE, cells, measure, stack
 from arfx.core.colour import SRGB
 

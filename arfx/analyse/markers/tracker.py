@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.detect import Candidate, MarkerDetector
 from arfx.analyse.fold import Fold
+from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.params import AnalyseParams
 from arfx.core.codec import stored
 from arfx.core.rect import Rect

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.analyser import Analyser
-from arfx.analyse.corners import aliasing_px, linear_table, refine_corners
+from arfx.analyse.markers.corners import aliasing_px, linear_table, refine_corners
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from arfx.analyse.analyser import AnalyseParams, Analyser
-from arfx.analyse.detect import MarkerDetector
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.tracker import Tracker
+from arfx.analyse.markers.detect import MarkerDetector
+from arfx.analyse.markers.tracker import Tracker
 from arfx.core import codec
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.corners import linear_table, refine_corners
-from arfx.analyse.detect import Candidate, MarkerDetector, cells_per_side
-from arfx.analyse.edge_domain import AUTO, CODE, FRAMES, LIGHT, SIGHTINGS, EdgeRefiner
+from arfx.analyse.markers.corners import AUTO, CODE, FRAMES, LIGHT, SIGHTINGS, EdgeRefiner, linear_table, refine_corners
+from arfx.analyse.markers.detect import Candidate, MarkerDetector, cells_per_side
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
