@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from arfx.analyse.anchors import with_anchors
-from arfx.analyse.background import BackgroundFlow
 from arfx.analyse.edge_blur import EdgeBlur
 from arfx.analyse.flow import BackgroundMotion
 from arfx.analyse.fold import Fold
@@ -25,9 +24,10 @@ from arfx.analyse.markers.detect import Candidate, Survey
 from arfx.analyse.markers.tracker import Found, Tracker
 from arfx.analyse.meter import LightMeter, Picture
 from arfx.analyse.params import AnalyseParams
+from arfx.analyse.pose.at_rest import BackgroundFlow
+from arfx.analyse.pose.fold import solve
+from arfx.analyse.pose.presence import CutSignal
 from arfx.analyse.records import Analysis, Record, Seen
-from arfx.analyse.shots import CutSignal
-from arfx.analyse.solve import solve
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.marker import MarkerSpec, anchor_marker

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from arfx.analyse.visibility import with_model
+from arfx.analyse.pose.visibility import with_model
 from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.layers import Layer

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from arfx.analyse.files import read_facts, write_facts
-from arfx.analyse.visibility import with_model
+from arfx.analyse.pose.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.at_rest import RestCheck
 from arfx.analyse.fold import Fold
 from arfx.analyse.lighting import lighted
 from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.meter import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter, Picture
+from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.real_planes import ScenePlane, facing_up, scene_planes
 from arfx.analyse.records import Analysis
 from arfx.analyse.surroundings import look

@@ -21,10 +21,10 @@ import pytest
 
 import arfx.analyse
 import arfx.run
-from arfx.analyse import background as background_flow
 from arfx.analyse import meter
 from arfx.analyse.analyser import AnalyseParams, Analyser, LightParams
 from arfx.analyse.fold import Fold
+from arfx.analyse.pose import at_rest
 from arfx.core import codec
 from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
@@ -142,7 +142,7 @@ def within(fold: Fold) -> Iterator[Fold]:
 @pytest.fixture
 def soon_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lists that are thinned out where a clip is long are so in this one."""
-    monkeypatch.setattr(background_flow, "MAX_SAMPLES", 4)
+    monkeypatch.setattr(at_rest, "MAX_SAMPLES", 4)
     monkeypatch.setattr(meter, "MOST_LOOKS", 3)
 
 

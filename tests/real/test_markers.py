@@ -12,7 +12,7 @@ import pytest
 
 from arfx.analyse.analyser import Analyser, Analysis
 from arfx.analyse.markers.detect import MarkerDetector
-from arfx.analyse.visibility import corner_jitter_px
+from arfx.analyse.pose.visibility import corner_jitter_px
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 

@@ -9,15 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.background import BackgroundFlow, decide_static, epipolar_distance
 from arfx.analyse.files import read_analysis, read_facts, write_facts
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.path import choose_path, move_costs
-from arfx.analyse.presence import lasting, opacities, stretches
+from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_distance
+from arfx.analyse.pose.fold import solve
+from arfx.analyse.pose.path import choose_path, move_costs
+from arfx.analyse.pose.presence import CutSignal, find_cuts, lasting, opacities, stretches, unlikeness
+from arfx.analyse.pose.visibility import corner_jitter_px, with_model
 from arfx.analyse.records import Record, Seen
-from arfx.analyse.shots import CutSignal, find_cuts, unlikeness
-from arfx.analyse.solve import solve
-from arfx.analyse.visibility import corner_jitter_px, with_model
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec

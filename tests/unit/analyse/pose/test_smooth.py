@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from arfx.analyse.motion_noise import LEAST, SHAKE, SIDEWAYS
 from arfx.analyse.params import AnalyseParams
+from arfx.analyse.pose.chain import LEAST, SHAKE, SIDEWAYS
+from arfx.analyse.pose.fold import solve
 from arfx.analyse.records import Analysis, Record
-from arfx.analyse.solve import solve
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
@@ -107,7 +107,7 @@ def test_a_marker_that_is_carried_is_no_shake() -> None:
 
 
 def test_shake_is_the_camera_turned_about_itself() -> None:
-    from arfx.analyse.smooth import _place, _shake
+    from arfx.analyse.pose.smooth import _place, _shake
 
     centre = np.array([0.02, 0.01, 0.0])
     pose = tilted([0.2, 0.1, 0], [0.3, -0.2, 1.1])
@@ -134,7 +134,7 @@ def test_rest_is_smoothed_as_rest_in_a_clip_that_also_moves() -> None:
 
 
 def test_links_between_turned_frames_are_the_derivative() -> None:
-    from arfx.analyse.smooth import _links, _moved
+    from arfx.analyse.pose.smooth import _links, _moved
 
     poses = [tilted([0.2, 0.1, 0], [0.1, 0, 1.0]), tilted([0.45, -0.1, 0.2], [0.15, 0.05, 1.1])]
     rotation, translation = np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])

@@ -5,7 +5,7 @@ unlikeliness of the motion: a direction that the corners hardly fix (the tilt of
 the neighbours, one that they fix well (its place in the picture) is left alone, so nothing swims. Gauss-Newton on
 SE(3), linearised anew in every pass; each pass is one RTS smoother (chain.py).
 
-The motion's noise is learned from the clip (motion_noise.py): of each axis, and of a camera that turns about itself in the
+The motion's noise is learned from the clip (chain.py): of each axis, and of a camera that turns about itself in the
 hand, which turns and moves the marker at once. Without the latter a hand's shake counts as the marker's sideways motion, and
 what stands off the marker's plane trembles against the picture by a parallax that is not there.
 Axes: rotation about the camera's x, y, z; the place of the markers' centre as x/z, y/z and ln z.
@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.chain import Links, evidence, link, smooth_chain
-from arfx.analyse.geometry import Observed, huber_cost, residuals, view_jacobian
-from arfx.analyse.motion_noise import AXES, GROUPS, LEAST, MOST, learn_density
+from arfx.analyse.pose.chain import AXES, GROUPS, LEAST, MOST, Links, evidence, learn_density, link, smooth_chain
+from arfx.analyse.pose.planar import Observed, huber_cost, residuals, view_jacobian
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
 # Between two frames: what moves is unknown after ten seconds as after a day, whose cube leaves no digits for the corners.
@@ -33,7 +32,7 @@ _UNSURE_RAD = 0.005  # typical error of a raw tilt above which a frame may lie i
 @dataclass(frozen=True)
 class Smoothed:
     """rotation (n, 3, 3), translation_m (n, 3), covariance (n, 6, 6) of the left perturbation [rad, m] in the camera
-    frame; density (5,) learned noise, median over the shot, of motion_noise.GROUPS."""
+    frame; density (5,) learned noise, median over the shot, of chain.GROUPS."""
 
     rotation: np.ndarray
     translation_m: np.ndarray

@@ -8,18 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.background import decide_static
-from arfx.analyse.geometry import Observed, information, lens_scale, residuals, rms_px, stack
-from arfx.analyse.hypotheses import hypotheses
-from arfx.analyse.mapping import MarkerMap, View, map_markers
 from arfx.analyse.markers.corners import aliasing_px
 from arfx.analyse.markers.detect import cells_per_side
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.presence import lasting, opacities, statuses, stretches
+from arfx.analyse.pose.at_rest import decide_static
+from arfx.analyse.pose.marker_map import MarkerMap, View, map_markers
+from arfx.analyse.pose.path import WorldPath, world_path
+from arfx.analyse.pose.planar import Observed, hypotheses, information, lens_scale, residuals, rms_px, stack
+from arfx.analyse.pose.presence import find_cuts, lasting, opacities, statuses, stretches
+from arfx.analyse.pose.smooth import smooth_poses
 from arfx.analyse.records import Analysis, Record, Seen
-from arfx.analyse.shots import find_cuts
-from arfx.analyse.smooth import smooth_poses
-from arfx.analyse.world_path import WorldPath, world_path
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
 from arfx.core.marker import MarkerSpec

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.geometry import Observed, apply_step, huber_cost, jacobian, refine_poses, residuals, rms_px, view_jacobian
+from arfx.analyse.pose.planar import Observed, apply_step, huber_cost, jacobian, refine_poses, residuals, rms_px, view_jacobian
 from arfx.core.numerics import EPS_DEPTH_M, condition
 from arfx.core.pose import Pose, skew
 

@@ -6,6 +6,8 @@ Points are taken twice, from the image and from its contrast against the neighbo
 * They move as points of the marker's world do, anywhere from a third of the marker's distance to infinity along the
   epipolar line of the two camera poses: the marker stands still.
 * Neither: both move.
+Where there is no marker, `RestCheck` tells whether the camera stands still over a clip: corners of the first picture, looked
+for again in later ones, about 2 ms each time. Things that move before a camera at rest take some with them; most stay.
 Source: SYSTEMS.md S1, "Which frame are the lights fixed in?".
 """
 
@@ -33,6 +35,12 @@ NEAR_PX, FLAT = 17, 4.0  # neighbourhood that contrast is told against, and grey
 STILL_PX = 0.35  # in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
 AT_REST = 0.45  # share of points: moving shadows and what a hand moves beside the marker are the others
 _MIN_POINTS = 6
+REST_WIDTH_PX = 480  # of the reduced pictures of `RestCheck`
+REST_POINTS = 80
+REST_PX = 0.7  # in a reduced picture: sensor noise and compression move corners by a tenth
+REST_SHARE = 0.6  # of the corners that have to stay
+_LEAST_POINTS = 8
+_WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
 
 class BackgroundFlow(Fold):
@@ -156,3 +164,43 @@ def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: f
     t = np.clip(divide(((b - p) * d).sum(1), (d * d).sum(1)), 0, 1)
     distance = np.linalg.norm(b - p - t[:, None] * d, axis=1)
     return np.where(np.isfinite(distance), distance, np.inf)
+
+
+class RestCheck(Fold):
+    """Fed the frames in order. moved_px : the farthest that the middle corner was seen from its place, clip px"""
+
+    def __init__(self) -> None:
+        self._first: np.ndarray | None = None
+        self._points = np.zeros((0, 2), np.float32)
+        self._next_s = -np.inf
+        self._rests = True
+        self.moved_px = 0.0
+
+    @property
+    def rests(self) -> bool:
+        return self._rests
+
+    def step(self, time_s: float, luma: np.ndarray) -> None:
+        """luma : (h, w) uint8"""
+        if time_s < self._next_s and self._first is not None and self._rests:
+            return
+        self._next_s = time_s + INTERVAL_S
+        factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
+        small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        if self._first is None:
+            value = small.astype(np.float32)
+            off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
+            contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
+            found = cv2.goodFeaturesToTrack(small, REST_POINTS, 0.02, 8, mask=contrast.astype(np.uint8))
+            self._first = small
+            self._points = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+            return
+        if len(self._points) < _LEAST_POINTS:  # nothing to see: nothing that could tell of a motion
+            return
+        there, good, _ = cv2.calcOpticalFlowPyrLK(self._first, small, self._points, None)  # type: ignore[call-overload]
+        away = np.linalg.norm(there - self._points, axis=1)
+        away = np.where(good.ravel() > 0, away, np.inf)  # a corner that is lost may have left the picture
+        seen = away[np.isfinite(away)]
+        self.moved_px = max(self.moved_px, factor * float(np.median(seen)) if len(seen) else 0.0)
+        if (away < REST_PX).mean() < REST_SHARE:
+            self._rests = False
