@@ -12,9 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from arfx.analyse.anchors import with_anchors
 from arfx.analyse.edge_blur import EdgeBlur
-from arfx.analyse.flow import BackgroundMotion
 from arfx.analyse.fold import Fold
 from arfx.analyse.footage_lens import footage_lens, to_json, with_lens
 from arfx.analyse.lighting import lighted
@@ -23,6 +21,8 @@ from arfx.analyse.markers.corners import EdgeRefiner
 from arfx.analyse.markers.detect import Candidate, Survey
 from arfx.analyse.markers.tracker import Found, Tracker
 from arfx.analyse.meter import LightMeter, Picture
+from arfx.analyse.motion.advection import with_anchors
+from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import BackgroundFlow
 from arfx.analyse.pose.fold import solve

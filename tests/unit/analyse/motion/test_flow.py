@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.anchors import FACT, determinants, relaxed, with_anchors
-from arfx.analyse.flow import GRID_PX, BackgroundMotion, MotionStep, node_places
-from arfx.analyse.flow_refine import refined
+from arfx.analyse.motion.advection import FACT, determinants, relaxed, with_anchors
+from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_places, refined
 from arfx.core.facts import ABSENT, MEASURED, FrameFacts
 from arfx.core.pose import Pose
 from arfx.stages.watercolor import field as reader
@@ -252,7 +251,7 @@ def test_a_clip_run_backwards_gives_the_same_patterns_in_turn() -> None:
 
 
 def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("arfx.analyse.anchors_back.PERIOD", 4)
+    monkeypatch.setattr("arfx.analyse.motion.advection.PERIOD", 4)
     world = texture()
     facts = facts_of(folded([view(world, pan(4 * t), t) for t in range(18)]), 18, cut=14)
     u = [fields_of(f, "forward")[0] for f in facts]

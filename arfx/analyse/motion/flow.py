@@ -3,11 +3,16 @@
 `BackgroundMotion` compares each frame with a key frame. While the picture has moved by less than HOLD_PX since the last set
 of sites was made the set stays, so that a resting camera gathers no drift and nothing is labelled anew; else a new set begins,
 and where each of its nodes lay in the key frame is kept. A frame becomes the next key when the picture has moved by
-KEY_SHARE of its width, or has changed: errors add up from key to key only. `anchors.with_anchors` chains the keys.
+KEY_SHARE of its width, or has changed: errors add up from key to key only. `advection.with_anchors` chains the keys.
 Flow: DIS (Kroeger et al. 2016, OpenCV), forward and backward; where both disagree, or there is nothing to see, an affine
-motion of the whole and its neighbours stand in. The flow is good to a tenth of a px of the small frame; one step of
-`flow_refine` makes that some hundredths, or borders of cells would tremble. Cost: some 2 of the benchmark's yardsticks
-(a blur of 1280 x 720) a frame, most of it flow. Source: SYSTEMS.md S3, "anchor sites".
+motion of the whole and its neighbours stand in. The flow is good to a tenth of a px of the small frame; `refined` makes that
+some hundredths, or borders of cells would tremble: a step of Gauss and Newton on the nodes, bilinear between them. Each pixel
+says along its slope how far the two pictures are still apart; a node hears those around it, weighted by how near they lie and
+how well they fit. What all ask for together (an affine motion) is taken first, what is left node by node, drawn towards
+nothing where there is little to see. That one of the two is brighter around a node does not count. Motion of more than
+_MOST_PX beyond what was found is the flow's work.
+Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame, most of it flow, some 2 ms the step.
+Source: SYSTEMS.md S3, "anchor sites"; Lucas and Kanade 1981.
 """
 
 from __future__ import annotations
@@ -15,11 +20,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
+import numba
 import numpy as np
 
-from arfx.analyse.flow_refine import refined
 from arfx.analyse.fold import Fold
 from arfx.core.codec import stored
+from arfx.core.numerics import divide
 
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
 STEPS = 16  # to a px: places of nodes are whole numbers of them
@@ -38,6 +44,12 @@ _DETAIL_NODES = 0.85
 _CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
 _LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last set's
 _SPREAD_NODES = 1.5
+_FINE_PX = 1.0  # what is finer is not compared, px of the small picture
+_MISFIT = 6.0  # grey levels at which a pixel counts half
+_PRIOR = 100.0  # a pixel's noise, grey levels, over what a node may differ from the affine motion, px, squared
+_NEIGHBOURS = 0.3
+_MOST_PX = 0.3  # of the small picture
+_RIM_PX = 3  # the interpolation and the band need that much around a pixel
 
 
 @stored
@@ -199,3 +211,120 @@ def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarr
         missed = np.linalg.norm(flow - terms @ motion, axis=1)
         robust = weight / (1 + (missed / 0.5) ** 2)
     return motion
+
+
+def refined(
+    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, first: np.ndarray, pitch: np.ndarray
+) -> np.ndarray:
+    """(gh, gw, 2) float64 px of the small picture: `back`, a step nearer to where the reference has what the nodes show.
+
+    back (gh, gw, 2) : px of the small picture: what is at a place there is at place + back in the reference
+    small, reference (h, w) uint8;  trust (h, w) : pixels with 0 are left out
+    first, pitch (2,) : place of the first node and distance from one to the next along x and y, px of the small picture
+    """
+    back = np.asarray(back, float)
+    sums = np.zeros((*back.shape[:2], 9))
+    _hear(_smooth(small), _smooth(reference), trust > 0, back, first, pitch, sums)
+    heard = _centred(sums)
+    affine = _affine_of(heard)
+    spread = cv2.GaussianBlur(heard, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
+    xx, xy, yy, xe, ye = np.moveaxis(heard + _NEIGHBOURS * spread, -1, 0)
+    ex, ey = xe - xx * affine[..., 0] - xy * affine[..., 1], ye - xy * affine[..., 0] - yy * affine[..., 1]
+    xx, yy = xx + _PRIOR, yy + _PRIOR
+    det = xx * yy - xy * xy  # _PRIOR^2 at least: without it a sum of squares
+    step = affine + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / det[..., None]
+    out: np.ndarray = back + np.clip(step, -_MOST_PX, _MOST_PX)
+    return out
+
+
+def _smooth(a: np.ndarray) -> np.ndarray:
+    out: np.ndarray = cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX)
+    return out
+
+
+def _centred(sums: np.ndarray) -> np.ndarray:
+    """(gh, gw, 5) sums of xx, xy, yy, xe, ye without the means around each node. sums : of `_hear`"""
+    x, y, e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
+    of_x, of_y = sums[..., 5], sums[..., 6]
+    out: np.ndarray = sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
+    return out
+
+
+def _affine_of(heard: np.ndarray) -> np.ndarray:
+    """(gh, gw, 2) px: the affine motion that the nodes ask for together, at each of them."""
+    gh, gw = heard.shape[:2]
+    y, x = np.mgrid[0:gh, 0:gw] / np.array([gh, gw]).reshape(2, 1, 1) - 0.5
+    terms = np.stack([np.ones((gh, gw)), x, y], -1).reshape(-1, 3)
+    xx, xy, yy, xe, ye = heard.reshape(-1, 5).T
+    of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
+    normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
+    motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
+    out: np.ndarray = (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _hear(small, reference, trusted, back, first, pitch, total):  # pragma: no cover - compiled
+    """total (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and what is missing (e)."""
+    h, w = small.shape
+    gh, gw = back.shape[:2]
+    lines = np.empty((gw, 2))
+    sums = np.empty((gw, 9))
+    for y in range(_RIM_PX, h - _RIM_PX):
+        i = (y - first[1]) / pitch[1]
+        m = min(max(int(np.floor(i)), 0), gh - 2)
+        t = i - m
+        for k in range(gw):
+            for c in range(2):
+                lines[k, c] = back[m, k, c] + t * (back[m + 1, k, c] - back[m, k, c])
+        sums[:] = 0
+        for x in range(_RIM_PX, w - _RIM_PX):
+            if not trusted[y, x]:
+                continue
+            j = (x - first[0]) / pitch[0]
+            n = min(max(int(np.floor(j)), 0), gw - 2)
+            s = j - n
+            px, py = x + lines[n, 0] + s * (lines[n + 1, 0] - lines[n, 0]), y + lines[n, 1] + s * (lines[n + 1, 1] - lines[n, 1])
+            if not (px >= _RIM_PX and py >= _RIM_PX and px < w - _RIM_PX and py < h - _RIM_PX):
+                continue
+            e = np.float64(small[y, x]) - _cubic(reference, px, py)
+            gx, gy = 0.5 * (small[y, x + 1] - small[y, x - 1]), 0.5 * (small[y + 1, x] - small[y - 1, x])
+            weight = 1.0 / (1.0 + (e / _MISFIT) ** 2)
+            for k in range(2):
+                share = weight * (s if k else 1.0 - s)
+                sums[n + k, 0] += share * gx * gx
+                sums[n + k, 1] += share * gx * gy
+                sums[n + k, 2] += share * gy * gy
+                sums[n + k, 3] += share * gx * e
+                sums[n + k, 4] += share * gy * e
+                sums[n + k, 5] += share * gx
+                sums[n + k, 6] += share * gy
+                sums[n + k, 7] += share * e
+                sums[n + k, 8] += share
+        for k in range(gw):
+            for c in range(9):
+                total[m, k, c] += (1.0 - t) * sums[k, c]
+                total[m + 1, k, c] += t * sums[k, c]
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _weights(t):  # pragma: no cover - compiled
+    """Of the four samples around a place (Catmull and Rom)."""
+    return (
+        ((2.0 - t) * t - 1.0) * t * 0.5, ((3.0 * t - 5.0) * t * t + 2.0) * 0.5, ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
+        (t - 1.0) * t * t * 0.5,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def _cubic(a, x, y):  # pragma: no cover - compiled
+    """`a` at (x, y), at least two samples inside its border."""
+    i, j = int(y), int(x)
+    c0, c1, c2, c3 = _weights(x - j)
+    r0, r1, r2, r3 = _weights(y - i)
+    p0, p1 = i - 1, i
+    v = r0 * (c0 * a[p0, j - 1] + c1 * a[p0, j] + c2 * a[p0, j + 1] + c3 * a[p0, j + 2])
+    v += r1 * (c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2])
+    p0, p1 = i + 1, i + 2
+    v += r2 * (c0 * a[p0, j - 1] + c1 * a[p0, j] + c2 * a[p0, j + 1] + c3 * a[p0, j + 2])
+    return v + r3 * (c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2])
