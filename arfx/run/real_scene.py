@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.fold import Fold
-from arfx.analyse.lighting import lighted
+from arfx.analyse.light.fold import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter, Picture, lighted
+from arfx.analyse.light.surroundings import look
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.meter import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter, Picture
 from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.real_planes import ScenePlane, facing_up, scene_planes
 from arfx.analyse.records import Analysis
-from arfx.analyse.surroundings import look
 from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec

@@ -21,9 +21,9 @@ import pytest
 
 import arfx.analyse
 import arfx.run
-from arfx.analyse import meter
 from arfx.analyse.analyser import AnalyseParams, Analyser, LightParams
 from arfx.analyse.fold import Fold
+from arfx.analyse.light import fold as light_fold
 from arfx.analyse.pose import at_rest
 from arfx.core import codec
 from arfx.core.marker import MarkerSpec
@@ -143,7 +143,7 @@ def within(fold: Fold) -> Iterator[Fold]:
 def soon_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lists that are thinned out where a clip is long are so in this one."""
     monkeypatch.setattr(at_rest, "MAX_SAMPLES", 4)
-    monkeypatch.setattr(meter, "MOST_LOOKS", 3)
+    monkeypatch.setattr(light_fold, "MOST_LOOKS", 3)
 
 
 def test_whatever_is_fed_frame_by_frame_is_a_fold() -> None:

@@ -7,11 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from arfx.analyse.photometry import WHITE
-from arfx.analyse.photometry_channel import UNKNOWN_VARIANCE
-from arfx.analyse.photometry_clip import comparable
-from arfx.analyse.photometry_paper import smallest_vector, solve_paper
-from arfx.analyse.photometry_solve import DEGENERATE, INK, MEASURED, PAPER, Photometry, solve
+from arfx.analyse.light.patches import WHITE, comparable
+from arfx.analyse.light.photometry import DEGENERATE, INK, MEASURED, PAPER, UNKNOWN_VARIANCE, Photometry, solve
+from arfx.analyse.light.photometry_paper import smallest_vector, solve_paper
 
 RHO = np.where(WHITE, PAPER, INK)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.icosphere import icosphere
-from arfx.analyse.light_explain import Params
-from arfx.analyse.light_fit import MEASURED, REFUSED, LightFit, fit, paper_lights
-from arfx.analyse.light_time import CONSTANT, SEGMENTS, SWITCHED, fit_over_time, switches
+from arfx.analyse.light.explain import Params
+from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit, paper_lights
+from arfx.analyse.light.icosphere import icosphere
+from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SWITCHED, fit_over_time, switches
 from arfx.core.numerics import angle_between, normalise
 
 AMBIENT = np.array([0.2, 0.21, 0.24])

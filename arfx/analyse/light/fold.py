@@ -1,5 +1,7 @@
 """The light of every frame: from the markers in the picture if they tell it, else the next best cue, out loud.
 
+`LightMeter`, a fold, keeps what each frame tells: patches of the markers' cells, and now and then a small picture of the
+surroundings; some hundred numbers per marker and frame, and no pixels. `lighted` makes the light of it.
 Cues in order: a light that is given (`assumed`); a direction that the markers' normals tell (`measured`); else `refused`:
 the surroundings folded from the picture, as soft light without a direction; ambient light alone. Whatever the cue,
 brightness and colour of each frame are those that the markers show (exposure and light together: from one normal the two
@@ -12,31 +14,92 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from arfx.analyse import given_light
-from arfx.analyse.blocked_light import already_blocked, clearly_blocked, quarters
-from arfx.analyse.environment_time import with_environment
-from arfx.analyse.light_fit import MEASURED as LIT
-from arfx.analyse.light_fit import REFUSED
-from arfx.analyse.lighting_paper import KEY as MAP
-from arfx.analyse.lighting_paper import told
+from arfx.analyse.fold import Fold
+from arfx.analyse.light import given as given_light
+from arfx.analyse.light.fit import MEASURED as LIT
+from arfx.analyse.light.fit import REFUSED
+from arfx.analyse.light.lighting_paper import KEY as MAP
+from arfx.analyse.light.lighting_paper import told
+from arfx.analyse.light.patches import (
+    WHITE,
+    Patches,
+    already_blocked,
+    cells,
+    clearly_blocked,
+    comparable,
+    place,
+    quarters,
+    reduced,
+    stack,
+)
+from arfx.analyse.light.photometry import Photometry, solve
+from arfx.analyse.light.photometry_paper import solve_paper
+from arfx.analyse.light.static_frame import Readings, RoomLight, Told
+from arfx.analyse.light.surroundings import Look, look, with_environment
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.lighting_room import Readings, RoomLight, Told
-from arfx.analyse.meter import LightMeter
-from arfx.analyse.photometry import WHITE, stack
-from arfx.analyse.photometry_clip import comparable
-from arfx.analyse.photometry_paper import solve_paper
-from arfx.analyse.photometry_solve import Photometry, solve
-from arfx.analyse.records import Analysis
+from arfx.analyse.records import Analysis, Seen
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec, anchor_marker
+from arfx.core.rect import Rect
 
+SURROUNDINGS_S = 0.5  # between two looks at the surroundings
+SURROUNDINGS_PX = 96  # width of the picture that is looked at
+MOST_LOOKS = 240  # beyond that every second one is dropped, and the interval doubled
+SHARP_PX = 0.7  # blur assumed where it could not be measured
+_AROUND_PX = 2
 THREE_ASKED = 1.221  # width of an interval for one of three questions at .95 of all (Bonferroni), over the width for one
 LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
+
+
+class Picture(Protocol):
+    """One frame's pixels, as the meter reads them (media.frame.Frame is one)."""
+
+    @property
+    def rect(self) -> Rect: ...
+
+    def linear_at(self, pixels: np.ndarray) -> np.ndarray: ...
+
+    def reduced(self, width: int) -> np.ndarray: ...
+
+
+class LightMeter(Fold):
+    """readings : (frame, marker key, Patches) in order;  looks : of the surroundings
+
+    formula : "corrected" or "paper", how the surroundings are folded
+    """
+
+    given = frozenset({"_formula"})
+
+    def __init__(self, formula: str = "corrected") -> None:
+        self._formula = formula
+        self.readings: list[tuple[int, str, Patches]] = []
+        self.looks: list[Look] = []
+        self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
+
+    def step(self, frame: int, time_s: float, seen: Sequence[Seen], picture: Picture) -> None:
+        """frame : its number;  seen : configured markers in it;  picture : its pixels"""
+        for s in seen:
+            if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
+                continue
+            family, _, number = s.key.rpartition(":")
+            blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
+            shape = (picture.rect.height, picture.rect.width)
+            spots = place(s.corners_px, cells(family, int(number)), s.inverted, blur, shape)
+            self.readings.append((frame, s.key, reduced(picture.linear_at(spots.pixels()), spots)))
+        if seen and time_s >= self._next_s:
+            self._next_s = time_s + self._interval_s
+            small = picture.reduced(SURROUNDINGS_PX)
+            if min(small.shape[:2]) >= 3:
+                shrink = small.shape[1] / picture.rect.width
+                largest = max(seen, key=lambda s: s.side_px)
+                self.looks.append(look(frame, small, (largest.corners_px + 0.5) * shrink - 0.5, self._formula))
+            if len(self.looks) > MOST_LOOKS:
+                self.looks, self._interval_s = self.looks[::2], 2 * self._interval_s
 
 
 def lighted(

@@ -1,4 +1,4 @@
-"""The compiled part of light_fit.py: E(n) = a + sum_l Omega_l max(n.d_l, 0), amplitudes at least 0, for given directions.
+"""The compiled part of fit.py: E(n) = a + sum_l Omega_l max(n.d_l, 0), amplitudes at least 0, for given directions.
 
 Directions are nonlinear parameters, amplitudes linear ones that are solved exactly for every set of directions (variable
 projection): a small non-negative least squares per group of observations and channel. Groups share the directions and

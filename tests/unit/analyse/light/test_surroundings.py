@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.environment import (
+from arfx.analyse.light.surroundings import (
+    Look,
     face_directions,
     fold,
     fold_corrected,
     from_panorama,
+    look,
     look_up,
     mip_chain,
-    soft_light,
+    soft_of,
     solid_angles,
     told,
     turned,
+    with_environment,
 )
-from arfx.analyse.environment_time import with_environment
-from arfx.analyse.surroundings import Look, look
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, harmonics
 from arfx.core.pose import Pose, rotation_from_euler_deg
@@ -34,7 +35,7 @@ def test_solid_angles_make_the_sphere() -> None:
 def test_a_constant_picture_gives_constant_surroundings() -> None:
     faces = fold(GREY)
     assert np.abs(faces - [0.2, 0.4, 0.6]).max() < 1e-6
-    soft = soft_light(faces, np.eye(3))
+    soft = soft_of(faces, np.eye(3))
     n = np.random.default_rng(0).normal(size=(200, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     light = Light((0, 0, 0), (), "environment", tuple(map(tuple, soft)))
@@ -65,7 +66,7 @@ def test_a_bright_side_lights_the_surfaces_that_face_it_after_any_turn() -> None
     picture = np.full((90, 120, 3), 0.1)
     picture[30:60, 80:] = 1.0  # what stands right of the camera
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # world_from_camera
-    soft = soft_light(fold(picture), turn)
+    soft = soft_of(fold(picture), turn)
     light = Light((0, 0, 0), (), "environment", tuple(map(tuple, soft)))
     towards, away = light.soft_radiance(turn @ [1.0, 0, 0]), light.soft_radiance(turn @ [-1.0, 0, 0])
     assert (towards > 2.5 * away).all()

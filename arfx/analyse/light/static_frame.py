@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse import light_map
-from arfx.analyse.given_light import fitted_to
-from arfx.analyse.icosphere import icosphere
-from arfx.analyse.light_explain import Params as FitParams
-from arfx.analyse.light_fit import MEASURED, REFUSED
-from arfx.analyse.light_map_kernels import walked
-from arfx.analyse.light_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
-from arfx.analyse.lighting_paper import paper_lights_of
+from arfx.analyse.light import light_map
+from arfx.analyse.light.explain import Params as FitParams
+from arfx.analyse.light.fit import MEASURED, REFUSED
+from arfx.analyse.light.given import fitted_to
+from arfx.analyse.light.icosphere import icosphere
+from arfx.analyse.light.light_map import walked
+from arfx.analyse.light.lighting_paper import paper_lights_of
+from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
+from arfx.analyse.light.surroundings import Look, matched, soft_light
 from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.surroundings import Look, matched, soft_light
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light, triple
 from arfx.core.numerics import divide, normalise
@@ -52,7 +52,7 @@ class Told:
 class Readings:
     """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, ROOM axes
     y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it
-    alone : of one kind of cells alone (photometry_clip), where prints are overexposed"""
+    alone : of one kind of cells alone (patches.comparable), where prints are overexposed"""
 
     frame: np.ndarray
     normal: np.ndarray

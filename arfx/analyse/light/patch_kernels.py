@@ -1,4 +1,4 @@
-"""The compiled part of photometry.py: where the samples of a print lie, and robust means of them by colour and quarter."""
+"""The compiled part of patches.py: where the samples of a print lie, and robust means of them by colour and quarter."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

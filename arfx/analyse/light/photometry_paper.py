@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from arfx.analyse.photometry_channel import fallback
-from arfx.analyse.photometry_solve import INK, PAPER, Photometry, assemble, weights
+from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, weights
 from arfx.core.numerics import divide
 
 DENSE = 300  # frames
@@ -83,7 +82,7 @@ def solve_paper(
     intensity: np.ndarray, white: np.ndarray | None = None, albedo: np.ndarray | None = None,
     clipped: np.ndarray | None = None, printed_bias: bool = False, ink: float = INK, paper: float = PAPER,
 ) -> Photometry:  # fmt: skip
-    """The `paper` formula for all channels, arguments as in photometry_solve.solve. No variances: the paper has none;
+    """The `paper` formula for all channels, arguments as in photometry.solve. No variances: the paper has none;
     those reported are of the residuals. printed_bias : b = 1/b' in place of b'/g' (y stays as solved)."""
     value = np.asarray(intensity, float)
     if albedo is None:

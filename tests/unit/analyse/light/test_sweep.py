@@ -12,12 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from arfx.analyse.light_fit import MEASURED, LightFit
-from arfx.analyse.lighting_room import Told, explained
-from arfx.analyse.photometry import WHITE, cut_off
-from arfx.analyse.photometry_clip import comparable
-from arfx.analyse.photometry_paper import solve_paper
-from arfx.analyse.photometry_solve import INK, PAPER, solve
+from arfx.analyse.light.fit import MEASURED, LightFit
+from arfx.analyse.light.patches import WHITE, comparable, cut_off
+from arfx.analyse.light.photometry import INK, PAPER, solve
+from arfx.analyse.light.photometry_paper import solve_paper
+from arfx.analyse.light.static_frame import Told, explained
 from arfx.core.numerics import normalise
 
 SCENES = int(os.environ.get("ARFX_SWEEP", "8"))

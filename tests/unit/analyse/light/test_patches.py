@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.light.patches import WHITE, cells, measure, stack
 from arfx.analyse.markers.detect import MarkerDetector
-from arfx.analyse.photometry import WHITE, cells, measure, stack
 from arfx.core.colour import SRGB
 
 INK, PAPER = 0.05, 0.88

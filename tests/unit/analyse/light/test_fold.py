@@ -9,15 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from arfx.analyse.environment import look_up
-from arfx.analyse.light_map import LightMap, Params
-from arfx.analyse.lighting import _certain_bias, lighted
-from arfx.analyse.lighting_paper import _upright
+from arfx.analyse.light.fold import LightMeter, _certain_bias, lighted
+from arfx.analyse.light.light_map import LightMap, Params
+from arfx.analyse.light.lighting_paper import _upright
+from arfx.analyse.light.patches import WHITE, Patches
+from arfx.analyse.light.surroundings import Look, look_up
 from arfx.analyse.lighting_params import LightParams, parse_light
-from arfx.analyse.meter import LightMeter
-from arfx.analyse.photometry import WHITE, Patches
 from arfx.analyse.records import Analysis, Seen
-from arfx.analyse.surroundings import Look
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise

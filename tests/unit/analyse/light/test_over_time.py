@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse import light_time
-from arfx.analyse.light_explain import Params
-from arfx.analyse.light_fit import MEASURED, REFUSED, FittedLight, LightFit
-from arfx.analyse.light_gain import drift, gains, matched
-from arfx.analyse.light_time import SHARED, fit_over_time
+from arfx.analyse.light import over_time
+from arfx.analyse.light.explain import Params
+from arfx.analyse.light.fit import MEASURED, REFUSED, FittedLight, LightFit
+from arfx.analyse.light.over_time import SHARED, drift, fit_over_time, gains, matched
 from arfx.core.light import harmonics
 from arfx.core.numerics import normalise
 
@@ -96,7 +95,7 @@ def told(off_deg: float, tilts: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> 
             return LightFit(REFUSED, "too little of the clip", np.ones((1, 3)), np.ones((1, 3)))
         return LightFit(MEASURED, "made up", np.ones((9, 3)), np.ones((9, 3)), (light,), (light,), 1, model_error=error)
 
-    monkeypatch.setattr(light_time, "fit", made_up)
+    monkeypatch.setattr(over_time, "fit", made_up)
     times = np.repeat(np.arange(100) / 25, len(tilts))
     normals = np.tile(tilts, (100, 1))
     light = np.where(times > 1.98, 2.0, 1.0)[:, None] * np.ones(3)

@@ -21,10 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.icosphere import icosphere
-from arfx.analyse.light_explain import Explanations, Params
-from arfx.analyse.light_samples import Samples, gather
-from arfx.analyse.light_search import NO_CONE_DEG, SKY, Model, refine
+from arfx.analyse.light.explain import Explanations, Params
+from arfx.analyse.light.icosphere import icosphere
+from arfx.analyse.light.search import NO_CONE_DEG, SKY, Model, Samples, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import condition
 

@@ -1,17 +1,23 @@
-"""Searches over the directions of light_model.py's lights: best ones, how far each may turn, what else explains the data."""
+"""Searches over the directions of model.py's lights: best ones, how far each may turn, what else explains the data.
+
+`gather` brings observations of irradiance down to what a fit needs: few normals, robust means, honest weights.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
 
-from arfx.analyse import light_model
-from arfx.analyse.icosphere import icosphere
-from arfx.analyse.light_samples import Samples
-from arfx.core.numerics import angle_between
+from arfx.analyse.light import model as light_model
+from arfx.analyse.light.icosphere import icosphere
+from arfx.core.numerics import angle_between, divide
 
+FINE, COARSE = 4, 2  # levels of the cells that are averaged (4 degrees), and that share one systematic error (16 degrees)
+_UNUSABLE = 1e11  # a variance from here on is UNKNOWN_VARIANCE of photometry.py
+_LEAST = 1e-5  # noise of a mean, of the brightest light: below it weights say nothing
+_OUT = 2.0  # robust deviations within a cell from which an observation counts less
 AZIMUTHS = np.arange(12) * np.pi / 6
 RINGS_DEG = np.array([0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 45])
 NO_CONE_DEG = 180.0
@@ -22,6 +28,115 @@ RADII = np.array([1, 1.5, 2.2, 3.3, 4.5])  # of the stronger from the light that
 FINE_GAIN, FOLLOWED_GAIN, ROUGH_GAIN = 1e-6, 1e-4, 1e-3  # of chi squared: a pass that gains less is the last
 _SAME_DEG = 1.0  # minima nearer to each other than that are one
 _APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """k means of observations with nearly one normal, in the order of their groups.
+
+    normals : (k, 3) mean of unit vectors;  value : (k, 3) irradiance over `scale` (3,), the channels' bright levels
+    weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective : number of independent values
+    used, ignored : observations;  gamma : exponent that has been taken out of the values
+    lit : (k,) share of the lamps that is on, 0..1; empty = 1
+    """
+
+    normals: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+    starts: np.ndarray
+    scale: np.ndarray
+    effective: float
+    used: int
+    ignored: int
+    gamma: float = 1.0
+    lit: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """normals, value, weight, starts and lit as light_model takes them."""
+        normals, value = (np.ascontiguousarray(a.T) for a in (self.normals, self.value))
+        return normals, value, self.weight, self.starts, self.lit if len(self.lit) else np.ones(len(self.weight))
+
+    @property
+    def groups(self) -> int:
+        return len(self.starts) - 1
+
+    def span_deg(self) -> float:
+        """Largest angle between two normals."""
+        unit = self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
+        return float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))
+
+    def design(self) -> np.ndarray:
+        """(k, 4) weighted [1, n], columns of length 1: what tells an ambient light and a direction apart."""
+        rows = np.sqrt(self.weight)[:, None] * np.column_stack([np.ones(len(self.normals)), self.normals])
+        return divide(rows, np.linalg.norm(rows, axis=0))
+
+    def without_gamma(self, gamma: float) -> Samples:
+        """The same where the values are a power `gamma` of the irradiance (a wrong transfer function makes them that)."""
+        if gamma == 1:
+            return self
+        size = np.maximum(np.abs(self.value), 1e-3)
+        slope = (size ** (1 / gamma - 1) / gamma).mean(1)
+        value = np.sign(self.value) * np.abs(self.value) ** (1 / gamma)
+        return replace(self, value=value, weight=self.weight / slope**2, gamma=gamma)
+
+    def damped(self, residual: np.ndarray) -> Samples:
+        """Less weight (Huber) on samples whose residual (k, 3), in deviations, is beyond what the others have."""
+        z = np.sqrt((residual**2).mean(1))
+        width = 2.5 * max(1.0, float(np.median(z)) / 0.8)
+        return replace(self, weight=self.weight * np.minimum(1, divide(width, z, where_zero=1.0)))
+
+
+def gather(
+    normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None, group: np.ndarray | None, model_error: float,
+    lit: np.ndarray | None = None,
+) -> Samples | None:  # fmt: skip
+    """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3) or what broadcasts, group (k,) int.
+
+    model_error : systematic error of the irradiance relative to its bright level. It is one and the same within a coarse
+    cell of normals, so that more observations there add nothing beyond it.
+    lit : (g,) share of the lamps that is on in each group; then all groups are one, with the same light
+    """
+    n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
+    v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
+    g = np.zeros(len(n), int) if group is None else np.asarray(group).ravel().astype(int)
+    fine = np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
+    with np.errstate(invalid="ignore"):
+        length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
+        fine &= (length > 0.5) & (v >= 0).all(1) & (v < _UNUSABLE).all(1)
+    if not fine.any():
+        return None
+    n, E, v, g = n[fine] / length[fine, None], E[fine], v[fine], g[fine]
+    scale = np.percentile(E, 90, axis=0)
+    scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
+    E, v = E / scale, (v / scale**2).mean(1)
+    number = np.unique(g, return_inverse=True)[1]
+    cells = len(icosphere(FINE).vertices)
+    key, where = np.unique(number * cells + icosphere(FINE).nearest(n), return_inverse=True)
+    rows = np.split(np.argsort(where, kind="stable"), np.cumsum(np.bincount(where))[:-1])
+    N, X, V = (np.array(a) for a in zip(*(_mean(n[r], E[r], v[r]) for r in rows), strict=True))
+    groups = key // cells
+    coarse = np.unique(np.stack([groups, icosphere(COARSE).nearest(N)]), axis=1, return_inverse=True)[1].ravel()
+    many, floor = np.bincount(coarse)[coarse], model_error**2
+    variance_of_mean = V + many * floor + _LEAST**2
+    effective = 3 * float(((V + floor) / (V + many * floor + 1e-300)).sum()) if model_error > 0 else 3.0 * len(N)
+    starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
+    if lit is not None:
+        starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, int(fine.sum()), int((~fine).sum()), 1.0, on)
+
+
+def _mean(n: np.ndarray, E: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Robust mean of one cell's normals and values, and its variance: stated, or the scatter's where that is larger."""
+    p = 1 / (v + _LEAST**2)
+    scatter = 0.0
+    if len(n) >= 5:
+        off = np.abs(E - np.median(E, 0))
+        width = 1.4826 * np.median(off, 0) + 1e-3
+        p = p * np.minimum(1, _OUT / np.maximum((off / width).max(1), 1e-9))
+        scatter = float((width**2).mean()) / len(n)
+    p = p / p.sum()
+    return p @ n, p @ E, max(float((p * p) @ v), scatter)
 
 
 @dataclass(frozen=True, eq=False)

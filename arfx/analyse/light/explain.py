@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri
 
-from arfx.analyse.light_samples import Samples
-from arfx.analyse.light_search import (
+from arfx.analyse.light.search import (
     FOLLOWED_GAIN,
     NO_CONE_DEG,
     SKY,
     SOFT_DEG,
     Model,
+    Samples,
     cone_deg,
     pair_in_place,
     refine,

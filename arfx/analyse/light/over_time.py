@@ -7,13 +7,18 @@
 4. shared: the same, with a factor for every frame where frames show several normals (exposure that pumps), else in windows
    of a few seconds (lamps that fade, exposure that drifts);
 5. windows: a fit for each window alone (a light that swings).
-The next one is tried where the one before does not explain the observations: its model error is large (light_fit.Params).
+The next one is tried where the one before does not explain the observations: its model error is large (explain.Params).
 A light that is refused for another reason stays refused: cut into pieces, its evidence only gets less.
 
 The freer an account, the better a light that moves while the marker turns can pose as one that rests elsewhere. So
 whatever does not explain the observations well with few freedoms has to be found by both halves of its time as well; the
 cone grows to hold all answers, and what is found once only is refused. One marker turned by hand beside a light that swings
 ends there; several markers at different tilts, that show many normals at once, do not.
+
+`gains` are the factors where several normals are seen at once (exposure that pumps, all lamps faded together): one per frame
+and one irradiance over normals explain such a clip, E(n, t) = g_t E(n). Where a frame shows one normal only, the two cannot be
+told apart, and nothing is tried. `drift` is what speaks against any account that rests: the same normal seen at different
+times, in different light.
 """
 
 from __future__ import annotations
@@ -24,15 +29,21 @@ from itertools import pairwise
 
 import numpy as np
 
-from arfx.analyse.light_explain import Params
-from arfx.analyse.light_fit import MEASURED, REFUSED, LightFit, fit
-from arfx.analyse.light_gain import drift, gains, matched
-from arfx.core.numerics import angle_between
+from arfx.analyse.light.explain import Params
+from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit
+from arfx.analyse.light.icosphere import icosphere
+from arfx.core.light import harmonics
+from arfx.core.numerics import angle_between, divide
 
 _APART_DEG = 10.0
 _AGREE_DEG = 3.0  # between the halves of a clip whose brightness wanders while one normal is seen at a time
 CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = "constant", "switched", "segments", "shared", "windows"
-_MOST_DRIFT = 0.02  # of the level, light_gain.drift: an account under which normals change more does not hold
+_MOST_DRIFT = 0.02  # of the level, `drift`: an account under which normals change more does not hold
+_CELL_LEVEL = 4  # 4 degrees: within, normals count as one
+_WINDOW_S = 0.25
+_LEAST_FRAMES = 0.8  # share of the frames that show normals apart
+_APART = 0.97  # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
+_PASSES = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +62,7 @@ def fit_over_time(
 ) -> tuple[str, list[Span]]:  # fmt: skip
     """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to the last observation).
 
-    times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in light_fit.fit
+    times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in fit.fit
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
     window_s : length of a window, at most;  good_error : model error up to which an account holds
     Observations without a finite time are left out.
@@ -161,7 +172,7 @@ def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
 
 
 def _pumped(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params) -> LightFit | None:
-    """The light under one factor per frame (light_gain); None where that is not to be had, does not hold, or is refused."""
+    """The light under one factor per frame (`gains`); None where that is not to be had, does not hold, or is refused."""
     g = gains(times, n, E) if len(times) else None
     if g is None:
         return None
@@ -194,3 +205,52 @@ def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) ->
         why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
         return replace(found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb)
     return replace(found, lights=(replace(first, confidence_deg=max(first.confidence_deg, off)), *found.lights[1:]))
+
+
+def drift(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, group: np.ndarray | None = None) -> float:
+    """Root mean square over time, relative to the level, of how normals differ from themselves at other times of a group.
+
+    times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of a second, so that noise is little.
+    """
+    light = np.asarray(irradiance, float).mean(1)
+    level = float(np.percentile(light, 90)) if len(light) else 0.0
+    if level <= 0:
+        return 0.0
+    H = harmonics(normals)
+    off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level  # slope within a cell taken out
+    g = np.zeros(len(light), int) if group is None else np.asarray(group)
+    cell = np.unique(g * len(icosphere(_CELL_LEVEL).vertices) + icosphere(_CELL_LEVEL).nearest(normals), return_inverse=True)[1]
+    count = np.bincount(cell)
+    off = off - (np.bincount(cell, off) / count)[cell]
+    again = count[cell] > 1
+    window = np.unique(np.floor((times_s - times_s.min()) / _WINDOW_S), return_inverse=True)[1]
+    many = np.bincount(window, again)
+    mean = divide(np.bincount(window, off), many)
+    return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))
+
+
+def gains(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray) -> np.ndarray | None:
+    """(k,) factor of each observation's frame, median 1; None where frames do not show several normals apart.
+
+    Alternating least squares of the factors and of the irradiance in harmonics up to degree 2.
+    """
+    _, frame = np.unique(times_s, return_inverse=True)
+    count = np.bincount(frame)
+    mean = np.stack([np.bincount(frame, normals[:, i]) for i in range(3)], 1) / count[:, None]
+    if np.mean(np.linalg.norm(mean, axis=1) < _APART) < _LEAST_FRAMES:
+        return None
+    light, H = np.asarray(irradiance, float).mean(1), harmonics(normals)
+    g = np.ones(len(count))
+    for _ in range(_PASSES):
+        rows = g[frame, None] * H
+        model = H @ np.linalg.lstsq(rows, light, rcond=1e-6)[0]
+        last, g = g, matched(frame, model, light)
+        if np.abs(g - last).max() < 1e-5:
+            break
+    return g[frame] if (g > 1e-3).all() else None
+
+
+def matched(frame: np.ndarray, model: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """(frames,) factors that bring the model (k,) to the light (k,) seen, median 1. frame : (k,) int from 0 on, no gaps"""
+    g = divide(np.bincount(frame, model * light), np.bincount(frame, model * model))
+    return divide(g, float(np.median(g)), where_zero=1.0)

@@ -5,8 +5,18 @@ bilinearly at exact coordinates (pixel centres at integers). Clipped and non-fin
 grouped by colour and quarter of the marker, and each group's mean leaves out what does not belong to it (a highlight,
 a finger). What biases a mean beyond its noise goes into its variance: blur from the neighbouring cells, the truncation
 that dropping clipped samples is, and 8-bit steps without noise to dither them.
-Source: Tan, Chen, Sun 2010 ("dynamic light map"), section 2.1: the patch's pixel brightness I of eq. (2); SYSTEMS.md S1.
-Cost: about .2 ms for a marker of 270 px.
+
+`comparable` takes care of prints that are partly overexposed. Where the paper is clipped the ink tells the light, and where
+it is not the paper tells it better. But the two have one scale only as far as the camera's curve is known: some per cent of
+difference between frames of either kind would pass for the shape of the light over its normals. So a fit gets readings of one
+kind: the paper's, where few are clipped, else the ink's. (Even where nothing tells the bias: light with a constant added has
+the same directions.)
+
+`already_blocked` is the real shadow on the anchor's print, told by the quarters of its paper, so that the object's shadow is
+not taken twice there. Quarters are compared with the brightest one, which is taken for lit: a shadow over the whole print
+cannot be told from less light, and counts as that.
+Source: Tan, Chen, Sun 2010 ("dynamic light map"), section 2.1: the patch's pixel brightness I of eq. (2); SYSTEMS.md S1, with
+shadow as a ratio. Cost: about .2 ms for a marker of 270 px.
 """
 
 from __future__ import annotations
@@ -19,15 +29,20 @@ import cv2
 import numpy as np
 from scipy.special import ndtri
 
-from arfx.analyse import photometry_kernels as kernels
+from arfx.analyse.light import patch_kernels as kernels
+from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.markers.detect import cells_per_side, dictionary
 from arfx.core.codec import stored
-from arfx.core.numerics import HALF_GREY
+from arfx.core.numerics import HALF_GREY, divide
 
 # black top left, top right, bottom left, bottom right, then white in the same order
 PATCHES = kernels.PATCHES
 CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
 _SHARES = np.linspace(0, 1, 257)
+SPOILT = 0.02  # share of a reading's paper samples that are clipped, from which the paper says nothing exact
+FEW = 0.15  # of the readings: so many spoilt ones can be left out
+_OUT = 2.5  # deviations from the median of a reading's ink patches, beyond which one counts less
+LEAST_LEFT = 0.7  # of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the reason
 
 
 @stored
@@ -143,7 +158,7 @@ def cut_off(share: np.ndarray) -> np.ndarray:
 
 
 def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry_solve.solve; NaN where nothing was measured."""
+    """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN where nothing was measured."""
     shape = (len(patches), PATCHES, 3)
     intensity, variance, clipped = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape[:2])
     for i, p in enumerate(patches):
@@ -151,3 +166,60 @@ def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np
             seen = p.count > 0
             intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
     return intensity, variance, clipped
+
+
+def comparable(
+    p: Photometry, intensity: np.ndarray, variance: np.ndarray, white: np.ndarray, clipped: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over normals). Arguments as for `solve`."""
+    spoilt = p.seen & (np.where(white, clipped, 0).sum(1) > SPOILT * white.sum())
+    share = float(spoilt.sum()) / max(int(p.seen.sum()), 1)
+    if not spoilt.any() or (share <= FEW and not p.determined.all()):
+        return p.y, p.var_y_own, p.seen
+    if share <= FEW:
+        return p.y, p.var_y_own, p.seen & ~spoilt
+    y, own = _by_ink(p, intensity[:, ~white], variance[:, ~white])
+    told = np.isfinite(y).all(1)
+    return np.where(told[:, None], y, p.y), np.where(told[:, None], own, p.var_y_own), p.seen & told
+
+
+def _by_ink(p: Photometry, value: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Light (t, 3) by the ink alone, and its variance; NaN where no ink was seen. value, variance : (t, q, 3) of the ink"""
+    fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
+    known = fine.any(1)
+    middle = np.where(known, np.nanmedian(np.where(known[:, None], np.where(fine, value, np.nan), 0.0), 1), 0.0)
+    off = np.abs(np.where(fine, value - middle[:, None], 0)) / np.sqrt(np.where(fine, variance, 1))
+    w = np.where(fine, divide(1.0, np.where(fine, variance, 1)), 0) * np.minimum(1, divide(_OUT, off, where_zero=1.0))
+    total = w.sum(1)
+    y = (divide((w * np.where(fine, value, 0)).sum(1), total) - p.bias) / p.ink
+    return np.where(known, y, np.nan), np.where(known, divide(1.0, total * p.ink**2) * p.misfit**2, np.nan)
+
+
+def quarters(mean: np.ndarray, count: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """(..., 4) light of the paper in the print's quarters (top left, top right, bottom left, bottom right), NaN = not seen.
+
+    mean (..., 8, 3), count (..., 8) : of Patches
+    """
+    white = slice(PATCHES // 2, PATCHES)
+    light = (mean[..., white, :] - bias).mean(-1)
+    return np.where(count[..., white] > 0, light, np.nan)
+
+
+def clearly_blocked(light: np.ndarray) -> np.ndarray:
+    """(...) whether a quarter is clearly darker than the brightest one. light : (..., 4) of `quarters`"""
+    known = np.where(np.isfinite(light), light, np.inf)
+    low, high = known.min(-1), np.where(np.isfinite(light), light, -np.inf).max(-1)
+    return np.isfinite(light).all(-1) & (high > 0) & (low <= LEAST_LEFT * high)
+
+
+def already_blocked(light: np.ndarray, size_m: float) -> dict | None:
+    """The anchor's `already_blocked` (stages/lightmap/blocked.py), or None where no quarter is clearly darker.
+
+    light : (4,) of `quarters`;  size_m : side of the print. Anchor axes: x right, y up.
+    """
+    if not clearly_blocked(light):
+        return None
+    ratio = divide(light, light.max())
+    top_left, top_right, bottom_left, bottom_right = (float(r) for r in np.clip(ratio, 0, 1))
+    half = size_m / 2
+    return {"box_m": [-half, -half, half, half], "ratio": [[bottom_left, bottom_right], [top_left, top_right]]}

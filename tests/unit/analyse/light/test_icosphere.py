@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.icosphere import icosphere
+from arfx.analyse.light.icosphere import icosphere
 from arfx.core.numerics import normalise
 
 

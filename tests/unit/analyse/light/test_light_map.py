@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.light_map import (
+from arfx.analyse.light.light_map import (
     NEVER_S,
     STEADY,
     STEP,

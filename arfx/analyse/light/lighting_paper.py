@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from arfx.analyse import light_map
-from arfx.analyse.icosphere import icosphere
-from arfx.analyse.light_fit import paper_lights
+from arfx.analyse.light import light_map
+from arfx.analyse.light.fit import paper_lights
+from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.lighting_params import LightParams
 from arfx.core.cube import face_directions, packed
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
