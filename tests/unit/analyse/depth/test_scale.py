@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.depth_scale import depth_scale, print_ratios
+from arfx.analyse.depth.scale import depth_scale, print_ratios
 from arfx.core.facts import FrameFacts, MarkerSighting
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene

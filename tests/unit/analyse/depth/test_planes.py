@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.depth_cloud import cloud_of
-from arfx.analyse.depth_planes import find_planes
-from arfx.analyse.plane_mesh import mesh_of
-from arfx.analyse.real_planes import facing_up, scene_planes
+from arfx.analyse.depth.planes import cloud_of, find_planes
+from arfx.analyse.depth.scene_planes import facing_up, mesh_of, scene_planes
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
