@@ -13,7 +13,7 @@ from typing import Any
 
 from arfx.analyse.depth.plane_pose import measured_planes
 from arfx.analyse.depth.scale import with_depth
-from arfx.analyse.files import read_facts, write_facts
+from arfx.analyse.facts_file import read_facts, write_facts
 from arfx.analyse.pose.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig

@@ -15,7 +15,7 @@ from arfx.analyse.depth.scene_planes import scene_planes
 from arfx.analyse.fold import Fold
 from arfx.analyse.light.fold import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter, Picture, lighted
 from arfx.analyse.light.surroundings import look
-from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.params import LightParams
 from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.records import Analysis
 from arfx.core.facts import MEASURED, FrameFacts

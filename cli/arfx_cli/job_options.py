@@ -125,7 +125,7 @@ def _by_option(given: dict[str, Any], output: Path | None, formulas: Sequence[st
     if given["no_skip"]:
         yield ("pipeline", "skip"), False, "--no-skip"
     if given["light"]:
-        from arfx.analyse.lighting_params import parse_light
+        from arfx.analyse.params import parse_light
 
         yield ("light", "given"), parse_light(given["light"]), f"--light {given['light']}"
     if given["environment"]:

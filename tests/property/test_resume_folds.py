@@ -21,8 +21,8 @@ import pytest
 
 import arfx.analyse
 import arfx.run
-from arfx.analyse.analyser import AnalyseParams, Analyser, LightParams
 from arfx.analyse.fold import Fold
+from arfx.analyse.folds import AnalyseParams, Analyser, LightParams
 from arfx.analyse.light import fold as light_fold
 from arfx.analyse.pose import at_rest
 from arfx.core import codec

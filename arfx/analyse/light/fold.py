@@ -40,7 +40,7 @@ from arfx.analyse.light.photometry import Photometry, solve
 from arfx.analyse.light.photometry_paper import solve_paper
 from arfx.analyse.light.static_frame import Readings, RoomLight, Told
 from arfx.analyse.light.surroundings import Look, look, with_environment
-from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.params import LightParams
 from arfx.analyse.records import Analysis, Seen
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light

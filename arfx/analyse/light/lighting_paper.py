@@ -17,7 +17,7 @@ import numpy as np
 from arfx.analyse.light import light_map
 from arfx.analyse.light.fit import paper_lights
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.params import LightParams
 from arfx.core.cube import face_directions, packed
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import normalise

@@ -18,7 +18,7 @@ from arfx.analyse.light.light_map import walked
 from arfx.analyse.light.lighting_paper import paper_lights_of
 from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
 from arfx.analyse.light.surroundings import Look, matched, soft_light
-from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.params import LightParams
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light, triple
 from arfx.core.numerics import divide, normalise

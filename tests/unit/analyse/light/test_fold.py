@@ -14,7 +14,7 @@ from arfx.analyse.light.light_map import LightMap, Params
 from arfx.analyse.light.lighting_paper import _upright
 from arfx.analyse.light.patches import WHITE, Patches
 from arfx.analyse.light.surroundings import Look, look_up
-from arfx.analyse.lighting_params import LightParams, parse_light
+from arfx.analyse.params import LightParams, parse_light
 from arfx.analyse.records import Analysis, Seen
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec

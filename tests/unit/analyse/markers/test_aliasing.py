@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.analyser import Analyser
+from arfx.analyse.folds import Analyser
 from arfx.analyse.markers.corners import aliasing_px, linear_table, refine_corners
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.analyser import AnalyseParams, Analyser
-from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.folds import AnalyseParams, Analyser
 from arfx.analyse.markers.detect import MarkerDetector
 from arfx.analyse.markers.tracker import Tracker
+from arfx.analyse.params import LightParams
 from arfx.core import codec
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.files import read_analysis, read_facts, write_facts
+from arfx.analyse.facts_file import read_analysis, read_facts, write_facts
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_distance
 from arfx.analyse.pose.fold import solve

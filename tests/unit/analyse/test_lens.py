@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.analyser import Analyser, Analysis
-from arfx.analyse.edge_blur import side_blurs
+from arfx.analyse.folds import Analyser, Analysis
+from arfx.analyse.lens import side_blurs
 from arfx.core.colour import SRGB
 from arfx.core.lens_fit import lens_from_blur
 from arfx.core.pose import Pose, rotation_from_euler_deg

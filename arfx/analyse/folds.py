@@ -12,17 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from arfx.analyse.edge_blur import EdgeBlur
 from arfx.analyse.fold import Fold
-from arfx.analyse.footage_lens import footage_lens, to_json, with_lens
+from arfx.analyse.lens import EdgeBlur, footage_lens, to_json, with_lens
 from arfx.analyse.light.fold import LightMeter, Picture, lighted
-from arfx.analyse.lighting_params import LightParams
 from arfx.analyse.markers.corners import EdgeRefiner
 from arfx.analyse.markers.detect import Candidate, Survey
 from arfx.analyse.markers.tracker import Found, Tracker
 from arfx.analyse.motion.advection import with_anchors
 from arfx.analyse.motion.flow import BackgroundMotion
-from arfx.analyse.params import AnalyseParams
+from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.analyse.pose.at_rest import BackgroundFlow
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.presence import CutSignal
