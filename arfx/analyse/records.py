@@ -46,7 +46,7 @@ class Analysis:
     """The facts of a clip.
 
     facts : one per frame;  world_from_marker : by key, of markers that could be placed
-    static : "camera", "marker" or "both" (both move), see background.py
+    static : "camera", "marker" or "both" (both move), see pose/at_rest.py
     summary : figures for the report, JSON-able;  notices : sentences for the user
     """
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.visibility import with_model
+from arfx.analyse.pose.visibility import with_model
 from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec

@@ -16,8 +16,8 @@ from typing import Any
 import av
 import numpy as np
 
-from arfx.analyse.detect import SURVEY_FAMILIES, Candidate, MarkerDetector
-from arfx.analyse.shots import CutSignal, find_cuts
+from arfx.analyse.markers.detect import SURVEY_FAMILIES, Candidate, MarkerDetector
+from arfx.analyse.pose.presence import CutSignal, find_cuts
 from arfx.core.camera import Camera
 from arfx.core.marker import FAMILIES
 from arfx.core.numerics import divide

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.files import read_facts
+from arfx.analyse.facts_file import read_facts
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.hypotheses import hypotheses
-from arfx.analyse.light_fit import REFUSED, fit
-from arfx.analyse.light_map import weight
-from arfx.analyse.photometry_paper import solve_paper
-from arfx.analyse.photometry_solve import MEASURED, solve
+from arfx.analyse.light.fit import REFUSED, fit
+from arfx.analyse.light.light_map import weight
+from arfx.analyse.light.photometry import MEASURED, solve
+from arfx.analyse.light.photometry_paper import solve_paper
+from arfx.analyse.pose.planar import hypotheses
 from arfx.core.camera import Camera
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
 from arfx.core.lens_fit import lens_from_blur

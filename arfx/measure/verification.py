@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.files import read_facts
+from arfx.analyse.facts_file import read_facts
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.marker import MarkerSpec

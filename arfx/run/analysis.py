@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from arfx.analyse.analyser import Analyser, Analysis, LightParams
+from arfx.analyse.folds import Analyser, Analysis, LightParams
 from arfx.core import codec
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.visibility import with_model
+from arfx.analyse.pose.visibility import with_model
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers

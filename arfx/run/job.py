@@ -11,8 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.files import read_facts, write_facts
-from arfx.analyse.visibility import with_model
+from arfx.analyse.depth.plane_pose import measured_planes
+from arfx.analyse.depth.scale import with_depth
+from arfx.analyse.facts_file import read_facts, write_facts
+from arfx.analyse.pose.visibility import with_model
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
@@ -32,7 +34,6 @@ from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import Pass, analyse_clip
 from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
-from arfx.run.depth import with_depth
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
@@ -42,7 +43,7 @@ from arfx.run.place import Places
 from arfx.run.planned import Analysed, Job, JobPlan
 from arfx.run.predict import Terms
 from arfx.run.preview import pick
-from arfx.run.real_scene import ANCHOR, analyse_plane, measured_planes
+from arfx.run.real_scene import ANCHOR, analyse_plane
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, Spent, WorkLog
 from arfx.run.worker import keep_memory, open_context

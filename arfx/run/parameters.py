@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from arfx.analyse.analyser import AnalyseParams, LightParams
+from arfx.analyse.folds import AnalyseParams, LightParams
 from arfx.config.load import near
 from arfx.config.sections import JobConfig
 from arfx.core.stage import Stage

@@ -6,77 +6,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from arfx.analyse.at_rest import RestCheck
+from arfx.analyse.depth.plane_pose import Stand, spread, stand_on
+from arfx.analyse.depth.scene_planes import scene_planes
 from arfx.analyse.fold import Fold
-from arfx.analyse.lighting import lighted
-from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.meter import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter, Picture
-from arfx.analyse.real_planes import ScenePlane, facing_up, scene_planes
+from arfx.analyse.light.fold import SURROUNDINGS_PX, SURROUNDINGS_S, LightMeter, Picture, lighted
+from arfx.analyse.light.surroundings import look
+from arfx.analyse.params import LightParams
+from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.records import Analysis
-from arfx.analyse.surroundings import look
-from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
-from arfx.core.real_depth import real_depth_of
-from arfx.core.real_plane import RealPlane
 from arfx.errors import NothingToDoError
-from arfx.media.depth_maps import DepthMaps
 from arfx.run.analysis import Pass, Progress, read_clip
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 
 ANCHOR = "plane"  # in place of a marker's key
-MAPS = 4  # that planes are looked for in, over the clip
 LOOK_M = 0.1  # side of the square beside which the plane's radiance is looked at
-
-
-def measured_planes(maps: DepthMaps, facts: Sequence[FrameFacts], camera: Camera) -> list[RealPlane]:
-    """The real scene's planes in the world of facts that have poses and depth; those seen most first."""
-    with_both = [f for f in facts if f.camera_from_world is not None and real_depth_of(f) is not None]
-    some: list[tuple[np.ndarray, Pose]] = []
-    used: set[int] = set()
-    for f in _spread(with_both):
-        depth, pose = real_depth_of(f), f.camera_from_world
-        assert depth is not None and pose is not None
-        if maps.still and depth.map in used and f.camera_from_world == some[0][1]:
-            continue
-        used.add(depth.map)
-        some.append((maps.load(depth.map, camera.width, camera.height) * np.float32(depth.scale), pose))
-    return [p.meshed()[0] for p in scene_planes(some, camera)]
-
-
-def _spread(items: Sequence[Any]) -> list[Any]:
-    """MAPS of them, evenly."""
-    if len(items) <= MAPS:
-        return list(items)
-    return [items[k] for k in np.linspace(0, len(items) - 1, MAPS).astype(int)]
-
-
-@dataclass(frozen=True, eq=False)
-class Stand:
-    """given_from_plane : where the object stands;  plane : as found"""
-
-    given_from_plane: Pose
-    plane: RealPlane
-
-
-def stand_on(planes: Sequence[ScenePlane], poses: Sequence[Pose]) -> Stand:
-    """The dominant plane that faces up. Raises NothingToDoError where there is none."""
-    level = facing_up(planes, poses)
-    if not level:
-        found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
-        raise NothingToDoError(
-            f"--anchor plane: the depth shows {found}",
-            "a table or floor has to be seen from above, by a camera held upright; or use a marker",
-        )
-    plane = level[0].meshed()[0]
-    return Stand(plane.world_from_plane, plane)
 
 
 class PlaneFold(Fold):
@@ -134,7 +85,7 @@ def analyse_plane(
     both = [(k, p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
     if maps.still and reader_path is None:
         both = both[:1]
-    planes = scene_planes([(maps.load(k, camera.width, camera.height), p) for k, p in _spread(both)], camera)
+    planes = scene_planes([(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)], camera)
     stand = stand_on(planes, [p for p in poses if p is not None])
     facts = tuple(
         FrameFacts(k, t) if p is None else FrameFacts(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.visibility import corner_jitter_px
+from arfx.analyse.pose.visibility import corner_jitter_px
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
 from arfx.run.chunks import Chunk

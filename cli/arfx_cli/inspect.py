@@ -53,7 +53,7 @@ def _print(document: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from arfx.analyse.detect import SURVEY_FAMILIES
+    from arfx.analyse.markers.detect import SURVEY_FAMILIES
 
     console, c, light = Console(highlight=False), document["clip"], document["light"]
     pixels = f"{c['pixel_format']}, {'full' if c['full_range'] else 'limited'} range, {c['matrix']}"

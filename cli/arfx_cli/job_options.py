@@ -80,7 +80,7 @@ def job_config(given: dict[str, Any]) -> Any:
 
 def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given]:
     if given["light"]:
-        from arfx.analyse.lighting_params import parse_light
+        from arfx.analyse.params import parse_light
 
         yield ("light", "given"), parse_light(given["light"]), f"--light {given['light']}"
     if given["environment"]:

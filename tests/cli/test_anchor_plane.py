@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.files import write_facts
-from arfx.analyse.lighting_params import LightParams
+from arfx.analyse.facts_file import write_facts
+from arfx.analyse.params import LightParams
 from arfx.config.load import load
 from arfx.core import codec
 from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg

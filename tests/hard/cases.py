@@ -15,7 +15,7 @@ class Case:
 
 
 _PROCESS, _MEDIA = "tests/cli/test_process.py", "tests/contract/test_media.py"
-_FIT, _PHOTO = "tests/unit/analyse/test_light_fit.py", "tests/unit/analyse/test_photometry_solve.py"
+_FIT, _PHOTO = "tests/unit/analyse/light/test_fit.py", "tests/unit/analyse/light/test_photometry.py"
 _GI, _DOF, _PAINT = "tests/unit/stages/test_gi.py", "tests/unit/stages/test_dof.py", "tests/unit/stages/test_watercolor_stage.py"
 _POSE = "tests/property/test_pose_hypotheses.py"
 

@@ -7,8 +7,17 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from arfx.analyse.geometry import Observed, apply_step, information, jacobian, lens_scale, refine_poses, residuals
-from arfx.analyse.hypotheses import both_poses, hypotheses
+from arfx.analyse.pose.planar import (
+    Observed,
+    apply_step,
+    both_poses,
+    hypotheses,
+    information,
+    jacobian,
+    lens_scale,
+    refine_poses,
+    residuals,
+)
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad

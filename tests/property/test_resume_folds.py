@@ -21,10 +21,10 @@ import pytest
 
 import arfx.analyse
 import arfx.run
-from arfx.analyse import background as background_flow
-from arfx.analyse import meter
-from arfx.analyse.analyser import AnalyseParams, Analyser, LightParams
 from arfx.analyse.fold import Fold
+from arfx.analyse.folds import AnalyseParams, Analyser, LightParams
+from arfx.analyse.light import fold as light_fold
+from arfx.analyse.pose import at_rest
 from arfx.core import codec
 from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
@@ -118,7 +118,7 @@ def state(folds: dict[str, Any]) -> dict[str, Any]:
 
 def modules() -> Iterator[ModuleType]:
     for room in (arfx.analyse, arfx.run):
-        for m in pkgutil.iter_modules(room.__path__, room.__name__ + "."):
+        for m in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
             yield importlib.import_module(m.name)
 
 
@@ -142,8 +142,8 @@ def within(fold: Fold) -> Iterator[Fold]:
 @pytest.fixture
 def soon_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lists that are thinned out where a clip is long are so in this one."""
-    monkeypatch.setattr(background_flow, "MAX_SAMPLES", 4)
-    monkeypatch.setattr(meter, "MOST_LOOKS", 3)
+    monkeypatch.setattr(at_rest, "MAX_SAMPLES", 4)
+    monkeypatch.setattr(light_fold, "MOST_LOOKS", 3)
 
 
 def test_whatever_is_fed_frame_by_frame_is_a_fold() -> None:

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.depth_cloud import cloud_of
-from arfx.analyse.depth_planes import find_planes
-from arfx.analyse.real_planes import facing_up, scene_planes
+from arfx.analyse.depth.planes import cloud_of, find_planes
+from arfx.analyse.depth.scene_planes import facing_up, scene_planes
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 

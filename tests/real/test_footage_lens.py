@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from arfx.analyse.analyser import Analyser
+from arfx.analyse.folds import Analyser
 from arfx.core.marker import MarkerSpec
 from arfx.media.cameras import load_camera
 from arfx.media.clip import probe

@@ -10,9 +10,9 @@ import av
 import numpy as np
 import pytest
 
-from arfx.analyse.analyser import Analyser, Analysis
-from arfx.analyse.detect import MarkerDetector
-from arfx.analyse.visibility import corner_jitter_px
+from arfx.analyse.folds import Analyser, Analysis
+from arfx.analyse.markers.detect import MarkerDetector
+from arfx.analyse.pose.visibility import corner_jitter_px
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 

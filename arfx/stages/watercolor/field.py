@@ -1,6 +1,6 @@
 """Where the sites of a frame come from: the field of its facts, or a still one whose cells are finer where the plane is near.
 
-The facts hold it as {"set", "pitch", "origin", "shape", "nodes", "pose"} (written by arfx.analyse.flow): nodes is base64 of
+The facts hold it as {"set", "pitch", "origin", "shape", "nodes", "pose"} (by arfx.analyse.motion.advection): nodes is base64 of
 zlib of int32 [u, v] in 1/16 px, each the difference to the node before it in its row; pose is camera_from_world of the
 frame for which the set was made, null where there is none. {"forward", "backward"} are nodes of two more patterns that begin
 unbent at both ends of a stretch of the clip, "share" is that of the second in this frame. "detail" is base64 of zlib of uint16,

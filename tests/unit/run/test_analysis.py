@@ -11,9 +11,8 @@ import av
 import numpy as np
 import pytest
 
-from arfx.analyse.files import write_facts
-from arfx.analyse.lighting_params import LightParams
-from arfx.analyse.params import AnalyseParams
+from arfx.analyse.facts_file import write_facts
+from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.core import codec
 from arfx.media.clip import probe
 from arfx.run import analysis

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.depth.scale import with_depth
 from arfx.core.real_depth import KEY, real_depth_of
 from arfx.errors import InputError
 from arfx.media.depth_maps import open_depth
-from arfx.run.depth import with_depth
 from tests.scenes import facts, scene
 
 

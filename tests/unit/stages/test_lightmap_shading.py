@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.analyse.lighting_paper import told
+from arfx.analyse.light.lighting_paper import told
 from arfx.core.camera import Camera
 from arfx.core.cube import face_directions
 from arfx.core.layers import Layer, Layers, neutral

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.anchors import with_anchors
-from arfx.analyse.flow import BackgroundMotion
+from arfx.analyse.motion.advection import with_anchors
+from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light

@@ -1,0 +1,1 @@
+"""Real depth: its scale, and the scene's planes in it."""

@@ -1,0 +1,198 @@
+"""Real depth to the facts, with its scale from the markers: their distance is known in metres, so a map's values on a print
+tell its unit.
+
+One factor for the whole clip: the median over frames of each frame's median of known over measured distance. What one
+factor leaves (a map that is not proportional to distance, or another unit in every frame) is its spread, by which it is
+refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.machine import usable_cores
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+from arfx.core.real_depth import KEY, USUAL_NOISE, RealDepth, tile_ranges
+from arfx.errors import InputError
+
+FEWEST_PX = 24  # measured pixels on a print
+FEWEST_FRAMES = 3  # or all of a shorter clip
+MOST_SPREAD = 0.1  # robust standard deviation of a frame's factor, relative
+_INNER = 0.9  # of the print's square, so that no pixel of its edge counts
+_SIGMA = 1.4826  # of a normal distribution, by its median absolute deviation
+Progress = Callable[[str, int, int | None], None]
+
+
+class Maps(Protocol):
+    """The clip's depth maps, as they are read here (media.depth_maps.DepthMaps is one)."""
+
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def count(self) -> int: ...
+
+    @property
+    def still(self) -> bool: ...
+
+    @property
+    def times_s(self) -> Sequence[float] | None: ...
+
+    def load(self, number: int, width: int, height: int) -> np.ndarray: ...
+
+    def digest(self, number: int) -> str: ...
+
+
+@dataclass(frozen=True, slots=True)
+class DepthScale:
+    """known : whether the markers tell;  scale : metres of a map to true ones, 1 where not known;  reason : in words
+
+    spread : robust standard deviation of a frame's factor, relative;  residual : median over the prints' pixels of how
+    much a scaled map misses the marker's plane, relative;  frames : that tell
+    """
+
+    known: bool
+    reason: str
+    scale: float = 1.0
+    spread: float | None = None
+    residual: float | None = None
+    frames: int = 0
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a pixel, share of its distance."""
+        return USUAL_NOISE if self.residual is None else _SIGMA * self.residual
+
+    def to_json(self) -> dict[str, Any]:
+        return {k: getattr(self, k) for k in self.__slots__}
+
+
+def print_ratios(depth_m: np.ndarray, facts: FrameFacts, world_from_marker: Mapping[str, Pose], camera: Camera) -> np.ndarray:
+    """(n,) known over measured distance of the pixels on the prints that the frame shows; n = 0 where it tells nothing.
+
+    depth_m : (h, w) metres, 0 = unknown, any size of the frame's shape
+    """
+    pose = facts.camera_from_world
+    if pose is None or facts.status != MEASURED:
+        return np.zeros(0)
+    h, w = depth_m.shape
+    out = []
+    for seen in facts.markers:
+        if seen.key not in world_from_marker:
+            continue
+        corners = np.asarray(seen.corners_px, float)
+        middle = corners.mean(0)
+        inner = (middle + _INNER * (corners - middle) + 0.5) * [w / camera.width, h / camera.height] - 0.5
+        mask = np.zeros((h, w), np.uint8)
+        cv2.fillConvexPoly(mask, np.rint(inner).astype(np.int32), (1,))
+        y, x = np.nonzero((mask > 0) & (depth_m > 0))
+        if len(y) < FEWEST_PX:
+            continue
+        here = pose @ world_from_marker[seen.key]
+        normal, height = here.rotation[:, 2], float(here.rotation[:, 2] @ here.translation_m)
+        pixels = (np.stack([x, y], -1) + 0.5) * [camera.width / w, camera.height / h] - 0.5
+        known = divide(height, camera.directions(pixels) @ normal)  # the plane's z along each pixel's ray
+        ratio = divide(known, depth_m[y, x])
+        out.append(ratio[np.isfinite(ratio) & (ratio > 0)])
+    return np.concatenate(out) if out else np.zeros(0)
+
+
+def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
+    """From the `print_ratios` of every frame that has a map."""
+    telling = [r for r in ratios if len(r) >= FEWEST_PX]
+    wanted = min(FEWEST_FRAMES, max(len(ratios), 1))
+    if len(telling) < wanted:
+        return DepthScale(
+            False, f"{len(telling)} frames have depth on a marker's print, at least {wanted} are needed", frames=len(telling)
+        )
+    middles = np.log([np.median(r) for r in telling])
+    scale = float(np.exp(np.median(middles)))
+    spread = float(_SIGMA * np.median(np.abs(middles - np.median(middles))))
+    residual = float(np.median([np.median(np.abs(r / scale - 1)) for r in telling]))
+    if spread > MOST_SPREAD or residual > MOST_SPREAD:
+        return DepthScale(
+            False, f"depth on the markers is {100 * max(spread, residual):.0f} % off any one scale: not proportional to distance",
+            1.0, spread, residual, len(telling),
+        )  # fmt: skip
+    words = f"scale {scale:.4g}, {100 * spread:.1f} % from frame to frame, from {len(telling)} frames"
+    return DepthScale(True, words, scale, spread, residual, len(telling))
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What one map tells. tiles : as `tile_ranges`, before scaling; None = nothing was measured in it"""
+
+    digest: str
+    tiles: np.ndarray | None
+    holes: float
+
+
+def with_depth(
+    facts: Sequence[FrameFacts],
+    maps: Maps,
+    of_frames: Sequence[int | None],
+    world_from_marker: Mapping[str, Pose],
+    camera: Camera,
+    align: bool,
+    progress: Progress,
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
+    """The facts with `extra["real_depth"]`, and a summary for the report.
+
+    of_frames : number of each frame's map;  align : scale the maps to the markers' planes, else take them at their word
+    Raises InputError for a map that cannot be read, and where no map holds a valid pixel.
+    """
+    used = sorted({k for k in of_frames if k is not None})
+    if not used:
+        raise InputError(f"depth {maps.path}: no map was taken near the time of any frame", "--set input.depth_start shifts them")
+    size = camera.width, camera.height
+    frames_of: dict[int, list[int]] = {}
+    for n, k in enumerate(of_frames):
+        if k is not None:
+            frames_of.setdefault(k, []).append(n)
+
+    def read(number: int) -> tuple[_Told, list[np.ndarray]]:
+        depth = maps.load(number, *size)
+        known = float((depth > 0).mean())
+        tiles = tile_ranges(depth, size) if known > 0 else None
+        ratios = [print_ratios(depth, facts[n], world_from_marker, camera) for n in frames_of[number]]
+        return _Told(maps.digest(number), tiles, 1 - known), ratios
+
+    told: dict[int, _Told] = {}
+    ratios: list[np.ndarray] = []
+    with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
+        for done, (number, (what, some)) in enumerate(zip(used, pool.map(read, used), strict=True), 1):
+            told[number] = what
+            ratios += some
+            progress("depth", done, len(used))
+    if all(t.tiles is None for t in told.values()):
+        raise InputError(f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest value", "is it depth?")
+    scale = depth_scale(ratios) if align else DepthScale(True, "taken as stated")
+    out, got = list(facts), 0
+    if scale.known:
+        for n, k in enumerate(of_frames):
+            if k is None or (tiles := told[k].tiles) is None:
+                continue
+            depth = RealDepth(k, scale.scale, told[k].digest, (tiles / scale.scale).astype(np.float32), scale.noise)
+            out[n] = replace(out[n], extra={**out[n].extra, KEY: depth.to_json()})
+            got += 1
+    summary = {
+        "path": str(maps.path), "maps": maps.count, "paired_by": _paired(maps), "frames_with": got,
+        "frames_without": len(facts) - got, "holes": float(np.mean([t.holes for t in told.values()])), **scale.to_json(),
+    }  # fmt: skip
+    return tuple(out), summary
+
+
+def _paired(maps: Maps) -> str:
+    if maps.still:
+        return "one map for all"
+    return "order" if maps.times_s is None else "time"

@@ -1,0 +1,179 @@
+"""The lens that a clip was filmed with, from the blur of its markers' sides against their distance (core/lens_fit.py).
+
+`EdgeBlur`, a fold, keeps how blurred each side of a marker's print is: four numbers per marker and frame. Across each side the
+light is sampled on normals, the normals are shifted onto their common edge (the side may bend), and averaged; of the mean
+profile's gradient the standard deviation is taken under a Gaussian window of about twice and a half its width, whose own
+narrowing is taken out. In linear light: a lens blurs light.
+Sides that move across themselves count less, and not at all if they move far: motion blurs them too. A focus that is
+pulled is refused: both halves of the clip have to tell the same lens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from arfx.analyse.fold import Fold
+from arfx.analyse.markers.detect import cells_per_side
+from arfx.analyse.records import Seen
+from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.lens_fit import LensFit, lens_from_blur
+from arfx.core.marker import MarkerSpec
+from arfx.core.numerics import divide, normalise
+from arfx.core.pose import Pose
+
+NORMALS = 24  # per side
+FRACTIONS = 0.12 + 0.76 * (np.arange(NORMALS) + 0.5) / NORMALS  # corners are blurred by two sides
+_STEP_PX = 0.25
+_HALF_CELLS, _MOST_HALF_PX = 0.8, 24.0  # what is looked at: the rim and the margin are a cell wide
+_WINDOWS = 2.5  # window by standard deviations of the blur
+_LARGEST = 0.22  # of the half width: a disc beyond it is measured too small, by 5 % there
+_FAINT = 20.0  # light (of 255) across an edge
+_STRAY = 0.25  # share of the gradient's size that lies outside of the edge
+_ROUNDS = 10
+KEY = "footage_lens"  # in FrameFacts.extra: the fields of LensFit
+MOST_MOTION_PX = 3.0  # across a side from frame to frame
+_SIGMA_PX, _SIGMA_SHARE = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
+
+
+def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.ndarray) -> np.ndarray:
+    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN where it cannot be told.
+
+    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,) coded luma to linear light, 0..255
+    """
+    out = np.full(4, np.nan)
+    x0, y0 = np.maximum(np.floor(corners_px.min(0)).astype(int) - int(_MOST_HALF_PX) - 2, 0)
+    x1, y1 = np.ceil(corners_px.max(0)).astype(int) + int(_MOST_HALF_PX) + 3
+    light = np.take(table, luma[y0:y1, x0:x1])
+    if min(light.shape) < 8:
+        return out
+    for side in range(4):
+        a, b = corners_px[side] - [x0, y0], corners_px[(side + 1) % 4] - [x0, y0]
+        along = normalise(b - a)
+        across = np.array([-along[1], along[0]])
+        # a cell is less deep across the side than it is long where the print is tilted, the less the farther the side
+        before, after = corners_px[side - 1], corners_px[(side + 2) % 4]
+        deep = min(abs(float((before - corners_px[side]) @ across)), abs(float((after - corners_px[(side + 1) % 4]) @ across)))
+        deep *= min(float(divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))), 1.0)
+        half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
+        count = int(half / _STEP_PX)
+        if count < 8:
+            continue
+        at = _STEP_PX * np.arange(-count, count + 1)
+        p = (a + (b - a) * FRACTIONS[:, None])[:, None] + at[:, None] * across
+        inside = ((p >= 0) & (p <= [light.shape[1] - 1, light.shape[0] - 1])).all((1, 2))
+        if inside.sum() < NORMALS // 2:
+            continue
+        p = p[inside]
+        profiles = map_coordinates(light, [p[..., 1], p[..., 0]], order=1)
+        out[side] = _deviation(profiles, FRACTIONS[inside], at, half)
+    return out
+
+
+def _deviation(profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: float) -> float:
+    """Standard deviation px of the common edge of profiles (n, s) at offsets at (s,) px; NaN where there is none."""
+    middle = (at[1:] + at[:-1]) / 2
+    slope = np.diff(profiles, axis=1)
+    if slope.sum() < 0:
+        slope = -slope
+    window = np.exp(-0.5 * (middle / (half / 2)) ** 2)
+    centre = divide((slope * window * middle).sum(1), (slope * window).sum(1), where_zero=np.nan)
+    ok = np.isfinite(centre) & (np.abs(centre) < half / 2)
+    if ok.sum() < len(where) // 2:
+        return np.nan
+    curve = np.polyfit(where[ok], centre[ok], 2)
+    off = np.abs(np.polyval(curve, where) - centre)
+    ok &= off <= max(3 * float(np.median(off[ok])), 0.1)
+    if ok.sum() < len(where) // 2:
+        return np.nan
+    shift = np.polyval(np.polyfit(where[ok], centre[ok], 2), where[ok])
+    mean = np.mean([np.interp(middle, middle - s, g) for s, g in zip(shift, slope[ok], strict=True)], axis=0)
+    s = half / 4
+    for _ in range(_ROUNDS):
+        w = min(max(_WINDOWS * s, 1.0), half / 2)
+        g = mean * np.exp(-0.5 * (middle / w) ** 2)
+        mass = g.sum()
+        if not mass > 0:
+            return np.nan
+        first = (g * middle).sum() / mass
+        second = (g * (middle - first) ** 2).sum() / mass
+        s = float(np.sqrt(divide(1.0, divide(1.0, second) - 1 / w**2, where_zero=half**2))) if second > 0 else np.nan
+        if not 0 < s < half:
+            return np.nan
+    stray = np.abs(mean[np.abs(middle) > 3 * s]).sum() / np.abs(mean).sum()
+    return s if s <= _LARGEST * half and abs(mean.sum()) > _FAINT and stray < _STRAY else np.nan
+
+
+class EdgeBlur(Fold):
+    """readings : (frame, marker key, (4,) blur of its sides px, corners (4, 2) px) in order"""
+
+    def __init__(self) -> None:
+        self.readings: list[tuple[int, str, np.ndarray, np.ndarray]] = []
+
+    def step(self, frame: int, luma: np.ndarray, seen: Sequence[Seen], table: np.ndarray) -> None:
+        for s in seen:
+            family = s.key.rpartition(":")[0]
+            blur = side_blurs(luma, s.corners_px, cells_per_side(family), table)
+            if np.isfinite(blur).any():
+                self.readings.append((frame, s.key, blur, s.corners_px))
+
+
+def footage_lens(
+    facts: Sequence[FrameFacts], edges: EdgeBlur, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
+) -> LensFit:
+    frame, dioptre, blur, moved = _samples(facts, edges, markers, world_from_marker)
+    # a shutter that is open for up to all of the time adds up to moved^2 / 12 to the variance
+    sigma = _SIGMA_PX + _SIGMA_SHARE * blur + divide(moved**2, 24 * blur)
+    fit = lens_from_blur(dioptre, blur, sigma)
+    if not fit.known:
+        return fit
+    middle = np.median(frame)
+    halves = [lens_from_blur(dioptre[half], blur[half], sigma[half]) for half in (frame < middle, frame >= middle)]
+    if all(h.known for h in halves):
+        a, b = halves
+        apart = abs(a.focus - b.focus)
+        if apart > 1.5 * float(np.hypot(a.focus_ci95, b.focus_ci95)) + 0.05 * fit.focus:
+            words = f"the focus moves: {a.focus:.3g} and {b.focus:.3g} dioptres in the two halves of the clip"
+            return replace(fit, known=False, reason=words)
+    return fit
+
+
+def with_lens(facts: Sequence[FrameFacts], fit: LensFit) -> tuple[FrameFacts, ...]:
+    told = to_json(fit)
+    return tuple(f.with_(extra={**f.extra, KEY: told}) for f in facts)
+
+
+def to_json(fit: LensFit) -> dict[str, Any]:
+    """JSON has no infinity: intervals that are not known become null."""
+    return {k: v if not isinstance(v, float) or np.isfinite(v) else None for k, v in asdict(fit).items()}
+
+
+def _samples(
+    facts: Sequence[FrameFacts], edges: EdgeBlur, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) frame number, dioptre, blur px and motion px of every side that tells."""
+    corners_m = {m.key: m.corners_m for m in markers}
+    before: dict[str, tuple[int, np.ndarray]] = {}
+    rows = []
+    for frame, key, blur, corners in edges.readings:
+        last, before[key] = before.get(key), (frame, corners)
+        fact = facts[frame]
+        if fact.status != MEASURED or fact.camera_from_world is None or key not in world_from_marker:
+            continue
+        moved = corners - last[1] if last is not None and last[0] == frame - 1 else None
+        z = (fact.camera_from_world @ world_from_marker[key]).apply(corners_m[key])[:, 2]
+        for side in range(4):
+            a, b = side, (side + 1) % 4
+            if not np.isfinite(blur[side]) or min(z[a], z[b]) <= 0:
+                continue
+            along = normalise(corners[b] - corners[a])
+            normal = np.array([-along[1], along[0]])
+            across = 0.0 if moved is None else float(np.abs(moved[[a, b]] @ normal).max())
+            if across <= MOST_MOTION_PX:
+                rows.append((frame, float(np.mean(1 / (z[a] + (z[b] - z[a]) * FRACTIONS))), blur[side], across))
+    made = np.array(rows, float).reshape(-1, 4)
+    return made[:, 0], made[:, 1], made[:, 2], made[:, 3]

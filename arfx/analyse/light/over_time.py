@@ -1,0 +1,256 @@
+"""Lights that change: the simplest account of a whole clip that holds.
+
+1. constant: one fit for all;
+2. switched: the lamps are all on or all off between one step of the light and the next; without them the ambient light is
+   seen alone, which tells more than the light with them;
+3. segments: the directions of the clip, and colours and brightness of their own between one step of the light and the next;
+4. shared: the same, with a factor for every frame where frames show several normals (exposure that pumps), else in windows
+   of a few seconds (lamps that fade, exposure that drifts);
+5. windows: a fit for each window alone (a light that swings).
+The next one is tried where the one before does not explain the observations: its model error is large (explain.Params).
+A light that is refused for another reason stays refused: cut into pieces, its evidence only gets less.
+
+The freer an account, the better a light that moves while the marker turns can pose as one that rests elsewhere. So
+whatever does not explain the observations well with few freedoms has to be found by both halves of its time as well; the
+cone grows to hold all answers, and what is found once only is refused. One marker turned by hand beside a light that swings
+ends there; several markers at different tilts, that show many normals at once, do not.
+
+`gains` are the factors where several normals are seen at once (exposure that pumps, all lamps faded together): one per frame
+and one irradiance over normals explain such a clip, E(n, t) = g_t E(n). Where a frame shows one normal only, the two cannot be
+told apart, and nothing is tried. `drift` is what speaks against any account that rests: the same normal seen at different
+times, in different light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from arfx.analyse.light.explain import Params
+from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit
+from arfx.analyse.light.icosphere import icosphere
+from arfx.core.light import harmonics
+from arfx.core.numerics import angle_between, divide
+
+_APART_DEG = 10.0
+_AGREE_DEG = 3.0  # between the halves of a clip whose brightness wanders while one normal is seen at a time
+CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = "constant", "switched", "segments", "shared", "windows"
+_MOST_DRIFT = 0.02  # of the level, `drift`: an account under which normals change more does not hold
+_CELL_LEVEL = 4  # 4 degrees: within, normals count as one
+_WINDOW_S = 0.25
+_LEAST_FRAMES = 0.8  # share of the frames that show normals apart
+_APART = 0.97  # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
+_PASSES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """From start_s up to stop_s the light is that of `group` of `fit`."""
+
+    start_s: float
+    stop_s: float
+    fit: LightFit
+    group: int
+
+
+def fit_over_time(
+    times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None = None,
+    breaks_s: Sequence[float] = (), window_s: float = 2.0, params: Params | None = None, good_error: float = 0.006,
+) -> tuple[str, list[Span]]:  # fmt: skip
+    """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to the last observation).
+
+    times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in fit.fit
+    breaks_s : times at which the light steps (light_map.changes); no span crosses one
+    window_s : length of a window, at most;  good_error : model error up to which an account holds
+    Observations without a finite time are left out.
+    """
+    p = params or Params()
+    times = np.asarray(times_s, float).ravel()
+    n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
+    v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
+    fine = np.isfinite(times) & np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
+    n, E, v = n[fine], E[fine], v[fine]
+    if not fine.any():
+        return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, p), ignored=len(fine)), 0)]
+    times = times[fine]
+
+    def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None) -> LightFit:
+        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit)
+
+    agree_deg = p.limit_deg if _several(times, n) else min(p.limit_deg, _AGREE_DEG)
+
+    def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
+        return _confirmed(found, [run(rows, group) for rows in halves], agree_deg) if found.verdict == MEASURED else found
+
+    every = np.ones(len(times), bool)
+    start, stop = float(times.min()), float(times.max())
+    late = times > (start + stop) / 2
+    constant = run(every, None)
+    if constant.model_error <= good_error and drift(times, n, E) <= _MOST_DRIFT:
+        return CONSTANT, [Span(start, stop, constant, 0)]
+    segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
+    held = constant  # the account whose refusal says most: the first that explains what was seen
+    if (lit := switches(times, E, segments)) is not None:
+        group = _group(times, segments)
+        found = run(every, group, lit)
+        alike = drift(times, n, E, lit[group].astype(int)) <= _MOST_DRIFT
+        if found.verdict == MEASURED and found.model_error <= good_error and alike:
+            dark = replace(found, lights=tuple(li for li in found.lights if li.sky))
+            return SWITCHED, [
+                Span(a, b, found if on else dark, 0) for on, (a, b) in zip(lit, pairwise(segments), strict=True)
+            ]  # fmt: skip
+    for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
+        group = _group(times, edges)
+        if name == SEGMENTS and len(edges) < 3:
+            continue
+        if name == SHARED:
+            pumped = _pumped(times, n, E, v, p)
+            if pumped is not None and pumped.model_error <= good_error:
+                return SHARED, [Span(start, stop, pumped, 0)]
+        shared = run(every, group)
+        held = shared if shared.model_error <= good_error < held.model_error else held
+        if shared.verdict == MEASURED and shared.model_error <= good_error and drift(times, n, E, group) <= _MOST_DRIFT:
+            if name == SHARED:
+                shared = confirmed(shared, [~late, late], group)
+            if shared.verdict == MEASURED:
+                present = np.unique(group)  # the groups that fit numbers
+                return name, [Span(a, b, shared, int(np.abs(present - g).argmin())) for g, (a, b) in enumerate(pairwise(edges))]
+    group = _group(times, windows)
+    spans = []
+    for g, (a, b) in enumerate(pairwise(windows)):
+        alone, second = run(group == g, None), times > (a + b) / 2
+        spans.append(Span(a, b, confirmed(alone, [(group == g) & ~second, (group == g) & second], None), 0))
+    if any(s.fit.verdict == MEASURED for s in spans):
+        return WINDOWS, spans
+    last = confirmed(constant, [~late, late], None)
+    if last.verdict == REFUSED and held.verdict == REFUSED:
+        last = replace(last, reason=held.reason)
+    return CONSTANT, [Span(start, stop, last, 0)]
+
+
+def switches(times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]) -> np.ndarray | None:
+    """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where steps do not go down and up in turn.
+
+    What a step does is seen from the observations right before and after it.
+    """
+    light, order = np.asarray(irradiance, float).mean(1), np.argsort(times_s, kind="stable")
+    t, light = times_s[order], light[order]
+    signs = []
+    for edge in edges[1:-1]:
+        at = int(np.searchsorted(t, edge))
+        if not 0 < at < len(t):
+            return None
+        signs.append(np.sign(light[at:][t[at:] == t[at]].mean() - light[:at][t[:at] == t[at - 1]].mean()))
+    if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
+        return None
+    return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
+
+
+def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float) -> list[float]:
+    """Ascending times from start to stop: every break inside, and even cuts between that are at most window_s apart."""
+    inside = sorted({float(b) for b in breaks_s if np.isfinite(b) and start_s < b < stop_s})
+    out = [start_s]
+    for a, b in pairwise([start_s, *inside, stop_s]):
+        pieces = max(1, int(np.ceil((b - a) / max(window_s, 1e-6) - 1e-9)))
+        out += [a + (b - a) * (i + 1) / pieces for i in range(pieces)]
+    return out
+
+
+def _several(times: np.ndarray, n: np.ndarray) -> bool:
+    """Whether most frames show normals that are apart: then light that changes is told from a direction that does."""
+    frame = np.unique(times, return_inverse=True)[1]
+    count = np.bincount(frame)
+    mean = np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1) / count[:, None]
+    return float(np.mean(np.linalg.norm(mean, axis=1) < np.cos(np.radians(_APART_DEG / 2)))) > 0.5
+
+
+def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
+    return np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
+
+
+def _pumped(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params) -> LightFit | None:
+    """The light under one factor per frame (`gains`); None where that is not to be had, does not hold, or is refused."""
+    g = gains(times, n, E) if len(times) else None
+    if g is None:
+        return None
+    frame, found = np.unique(times, return_inverse=True)[1], None
+    rough = replace(params, gamma_sigma=0.0)
+    for p in (rough, params):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
+        found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, p)
+        if found.verdict != MEASURED:
+            return None
+        g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
+        if not (g > 1e-3).all():
+            return None
+    return found if drift(times, n, E / g[:, None]) <= _MOST_DRIFT else None
+
+
+def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) -> LightFit:
+    """`found` with its first light's cone widened to what the halves say, or refused."""
+    first = found.lights[0]
+    off = (
+        max(
+            float(np.degrees(angle_between(np.array([li.direction for li in h.lights]), first.direction).min()))
+            if h.verdict == MEASURED
+            else np.inf
+            for h in halves
+        )
+        if halves
+        else np.inf
+    )
+    if off > limit_deg:
+        why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
+        return replace(found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb)
+    return replace(found, lights=(replace(first, confidence_deg=max(first.confidence_deg, off)), *found.lights[1:]))
+
+
+def drift(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, group: np.ndarray | None = None) -> float:
+    """Root mean square over time, relative to the level, of how normals differ from themselves at other times of a group.
+
+    times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of a second, so that noise is little.
+    """
+    light = np.asarray(irradiance, float).mean(1)
+    level = float(np.percentile(light, 90)) if len(light) else 0.0
+    if level <= 0:
+        return 0.0
+    H = harmonics(normals)
+    off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level  # slope within a cell taken out
+    g = np.zeros(len(light), int) if group is None else np.asarray(group)
+    cell = np.unique(g * len(icosphere(_CELL_LEVEL).vertices) + icosphere(_CELL_LEVEL).nearest(normals), return_inverse=True)[1]
+    count = np.bincount(cell)
+    off = off - (np.bincount(cell, off) / count)[cell]
+    again = count[cell] > 1
+    window = np.unique(np.floor((times_s - times_s.min()) / _WINDOW_S), return_inverse=True)[1]
+    many = np.bincount(window, again)
+    mean = divide(np.bincount(window, off), many)
+    return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))
+
+
+def gains(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray) -> np.ndarray | None:
+    """(k,) factor of each observation's frame, median 1; None where frames do not show several normals apart.
+
+    Alternating least squares of the factors and of the irradiance in harmonics up to degree 2.
+    """
+    _, frame = np.unique(times_s, return_inverse=True)
+    count = np.bincount(frame)
+    mean = np.stack([np.bincount(frame, normals[:, i]) for i in range(3)], 1) / count[:, None]
+    if np.mean(np.linalg.norm(mean, axis=1) < _APART) < _LEAST_FRAMES:
+        return None
+    light, H = np.asarray(irradiance, float).mean(1), harmonics(normals)
+    g = np.ones(len(count))
+    for _ in range(_PASSES):
+        rows = g[frame, None] * H
+        model = H @ np.linalg.lstsq(rows, light, rcond=1e-6)[0]
+        last, g = g, matched(frame, model, light)
+        if np.abs(g - last).max() < 1e-5:
+            break
+    return g[frame] if (g > 1e-3).all() else None
+
+
+def matched(frame: np.ndarray, model: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """(frames,) factors that bring the model (k,) to the light (k,) seen, median 1. frame : (k,) int from 0 on, no gaps"""
+    g = divide(np.bincount(frame, model * light), np.bincount(frame, model * model))
+    return divide(g, float(np.median(g)), where_zero=1.0)

@@ -1,0 +1,225 @@
+"""The marker as a light meter: robust means of its black and white cells in one frame, in linear light.
+
+Samples lie on a grid inside every cell, away from its edges, placed by the homography of the refined corners and read
+bilinearly at exact coordinates (pixel centres at integers). Clipped and non-finite samples are dropped; the others are
+grouped by colour and quarter of the marker, and each group's mean leaves out what does not belong to it (a highlight,
+a finger). What biases a mean beyond its noise goes into its variance: blur from the neighbouring cells, the truncation
+that dropping clipped samples is, and 8-bit steps without noise to dither them.
+
+`comparable` takes care of prints that are partly overexposed. Where the paper is clipped the ink tells the light, and where
+it is not the paper tells it better. But the two have one scale only as far as the camera's curve is known: some per cent of
+difference between frames of either kind would pass for the shape of the light over its normals. So a fit gets readings of one
+kind: the paper's, where few are clipped, else the ink's. (Even where nothing tells the bias: light with a constant added has
+the same directions.)
+
+`already_blocked` is the real shadow on the anchor's print, told by the quarters of its paper, so that the object's shadow is
+not taken twice there. Quarters are compared with the brightest one, which is taken for lit: a shadow over the whole print
+cannot be told from less light, and counts as that.
+Source: Tan, Chen, Sun 2010 ("dynamic light map"), section 2.1: the patch's pixel brightness I of eq. (2); SYSTEMS.md S1, with
+shadow as a ratio. Cost: about .2 ms for a marker of 270 px.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from scipy.special import ndtri
+
+from arfx.analyse.light import patch_kernels as kernels
+from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.markers.detect import cells_per_side, dictionary
+from arfx.core.codec import stored
+from arfx.core.numerics import HALF_GREY, divide
+
+# black top left, top right, bottom left, bottom right, then white in the same order
+PATCHES = kernels.PATCHES
+CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
+_SHARES = np.linspace(0, 1, 257)
+SPOILT = 0.02  # share of a reading's paper samples that are clipped, from which the paper says nothing exact
+FEW = 0.15  # of the readings: so many spoilt ones can be left out
+_OUT = 2.5  # deviations from the median of a reading's ink patches, beyond which one counts less
+LEAST_LEFT = 0.7  # of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the reason
+
+
+@stored
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """One marker in one frame. white : (8,) bool, paper cells
+
+    mean : (8, 3) linear RGB, 0 where count is 0;  variance : (8, 3) of that mean, noise and known biases
+    count : (8,) samples used;  clipped : (8,) share of all samples that were clipped
+    highlight : (8,) share of all samples that were dropped as brighter than their patch;  not_finite : samples dropped
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    white: np.ndarray
+    count: np.ndarray
+    clipped: np.ndarray
+    highlight: np.ndarray
+    not_finite: int = 0
+
+
+WHITE = np.arange(PATCHES) >= PATCHES // 2
+
+
+@cache
+def cells(family: str, number: int) -> np.ndarray:
+    """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of MarkerSpec.corners_m.
+
+    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only.
+    """
+    n = cells_per_side(family)
+    out = cv2.aruco.generateImageMarker(dictionary(family), number, n) > 127
+    out.setflags(write=False)
+    return out
+
+
+def measure(
+    linear: np.ndarray, origin: tuple[int, int], corners_px: np.ndarray, cells: np.ndarray, inverted: bool = False,
+    clip_low: float = CLIP_LOW, clip_high: float = CLIP_HIGH, blur_px: float = 0.7,
+) -> Patches:  # fmt: skip
+    """Means of the patches of one marker.
+
+    linear : (h, w, 3) float32 linear RGB of the rectangle whose first pixel is `origin` (x, y) of the frame; samples
+        outside it are left out without being counted
+    corners_px : (4, 2) in the frame, order of MarkerSpec.corners_m;  cells : `cells(family, id)`
+    inverted : white on black print;  clip_low, clip_high : linear levels at which any channel is taken for clipped
+    blur_px : standard deviation of the edges' blur
+    """
+    image = np.ascontiguousarray(linear, np.float32)
+    spots = place(np.asarray(corners_px, float) - np.asarray(origin, float), cells, inverted, blur_px, image.shape[:2])
+    pixels = np.empty((4 * len(spots.group), 3), np.float32)
+    kernels.gathered(image, spots.corner, pixels)
+    return reduced(pixels, spots, clip_low, clip_high)
+
+
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """Where the samples of one print lie. corner : (k, 2) int32, upper left of the four pixels around each (x, y)
+    part : (k, 2) from there to the next ones, 0..1;  group : (k,) int32 patch;  last : (x, y) of the picture's last pixel
+    shared : samples that have their noise in common;  leak : share of the contrast that blur brings in from other cells"""
+
+    corner: np.ndarray
+    part: np.ndarray
+    group: np.ndarray
+    last: tuple[int, int]
+    shared: float
+    leak: float
+
+    def pixels(self) -> np.ndarray:
+        """(4 k, 2) int32: x, y of every pixel that is read."""
+        out = np.empty((4 * len(self.group), 2), np.int32)
+        kernels.around(self.corner, *self.last, out)
+        return out
+
+
+def place(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, ...]) -> Spots:
+    """Samples of a marker in a picture of shape (rows, columns); arguments as for `measure`. None for a quad that is bent."""
+    rows, columns = shape[:2]
+    most = len(cells) ** 2 * kernels.MOST_SAMPLES**2
+    corner, part, group = np.empty((most, 2), np.int32), np.empty((most, 2)), np.empty(most, np.int32)
+    about = np.array([1.0, 0.0])
+    quad = np.ascontiguousarray(quad_px, float)
+    count = kernels.place(quad, np.asarray(cells, bool) ^ inverted, blur_px, columns, rows, corner, part, group, about)
+    last = (max(columns - 1, 0), max(rows - 1, 0))
+    return Spots(corner[:count], part[:count], group[:count], last, float(about[0]), float(about[1]))
+
+
+def reduced(pixels: np.ndarray, spots: Spots, clip_low: float = CLIP_LOW, clip_high: float = CLIP_HIGH) -> Patches:
+    """Patches of the samples. pixels : (4 k, 3) float32 linear RGB at `spots.pixels()`"""
+    mean, spread, variance, tally = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 5))
+    kernels.reduce(pixels, spots.part, spots.group, clip_low, clip_high, HALF_GREY, mean, spread, tally)
+    kernels.uncertainty(mean, spread, tally, spots.shared, spots.leak, HALF_GREY, _cut(), variance)
+    used, clipped, bright, bad, every = tally.T
+    share = np.maximum(every, 1)
+    return Patches(mean, variance, WHITE.copy(), used.astype(int), clipped / share, bright / share, int(bad.sum()))
+
+
+@cache
+def _cut() -> np.ndarray:
+    """(257,) `cut_off` of _SHARES."""
+    return cut_off(_SHARES)
+
+
+def cut_off(share: np.ndarray) -> np.ndarray:
+    """Deviation, over that of one sample, that a mean gets where a share of its samples was clipped and dropped.
+
+    For a normal distribution that is cut off at one end its mean is off by a third of this; but samples are not spread
+    normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped.
+    """
+    p = np.clip(share, 0, 0.99)
+    lost = np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
+    return np.where(p > 0, 3 * lost, 0.0)
+
+
+def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN where nothing was measured."""
+    shape = (len(patches), PATCHES, 3)
+    intensity, variance, clipped = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape[:2])
+    for i, p in enumerate(patches):
+        if p is not None:
+            seen = p.count > 0
+            intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
+    return intensity, variance, clipped
+
+
+def comparable(
+    p: Photometry, intensity: np.ndarray, variance: np.ndarray, white: np.ndarray, clipped: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over normals). Arguments as for `solve`."""
+    spoilt = p.seen & (np.where(white, clipped, 0).sum(1) > SPOILT * white.sum())
+    share = float(spoilt.sum()) / max(int(p.seen.sum()), 1)
+    if not spoilt.any() or (share <= FEW and not p.determined.all()):
+        return p.y, p.var_y_own, p.seen
+    if share <= FEW:
+        return p.y, p.var_y_own, p.seen & ~spoilt
+    y, own = _by_ink(p, intensity[:, ~white], variance[:, ~white])
+    told = np.isfinite(y).all(1)
+    return np.where(told[:, None], y, p.y), np.where(told[:, None], own, p.var_y_own), p.seen & told
+
+
+def _by_ink(p: Photometry, value: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Light (t, 3) by the ink alone, and its variance; NaN where no ink was seen. value, variance : (t, q, 3) of the ink"""
+    fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
+    known = fine.any(1)
+    middle = np.where(known, np.nanmedian(np.where(known[:, None], np.where(fine, value, np.nan), 0.0), 1), 0.0)
+    off = np.abs(np.where(fine, value - middle[:, None], 0)) / np.sqrt(np.where(fine, variance, 1))
+    w = np.where(fine, divide(1.0, np.where(fine, variance, 1)), 0) * np.minimum(1, divide(_OUT, off, where_zero=1.0))
+    total = w.sum(1)
+    y = (divide((w * np.where(fine, value, 0)).sum(1), total) - p.bias) / p.ink
+    return np.where(known, y, np.nan), np.where(known, divide(1.0, total * p.ink**2) * p.misfit**2, np.nan)
+
+
+def quarters(mean: np.ndarray, count: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """(..., 4) light of the paper in the print's quarters (top left, top right, bottom left, bottom right), NaN = not seen.
+
+    mean (..., 8, 3), count (..., 8) : of Patches
+    """
+    white = slice(PATCHES // 2, PATCHES)
+    light = (mean[..., white, :] - bias).mean(-1)
+    return np.where(count[..., white] > 0, light, np.nan)
+
+
+def clearly_blocked(light: np.ndarray) -> np.ndarray:
+    """(...) whether a quarter is clearly darker than the brightest one. light : (..., 4) of `quarters`"""
+    known = np.where(np.isfinite(light), light, np.inf)
+    low, high = known.min(-1), np.where(np.isfinite(light), light, -np.inf).max(-1)
+    return np.isfinite(light).all(-1) & (high > 0) & (low <= LEAST_LEFT * high)
+
+
+def already_blocked(light: np.ndarray, size_m: float) -> dict | None:
+    """The anchor's `already_blocked` (stages/lightmap/blocked.py), or None where no quarter is clearly darker.
+
+    light : (4,) of `quarters`;  size_m : side of the print. Anchor axes: x right, y up.
+    """
+    if not clearly_blocked(light):
+        return None
+    ratio = divide(light, light.max())
+    top_left, top_right, bottom_left, bottom_right = (float(r) for r in np.clip(ratio, 0, 1))
+    half = size_m / 2
+    return {"box_m": [-half, -half, half, half], "ratio": [[bottom_left, bottom_right], [top_left, top_right]]}

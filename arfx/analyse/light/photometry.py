@@ -1,0 +1,353 @@
+"""Light and camera bias out of the patches of many frames: I = g rho x_t + b per channel, shared b, one light per frame.
+
+`corrected`: the free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber), each channel by
+itself. The normal matrix is an arrow: every y_t is eliminated and a 1 x 1 Schur complement remains (2 x 2 where the ink's
+albedo is unknown too), O(frames x patches). `paper`: the smallest singular vector of the homogeneous system
+(photometry_paper).
+What cannot be solved is told by its rank and by the uncertainty that it would have, and reported as `degenerate`; then
+b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
+Source: Tan, Chen, Sun 2010, eq. (2), (4) to (6); corrections: SYSTEMS.md S1.
+Cost: 10,000 frames x 8 patches x 3 channels about .25 s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from arfx.core.numerics import divide
+
+MEASURED, DEGENERATE = "measured", "degenerate"
+INK, PAPER = 0.05, 0.88  # albedos of print
+INK_SIGMA = 0.01  # of the ink's, beside a paper of .88: .03 to .07
+TRANSFER = 0.08  # by so much the exponent of the camera's curve may be another than stated
+# Coded steps of 1/255 by which all dark cells of a clip may be off together: half a step of chroma is 1 of blue, and a codec
+# leaves smooth chroma where its rounding put it.
+STEPS = 1.5
+UNKNOWN_VARIANCE = 1e12  # of the light of a frame in which nothing was usable
+ASSUMED_BIAS = 0.01  # standard deviation of a bias that nothing tells, linear light: about 10 dark grey levels
+# Share of the information on b that is left once every y_t is eliminated, below which float64 has none of it.
+LEAST_SHARE = 1e-12
+WORST_BIAS = 0.1  # of the bright patches' median: a 95 % interval of b that is wider says nothing
+LEAST_CONTRAST = 0.05  # of the bright patches' median that has to be light: less is haze, or no print at all
+ENOUGH = 100  # frames that tell how much the bias depends on what is not known
+_HUBER, _PASSES = 1.345, 25
+
+
+@dataclass(frozen=True, eq=False)
+class Photometry:
+    """Solution over t observations (a marker in a frame). All finite.
+
+    y : (t, 3) light g x_t, in units of the radiance of a white diffuse surface; noise may bring it below 0
+    var_y : (t, 3) its variance with that of the bias;  var_y_own : (t, 3) without (errors of b are shared by all frames)
+    seen : (t,) False where nothing was usable (y 0, variance UNKNOWN_VARIANCE)
+    bias : (3,);  bias_95 : (3, 2) interval, the ink's tolerance included;  ink : (3,) albedo used or found
+    determined : (3,) False where the channel's bias is assumed, not solved
+    rank, unknowns : (3,) of the linear system;  condition : (3,) of its columns scaled to length 1, at most 1e12
+    misfit : (3,) residuals in units of their stated deviations;  clipped : share of samples;  ignored : patches not finite
+    verdict : "measured" or "degenerate";  reason : in words
+    """
+
+    formula: str
+    verdict: str
+    reason: str
+    y: np.ndarray
+    var_y: np.ndarray
+    var_y_own: np.ndarray
+    seen: np.ndarray
+    bias: np.ndarray
+    bias_95: np.ndarray
+    ink: np.ndarray
+    determined: np.ndarray
+    rank: np.ndarray
+    unknowns: np.ndarray
+    condition: np.ndarray
+    misfit: np.ndarray
+    clipped: float
+    ignored: int
+
+
+def solve(
+    intensity: np.ndarray, variance: np.ndarray | None = None, white: np.ndarray | None = None,
+    albedo: np.ndarray | None = None, clipped: np.ndarray | None = None, albedos: str = "known",
+    ink: float = INK, paper: float = PAPER, ink_sigma: float = INK_SIGMA, transfer: float = TRANSFER,
+    steps: float = STEPS,
+) -> Photometry:  # fmt: skip
+    """The `corrected` formula.
+
+    intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None = equal and unknown
+    white : (p,) bool, or albedo : (p,) or (t, p) in its place;  clipped : (t, p) shares, for the report
+    albedos : "known" (ink, paper); "normalised" (light from each frame's own difference of paper and ink, so that its
+        ratios are right whatever the ink and the bias are; noisier; the bias still takes the ink's albedo); "unknown" (the
+        ink's albedo is solved per channel beside b, which takes light that changes)
+    ink_sigma : standard deviation of the ink's albedo, goes into bias_95; 0 with `albedo` given
+    transfer : range by which the exponent of the camera's curve may be off, goes into bias_95
+    steps : of 1/255 by which the coded values of all dark cells may be off together; goes there too
+    Raises ValueError for wrong shapes.
+    """
+    value = np.asarray(intensity, float)
+    frames, patches, _ = value.shape
+    if albedos not in ("known", "normalised", "unknown"):
+        raise ValueError(f"albedos {albedos!r} is not known, normalised or unknown")
+    if albedo is None:
+        if white is None or np.shape(white) != (patches,):
+            raise ValueError("white (p,) or albedo is needed")
+        albedo = np.where(white, paper, ink)
+    else:
+        ink_sigma = transfer = steps = 0.0
+    rho = np.broadcast_to(np.asarray(albedo, float), (frames, patches))
+    weight, known_noise, ignored = weights(value, variance, rho)
+    share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
+    dark = rho < (rho.min() + rho.max()) / 2 if rho.size else np.zeros(rho.shape, bool)
+    parts = []
+    for c in range(3):
+        grey, w = np.where(weight[..., c] > 0, value[..., c], 0.0), weight[..., c]
+        if albedos == "normalised":
+            part = normalised(grey, w, rho, dark, known_noise, ink_sigma)
+        else:
+            part = robust(grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma)
+        if part["determined"] and transfer > 0:
+            part["bias_95"] = _with_other_curves(part, grey, w, rho, dark, known_noise, albedos == "unknown", transfer)
+        if part["determined"] and steps > 0:
+            level = float(np.median(grey[dark & (w > 0)]))
+            part["bias_95"] = _widened(part["bias_95"], part["bias"], steps / 255 * slope_of_code(level))
+        parts.append(part)
+    return assemble("corrected", parts, share, ignored)
+
+
+def _with_other_curves(
+    part: dict, grey: np.ndarray, w: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool,
+    transfer: float,
+) -> tuple[float, float]:  # fmt: skip
+    """The bias's interval, moved to what the bias is under other exponents of the camera's curve. Arguments as for `robust`."""
+    low, high = part["bias_95"]
+    some = slice(None, None, max(1, len(grey) // ENOUGH))
+    grey, w, rho, dark = grey[some], w[some], rho[some], dark[some]
+    size = np.maximum(np.abs(grey), 1e-4)
+    found = []
+    for exponent in (1.0, 1 / (1 - transfer), 1 / (1 + transfer)):
+        slope = exponent * size ** (exponent - 1)
+        value = np.sign(grey) * np.abs(grey) ** exponent
+        found.append(solved(value, w / slope**2, rho, dark, known, find_ink, 0.0))
+    off = [f["bias"] - found[0]["bias"] for f in found if f["determined"] and found[0]["determined"]] or [0.0]
+    return low + min(off), high + max(off)
+
+
+def _widened(interval: tuple[float, float], middle: float, by: float) -> tuple[float, float]:
+    low, high = middle - interval[0], interval[1] - middle
+    return middle - float(np.hypot(low, by)), middle + float(np.hypot(high, by))
+
+
+def slope_of_code(level: float) -> float:
+    """Linear light per coded value at a linear level: sRGB's, of which all curves are near enough."""
+    return float(2.4 / 1.055 * max(level, 0.0) ** (1 - 1 / 2.4)) if level > 0.0031 else 1 / 12.92
+
+
+def weights(value: np.ndarray, variance: np.ndarray | None, rho: np.ndarray) -> tuple[np.ndarray, bool, int]:
+    """((t, p, 3) inverse variances, 0 = not usable; whether variances are known; number of patches that are not finite)."""
+    fine = np.isfinite(value) & np.isfinite(rho)[..., None]
+    ignored = int((~np.isfinite(value)).any(-1).sum())
+    if variance is None:
+        return fine.astype(float), False, ignored
+    v = np.asarray(variance, float)
+    fine &= np.isfinite(v) & (v >= 0)
+    usual = float(np.median(v[fine])) if fine.any() else 1.0
+    floor = max(1e-4 * usual, 1e-18)  # no patch outweighs the usual one by more than 10,000
+    return np.where(fine, 1 / np.maximum(np.where(fine, v, 1), floor), 0.0), True, ignored
+
+
+def assemble(formula: str, parts: list[dict], clipped: float, ignored: int) -> Photometry:
+    """A Photometry of the channels' results."""
+    reasons = {p["reason"] for p in parts}
+    fine = all(p["determined"] for p in parts)
+    text = "; ".join(sorted(r for r in reasons if r)) or "two albedos, bias and light determined"
+    if not fine:
+        channels = "".join(name for name, p in zip("RGB", parts, strict=True) if not p["determined"])
+        text = f"{channels}: {text}; bias 0 assumed, light from the bright patches alone"
+    columns = {k: np.stack([p[k] for p in parts], -1) for k in ("y", "var_y", "var_y_own")}
+    rows = {k: np.array([p[k] for p in parts]) for k in ("bias", "ink", "determined", "rank", "unknowns", "condition", "misfit")}
+    return Photometry(
+        formula, MEASURED if fine else DEGENERATE, text, seen=np.any([p["seen"] for p in parts], 0), **columns, **rows,
+        bias_95=np.array([p["bias_95"] for p in parts]), clipped=clipped, ignored=ignored,
+    )  # fmt: skip
+
+
+def robust(
+    grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool, ink_sigma: float
+) -> dict:  # fmt: skip
+    """Shared bias. grey, w0, rho : (t, p) values, inverse variances (0 = not usable), albedos;  dark : (t, p) bool, ink
+
+    known : the variances are;  find_ink : nothing is known of the ink's albedo
+    ink_sigma : deviation of the ink's albedo from that in rho, 0 = exact. The solution takes the stated ink; the interval
+        holds what an ink with this prior, solved for beside the bias, makes of the bias too. (Gloss and glare bend dark cells
+        as another ink would, so that one found is no better an answer than the stated one.)
+    """
+    part = solved(grey, w0, rho, dark, known, find_ink, 0.0)
+    if find_ink or ink_sigma == 0 or not part["determined"]:
+        return part
+    some = slice(None, None, max(1, len(grey) // ENOUGH))
+    other = solved(grey[some], w0[some], rho[some], dark[some], known, False, ink_sigma)
+    (low, high), bright = part["bias_95"], float(np.median(part["y"][part["seen"]]))
+    if other["determined"] and other["ink"] != part["ink"]:
+        low, high = min(low, other["bias_95"][0]), max(high, other["bias_95"][1])
+    else:
+        low, high = low - 1.96 * ink_sigma * bright, high + 1.96 * ink_sigma * bright
+    return part | {"bias_95": (low, high)}
+
+
+def solved(
+    grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool, ink_sigma: float
+) -> dict:  # fmt: skip
+    """As `robust`. ink_sigma : above 0 the ink is an unknown with this prior"""
+    seen = (w0 > 0).any(1)
+    count = int((w0 > 0).sum())
+    both = bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
+    free_ink, known_ink = find_ink and both, not find_ink and both and ink_sigma > 0
+    unknowns = int(seen.sum()) + 1 + free_ink
+    spare = count - unknowns
+    if not count:
+        return fallback(grey, w0, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12)
+    w, scale = w0.copy(), 1.0
+    one_ink = free_ink or known_ink
+    k = stated = float(rho[dark].mean()) if both else 0.0
+    b, joint = 0.0, None
+    for i in range(_PASSES):
+        r = np.where(dark, k, rho) if one_ink else rho
+        A, B, C = (w * r * r).sum(1), (w * r).sum(1), w.sum(1)
+        inverse = divide(1.0, A)
+        y0, lean = (w * r * grey).sum(1) * inverse, B * inverse  # y = y0 - lean * b
+        left = float((C - B * lean).sum())
+        share = left / max(float(C.sum()), 1e-300)
+        if share < LEAST_SHARE:
+            return fallback(grey, w0, rho, "all usable patches have one albedo", unknowns - 1 - free_ink, 1e12)
+        before = b
+        b = float((w * (grey - r * y0[:, None])).sum()) / left
+        y = y0 - lean * b
+        # for an ink that is known about, its first pass is one without it: the noise's scale makes the prior's weight
+        if free_ink or (known_ink and i):
+            prior = (scale / ink_sigma) ** 2 if known_ink else 0.0
+            joint = _ink_step(grey, w, r, dark, inverse, b, y, prior, stated - k)
+            if joint is None and free_ink:
+                why = "albedos unknown and the light constant: bias and ink cannot be told apart"
+                return fallback(grey, w0, rho, why, unknowns - 1, 1e12)
+            if joint is not None:
+                b, k = b + joint[0], k + joint[1]
+                r = np.where(dark, k, rho)
+                y = divide((w * r * (grey - b)).sum(1), (w * r * r).sum(1))
+        z = (grey - r * y[:, None] - b) * np.sqrt(w0)
+        size = float(np.median(np.abs(z[w0 > 0]))) / 0.6745 * np.sqrt(count / spare) if spare > 0 else 0.0
+        scale = max(1.0, size) if known else size
+        last, w = w, w0 * np.minimum(1.0, divide(_HUBER * scale, np.abs(z), where_zero=1.0))
+        settled = abs(b - before) <= 1e-6 * max(abs(b), 1e-3 * float(np.abs(grey).max())) if one_ink else True
+        if np.abs(w - last).max() <= 1e-6 * w0.max() and settled and i:
+            break
+    r = np.where(dark, k, rho) if one_ink else rho
+    residual = grey - r * y[:, None] - b
+    if joint is None:
+        influence = w * residual * np.where(w > 0, 1 - r * lean[:, None], 0) / left  # on b, y_t eliminated
+        noise_b = scale**2 / left  # if all residuals are independent; or by patch, or by frame
+    else:
+        slope = np.where(dark, y[:, None], 0.0) - r * ((w * r * np.where(dark, y[:, None], 0.0)).sum(1) * inverse)[:, None]
+        inverse_S = joint[2]
+        influence = w * residual * (inverse_S[0, 0] * (1 - r * lean[:, None]) + inverse_S[0, 1] * slope)
+        noise_b = scale**2 * float(inverse_S[0, 0])
+    groups = np.count_nonzero((w > 0).any(0))
+    if spare > 0:
+        noise_b = max(noise_b, (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1), (influence.sum(1) ** 2).sum())
+    quantile = float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
+    top = np.where(w0 > 0, grey, -np.inf).max(1)
+    level = float(np.median(top[seen]))
+    bright = float(np.median(y[seen]))
+    half = quantile * float(np.sqrt(noise_b))
+    rank = unknowns if share >= LEAST_SHARE else unknowns - 1
+    condition = float(np.sqrt((1 + np.sqrt(1 - min(share, 1.0))) / (1 - np.sqrt(1 - min(share, 1.0 - 1e-16)))))
+    own = np.where(seen, scale**2 * inverse, 0)
+    why = ""
+    if level <= 0 or quantile * np.sqrt(noise_b) > WORST_BIAS * level:
+        why = "no light" if level <= 3 * float(np.sqrt(divide(1.0, np.median(w0[w0 > 0])))) * known else "albedos too alike"
+        why = f"{why}: the bias would be uncertain by {quantile * np.sqrt(noise_b):.2g} at a level of {max(level, 0):.2g}"
+    elif np.median(y[seen]) < -3 * float(np.sqrt(np.median(own[seen]) + lean[seen].max() ** 2 * noise_b)):
+        why = "dark cells are brighter than bright ones"
+    elif bright * float(np.abs(rho).max()) < LEAST_CONTRAST * level:
+        why = "bright and dark cells look alike"
+    if why:
+        return fallback(grey, w0, rho, why, rank, condition)
+    return {
+        "y": np.where(seen, y, 0.0), "var_y_own": np.where(seen, own, UNKNOWN_VARIANCE), "seen": seen, "bias": b,
+        "var_y": np.where(seen, own + lean**2 * noise_b, UNKNOWN_VARIANCE), "bias_95": (b - half, b + half),
+        "ink": k if one_ink else float(rho[dark].mean()) if dark.any() else float(rho.min()), "determined": True, "rank": rank,
+        "unknowns": unknowns, "condition": min(condition, 1e12), "misfit": scale, "reason": "",
+    }  # fmt: skip
+
+
+def normalised(
+    grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, ink_sigma: float
+) -> dict:  # fmt: skip
+    """Light of each frame from its own difference of bright and dark patches; the bias is what the dark ones have beside.
+
+    Arguments as for `robust`. Frames with patches of one kind alone are not seen.
+    """
+    shared = robust(grey, w0, rho, dark, known, False, ink_sigma)
+    if not shared["determined"]:
+        return shared
+    w = w0 / max(shared["misfit"] ** 2, 1e-300) if not known or shared["misfit"] > 1 else w0.copy()
+    residual = np.where(w0 > 0, grey - rho * shared["y"][:, None] - shared["bias"], np.nan)
+    sums = []
+    for kind in (~dark, dark):  # Huber about the median of the kind in its frame
+        part = np.where(kind & (w > 0), residual, np.nan)
+        some = np.isfinite(part).any(1)
+        middle = np.zeros(len(part))
+        middle[some] = np.nanmedian(part[some], 1)
+        z = np.abs(np.where(np.isfinite(part), part - middle[:, None], 0)) * np.sqrt(w)
+        v = np.where(kind, w, 0) * np.minimum(1, divide(2 * _HUBER, z, where_zero=1.0))
+        sums.append((v.sum(1), divide((v * grey).sum(1), v.sum(1)), divide((v * rho).sum(1), v.sum(1))))
+    (wb, bright, rb), (wd, black, rd) = sums
+    seen = (wb > 0) & (wd > 0)
+    apart = np.where(seen, rb - rd, 1.0)
+    y = np.where(seen, (bright - black) / apart, 0.0)
+    own = np.where(seen, divide(divide(1, wb) + divide(1, wd), apart**2), UNKNOWN_VARIANCE)
+    return shared | {"y": y, "var_y": own, "var_y_own": own, "seen": seen}
+
+
+def _ink_step(
+    grey: np.ndarray, w: np.ndarray, r: np.ndarray, dark: np.ndarray, inverse: np.ndarray, b: float, y: np.ndarray,
+    prior: float, off: float,
+) -> tuple[float, float, np.ndarray] | None:  # fmt: skip
+    """Gauss-Newton step of (b, ink) with every y_t eliminated, and the inverse of their normal matrix; None where singular.
+
+    prior : weight of the ink's stated albedo;  off : how far that is from the present one
+    """
+    jac = np.stack([np.ones_like(r), np.where(dark, y[:, None], 0.0)], -1)  # of the model, by b and ink
+    cross = np.einsum("tp,tpi->ti", w * r, jac)
+    S = np.einsum("tp,tpi,tpj->ij", w, jac, jac) - np.einsum("t,ti,tj->ij", inverse, cross, cross)
+    residual = grey - r * y[:, None] - b
+    g = np.einsum("tp,tpi->i", w * residual, jac) - cross.T @ ((w * r * residual).sum(1) * inverse)
+    S[1, 1] += prior
+    g[1] += prior * off
+    scale = np.sqrt(np.maximum(np.diag(S), 0))
+    if not scale.all() or not np.isfinite(S).all():
+        return None
+    unit = S / np.outer(scale, scale)
+    if np.linalg.eigvalsh(unit)[0] < 1e-10:
+        return None
+    step = np.linalg.solve(unit, g / scale) / scale
+    return float(step[0]), float(np.clip(step[1], -0.05, 0.05)), np.linalg.inv(unit) / np.outer(scale, scale)
+
+
+def fallback(grey: np.ndarray, w: np.ndarray, rho: np.ndarray, why: str, rank: int, condition: float) -> dict:
+    """Bias 0 assumed; light from the brightest albedo's patches, of a frame's others where it has none of them."""
+    seen = (w > 0).any(1)
+    usable = np.where(w > 0, rho, -1.0)
+    take = w * (usable >= usable.max(1, keepdims=True) * (1 - 1e-2)) if rho.size else w
+    information = (take * rho * rho).sum(1)
+    y = divide((take * rho * grey).sum(1), information)
+    lean = divide((take * rho).sum(1), information)
+    own = np.where(seen & (information > 0), divide(1.0, information), UNKNOWN_VARIANCE)
+    return {
+        "y": y, "var_y_own": own, "var_y": np.minimum(own + (lean * ASSUMED_BIAS) ** 2, UNKNOWN_VARIANCE), "seen": seen,
+        "bias": 0.0, "bias_95": (-1.96 * ASSUMED_BIAS, 1.96 * ASSUMED_BIAS), "ink": float(rho.min()) if rho.size else 0.0,
+        "determined": False, "rank": rank, "unknowns": int(seen.sum()) + 1, "condition": min(condition, 1e12),
+        "misfit": 1.0, "reason": why,
+    }  # fmt: skip

@@ -1,0 +1,277 @@
+"""The surroundings, folded out of the frame: a cube of radiance around the camera, and what light it gives.
+
+The picture is split in thirds: its middle is the cube's front, and mirrored its back; the parts left, right, above and
+below the middle are the sides. It gives colour and soft shading, never a direction: a picture of a third of the surroundings
+says little about the rest, and lamps in it are clipped. `fold` is the paper's, with a seam where the sides meet the mirrored
+back; `fold_corrected` has none: the direction's angle from the line of sight is the distance from the picture's middle, out to
+its border at 90 degrees and back behind.
+
+`soft_light` is what is used where no direction is known: the surroundings above the anchor's plane, the plane itself below.
+The fold knows a third of what is around, mirrors it, and cannot know what lights the plane: so only its colours and its broad
+bright and dark sides are taken, evened out by half, and scaled to what the markers show. What an object's underside sees is
+the plane, whose radiance is in the picture.
+
+`with_environment` is for reflections: one cube per shot, in the facts. Looks at the surroundings are brought to the axes in
+which the room stands still and averaged over their shot, so that nothing flickers and what is seen from several sides adds up.
+A panorama that the user gave takes their place.
+Source: S4 (environment map from the single camera); SYSTEMS.md S1 (cue ladder) and S4 (smoothing in the analysis, analytic
+light apart). Cost: some 0.3 ms a frame at SIZE 16. Leaves out: the four corners of the picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from arfx.analyse.light.icosphere import icosphere
+from arfx.core.codec import stored
+from arfx.core.cube import face_directions, packed, solid_angles
+from arfx.core.facts import FrameFacts
+from arfx.core.light import DIFFUSE, Light, harmonics
+from arfx.core.numerics import divide, normalise
+
+SIZE = 16
+FACE_PX = 6  # of the folded cube that is kept
+EVEN = 0.5  # share of the surroundings that is taken for even light
+RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 % of the light is left to noise
+AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
+KEY = "environment"
+PLANE = "plane"  # beside a folded cube: radiance of the plane as seen, with which what is next to its horizon agrees
+PANORAMA_PX = 16  # side of a face
+
+
+def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in `face_directions`.
+
+    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not finite counts as black.
+    """
+    picture = _foldable(image)
+    h, w = picture.shape[:2]
+    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
+    part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
+    shrink = lambda p: cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)  # noqa: E731
+    # a side's first line is the one that touches the front
+    right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
+    down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
+    front = shrink(part(1, 1))
+    return np.stack([right, left, down, up, front, front])
+
+
+def _foldable(image: np.ndarray) -> np.ndarray:
+    picture = np.asarray(image, np.float64)
+    h, w = picture.shape[:2]
+    if h < 3 or w < 3:
+        raise ValueError(f"image of {w}x{h}: at least 3 x 3 pixels")
+    return np.where(np.isfinite(picture), picture, 0.0)
+
+
+def fold_corrected(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """The same as `fold`, without a seam anywhere: what is continuous in the picture is so on the sphere."""
+    picture = _foldable(image)
+    h, w = picture.shape[:2]
+    # as coarse as the faces are: a texel of 90 / size degrees spans this many pixels
+    small = cv2.resize(picture, (min(w, 2 * size), min(h, 2 * size)), interpolation=cv2.INTER_AREA)
+    d = face_directions(size)
+    angle = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2]) / (np.pi / 2)
+    out = 1 - np.abs(1 - angle)  # 0 in the middle, 1 at the border
+    across = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
+    x = (1 + out * d[..., 0] / across) / 2 * small.shape[1] - 0.5
+    y = (1 + out * d[..., 1] / across) / 2 * small.shape[0] - 0.5
+    rows = [
+        cv2.remap(small, a.astype(np.float32), b.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for a, b in zip(x, y, strict=True)
+    ]
+    return np.stack(rows)
+
+
+def from_panorama(picture: np.ndarray, size: int = SIZE, stands_out: float = 6.0) -> np.ndarray:
+    """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of given.py (z up, middle column x).
+
+    What is more than `stands_out` times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
+    """
+    a = np.asarray(picture, np.float32)
+    solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
+    grey = a.mean(-1)
+    limit = stands_out * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
+    a = np.ascontiguousarray(a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None], np.float32)
+    a = np.asarray(cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32)
+    d = face_directions(size)
+    x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
+    y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
+    y = np.clip(y, 0, a.shape[0] - 1)
+    rows = [
+        cv2.remap(a, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        for u, v in zip(x, y, strict=True)
+    ]
+    return np.stack(rows).astype(float)
+
+
+def mip_chain(faces: np.ndarray) -> list[np.ndarray]:
+    """The cube (6, n, n, 3), n a power of two, and its means over 2 x 2 texels, down to one texel a face."""
+    out = [np.asarray(faces)]
+    while out[-1].shape[1] > 1:
+        n = out[-1].shape[1] // 2
+        out.append(out[-1].reshape(6, n, 2, n, 2, 3).mean((2, 4)))
+    return out
+
+
+def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(k, 3) radiance in directions (k, 3), axes of the cube (6, n, n, 3): linear between the texels of a face."""
+    size = faces.shape[1]
+    d = np.asarray(directions, float)
+    axis = np.abs(d).argmax(1)
+    major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
+    q = d / np.maximum(np.abs(major), 1e-12)[:, None]
+    u, v = np.choose(axis, [-q[:, 2], q[:, 0], q[:, 0]]), np.choose(axis, [q[:, 1], -q[:, 2], q[:, 1]])
+    face = 2 * axis + (major < 0)
+    x, y = (np.clip((t + 1) / 2 * size - 0.5, 0, size - 1) for t in (u, v))
+    i, j = np.minimum(x.astype(int), max(size - 2, 0)), np.minimum(y.astype(int), max(size - 2, 0))
+    i1, j1 = np.minimum(i + 1, size - 1), np.minimum(j + 1, size - 1)
+    fx, fy = (x - i)[:, None], (y - j)[:, None]
+    top = faces[face, j, i] * (1 - fx) + faces[face, j, i1] * fx
+    return np.asarray(top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy)
+
+
+def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
+    """The cube (6, n, n, 3) in other axes. source_from_dest : (3, 3) rotation to the cube's axes"""
+    d = face_directions(faces.shape[1])
+    return look_up(faces, d.reshape(-1, 3) @ np.asarray(source_from_dest, float).T).reshape(faces.shape)
+
+
+def told(faces: np.ndarray) -> dict:
+    """What FrameFacts.extra["environment"] holds; WORLD axes."""
+    return packed(np.maximum(faces, 0))
+
+
+def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
+    """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its normal (core.light.Light.soft).
+
+    faces : (6, n, n, 3) of `fold`;  world_from_camera : (3, 3) rotation
+    """
+    n = faces.shape[1]
+    basis = _basis(n, np.asarray(world_from_camera, float).round(12).tobytes())
+    return DIFFUSE[:, None] * (basis.T @ faces.reshape(-1, 3))
+
+
+@lru_cache(maxsize=2)
+def _basis(size: int, rotation: bytes) -> np.ndarray:
+    """(6 n n, 9) harmonics of the texels' world directions times their solid angles."""
+    directions = face_directions(size).reshape(-1, 3) @ np.frombuffer(rotation).reshape(3, 3).T
+    return harmonics(directions) * np.tile(solid_angles(size).ravel(), 6)[:, None]
+
+
+@stored
+@dataclass(frozen=True, eq=False)
+class Look:
+    """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA axes (`fold`)
+    plane : (3,) radiance beside the marker, as seen"""
+
+    frame: int
+    cube: np.ndarray
+    plane: np.ndarray
+
+
+def look(frame: int, picture: np.ndarray, quad: np.ndarray, formula: str = "corrected") -> Look:
+    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels
+
+    formula : "corrected", folded without a seam, or "paper"
+    """
+    middle = quad.mean(0)
+    share = np.linspace(0, 1, 8, endpoint=False)[:, None]
+    sides = np.concatenate([a + share * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)])
+    at = np.rint(middle + AROUND * (sides - middle)).astype(int)
+    inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
+    beside = picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
+    small = cv2.resize(np.ascontiguousarray(picture, np.float32), (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)))
+    folded = fold if formula == "paper" else fold_corrected
+    return Look(frame, folded(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
+
+
+def soft_light(
+    looks: Sequence[Look], room_from_camera: Sequence[np.ndarray], up: np.ndarray, shown: np.ndarray | None
+) -> Light:  # fmt: skip
+    """Mean of the looks as one light without a direction, ROOM axes.
+
+    room_from_camera : (3, 3) of each look;  up : (3,) unit, out of the plane
+    shown : (3,) radiance of a white surface that lies in the plane, None = unknown: the surroundings' own scale
+    """
+    size = looks[0].cube.shape[1]
+    directions, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
+    total, plane = np.zeros((9, 3)), np.mean([s.plane for s in looks], 0)
+    for one, turn in zip(looks, room_from_camera, strict=True):
+        d = directions @ turn.T
+        height = d @ up
+        above = (height > 0)[:, None]
+        sky = one.cube.reshape(-1, 3)
+        even = divide(
+            (np.where(above, sky, 0) * (solid * height)[:, None]).sum(0), float((solid * np.clip(height, 0, None)).sum())
+        )
+        sky = EVEN * even + (1 - EVEN) * sky
+        arriving = divide((np.where(above, sky, 0) * (solid * height)[:, None]).sum(0), np.pi)
+        if shown is not None:  # a colour that the surroundings lack altogether comes evenly from all of them
+            sky = np.where(arriving > 1e-3 * np.max(shown), sky * divide(shown, arriving), shown)
+        below = np.minimum(plane, arriving if shown is None else shown)  # no plane is brighter than white
+        radiance = np.where(above, sky, below)
+        total += soft_of(radiance.reshape(one.cube.shape), turn)
+    light = Light.of_soft(total / len(looks), (), "environment")
+    if shown is None:
+        return light
+    return light.scaled(divide(shown, light.radiance(up), where_zero=1.0))  # what degree 2 rounds off
+
+
+def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
+    """The soft light bent so that white surfaces with `normals` look as measured, as little as that takes.
+
+    normals : (k, 3) unit, ROOM axes;  shown : (k, 3). Ridge regression of what is missing on the harmonics: one normal moves
+    the whole light, many shape it. Never below 0 where it was measured to be above.
+    """
+    cell = icosphere(3).nearest(normals)
+    rows, where = np.unique(cell, return_inverse=True)
+    count = np.bincount(where, minlength=len(rows))
+    n = normalise(np.stack([np.bincount(where, normals[:, i]) for i in range(3)], -1))
+    want = np.stack([np.bincount(where, shown[:, c]) for c in range(3)], -1) / count[:, None]
+    basis = harmonics(n)
+    soft = np.array(light.soft, float)
+    rough = np.diag(np.repeat([0.0, 1.0, 4.0], [1, 3, 5])) * RIDGE + 1e-9 * np.eye(9)
+    soft = soft + np.linalg.solve(basis.T @ basis / len(rows) + rough, basis.T @ (want - basis @ soft) / len(rows))
+    return Light.of_soft(soft, (), light.source)
+
+
+def with_environment(
+    facts: Sequence[FrameFacts], looks: Sequence[Look], still_camera: bool, panorama: np.ndarray | None,
+    world_from_anchor: np.ndarray, bias: np.ndarray,
+) -> tuple[FrameFacts, ...]:  # fmt: skip
+    """The facts with `extra["environment"]` in every frame that has a pose and a look in its shot.
+
+    still_camera : the room is the camera's, else the world's;  world_from_anchor : (3, 3);  bias (3,) : not light
+    """
+    given = None if panorama is None else turned(from_panorama(panorama, PANORAMA_PX), np.asarray(world_from_anchor).T)
+    by_shot: dict[int, list[np.ndarray]] = {}
+    for look in looks:
+        f = facts[look.frame]
+        if f.camera_from_world is None:
+            continue
+        cube = np.clip(look.cube - bias, 0, None)
+        by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
+    mean = {shot: np.mean(cubes, 0) for shot, cubes in by_shot.items()}
+    plane = {
+        shot: np.clip(np.mean([s.plane for s in looks if facts[s.frame].shot == shot], 0) - bias, 0, None) for shot in by_shot
+    }
+    beside = {shot: {PLANE: [float(v) for v in colour]} for shot, colour in plane.items()}
+    whole = {shot: told(cube) | beside[shot] for shot, cube in mean.items()}
+    out = []
+    for f in facts:
+        pose = f.camera_from_world
+        if pose is None or (given is None and f.shot not in mean):
+            out.append(f)
+        elif given is not None:
+            out.append(f.with_(extra={**f.extra, KEY: told(given)}))
+        elif still_camera:
+            out.append(f.with_(extra={**f.extra, KEY: told(turned(mean[f.shot], pose.rotation)) | beside[f.shot]}))
+        else:
+            out.append(f.with_(extra={**f.extra, KEY: whole[f.shot]}))
+    return tuple(out)

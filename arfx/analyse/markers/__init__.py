@@ -1,0 +1,1 @@
+"""Markers in the picture: found, tracked, their corners refined."""

@@ -1,0 +1,140 @@
+"""Finds printed markers of known families in a luma image: pixel-accurate corners, whole frame, part or reduced.
+
+OpenCV's ArucoDetector does the finding and decoding; its own corner refinement stays off (see corners.py: it is
+off by .25 to .9 px on blurred edges). Thresholds that OpenCV takes relative to the image are set so that they mean
+the same number of pixels in a part as in the whole frame: a search of the part that holds a marker gives exactly
+the corners of a search of the whole frame.
+`Survey` tells what is in a clip in which no configured marker is found: a sparse look with every family.
+Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms at 1080p (two threads).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from arfx.analyse.fold import Fold
+from arfx.core.rect import Rect
+
+# Families whose dictionary is a superset of others of the same size: enough to look for these.
+SURVEY_FAMILIES = (
+    "36h11", "4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ORIGINAL", "25h9", "36h10", "MIP_36h12", "16h5",
+)  # fmt: skip
+
+_REDUCED_WINDOW_PX = 9
+_FIRST, _GROWTH = 3, 2  # looks at processed frames 3, 6, 12, 24 ...: few even in a long clip
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A decoded marker. quad_px : (4, 2) whole-frame pixels, about 1 px accurate, order of MarkerSpec.corners_m."""
+
+    family: str
+    id: int
+    quad_px: np.ndarray
+
+    @property
+    def key(self) -> str:
+        return f"{self.family}:{self.id}"
+
+    @property
+    def side_px(self) -> float:
+        return float(np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).mean())
+
+
+def dictionary(family: str) -> cv2.aruco.Dictionary:
+    """OpenCV's predefined dictionary for a FAMILIES key."""
+    if family in ("16h5", "25h9", "36h10", "36h11"):
+        name = f"DICT_APRILTAG_{family}"
+    elif family in ("ORIGINAL", "MIP_36h12"):
+        name = f"DICT_ARUCO_{family}"
+    else:
+        name = f"DICT_{family}"
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def cells_per_side(family: str) -> int:
+    """Cells along a marker's side, black border included."""
+    return int(dictionary(family).markerSize) + 2
+
+
+class MarkerDetector:
+    """Detectors for a set of families with one set of parameters."""
+
+    def __init__(self, families: Iterable[str], min_side_px: float = 9.0, inverted: bool = True) -> None:
+        self.families = tuple(dict.fromkeys(families))
+        self.min_side_px = min_side_px
+        self._parameters = cv2.aruco.DetectorParameters()
+        self._parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+        self._parameters.detectInvertedMarker = inverted
+        self._parameters.minDistanceToBorder = 1
+        # A reduced image is searched to see whether there is something at all: one threshold window finds the same markers
+        # as OpenCV's three (3, 13, 23 px) on every real test clip, in less than half of the time.
+        self._windows = {False: (3, 23), True: (_REDUCED_WINDOW_PX, _REDUCED_WINDOW_PX)}
+        self._detectors = {f: cv2.aruco.ArucoDetector(dictionary(f), self._parameters) for f in self.families}
+
+    def search(self, luma: np.ndarray, rect: Rect | None = None, factor: int = 1, min_side_px: float = 0.0) -> list[Candidate]:
+        """All markers of the families, in a deterministic order.
+
+        luma : (h, w) uint8;  rect : part of it to search;  factor : search an image reduced by this whole number
+        min_side_px : leave out what is smaller (of the image searched), beside what the detector leaves out anyway
+        """
+        height, width = luma.shape
+        area = Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
+        if area.width < 8 or area.height < 8:
+            return []
+        image = luma[area.slices]
+        if factor > 1:
+            image = cv2.resize(image, (area.width // factor, area.height // factor), interpolation=cv2.INTER_AREA)
+        image = np.ascontiguousarray(image)
+        low, high = self._windows[factor > 1]
+        self._parameters.adaptiveThreshWinSizeMin, self._parameters.adaptiveThreshWinSizeMax = low, high
+        self._parameters.minMarkerPerimeterRate = 4 * max(self.min_side_px, min_side_px) / max(image.shape)
+        out = []
+        scale = np.array([area.width / image.shape[1], area.height / image.shape[0]])
+        for family, detector in self._detectors.items():
+            detector.setDetectorParameters(self._parameters)
+            quads, ids, _ = detector.detectMarkers(image)
+            if ids is None:
+                continue
+            for quad, number in zip(quads, np.ravel(ids), strict=True):
+                px = (np.asarray(quad, float).reshape(4, 2) + 0.5) * scale - 0.5 + [area.x0, area.y0]
+                out.append(Candidate(family, int(number), px))
+        return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))
+
+
+class Survey(Fold):
+    """Counts markers of all families in a few frames."""
+
+    def __init__(self) -> None:
+        self.looked = 0
+        self.next_frame = _FIRST
+        self.counts: Counter[str] = Counter()
+
+    def step(self, frame: int, luma: np.ndarray) -> None:
+        if frame != self.next_frame:
+            return
+        self.next_frame *= _GROWTH
+        self.look(luma)
+
+    def look(self, luma: np.ndarray) -> None:
+        self.looked += 1
+        # 14 px: smaller squares of weak dictionaries are found in any texture
+        found = MarkerDetector(SURVEY_FAMILIES, min_side_px=14.0, inverted=False).search(luma)
+        self.counts.update({c.key for c in found})
+
+    def text(self) -> str:
+        """ "4X4_1000:7 (2 of 3 sampled frames), ..." likeliest first, or an empty string."""
+        return ", ".join(f"{k} ({self.counts[k]} of {self.looked} sampled frames)" for k in self.likeliest()[:6])
+
+    def likeliest(self) -> list[str]:
+        """Keys seen: most often first; among equals the families that are hardest to misread first."""
+
+        def rank(key: str) -> tuple[int, int, str]:
+            return -self.counts[key], SURVEY_FAMILIES.index(key.rsplit(":", 1)[0]), key
+
+        return sorted(self.counts, key=rank)

@@ -1,0 +1,186 @@
+"""Decides where to look in each frame, so that a tracked marker costs little and nothing is missed.
+
+* A tracked marker is looked for in its predicted rectangle, at full resolution, among squares not much smaller than it
+  was: the cells of its code and the texture around it are squares too, and decoding those is most of a search's time.
+* If one is not there, the same frame is searched whole, at full resolution, and so are the next few frames.
+* Later, frames are searched on a reduced image (a hit there is looked up at full resolution), and whole at a
+  stated interval. Frames as small as the reduced image are searched whole while any marker is missing or very small.
+* While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that comes
+  is found in its first frame, one that shows in a single frame may not be.
+The detector's corners in a part are those in the whole frame, so that where it was looked does not show in the result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.analyse.fold import Fold
+from arfx.analyse.markers.detect import Candidate, MarkerDetector
+from arfx.analyse.params import AnalyseParams
+from arfx.core.codec import stored
+from arfx.core.rect import Rect
+
+SHRINK = 0.4  # a tracked marker is no smaller than this share of what it was in the last frame
+SURE_PX = 32.0  # with smaller sides it is a matter of luck, and of what else is in the picture, which contour OpenCV takes
+
+
+@stored
+@dataclass
+class Track:
+    """Where a marker was last: quad_px (4, 2), its speed px/s, when, and for how many frames it has been missing."""
+
+    quad_px: np.ndarray
+    speed_px_s: np.ndarray
+    time_s: float
+    missing: int = 0
+
+    def predicted(self, time_s: float) -> np.ndarray:
+        """Centre of the marker at a time, px; speed is trusted for a tenth of a second only."""
+        return self.quad_px.mean(0) + self.speed_px_s * min(max(time_s - self.time_s, 0.0), 0.1)
+
+    @property
+    def sides_px(self) -> np.ndarray:
+        return np.linalg.norm(self.quad_px - self.quad_px[[1, 2, 3, 0]], axis=1)
+
+    def rect(self, time_s: float) -> Rect:
+        centre, was = self.predicted(time_s), self.quad_px.mean(0)
+        spread = max(0.4 * float(self.sides_px.max()), 20.0) * (1 + 0.25 * min(self.missing, 4)) + 0.5 * float(
+            np.abs(centre - was).max()
+        )
+        return Rect.around(self.quad_px + (centre - was), spread)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one frame gave.
+
+    sightings : the chosen candidate per configured key;  rivals : further candidates with the same key
+    others : ids of the families that are not configured;  whole : the whole frame was searched at full resolution
+    searched_px : pixels given to the detector
+    """
+
+    sightings: tuple[Candidate, ...]
+    rivals: tuple[Candidate, ...]
+    others: tuple[str, ...]
+    whole: bool
+    searched_px: int
+
+
+class Tracker(Fold):
+    """State from frame to frame of the search for the configured keys ("36h11:3")."""
+
+    given = frozenset({"keys", "params", "detector"})
+
+    def __init__(self, keys: Sequence[str], params: AnalyseParams) -> None:
+        self.keys = tuple(keys)
+        self.params = params
+        self.tracks: dict[str, Track] = {}
+        self.frames = 0
+        self.last_whole_s = -math.inf
+        self.lost_frames = 0  # frames still to be searched whole after a loss
+        self.nothing_before, self.nothing_here = False, False  # known of the last frame, and of the one to come
+        families = [k.rsplit(":", 1)[0] for k in keys]
+        self.detector = MarkerDetector(families, params.min_side_px, params.detect_inverted)
+
+    def step(self, time_s: float, luma: np.ndarray, following: Callable[[], np.ndarray] | None = None) -> Found:
+        """following : luma of the frame that comes next; None = there is none, or it is not known yet"""
+        height, width = luma.shape
+        frame = Rect.of(width, height)
+        factor = max(1, math.ceil(math.sqrt(frame.area / self.params.reduced_px)))
+        every: list[Candidate] = []
+        searched, whole = 0, False
+        followed = list(self.tracks.values())
+        sure = all(t.missing == 0 and t.sides_px.min() >= SURE_PX for t in followed)
+        if factor == 1 and (len(followed) < len(self.keys) or not sure):
+            followed = []  # a small frame is searched whole while one is missing, and where that could find other ones
+        rects = [t.rect(time_s).clip(frame) for t in followed]
+        for part in _merged(rects):
+            sides = [t.sides_px.min() for t, r in zip(followed, rects, strict=True) if not r.clip(part).empty]
+            every += self.detector.search(luma, part, min_side_px=SHRINK * float(min(sides)))
+            searched += part.area
+        missing = [k for k in self.keys if k not in {c.key for c in every}]
+        newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)
+        nothing_here, self.nothing_here = self.nothing_here, False
+        if newly_lost:
+            self.lost_frames = self.params.loss_search_frames
+        due = time_s - self.last_whole_s >= self.params.search_interval_s
+        if missing and (factor == 1 or due or newly_lost or self.lost_frames > 0):
+            every, whole = self.detector.search(luma), True
+            searched += frame.area
+            self.last_whole_s = time_s
+            self.lost_frames = max(0, self.lost_frames - 1)
+        elif missing and (len(missing) == len(self.keys) or self.frames % self.params.reduced_search_every == 0):
+            ahead = following if self.nothing_before and len(missing) == len(self.keys) else None
+            hits, looks = ([], 0) if nothing_here else self._glance(luma, ahead, factor, missing)
+            searched += looks * (frame.area // factor**2)
+            for part in _merged(Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)).clip(frame) for c in hits):
+                every += self.detector.search(luma, part)
+                searched += part.area
+        self.frames += 1
+        self.nothing_before = not any(c.key in self.keys for c in every)
+        return self._choose(time_s, every, whole, searched)
+
+    def _glance(
+        self, luma: np.ndarray, ahead: Callable[[], np.ndarray] | None, factor: int, keys: Sequence[str]
+    ) -> tuple[list[Candidate], int]:
+        """Markers on the reduced image, and how many images were searched. ahead : the next frame, if it may speak for this"""
+
+        def on_reduced(image: np.ndarray) -> list[Candidate]:
+            return [c for c in self.detector.search(image, None, factor) if c.key in keys]
+
+        if ahead is None:
+            return on_reduced(luma), 1
+        self.nothing_here = not on_reduced(ahead())
+        return ([], 1) if self.nothing_here else (on_reduced(luma), 2)
+
+    def _choose(self, time_s: float, every: list[Candidate], whole: bool, searched: int) -> Found:
+        chosen, rivals = [], []
+        for key in self.keys:
+            seen = _distinct([c for c in every if c.key == key])
+            track = self.tracks.get(key)
+            if not seen:
+                if track is not None:
+                    track.missing += 1
+                    if time_s - track.time_s > self.params.search_interval_s:
+                        del self.tracks[key]
+                continue
+            if track is not None:  # two prints of one id: the one where this marker was expected
+                expected = track.predicted(time_s)
+                seen.sort(key=lambda c: float(np.linalg.norm(c.quad_px.mean(0) - expected)))
+            else:
+                seen.sort(key=lambda c: -c.side_px)
+            best, *rest = seen
+            chosen.append(best)
+            rivals += rest
+            speed = np.zeros(2)
+            if track is not None and 0 < time_s - track.time_s < 0.3:
+                speed = (best.quad_px.mean(0) - track.quad_px.mean(0)) / max(time_s - track.time_s, 1e-3)
+            self.tracks[key] = Track(best.quad_px, speed, time_s)
+        others = tuple(sorted({c.key for c in every} - set(self.keys)))
+        return Found(tuple(chosen), tuple(rivals), others, whole, searched)
+
+
+def _merged(rects: Iterable[Rect]) -> list[Rect]:
+    """Rectangles with overlapping ones united, so that no marker is reported twice."""
+    out: list[Rect] = []
+    for r in rects:
+        if r.empty:
+            continue
+        while hit := next((o for o in out if not o.clip(r).empty), None):
+            out.remove(hit)
+            r = r.union(hit)
+        out.append(r)
+    return out
+
+
+def _distinct(candidates: list[Candidate]) -> list[Candidate]:
+    """One candidate per place: two within half a side of each other are one print."""
+    out: list[Candidate] = []
+    for c in candidates:
+        if all(np.linalg.norm(c.quad_px.mean(0) - o.quad_px.mean(0)) > 0.5 * o.side_px for o in out):
+            out.append(c)
+    return out

@@ -1,0 +1,1 @@
+"""How the background moves, for what is to lie still on it."""

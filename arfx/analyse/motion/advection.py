@@ -1,0 +1,284 @@
+"""The field of sites of every frame: motion steps chained over the clip, around the markers through the known poses.
+
+field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
+motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
+that nothing of the old pattern is seen again.
+A pattern carried along by a motion is bent more and more. As the clip is known, a second one begins unbent at the end of each
+stretch and is carried back (`both_ways`); whoever paints both (`high` does), the first fading out and the second in, always
+sees one that is little bent, and sees the same in a clip that is run backwards (Bousseau et al. 2007). Stretches end where a
+shot does, and in a long one at a key frame every PERIOD sets. The fade goes by sets, not by time: nothing fades where nothing
+moves.
+Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
+Source: SYSTEMS.md S3 ("sites fixed on the screen"). Cost: O(nodes) per set.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse.motion.flow import GRID_PX, STEPS, MotionStep, node_places
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+
+FACT = "watercolor"
+_NEW_DETAIL = 0.1  # share of what is seen now in the detail of a set; the rest is what was there before
+_RELAX = 0.02  # share of the field's bend that is taken out per set
+_LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
+_NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
+PERIOD = 90  # sets of sites
+_APART_PX = 5003.0  # the pattern of the other end of a stretch comes from that far away
+_ROUNDS = 6  # of the search for where a node came to lie
+Field = tuple[np.ndarray, np.ndarray]
+Sampled = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (values at nodes, x, y) -> values there
+
+
+def with_anchors(
+    facts: Sequence[FrameFacts], steps: Sequence[MotionStep], camera: Camera, world_from_anchor: Pose, reach_m: float
+) -> tuple[FrameFacts, ...]:
+    """The facts with extra["watercolor"] filled in.
+
+    steps : of BackgroundMotion, of the same frames;  reach_m : around the anchor's origin on its plane the poses are
+    believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
+    """
+    by_index = {s.index: s for s in steps}
+    gx, gy = node_places(camera.width, camera.height)
+    rays = camera.directions(np.stack([gx, gy], -1)) if reach_m > 0 else None
+    number, u, v = 0, gx, gy
+    last: FrameFacts | None = None
+    key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
+    detail, last_back = np.zeros(gx.shape), np.zeros((*gx.shape, 2))
+    document: Mapping[str, Any] = {}
+    out, sets, of_frame = [], [], []
+    for f in facts:
+        step = by_index.get(f.index)
+        cut = last is not None and f.shot != last.shot
+        if last is None or cut or step is not None:
+            number += last is not None
+            back = None if step is None or step.back is None or last is None or cut else step.back.astype(float)
+            if back is None:
+                u, v = gx + _NEW_SHOT_PX * number, gy
+            else:
+                if rays is not None:
+                    back = _with_pose(back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m)
+                u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in key[:2])
+                u, v = relaxed(u, v)
+            if step is not None:
+                seen = step.detail.astype(float)
+                if back is not None:  # carried along with the things, a little of what is seen now each time
+                    x, y = gx + back[..., 0] - last_back[..., 0], gy + back[..., 1] - last_back[..., 1]
+                    seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(_sampled(detail, x, y, gx, gy), 0, 255)
+                detail = seen
+                last_back = np.zeros_like(last_back) if step.key or back is None else back
+            elif cut:  # unnoticed by the flow: there was nothing to see
+                detail, last_back = np.zeros(gx.shape), np.zeros_like(last_back)
+            if step is not None and step.key:
+                key = u, v, f.camera_from_world
+            elif back is None:
+                # a cut that the flow did not notice: the key frame's nodes lie where this frame's flow says
+                key = (u, v, f.camera_from_world) if step is None or step.back is None else (
+                    _sampled(u, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy),
+                    _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
+                )  # fmt: skip
+            document = _document(number, gx, gy, u, v, detail, f.camera_from_world)
+            begins = back is None
+            kept = back if back is not None else None if step is None or step.back is None else step.back.astype(float)
+            sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
+        last = f
+        out.append(f.with_(extra={**f.extra, FACT: document}))
+        of_frame.append(len(sets) - 1)
+    other = both_ways(sets, gx, gy, lambda a, x, y: _sampled(a, x, y, gx, gy), relaxed)
+    documents = [
+        {"share": round(o.share, 4), "forward": _nodes(*o.forward), "backward": _nodes(*o.backward)} for o in other
+    ]  # fmt: skip
+    return tuple(f.with_(extra={**f.extra, FACT: {**f.extra[FACT], **documents[k]}}) for f, k in zip(out, of_frame, strict=True))
+
+
+def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
+    """`a` at places between its nodes, bilinear, linear beyond its border."""
+    gh, gw = a.shape
+    s, t = (x - gx[0, 0]) / GRID_PX, (y - gy[0, 0]) / GRID_PX
+    i, j = np.clip(np.floor(s), 0, gw - 2).astype(int), np.clip(np.floor(t), 0, gh - 2).astype(int)
+    s, t = s - i, t - j
+    top = a[j, i] + s * (a[j, i + 1] - a[j, i])
+    bottom = a[j + 1, i] + s * (a[j + 1, i + 1] - a[j + 1, i])
+    out: np.ndarray = top + t * (bottom - top)
+    return out
+
+
+def _with_pose(
+    back: np.ndarray, gx: np.ndarray, gy: np.ndarray, rays: np.ndarray, now: Pose | None, then: Pose | None, camera: Camera,
+    world_from_anchor: Pose, reach_m: float,
+) -> np.ndarray:  # fmt: skip
+    """The steps back, near the anchor those of points of its plane."""
+    if now is None or then is None:
+        return back
+    anchor_from_camera = (now @ world_from_anchor).inverse()
+    eye, d = anchor_from_camera.translation_m, rays @ anchor_from_camera.rotation.T
+    far = divide(np.full(d.shape[:-1], -eye[2]), d[..., 2], where_zero=np.nan)
+    on_plane = eye + d * np.where(far > 0, far, np.nan)[..., None]
+    distance = np.linalg.norm(on_plane[..., :2], axis=-1)
+    before = camera.project((then @ world_from_anchor).apply(np.where(np.isfinite(on_plane), on_plane, 0.0)))
+    step = before - np.stack([gx, gy], -1)
+    known = np.isfinite(distance) & np.isfinite(step).all(-1)
+    share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[..., None]
+    out: np.ndarray = back + share * (np.where(known[..., None], step, back) - back)
+    return out
+
+
+def relaxed(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The field without folds and a little straighter. Linear fields stay as they are."""
+    u, v = u + _RELAX * _bend(u), v + _RELAX * _bend(v)
+    for _ in range(40):
+        det = np.stack(determinants(u, v))
+        if det.min() > _LEAST_DET * max(float(np.median(det)), 1e-6):
+            return u, v
+        u, v = u + 0.5 * _bend(u), v + 0.5 * _bend(v)
+    return _straight(u), _straight(v)
+
+
+def _bend(a: np.ndarray) -> np.ndarray:
+    """How much the mean of a node's neighbours differs from it; at the border only along it, at corners nothing."""
+    out = np.zeros_like(a)
+    out[:, 1:-1] += (a[:, :-2] + a[:, 2:]) / 2 - a[:, 1:-1]
+    out[1:-1] += (a[:-2] + a[2:]) / 2 - a[1:-1]
+    return out / 2
+
+
+def _straight(a: np.ndarray) -> np.ndarray:
+    """The plane through a."""
+    y, x = np.indices(a.shape)
+    terms = np.stack([np.ones(a.size), x.ravel(), y.ravel()], -1)
+    fit, *_ = np.linalg.lstsq(terms, a.ravel(), rcond=None)
+    out: np.ndarray = (terms @ fit).reshape(a.shape)
+    return out
+
+
+def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the two triangles of every quad, in units of GRID_PX^2: how many px of the thing lie in one of the picture."""
+    a = (u[:-1, 1:] - u[:-1, :-1]) * (v[1:, :-1] - v[:-1, :-1]) - (v[:-1, 1:] - v[:-1, :-1]) * (u[1:, :-1] - u[:-1, :-1])
+    b = (u[1:, 1:] - u[1:, :-1]) * (v[1:, 1:] - v[:-1, 1:]) - (v[1:, 1:] - v[1:, :-1]) * (u[1:, 1:] - u[:-1, 1:])
+    return a / GRID_PX**2, b / GRID_PX**2
+
+
+def _document(
+    number: int, gx: np.ndarray, gy: np.ndarray, u: np.ndarray, v: np.ndarray, detail: np.ndarray, pose: Pose | None
+) -> Mapping[str, Any]:
+    return {
+        "set": number, "pitch": GRID_PX, "origin": [int(gx[0, 0]), int(gy[0, 0])], "shape": list(u.shape),
+        "nodes": _nodes(u, v), "detail": _text(np.round(detail * 16).astype("<u2")),
+        "pose": None if pose is None else pose.to_json(),
+    }  # fmt: skip
+
+
+def _nodes(u: np.ndarray, v: np.ndarray) -> str:
+    whole = np.round(np.stack([u, v]) * STEPS).astype(np.int64)
+    steps = np.diff(whole, axis=2, prepend=0).astype("<i4")
+    return _text(steps)
+
+
+def _text(a: np.ndarray) -> str:
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(a).tobytes(), 6)).decode()
+
+
+@dataclass(frozen=True, eq=False)
+class SetStep:
+    """One set of sites. back (gh, gw, 2) px : what its nodes must be moved by to lie where they lay in the key frame before it;
+    None : it has none, or lies as that
+    key : the next ones are relative to this frame;  begins : a shot"""
+
+    back: np.ndarray | None
+    key: bool
+    begins: bool
+
+
+@dataclass(frozen=True, eq=False)
+class BothWays:
+    """Of one set. forward, backward : (u, v) at its nodes;  share : of the second, 0..1"""
+
+    forward: Field
+    backward: Field
+    share: float
+
+
+def both_ways(
+    sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable
+) -> list[BothWays]:
+    """Of every set. straightened : (u, v) -> (u, v) without folds"""
+    out: list[BothWays] = []
+    ends = _ends(sets)
+    number = -1
+    for a, b in pairwise(ends):
+        number += 2 if sets[a].begins else 1  # nothing of the old pattern is seen in a new shot
+        # the next stretch of a shot goes on from this one's end: they share that set, and its pattern
+        last = b if b < len(sets) and not sets[b].begins else b - 1
+        patterns = [(gx + _APART_PX * (number + k), gy) for k in (1, 2)]
+        forward = _carried(sets, a, last, patterns[0], gx, gy, sampled, straightened)
+        backward = _carried_back(sets, a, last, patterns[1], gx, gy, sampled, straightened)
+        out += [BothWays(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
+    return out
+
+
+def _ends(sets: Sequence[SetStep]) -> list[int]:
+    """First set of each stretch, and the number of sets."""
+    out: list[int] = []
+    for k, s in enumerate(sets):
+        if not out or s.begins or (s.key and k - out[-1] >= PERIOD):
+            out.append(k)
+    return [*out, len(sets)]
+
+
+def _at_set(key: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray, sampled: Sampled) -> Field:
+    """The field at a set's nodes, from that at the nodes of its key frame."""
+    if step.back is None:
+        return key
+    x, y = gx + step.back[..., 0], gy + step.back[..., 1]
+    return sampled(key[0], x, y), sampled(key[1], x, y)
+
+
+def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray, sampled: Sampled) -> Field:
+    """The field at the nodes of a set's key frame, from that at the set's: a node came to lie where place + back = node."""
+    if step.back is None:
+        return own
+    x, y = gx, gy
+    for _ in range(_ROUNDS):
+        x, y = gx - sampled(step.back[..., 0], x, y), gy - sampled(step.back[..., 1], x, y)
+    return sampled(own[0], x, y), sampled(own[1], x, y)
+
+
+def _carried(
+    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled,
+    straightened: Callable,
+) -> list[Field]:  # fmt: skip
+    """Of the sets a ... b, unbent at a."""
+    out = [pattern]
+    key = pattern if sets[a].key else _at_key(pattern, sets[a], gx, gy, sampled)
+    for step in sets[a + 1 : b + 1]:
+        out.append(straightened(*_at_set(key, step, gx, gy, sampled)))
+        key = out[-1] if step.key else key
+    return out
+
+
+def _carried_back(
+    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled,
+    straightened: Callable,
+) -> list[Field]:  # fmt: skip
+    """Of the sets a ... b, unbent at b."""
+    out = [pattern]
+    key = _at_key(pattern, sets[b], gx, gy, sampled)
+    for k in range(b - 1, a - 1, -1):
+        step = sets[k]
+        if step.key:  # what follows is relative to it: the field at the key frame is its own
+            out.append(straightened(*key))
+            key = _at_key(out[-1], step, gx, gy, sampled)
+        else:
+            out.append(straightened(*_at_set(key, step, gx, gy, sampled)))
+    return out[::-1]

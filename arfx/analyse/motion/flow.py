@@ -1,0 +1,330 @@
+"""How the picture moves: dense optical flow on a small frame, folded into what paint needs to stay where it lies.
+
+`BackgroundMotion` compares each frame with a key frame. While the picture has moved by less than HOLD_PX since the last set
+of sites was made the set stays, so that a resting camera gathers no drift and nothing is labelled anew; else a new set begins,
+and where each of its nodes lay in the key frame is kept. A frame becomes the next key when the picture has moved by
+KEY_SHARE of its width, or has changed: errors add up from key to key only. `advection.with_anchors` chains the keys.
+Flow: DIS (Kroeger et al. 2016, OpenCV), forward and backward; where both disagree, or there is nothing to see, an affine
+motion of the whole and its neighbours stand in. The flow is good to a tenth of a px of the small frame; `refined` makes that
+some hundredths, or borders of cells would tremble: a step of Gauss and Newton on the nodes, bilinear between them. Each pixel
+says along its slope how far the two pictures are still apart; a node hears those around it, weighted by how near they lie and
+how well they fit. What all ask for together (an affine motion) is taken first, what is left node by node, drawn towards
+nothing where there is little to see. That one of the two is brighter around a node does not count. Motion of more than
+_MOST_PX beyond what was found is the flow's work.
+Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame, most of it flow, some 2 ms the step.
+Source: SYSTEMS.md S3, "anchor sites"; Lucas and Kanade 1981.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+
+from arfx.analyse.fold import Fold
+from arfx.core.codec import stored
+from arfx.core.numerics import divide
+
+GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
+STEPS = 16  # to a px: places of nodes are whole numbers of them
+BORDER = 3  # nodes outside the picture on each side
+WIDTH_PX = 256  # of the small frame
+# A set of sites is kept while no more than a tenth of the nodes has moved by this much. Half a cell (the issue's figure)
+# would let a slow pan go by in visible leaps.
+HOLD_PX = 0.35
+_AGREE_PX, _AGREE_SHARE = 0.6, 0.05  # forward and backward flow agree to this, on the small frame
+_GRADIENT = 6.0  # grey levels per px at which a place is trusted half
+KEY_SHARE = 0.06  # of the picture's width
+_NOISE, _STEEP = 2.0, 20.0  # grey levels per px of the small frame: no detail, and as much as counts
+# Standard deviation of what counts as around a node, in nodes. Any less, and what lies between two nodes would change as they
+# pass over the things: cells would grow and shrink.
+_DETAIL_NODES = 0.85
+_CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
+_LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last set's
+_SPREAD_NODES = 1.5
+_FINE_PX = 1.0  # what is finer is not compared, px of the small picture
+_MISFIT = 6.0  # grey levels at which a pixel counts half
+_PRIOR = 100.0  # a pixel's noise, grey levels, over what a node may differ from the affine motion, px, squared
+_NEIGHBOURS = 0.3
+_MOST_PX = 0.3  # of the small picture
+_RIM_PX = 3  # the interpolation and the band need that much around a pixel
+
+
+@stored
+@dataclass(frozen=True, eq=False)
+class MotionStep:
+    """A frame at which a new set of sites begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
+    frame, to lie where they lay in the last key frame; None : nothing is known (first frame, or all is new)
+    key : later steps are relative to this frame
+    detail (gh, gw) uint8 : how much there is to see around the nodes, 0 = even, 255 = edges everywhere"""
+
+    index: int
+    back: np.ndarray | None
+    key: bool
+    detail: np.ndarray
+
+
+def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """(x, y) (gh, gw) float64 px of the nodes: every GRID_PX, and BORDER of them outside on each side."""
+    x = (np.arange(-(-width // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
+    y = (np.arange(-(-height // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
+    gx, gy = np.meshgrid(x, y)
+    return gx, gy
+
+
+class BackgroundMotion(Fold):
+    """Collects MotionSteps, in order."""
+
+    given = frozenset({"hold_px"})
+
+    def __init__(self, hold_px: float = HOLD_PX) -> None:
+        self.hold_px = hold_px
+        self.steps: list[MotionStep] = []
+        self._reference: np.ndarray | None = None
+        self._last: np.ndarray | None = None  # back of the last set, None where that is the key frame
+        self._size = (0, 0)  # width, height of the frames
+
+    def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
+        """Take the next frame. luma : (h, w) uint8."""
+        h, w = luma.shape
+        small = _shrunk(luma)
+        found = None
+        if self._reference is not None and self._size == (w, h):
+            found = self._back(small, w, h)
+        self._size = (w, h)
+        if found is None:
+            self._reference, self._last = small, None
+            self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))
+            return
+        back, agreed = found
+        back = np.round(back * STEPS) / STEPS
+        inside = (slice(BORDER, -BORDER),) * 2
+        moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
+        if float(np.quantile(moved, 0.9)) <= self.hold_px:
+            return
+        far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_SHARE * w or agreed < _CHANGED
+        self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
+        self._last = None if far else back
+        if far:
+            self._reference = small
+
+    def _back(self, small: np.ndarray, width: int, height: int) -> tuple[np.ndarray, float] | None:
+        """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both directions agree), or None
+        where the two frames have nothing in common."""
+        assert self._reference is not None
+        if np.array_equal(small, self._reference):
+            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
+        h, w = small.shape
+        if min(h, w) < 16:  # DIS needs a patch or two
+            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
+        dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
+        dis.setFinestScale(0)
+        back = dis.calc(small, self._reference, None)
+        there = dis.calc(self._reference, small, None)
+        x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+        again = cv2.remap(there, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        apart = np.linalg.norm(back + again, axis=-1)
+        agree = apart < _AGREE_PX + _AGREE_SHARE * np.linalg.norm(back, axis=-1)
+        before = cv2.remap(self._reference, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        agree &= np.abs(before.astype(np.float32) - small) < 40
+        slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
+        textured = slope > _GRADIENT
+        agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
+        if agreed < _LOST:
+            return None
+        # of what has come into view since, the flow can only guess
+        to_x, to_y = x + back[..., 0], y + back[..., 1]
+        agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
+        trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
+        return _refined_at_nodes(_at_nodes(back, trust, width, height), small, self._reference, trust, width, height), agreed
+
+
+def _shrunk(luma: np.ndarray) -> np.ndarray:
+    h, w = luma.shape
+    factor = max(w / WIDTH_PX, 1.0)
+    size = (max(round(w / factor), 1), max(round(h / factor), 1))
+    return np.ascontiguousarray(cv2.resize(luma, size, interpolation=cv2.INTER_AREA))
+
+
+def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Flow of the small frame at the nodes, px of the frame: the affine motion of what is trusted, and what differs from it
+    spread from where it is trusted."""
+    h, w = trust.shape
+    gx, gy = node_places(width, height)
+    sx, sy = width / w, height / h
+    y, x = np.mgrid[0:h, 0:w].astype(np.float64)
+    terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
+    few = (slice(None, None, 2),) * 2  # a fourth of the pixels tells the motion of the whole well enough
+    motion = _affine(terms[few].reshape(-1, 3), trust[few].ravel().astype(float), back[few].reshape(-1, 2).astype(float))
+    residual = back - terms @ motion
+    # onto the nodes: the mean of what lies around each, by trust; then outwards from node to node
+    u, v = ((gx + 0.5) / sx - 0.5), ((gy + 0.5) / sy - 0.5)
+    column = np.clip(np.round(u[0]).astype(int), 0, w - 1)
+    row = np.clip(np.round(v[:, 0]).astype(int), 0, h - 1)
+    reach = max(GRID_PX / sx / 2, 0.5)
+    blur = lambda a: cv2.GaussianBlur(a, (0, 0), reach, borderType=cv2.BORDER_CONSTANT)  # noqa: E731
+    much = blur(trust.astype(np.float64))[np.ix_(row, column)]
+    moved = np.stack([blur(residual[..., c] * trust)[np.ix_(row, column)] for c in range(2)], -1)
+    spread = lambda a: cv2.GaussianBlur(a, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)  # noqa: E731
+    moved = moved + 0.3 * spread(moved)
+    much = much + 0.3 * spread(much)
+    rest = moved / (much + 0.01)[..., None]
+    whole = np.stack([np.ones(u.shape), (u / w), (v / h)], -1) @ motion
+    out: np.ndarray = ((whole + rest) * [sx, sy]).astype(np.float32)
+    return np.clip(out, -2000, 2000)
+
+
+def _refined_at_nodes(
+    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, width: int, height: int
+) -> np.ndarray:
+    """(gh, gw, 2) float32 px of the frame. back : of `_at_nodes`, the flow's"""
+    h, w = small.shape
+    scale = np.array([width / w, height / h])
+    first = (0.5 - BORDER * GRID_PX) / scale - 0.5
+    out: np.ndarray = (refined(back / scale, small, reference, trust, first, GRID_PX / scale) * scale).astype(np.float32)
+    return out
+
+
+def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP; slopes of noise count nothing."""
+    slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
+    much = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
+    h, w = small.shape
+    reach = max(_DETAIL_NODES * GRID_PX * w / width, 0.5)
+    around = cv2.GaussianBlur(much, (0, 0), reach, borderType=cv2.BORDER_REPLICATE)
+    gx, gy = node_places(width, height)
+    column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
+    row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
+    out: np.ndarray = np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
+    return out
+
+
+def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """(3, 2) weighted least squares, thrice, with what misses it by much counting less. Drawn towards no motion."""
+    motion = np.zeros((3, 2))
+    robust = weight
+    for _ in range(3):
+        a = (terms * robust[:, None]).T @ terms + np.diag([1e-3, 1.0, 1.0])
+        motion = np.linalg.solve(a, (terms * robust[:, None]).T @ flow)
+        missed = np.linalg.norm(flow - terms @ motion, axis=1)
+        robust = weight / (1 + (missed / 0.5) ** 2)
+    return motion
+
+
+def refined(
+    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, first: np.ndarray, pitch: np.ndarray
+) -> np.ndarray:
+    """(gh, gw, 2) float64 px of the small picture: `back`, a step nearer to where the reference has what the nodes show.
+
+    back (gh, gw, 2) : px of the small picture: what is at a place there is at place + back in the reference
+    small, reference (h, w) uint8;  trust (h, w) : pixels with 0 are left out
+    first, pitch (2,) : place of the first node and distance from one to the next along x and y, px of the small picture
+    """
+    back = np.asarray(back, float)
+    sums = np.zeros((*back.shape[:2], 9))
+    _hear(_smooth(small), _smooth(reference), trust > 0, back, first, pitch, sums)
+    heard = _centred(sums)
+    affine = _affine_of(heard)
+    spread = cv2.GaussianBlur(heard, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
+    xx, xy, yy, xe, ye = np.moveaxis(heard + _NEIGHBOURS * spread, -1, 0)
+    ex, ey = xe - xx * affine[..., 0] - xy * affine[..., 1], ye - xy * affine[..., 0] - yy * affine[..., 1]
+    xx, yy = xx + _PRIOR, yy + _PRIOR
+    det = xx * yy - xy * xy  # _PRIOR^2 at least: without it a sum of squares
+    step = affine + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / det[..., None]
+    out: np.ndarray = back + np.clip(step, -_MOST_PX, _MOST_PX)
+    return out
+
+
+def _smooth(a: np.ndarray) -> np.ndarray:
+    out: np.ndarray = cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX)
+    return out
+
+
+def _centred(sums: np.ndarray) -> np.ndarray:
+    """(gh, gw, 5) sums of xx, xy, yy, xe, ye without the means around each node. sums : of `_hear`"""
+    x, y, e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
+    of_x, of_y = sums[..., 5], sums[..., 6]
+    out: np.ndarray = sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
+    return out
+
+
+def _affine_of(heard: np.ndarray) -> np.ndarray:
+    """(gh, gw, 2) px: the affine motion that the nodes ask for together, at each of them."""
+    gh, gw = heard.shape[:2]
+    y, x = np.mgrid[0:gh, 0:gw] / np.array([gh, gw]).reshape(2, 1, 1) - 0.5
+    terms = np.stack([np.ones((gh, gw)), x, y], -1).reshape(-1, 3)
+    xx, xy, yy, xe, ye = heard.reshape(-1, 5).T
+    of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
+    normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
+    motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
+    out: np.ndarray = (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _hear(small, reference, trusted, back, first, pitch, total):  # pragma: no cover - compiled
+    """total (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and what is missing (e)."""
+    h, w = small.shape
+    gh, gw = back.shape[:2]
+    lines = np.empty((gw, 2))
+    sums = np.empty((gw, 9))
+    for y in range(_RIM_PX, h - _RIM_PX):
+        i = (y - first[1]) / pitch[1]
+        m = min(max(int(np.floor(i)), 0), gh - 2)
+        t = i - m
+        for k in range(gw):
+            for c in range(2):
+                lines[k, c] = back[m, k, c] + t * (back[m + 1, k, c] - back[m, k, c])
+        sums[:] = 0
+        for x in range(_RIM_PX, w - _RIM_PX):
+            if not trusted[y, x]:
+                continue
+            j = (x - first[0]) / pitch[0]
+            n = min(max(int(np.floor(j)), 0), gw - 2)
+            s = j - n
+            px, py = x + lines[n, 0] + s * (lines[n + 1, 0] - lines[n, 0]), y + lines[n, 1] + s * (lines[n + 1, 1] - lines[n, 1])
+            if not (px >= _RIM_PX and py >= _RIM_PX and px < w - _RIM_PX and py < h - _RIM_PX):
+                continue
+            e = np.float64(small[y, x]) - _cubic(reference, px, py)
+            gx, gy = 0.5 * (small[y, x + 1] - small[y, x - 1]), 0.5 * (small[y + 1, x] - small[y - 1, x])
+            weight = 1.0 / (1.0 + (e / _MISFIT) ** 2)
+            for k in range(2):
+                share = weight * (s if k else 1.0 - s)
+                sums[n + k, 0] += share * gx * gx
+                sums[n + k, 1] += share * gx * gy
+                sums[n + k, 2] += share * gy * gy
+                sums[n + k, 3] += share * gx * e
+                sums[n + k, 4] += share * gy * e
+                sums[n + k, 5] += share * gx
+                sums[n + k, 6] += share * gy
+                sums[n + k, 7] += share * e
+                sums[n + k, 8] += share
+        for k in range(gw):
+            for c in range(9):
+                total[m, k, c] += (1.0 - t) * sums[k, c]
+                total[m + 1, k, c] += t * sums[k, c]
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _weights(t):  # pragma: no cover - compiled
+    """Of the four samples around a place (Catmull and Rom)."""
+    return (
+        ((2.0 - t) * t - 1.0) * t * 0.5, ((3.0 * t - 5.0) * t * t + 2.0) * 0.5, ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
+        (t - 1.0) * t * t * 0.5,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def _cubic(a, x, y):  # pragma: no cover - compiled
+    """`a` at (x, y), at least two samples inside its border."""
+    i, j = int(y), int(x)
+    c0, c1, c2, c3 = _weights(x - j)
+    r0, r1, r2, r3 = _weights(y - i)
+    p0, p1 = i - 1, i
+    v = r0 * (c0 * a[p0, j - 1] + c1 * a[p0, j] + c2 * a[p0, j + 1] + c3 * a[p0, j + 2])
+    v += r1 * (c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2])
+    p0, p1 = i + 1, i + 2
+    v += r2 * (c0 * a[p0, j - 1] + c1 * a[p0, j] + c2 * a[p0, j + 1] + c3 * a[p0, j + 2])
+    return v + r3 * (c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2])

@@ -1,0 +1,206 @@
+"""Which of camera and marker stands still: told from picture corners outside the markers.
+
+A few times a second corners are followed (pyramidal Lucas-Kanade) over about a third of a second on a reduced image.
+Points are taken twice, from the image and from its contrast against the neighbourhood, which a change of light leaves.
+* They rest: the camera stands still.
+* They move as points of the marker's world do, anywhere from a third of the marker's distance to infinity along the
+  epipolar line of the two camera poses: the marker stands still.
+* Neither: both move.
+Where there is no marker, `RestCheck` tells whether the camera stands still over a clip: corners of the first picture, looked
+for again in later ones, about 2 ms each time. Things that move before a camera at rest take some with them; most stay.
+Source: SYSTEMS.md S1, "Which frame are the lights fixed in?".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from arfx.analyse.fold import Fold
+from arfx.core.camera import Camera
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+
+WIDTH_PX = 320  # of the reduced image
+INTERVAL_S = 0.33
+MAX_SAMPLES = 120  # older ones are thinned out evenly beyond that: memory does not grow with the clip
+POINTS = 40
+LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
+NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
+DRIFT = 0.02  # of a point's way by which it may be missed: the patch around it is seen from elsewhere
+NEAR_PX, FLAT = 17, 4.0  # neighbourhood that contrast is told against, and grey levels of contrast that are noise
+STILL_PX = 0.35  # in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
+AT_REST = 0.45  # share of points: moving shadows and what a hand moves beside the marker are the others
+_MIN_POINTS = 6
+REST_WIDTH_PX = 480  # of the reduced pictures of `RestCheck`
+REST_POINTS = 80
+REST_PX = 0.7  # in a reduced picture: sensor noise and compression move corners by a tenth
+REST_SHARE = 0.6  # of the corners that have to stay
+_LEAST_POINTS = 8
+_WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
+
+
+class BackgroundFlow(Fold):
+    """Collects corner flow: pairs of frames with matched points, in full-resolution px."""
+
+    def __init__(self) -> None:
+        self._image: np.ndarray | None = None
+        self._points = [np.zeros((0, 2), np.float32)] * 2  # in the image itself, and in the evened one
+        self._index, self._time_s = 0, -np.inf
+        self._count, self._stride = 0, 1
+        self.samples: list[dict] = []  # {"a": frame, "b": frame, "from": (n, 2), "to": (n, 2)}
+
+    def step(self, index: int, time_s: float, luma: np.ndarray, markers: Iterable[Rect], fresh: bool) -> None:
+        """markers : rectangles that hold configured or other markers;  fresh : a marker was measured in this frame."""
+        if time_s - self._time_s < INTERVAL_S:
+            return
+        recent = self._image is not None and time_s - self._time_s < 3 * INTERVAL_S and max(map(len, self._points)) >= _MIN_POINTS
+        if not fresh and not recent:
+            self._image, self._time_s = None, -np.inf
+            return
+        factor = max(1, luma.shape[1] // WIDTH_PX)
+        small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        if recent:
+            self._follow(index, small, factor)
+        if not fresh:
+            self._image, self._time_s = None, -np.inf
+            return
+        mask = np.full(small.shape, 255, np.uint8)
+        for r in markers:
+            grown = r.pad(max(r.width, r.height) // 3)
+            part = Rect(grown.x0 // factor, grown.y0 // factor, grown.x1 // factor + 1, grown.y1 // factor + 1)
+            mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
+        self._points = []
+        for view in (small, _evened(small)):
+            found = cv2.goodFeaturesToTrack(view, POINTS, 0.02, 8, mask=mask)
+            self._points.append(np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32))
+        self._image, self._index, self._time_s = small, index, time_s
+
+    def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
+        assert self._image is not None
+        self._count += 1
+        if self._count % self._stride:
+            return
+        from_, to = [], []
+        for points, before, now in zip(
+            self._points, (self._image, _evened(self._image)), (small, _evened(small)), strict=True
+        ):  # fmt: skip
+            if len(points) < _MIN_POINTS:
+                continue
+            there, keep = _tracked(before, now, points)
+            if keep.sum() >= _MIN_POINTS:
+                from_.append(points[keep])
+                to.append(there[keep])
+        if not from_:
+            return
+        a, b = ((np.concatenate(p).astype(float) + 0.5) * factor - 0.5 for p in (from_, to))
+        self.samples.append({"a": self._index, "b": index, "px": factor, "from": a.round(3), "to": b.round(3)})
+        if len(self.samples) > MAX_SAMPLES:
+            self.samples = self.samples[::2]
+            self._stride *= 2
+
+
+def _tracked(before: np.ndarray, now: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((n, 2) where points went, (n,) which of them lead back to where they came from)"""
+    options = {"winSize": (11, 11), "maxLevel": 3}
+    there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
+    back, good_back, _ = cv2.calcOpticalFlowPyrLK(now, before, there, None, **options)  # type: ignore[call-overload]
+    return there, (good.ravel() > 0) & (good_back.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < 0.3)
+
+
+def _evened(image: np.ndarray) -> np.ndarray:
+    """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves it nearly as it was."""
+    value = image.astype(np.float32)
+    off = value - cv2.blur(value, (NEAR_PX, NEAR_PX))
+    size = np.sqrt(np.maximum(cv2.blur(off * off, (NEAR_PX, NEAR_PX)), 0)) + FLAT
+    return np.clip(128 + 48 * off / size, 0, 255).astype(np.uint8)
+
+
+def decide_static(
+    samples: Sequence[Mapping], camera_from_world: Mapping[int, Pose], camera: Camera
+) -> tuple[str, dict[str, float]]:
+    """("camera" | "marker" | "both", evidence).
+
+    samples : BackgroundFlow.samples;  camera_from_world : smoothed poses by frame
+    evidence : samples, share of background points at rest, share that move with the marker's world, marker_moves_px.
+    Without evidence the answer is "both": nothing is known to stand still.
+    """
+    posed = [s for s in samples if s["a"] in camera_from_world and s["b"] in camera_from_world]
+    every = [np.zeros((0, 2)), *(np.asarray(s[end], float) for s in posed for end in ("from", "to"))]
+    ideal = np.split(camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])[1:]
+    rest, along, moves = [], [], []
+    for s, from_, to in zip(posed, ideal[::2], ideal[1::2], strict=True):
+        a, b = camera_from_world[s["a"]], camera_from_world[s["b"]]
+        still, way = STILL_PX * s["px"], np.linalg.norm(s["to"] - s["from"], axis=1)
+        rest.append(float((way < still).mean()))
+        missed = camera.fx * epipolar_distance(from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2]))
+        along.append(float((missed < 2 * still + DRIFT * way).mean()))
+        moves.append(float(np.linalg.norm(camera.project(b.translation_m) - camera.project(a.translation_m))))
+    evidence = {
+        "samples": float(len(rest)),
+        "at_rest": float(np.mean(rest)) if rest else 0.0,
+        "with_marker": float(np.mean(along)) if along else 0.0,
+        "marker_moves_px": float(np.nanmedian(moves)) if moves and np.isfinite(moves).any() else 0.0,
+    }
+    if not rest:
+        return "both", evidence
+    if evidence["at_rest"] > AT_REST:
+        return "camera", evidence
+    return ("marker" if evidence["with_marker"] > 0.6 else "both"), evidence
+
+
+def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: float) -> np.ndarray:
+    """(n,) from b to the segment on which a point seen at a lies in the second picture, `nearest_m` to infinite depth.
+
+    a, b : (n, 2) ideal normalised coordinates;  b_from_a : motion of the camera frame. inf where there is no direction.
+    """
+    far = np.column_stack([a, np.ones(len(a))]) @ b_from_a.rotation.T
+    near = far + b_from_a.translation_m / max(nearest_m, LEAST_DEPTH_M)
+    p, q = (divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near))
+    d = q - p
+    t = np.clip(divide(((b - p) * d).sum(1), (d * d).sum(1)), 0, 1)
+    distance = np.linalg.norm(b - p - t[:, None] * d, axis=1)
+    return np.where(np.isfinite(distance), distance, np.inf)
+
+
+class RestCheck(Fold):
+    """Fed the frames in order. moved_px : the farthest that the middle corner was seen from its place, clip px"""
+
+    def __init__(self) -> None:
+        self._first: np.ndarray | None = None
+        self._points = np.zeros((0, 2), np.float32)
+        self._next_s = -np.inf
+        self._rests = True
+        self.moved_px = 0.0
+
+    @property
+    def rests(self) -> bool:
+        return self._rests
+
+    def step(self, time_s: float, luma: np.ndarray) -> None:
+        """luma : (h, w) uint8"""
+        if time_s < self._next_s and self._first is not None and self._rests:
+            return
+        self._next_s = time_s + INTERVAL_S
+        factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
+        small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        if self._first is None:
+            value = small.astype(np.float32)
+            off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
+            contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
+            found = cv2.goodFeaturesToTrack(small, REST_POINTS, 0.02, 8, mask=contrast.astype(np.uint8))
+            self._first = small
+            self._points = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+            return
+        if len(self._points) < _LEAST_POINTS:  # nothing to see: nothing that could tell of a motion
+            return
+        there, good, _ = cv2.calcOpticalFlowPyrLK(self._first, small, self._points, None)  # type: ignore[call-overload]
+        away = np.linalg.norm(there - self._points, axis=1)
+        away = np.where(good.ravel() > 0, away, np.inf)  # a corner that is lost may have left the picture
+        seen = away[np.isfinite(away)]
+        self.moved_px = max(self.moved_px, factor * float(np.median(seen)) if len(seen) else 0.0)
+        if (away < REST_PX).mean() < REST_SHARE:
+            self._rests = False

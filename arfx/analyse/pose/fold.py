@@ -1,0 +1,228 @@
+"""From records to facts: hypotheses, marker map, path, gaps, smoothing. Runs once, when the clip's end is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse.markers.corners import aliasing_px
+from arfx.analyse.markers.detect import cells_per_side
+from arfx.analyse.params import AnalyseParams
+from arfx.analyse.pose.at_rest import decide_static
+from arfx.analyse.pose.marker_map import MarkerMap, View, map_markers
+from arfx.analyse.pose.path import WorldPath, world_path
+from arfx.analyse.pose.planar import Observed, hypotheses, information, lens_scale, residuals, rms_px, stack
+from arfx.analyse.pose.presence import find_cuts, lasting, opacities, statuses, stretches
+from arfx.analyse.pose.smooth import smooth_poses
+from arfx.analyse.records import Analysis, Record, Seen
+from arfx.core.camera import Camera
+from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
+from arfx.core.marker import MarkerSpec
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
+
+_LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
+
+
+class Views:
+    """All sightings with their geometry, frame by frame."""
+
+    def __init__(self, records: Sequence[Record], markers: Sequence[MarkerSpec], camera: Camera) -> None:
+        spec, cells = {m.key: m for m in markers}, {m.key: cells_per_side(m.family) for m in markers}
+        seen = [(k, s) for k, r in enumerate(records) for s in r.seen]
+        corners = np.array([s.corners_px for _, s in seen]).reshape(-1, 4, 2)
+        ideal = camera.normalised(corners)
+        scale = lens_scale(camera, np.where(np.isfinite(ideal), ideal, 0.0))
+        sigma = np.array([s.sigma_px for _, s in seen])
+        good = np.isfinite(ideal).all((1, 2))
+        points = [spec[s.key].corners_m for _, s in seen]
+        shared = aliasing_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
+        ways = hypotheses(points, ideal, scale, np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)) if seen else []
+        self.sigma_factor = self._calibrate(seen, ways, sigma, ideal, scale, points)
+        self.frames: list[list[View]] = [[] for _ in records]
+        self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
+        for i, (k, s) in enumerate(seen):
+            px = float(np.hypot(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX), shared[i]))
+            if good[i] and ways[i]:
+                poses = tuple(h.camera_from_marker for h in ways[i])
+                self.frames[k].append(View(s.key, points[i], ideal[i], scale[i], px, poses))
+            self.sightings[k].append(MarkerSighting(s.key, s.corners_px, px, ways[i], 0, s.inverted))
+
+    def _calibrate(
+        self, seen: Sequence[tuple[int, Seen]], ways: Sequence[tuple[Hypothesis, ...]], sigma: np.ndarray,
+        ideal: np.ndarray, scale: np.ndarray, points: Sequence[np.ndarray],
+    ) -> float:  # fmt: skip
+        """Factor on the predicted sigma, from how residuals change from one sighting of a marker to its next.
+
+        What stays (a bent print, an imperfect lens model) is no noise: taken for noise it would let the smoother drag
+        the object away from a picture that shakes. 8 coordinates minus 6 unknowns leave 2 degrees of freedom.
+        """
+        at = [i for i in range(len(seen)) if ways[i] and sigma[i] < 1.0]
+        rotation, translation = stack([ways[i][0].camera_from_marker for i in at])
+        these = np.array(at, int)
+        one = Observed(np.array([points[i] for i in at]).reshape(-1, 4, 3), ideal[these], scale[these], np.ones((len(at), 4)))
+        misfit = residuals(rotation, translation, one)
+        last: dict[str, int] = {}
+        chi2 = []
+        for j, i in enumerate(at):
+            k, key = seen[i][0], seen[i][1].key
+            if key in last and seen[at[last[key]]][0] == k - 1:
+                before = last[key]
+                change = misfit[j] - misfit[before]
+                chi2.append(float((change**2).sum() / (sigma[i] ** 2 + sigma[at[before]] ** 2)))
+            last[key] = j
+        if len(chi2) < 5:
+            return 1.0
+        return float(np.clip(np.sqrt(np.median(chi2) / 1.386), 0.5, 20.0))  # median of chi squared with two degrees
+
+
+def solve(
+    records: Sequence[Record], markers: Sequence[MarkerSpec], camera: Camera, params: AnalyseParams,
+    marker_map: Mapping[str, Pose] | None, flow: Sequence[Mapping],
+) -> Analysis:  # fmt: skip
+    """All facts of a clip in which at least one configured marker was seen."""
+    notices: list[str] = []
+    keys = [m.key for m in markers]
+    times = np.array([r.time_s for r in records])
+    views = Views(records, markers, camera)
+    shot, cuts = _shots(records)
+    layout = MarkerMap(dict(marker_map)) if marker_map else map_markers(views.frames, keys)
+    if layout.unmapped:
+        notices.append(f"never seen together with a mapped marker, so not used: {', '.join(layout.unmapped)}")
+    path = world_path(views.frames, layout.world_from_marker, keys, shot, times)
+    every = stretches(path.measured, shot, times, params.max_gap_s)
+    present = lasting(every, path.measured, shot)
+    if len(present) < len(every):
+        notices.append(f"{len(every) - len(present)} sightings of one or two frames amid long absence are not shown")
+    status = statuses(path.measured, present)
+    opacity = opacities(present, shot, params.fade_frames)
+    rotation, translation = _filled(path, present, times)
+    covariance = np.zeros((len(records), 6, 6))
+    density = []
+    for first, end in present:
+        at = np.arange(first, end)
+        part = path.observed.take(at)
+        if params.smoothing > 0 and len(at) > 1:
+            s = smooth_poses(rotation[at], translation[at], part, times[at], params.smoothing)
+            rotation[at], translation[at], covariance[at] = s.rotation, s.translation_m, s.covariance
+            density.append(s.density)
+        else:
+            info = information(rotation[at], translation[at], part)
+            covariance[at] = np.linalg.pinv(info, hermitian=True)
+    facts, figures = _facts(records, views, path, layout, rotation, translation, covariance, shot, status, opacity)
+    if params.static == "auto":
+        poses = {f.index: f.camera_from_world for f in facts if f.camera_from_world is not None}
+        static, evidence = decide_static(flow, poses, camera)
+    else:
+        static, evidence = params.static, {}
+    rivals = sum(len(r.rivals) for r in records)
+    if rivals:
+        names = sorted({s.key for r in records for s in r.rivals})
+        notices.append(f"two prints of the same id in a frame ({', '.join(names)}, {rivals} times): the one that moves on "
+                       "from the frame before is followed")  # fmt: skip
+    if path.dropped:
+        notices.append(f"{len(path.dropped)} sightings contradict the other markers of their frame and are not used")
+    gap = status.count(INTERPOLATED)
+    if gap:
+        notices.append(f"{gap} frames without a marker bridged")
+    summary = {
+        "frames": len(records), "frames_measured": status.count(MEASURED), "frames_interpolated": gap,
+        "frames_absent": status.count(ABSENT), "shots": int(shot[-1]) + 1, "cuts": cuts, "flips_resolved": int(path.flips),
+        "whole_frame_searches": sum(r.whole for r in records), **figures, "sigma_factor": views.sigma_factor,
+        "markers_seen": {k: sum(any(s.key == k for s in r.seen) for r in records) for k in keys},
+        "rivals": rivals, "dropped": len(path.dropped), "static_evidence": evidence,
+        "map": {
+            "given": marker_map is not None, "frames": layout.frames, "rms_px": layout.rms_px,
+            "condition": layout.condition if np.isfinite(layout.condition) else None,
+            "unmapped": list(layout.unmapped), "sd_m": dict(layout.standard_deviation_m or {}),
+        },
+        "motion_noise": [d.tolist() for d in density],
+    }  # fmt: skip
+    return Analysis(facts, layout.world_from_marker, static, summary, tuple(notices))
+
+
+def _shots(records: Sequence[Record]) -> tuple[np.ndarray, list[int]]:
+    followed = [False]
+    for a, b in pairwise(records):
+        before = {s.key: s for s in a.seen}
+        followed.append(any(s.key in before and _near(before[s.key], s) for s in b.seen))
+    cuts = find_cuts([r.unlike[0] for r in records], [r.unlike[1] for r in records], followed)
+    shot = np.zeros(len(records), int)
+    shot[cuts] = 1
+    return np.cumsum(shot), cuts
+
+
+def _near(a: Seen, b: Seen) -> bool:
+    """No corner moved by more than a quarter of the side: one marker, one shot."""
+    return float(np.linalg.norm(a.corners_px - b.corners_px, axis=1).max()) < 0.25 * a.side_px
+
+
+def _filled(path: WorldPath, present: Sequence[tuple[int, int]], times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Start values for bridged frames: the shortest rotation, and the straight line, between their neighbours."""
+    rotation, translation = path.rotation.copy(), path.translation.copy()
+    for first, end in present:
+        on = first + np.flatnonzero(path.measured[first:end])
+        for a, b in pairwise(on):
+            if b == a + 1:
+                continue
+            turn = rotvec_from_rotation(rotation[b] @ rotation[a].T)
+            for k in range(a + 1, b):
+                share = (times[k] - times[a]) / (times[b] - times[a])
+                rotation[k] = rotation_from_rotvec(turn * share) @ rotation[a]
+                translation[k] = translation[a] + share * (translation[b] - translation[a])
+    return rotation, translation
+
+
+def _facts(
+    records: Sequence[Record], views: Views, path: WorldPath, layout: MarkerMap, rotation: np.ndarray,
+    translation: np.ndarray, covariance: np.ndarray, shot: np.ndarray, status: Sequence[str], opacity: np.ndarray,
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:  # fmt: skip
+    seen: Observed = path.observed
+    raw_px = rms_px(residuals(path.rotation, path.translation, seen), seen.weight)
+    smooth_px = rms_px(residuals(rotation, translation, seen), seen.weight)
+    on = path.measured
+    facts = []
+    for k, r in enumerate(records):
+        here = status[k] != ABSENT
+        pose = Pose(rotation[k], translation[k]) if here else None
+        raw = Pose(path.rotation[k], path.translation[k]) if on[k] else None
+        markers = tuple(_with_choice(m, layout.world_from_marker, raw) for m in views.sightings[k])
+        blur = [s.blur_px for s in r.seen if np.isfinite(s.blur_px)]
+        facts.append(FrameFacts(
+            r.index, r.time_s, int(shot[k]), status[k], pose, raw, covariance[k] if here else None,
+            float(smooth_px[k]) if on[k] else None, float(opacity[k]), markers, r.whole,
+            blur_px=float(np.median(blur)) if blur else None,
+            extra={"raw_reprojection_px": float(raw_px[k])} if on[k] else {},
+        ))  # fmt: skip
+    ratios = [m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)]
+    info = information(path.rotation[on], path.translation[on], seen.take(np.flatnonzero(on)))
+    figures = {
+        "reprojection_px": {"raw": _quantiles(raw_px[on]), "smoothed": _quantiles(smooth_px[on])},
+        "sigma_px": _quantiles(np.array([m.sigma_px for f in facts for m in f.markers])),
+        "ambiguity_ratio": _quantiles(np.array(ratios)), "ambiguous_sightings": int(np.sum(np.array(ratios) < 4.0)),
+        "pose_condition": _quantiles(_conditions(info)),
+    }  # fmt: skip
+    return tuple(facts), figures
+
+
+def _with_choice(m: MarkerSighting, world_from_marker: Mapping[str, Pose], raw: Pose | None) -> MarkerSighting:
+    if raw is None or m.key not in world_from_marker or not m.hypotheses:
+        return m
+    want = (raw @ world_from_marker[m.key]).rotation
+    away = [float(((want - h.camera_from_marker.rotation) ** 2).sum()) for h in m.hypotheses]
+    return MarkerSighting(m.key, m.corners_px, m.sigma_px, m.hypotheses, int(np.argmin(away)), m.inverted)
+
+
+def _conditions(info: np.ndarray) -> np.ndarray:
+    """(n,) condition numbers of information matrices with each parameter in units of its own precision: without units."""
+    d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
+    size = np.linalg.svd(info / d[:, :, None] / d[:, None], compute_uv=False)
+    return divide(size[:, 0], size[:, -1], where_zero=np.inf)
+
+
+def _quantiles(values: np.ndarray) -> dict[str, float | None]:
+    v = values[np.isfinite(values)]
+    return {"median": float(np.median(v)), "p95": float(np.quantile(v, 0.95))} if len(v) else {"median": None, "p95": None}

@@ -1,0 +1,332 @@
+"""Compiled loops: Kalman prediction and update, smoother and evidence of chain.py, for one chain of small matrices; and
+planar.refine_poses, Levenberg-Marquardt over the corners of one pose at a time.
+
+Every link of a chain has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes:
+only those blocks are multiplied. The smoother's systems are solved by elimination with pivoting, as LAPACK does;
+measurements are taken in one by one. Float64 throughout.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.core.numerics import EPS_ANGLE, EPS_DEPTH_M
+
+DIM = 12
+_UNFIXED = 1e-14  # share of an axis's information below which what the other axes leave of it is rounding
+HUBER_SIGMA = 3.0  # residuals beyond it count linearly
+_SETTLED = 1e-9  # change of the cost, relative to 1 + cost
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def solve_in_place(a, b):  # pragma: no cover - compiled
+    """b becomes a^-1 b for a (n, n), b (n, m); a is used up. Returns log |det a|; a singular a leaves NaN."""
+    n, m = b.shape
+    log_det = 0.0
+    for c in range(n):
+        pivot, size = c, abs(a[c, c])
+        for r in range(c + 1, n):
+            if abs(a[r, c]) > size:
+                pivot, size = r, abs(a[r, c])
+        if pivot != c:
+            for k in range(c, n):
+                a[c, k], a[pivot, k] = a[pivot, k], a[c, k]
+            for k in range(m):
+                b[c, k], b[pivot, k] = b[pivot, k], b[c, k]
+        log_det += np.log(size)
+        for r in range(c + 1, n):
+            share = a[r, c] / a[c, c]
+            if share != 0.0:
+                for k in range(c + 1, n):
+                    a[r, k] -= share * a[c, k]
+                for k in range(m):
+                    b[r, k] -= share * b[c, k]
+    for c in range(n - 1, -1, -1):
+        for r in range(c + 1, n):
+            share = a[c, r]
+            for k in range(m):
+                b[c, k] -= share * b[r, k]
+        for k in range(m):
+            b[c, k] /= a[c, c]
+    return log_det
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _keep(x, p, means, covs):  # pragma: no cover - compiled
+    """Copy a state; in loops, because slices of arrays take seconds to compile."""
+    for i in range(DIM):
+        means[i] = x[i]
+        for j in range(DIM):
+            covs[i, j] = p[i, j]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _ahead(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover - compiled
+    """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (7,) densities.
+
+    shake (6, 6) : of the last density;  w (6, 12) : filled with the upper half of move p, p being that of before
+    v (6, 6) : work space
+    """
+    for i in range(3):
+        for j in range(DIM):
+            turned = 0.0
+            for k in range(3):
+                turned += move[i, k] * p[k, j] + move[i, k + 6] * p[k + 6, j]
+            w[i, j] = turned
+            w[i + 3, j] = p[i + 3, j] + dt * p[i + 9, j]
+    for i in range(6):
+        for j in range(3):
+            turned = 0.0
+            for k in range(3):
+                turned += w[i, k] * move[j, k] + w[i, k + 6] * move[j, k + 6]
+            p[i, j] = turned
+            p[i, j + 3] = w[i, j + 3] + dt * w[i, j + 9]
+        for j in range(6, DIM):
+            p[i, j] = w[i, j]
+    for i in range(6):
+        for j in range(6):
+            noise = q[6] * shake[i, j]
+            if i == j:
+                noise += q[i]
+            p[i + 6, j + 6] += noise * dt
+            v[i, j] = noise
+    for j in range(6):  # through the gate, which is 1 but for the turns
+        a, b, c = v[0, j], v[1, j], v[2, j]
+        for i in range(3):
+            v[i, j] = gate[i, 0] * a + gate[i, 1] * b + gate[i, 2] * c
+    for i in range(6):
+        for j in range(6):
+            p[i, j + 6] += v[i, j] * dt**2 / 2
+        a, b, c = v[i, 0], v[i, 1], v[i, 2]
+        for j in range(3):
+            p[i, j] += (a * gate[j, 0] + b * gate[j, 1] + c * gate[j, 2]) * dt**3 / 3
+        for j in range(3, 6):
+            p[i, j] += v[i, j] * dt**3 / 3
+    for i in range(6):
+        for j in range(6):
+            p[j + 6, i] = p[i, j + 6]
+    a, b, c = x[0], x[1], x[2]
+    for i in range(3):
+        turn = move[i, 0] * a + move[i, 1] * b + move[i, 2] * c
+        x[i] = turn + move[i, 6] * x[6] + move[i, 7] * x[7] + move[i, 8] * x[8] + shift[i]
+        x[i + 3] += dt * x[i + 9] + shift[i + 3]
+    for i in range(6, DIM):
+        x[i] += shift[i]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _whitened(measured, pull, roots, values):  # pragma: no cover - compiled
+    """Measurements as independent ones of unit noise: roots (n, 6, 6) lower triangular, values (n, 6), of
+    measured = roots roots^T, pull = roots values. Of a direction that nothing fixes the column is 0."""
+    for f in range(len(measured)):
+        m, root = measured[f], roots[f]
+        for j in range(6):
+            rest, missed = m[j, j], pull[f, j]
+            for k in range(j):
+                rest -= root[j, k] ** 2
+                missed -= root[j, k] * values[f, k]
+            known = rest > _UNFIXED * m[j, j]
+            size = np.sqrt(rest) if known else 1.0
+            values[f, j] = missed / size if known else 0.0
+            for i in range(6):
+                root[i, j] = 0.0
+            for i in range(j if known else 6, 6):
+                total = m[i, j]
+                for k in range(j):
+                    total -= root[i, k] * root[j, k]
+                root[i, j] = total / size
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _update(x, p, root, value, t):  # pragma: no cover - compiled
+    """Take in a frame's measurements one after the other, in place. Returns their log evidence, up to a constant.
+
+    One by one nothing is inverted: the errors of rounding stay those of p, however strongly its axes are bound together.
+    root (6, 6), value (6,) : of `_whitened`;  t (12,) : work space
+    """
+    log = 0.0
+    for j in range(6):
+        if root[j, j] == 0.0:
+            continue
+        for i in range(DIM):
+            total = 0.0
+            for k in range(j, 6):
+                total += p[i, k] * root[k, j]
+            t[i] = total
+        spread, missed = 1.0, value[j]
+        for k in range(j, 6):
+            spread += root[k, j] * t[k]
+            missed -= root[k, j] * x[k]
+        log -= 0.5 * (np.log(spread) + missed * missed / spread - value[j] * value[j])
+        for i in range(DIM):
+            share = t[i] / spread
+            x[i] += share * missed
+            for k in range(i + 1):
+                p[i, k] -= share * t[k]
+                p[k, i] = p[i, k]
+    return log
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def filter_and_smooth(measured, pull, move, gate, shift, shake, dt, density, start, means, covs):  # pragma: no cover - compiled
+    """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the rest as for smooth_chain."""
+    n = len(measured)
+    x, p, none = np.zeros(DIM), np.empty((DIM, DIM)), np.zeros(DIM)
+    _keep(none, start, x, p)
+    upper = np.empty((max(n - 1, 0), 6, DIM))
+    ahead_x, ahead_p = np.empty((n, DIM)), np.empty((n, DIM, DIM))
+    roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
+    _whitened(measured, pull, roots, values)
+    for k in range(n):
+        if k:
+            _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[k - 1], dt[k - 1], upper[k - 1], v)
+        _keep(x, p, ahead_x[k], ahead_p[k])
+        _update(x, p, roots[k], values[k], t)
+        _keep(x, p, means[k], covs[k])
+    size, scaled, gain, change = np.empty(DIM), np.empty((DIM, DIM)), np.empty((DIM, DIM)), np.empty((DIM, DIM))
+    for k in range(n - 2, -1, -1):
+        # gain^T = ahead^-1 move p, each axis scaled to its own size first
+        for i in range(DIM):
+            size[i] = 1 / np.sqrt(ahead_p[k + 1, i, i])
+        for i in range(DIM):
+            for j in range(DIM):
+                scaled[i, j] = ahead_p[k + 1, i, j] * size[i] * size[j]
+                gain[i, j] = size[i] * (upper[k, i, j] if i < 6 else covs[k, i, j])
+        solve_in_place(scaled, gain)
+        for i in range(DIM):
+            for j in range(DIM):
+                gain[i, j] *= size[i]
+                scaled[i, j] = covs[k + 1, i, j] - ahead_p[k + 1, i, j]
+        for i in range(DIM):
+            moved = means[k, i]
+            for j in range(DIM):
+                moved += gain[j, i] * (means[k + 1, j] - ahead_x[k + 1, j])
+                total = 0.0
+                for m in range(DIM):
+                    total += gain[m, i] * scaled[m, j]
+                change[i, j] = total
+            means[k, i] = moved
+        for i in range(DIM):
+            for j in range(i + 1):
+                total = covs[k, i, j]
+                for m in range(DIM):
+                    total += change[i, m] * gain[m, j]
+                covs[k, i, j] = covs[k, j, i] = total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def log_evidence(measured, pull, move, gate, shift, shake, dt, density, start, out):  # pragma: no cover - compiled
+    """Fill out (c,): log evidence, up to a constant, of c candidates of density (c, n - 1, 6)."""
+    x, p, none, upper = np.empty(DIM), np.empty((DIM, DIM)), np.zeros(DIM), np.empty((6, DIM))
+    n = len(measured)
+    roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
+    _whitened(measured, pull, roots, values)
+    for c in range(len(density)):
+        _keep(none, start, x, p)
+        total = 0.0
+        for k in range(n):
+            if k:
+                _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[c, k - 1], dt[k - 1], upper, v)
+            total += _update(x, p, roots[k], values[k], t)
+        out[c] = total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def refine(rotation, translation, points, ideal, px_per_ideal, weight, iterations, cost):  # pragma: no cover - compiled
+    """Refine rotation (n, 3, 3) and translation (n, 3) in place and fill cost (n,); the rest as in geometry.Observed."""
+    a, g, left, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
+    new_r, new_t, turn = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for n in range(len(rotation)):
+        r, t = rotation[n], translation[n]
+        damping, still = 1e-4, 0
+        best = _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, True)
+        for _ in range(iterations):
+            for i in range(6):
+                for j in range(6):
+                    left[i, j] = a[i, j]
+                left[i, i] += a[i, i] * damping + 1e-12
+                step[i, 0] = -g[i]
+            solve_in_place(left, step)
+            _turn(step, turn)
+            for i in range(3):
+                for j in range(3):
+                    new_r[i, j] = turn[i, 0] * r[0, j] + turn[i, 1] * r[1, j] + turn[i, 2] * r[2, j]
+                new_t[i] = turn[i, 0] * t[0] + turn[i, 1] * t[1] + turn[i, 2] * t[2] + step[i + 3, 0]
+            now = _system(new_r, new_t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, False)
+            # settled twice in a row: a refused step may by chance cost the same as the place it came from
+            still = still + 1 if abs(best - now) < _SETTLED * (1 + best) else 0
+            if now < best:
+                best = now
+                for i in range(3):
+                    t[i] = new_t[i]
+                    for j in range(3):
+                        r[i, j] = new_r[i, j]
+                damping = max(damping * 0.2, 1e-9)
+            else:
+                damping = min(damping * 10, 1e6)
+            if still > 1 or not np.isfinite(best):
+                break
+            if now <= best:
+                _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, True)
+        cost[n] = best
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _system(r, t, points, ideal, px_per_ideal, weight, a, g, derive):  # pragma: no cover - compiled
+    """Cost of a pose with Huber's loss; derive : also its normal matrix a (6, 6) and gradient g (6,)."""
+    cost = 0.0
+    if derive:
+        for i in range(6):
+            g[i] = 0.0
+            for k in range(6):
+                a[i, k] = 0.0
+    j = np.empty((2, 6))
+    for p in range(len(points)):
+        if weight[p] == 0.0:
+            continue
+        x = r[0, 0] * points[p, 0] + r[0, 1] * points[p, 1] + r[0, 2] * points[p, 2] + t[0]
+        y = r[1, 0] * points[p, 0] + r[1, 1] * points[p, 1] + r[1, 2] * points[p, 2] + t[1]
+        depth = r[2, 0] * points[p, 0] + r[2, 1] * points[p, 1] + r[2, 2] * points[p, 2] + t[2]
+        z = max(depth, EPS_DEPTH_M)
+        u, v = x / z - ideal[p, 0], y / z - ideal[p, 1]
+        s = px_per_ideal[p]
+        rx, ry = s[0, 0] * u + s[0, 1] * v, s[1, 0] * u + s[1, 1] * v
+        d2 = (rx * rx + ry * ry) * weight[p]
+        w = weight[p]
+        if d2 > HUBER_SIGMA**2:
+            d = np.sqrt(d2)
+            cost += HUBER_SIGMA * d - 0.5 * HUBER_SIGMA**2
+            w *= HUBER_SIGMA / d
+        else:
+            cost += 0.5 * d2
+        if not derive:
+            continue
+        for i in range(2):
+            ex, ey = s[i, 0] / z, s[i, 1] / z
+            ez = -(s[i, 0] * x + s[i, 1] * y) / z**2
+            j[i, 0] = ez * y - ey * depth  # e . (axis x point)
+            j[i, 1] = ex * depth - ez * x
+            j[i, 2] = ey * x - ex * y
+            j[i, 3], j[i, 4], j[i, 5] = ex, ey, ez
+        for i in range(6):
+            g[i] += w * (j[0, i] * rx + j[1, i] * ry)
+            for k in range(6):
+                a[i, k] += w * (j[0, i] * j[0, k] + j[1, i] * j[1, k])
+    return cost
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _turn(step, out):  # pragma: no cover - compiled
+    """Rotation matrix of the rotation vector step[:3, 0]; series near zero as in core.pose."""
+    x, y, z = step[0, 0], step[1, 0], step[2, 0]
+    t2 = x * x + y * y + z * z
+    t = np.sqrt(t2)
+    if t < EPS_ANGLE:
+        a, b = 1 - t2 / 6, 0.5 - t2 / 24
+    else:
+        a, b = np.sin(t) / t, (1 - np.cos(t)) / t2
+    out[0, 0], out[1, 1], out[2, 2] = 1 - b * (y * y + z * z), 1 - b * (x * x + z * z), 1 - b * (x * x + y * y)
+    out[0, 1], out[1, 0] = b * x * y - a * z, b * x * y + a * z
+    out[0, 2], out[2, 0] = b * x * z + a * y, b * x * z - a * y
+    out[1, 2], out[2, 1] = b * y * z - a * x, b * y * z + a * x

@@ -1,0 +1,202 @@
+"""Many poses at once: projection, Jacobians and robust least squares over marker corners, vectorised over frames; and
+both planar poses of each marker sighting.
+
+Corners are kept as ideal normalised coordinates together with the lens's local scale (how many picture pixels one unit
+of them is, a 2 x 2 matrix): residuals are then in picture pixels through the distorted camera, to first order
+in the residual, without evaluating the lens again.
+Poses are pairs rotation (n, 3, 3), translation (n, 3); perturbations multiply from the left in the camera frame,
+[rotation rad, translation m].
+A square seen from far looks nearly the same tilted one way or the other: IPPE (Collins & Bartoli, 2014) gives both
+solutions in closed form; each is then refined to its own least-squares minimum in picture pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from arfx.analyse.pose import kernels
+from arfx.analyse.pose.kernels import HUBER_SIGMA
+from arfx.core.camera import Camera
+from arfx.core.facts import Hypothesis
+from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
+from arfx.core.pose import Pose, rotation_from_rotvec, skew
+
+_SAME_RAD = 5e-3  # two minima closer than this are one (a frontal marker): below any tilt noise seen
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Corners seen in n frames, at most p in each.
+
+    points_m : (n, p, 3) world (or marker) coordinates;  ideal : (n, p, 2) normalised;  px_per_ideal : (n, p, 2, 2)
+    weight : (n, p) 1 / sigma_px^2, 0 = no corner
+    """
+
+    points_m: np.ndarray
+    ideal: np.ndarray
+    px_per_ideal: np.ndarray
+    weight: np.ndarray
+
+    def take(self, index: np.ndarray) -> Observed:
+        return Observed(self.points_m[index], self.ideal[index], self.px_per_ideal[index], self.weight[index])
+
+
+def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
+    """(..., 2, 2) px per unit of ideal normalised coordinates, at ideal (..., 2): central differences."""
+    h = 1e-6
+    focal = np.array([camera.fx, camera.fy])
+    columns = []
+    for axis in np.eye(2) * h:
+        columns.append((camera.distort(ideal + axis) - camera.distort(ideal - axis)) / (2 * h) * focal)
+    return np.stack(columns, -1)
+
+
+def residuals(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+    """(n, p, 2) px, predicted minus seen. Points behind the camera count as straight on its plane (EPS_DEPTH_M)."""
+    q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
+    z = np.maximum(q[..., 2:], EPS_DEPTH_M)
+    return np.einsum("npij,npj->npi", seen.px_per_ideal, q[..., :2] / z - seen.ideal)
+
+
+def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+    """(n, p, 2, 6) px per left perturbation of the pose."""
+    q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
+    return seen.px_per_ideal @ view_jacobian(q) @ np.concatenate([-skew(q), np.broadcast_to(np.eye(3), (*q.shape, 3))], -1)
+
+
+def view_jacobian(q: np.ndarray) -> np.ndarray:
+    """(..., 2, 3) of (x/z, y/z) with respect to the point, camera coordinates (..., 3)."""
+    z = np.maximum(q[..., 2], EPS_DEPTH_M)
+    out = np.zeros((*q.shape[:-1], 2, 3))
+    out[..., 0, 0] = out[..., 1, 1] = 1 / z
+    out[..., 0, 2], out[..., 1, 2] = -q[..., 0] / z**2, -q[..., 1] / z**2
+    return out
+
+
+def huber_cost(r: np.ndarray, weight: np.ndarray, limit: float = HUBER_SIGMA) -> tuple[np.ndarray, np.ndarray]:
+    """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual exceeds `limit` sigma."""
+    d2 = (r * r).sum(-1) * weight
+    d = np.sqrt(d2)
+    over = d > limit
+    rho = np.where(over, 2 * limit * d - limit**2, d2)
+    return 0.5 * rho.sum(-1), np.where(over, limit / np.where(over, d, 1.0), 1.0)
+
+
+def refine_poses(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed, iterations: int = 12
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation, cost (n,))."""
+    rotation, translation = np.array(rotation, float, order="C"), np.array(translation, float, order="C")
+    cost = np.empty(len(rotation))
+    points, ideal, scale, weight = (
+        np.array(v, float, order="C") for v in (seen.points_m, seen.ideal, seen.px_per_ideal, seen.weight)
+    )
+    kernels.refine(rotation, translation, points, ideal, scale, weight, iterations, cost)
+    return rotation, translation, cost
+
+
+def information(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+    """(n, 6, 6) Fisher information of each pose from its corners."""
+    j = jacobian(rotation, translation, seen)
+    return np.einsum("npki,npkj->nij", j * seen.weight[..., None, None], j)
+
+
+def apply_step(rotation: np.ndarray, translation: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Left-multiply by a small motion (n, 6): rotation about the camera's centre, then translation."""
+    turn = rotation_from_rotvec(step[:, :3])
+    return turn @ rotation, np.einsum("nij,nj->ni", turn, translation) + step[:, 3:]
+
+
+def rms_px(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(n,) root mean square over the corners present of the residual's length, px; 0 where there is none."""
+    on = weight > 0
+    total = ((r * r).sum(-1) * on).sum(-1)
+    return np.sqrt(total / np.maximum(on.sum(-1), 1))
+
+
+def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
+    """Poses as arrays (n, 3, 3), (n, 3)."""
+    if not poses:
+        return np.zeros((0, 3, 3)), np.zeros((0, 3))
+    return np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
+
+
+def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
+    """IPPE's one or two solutions, best first.
+
+    corners_m : (4, 3) of a square, order of MarkerSpec.corners_m;  ideal : (4, 2) normalised, without lens distortion
+    """
+    if not np.isfinite(ideal).all():
+        return []
+    count, rvecs, tvecs, _ = cv2.solvePnPGeneric(
+        np.ascontiguousarray(corners_m), np.ascontiguousarray(ideal)[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
+    poses = [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
+    return [p for p in poses if _in_sight(p.rotation, p.translation_m)]
+
+
+def frontal_poses(corners_m: np.ndarray, ideal: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (n, 3, 3) and translation (n, 3) of markers that face against a direction, at the place, distance and roll
+    of their pictures.
+
+    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  towards : (n, 3) camera coordinates, for instance the rays through their middles
+    """
+    side = corners_m[:, 1, 0] - corners_m[:, 0, 0]
+    ray = np.concatenate([ideal.mean(1), np.ones((len(ideal), 1))], 1)
+    across = (ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]) / 2
+    out_of_print = -normalise(towards)
+    right = np.concatenate([across, np.zeros((len(ideal), 1))], 1)
+    right = normalise(right - out_of_print * (out_of_print * right).sum(1, keepdims=True))
+    extent = np.linalg.norm(ideal - ideal[:, [1, 2, 3, 0]], axis=2).mean(1)
+    rotation = np.stack([right, np.cross(out_of_print, right), out_of_print], -1)
+    return rotation, ray * divide(side, extent, where_zero=1.0)[:, None]
+
+
+def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """(...) In front of the camera, printed side towards it."""
+    towards = (rotation[..., 2] * translation).sum(-1)
+    return np.isfinite(translation).all(-1) & (translation[..., 2] > 0) & (towards < 0)
+
+
+def hypotheses(
+    corners_m: Sequence[np.ndarray], ideal: np.ndarray, px_per_ideal: np.ndarray, sigma_px: np.ndarray
+) -> list[tuple[Hypothesis, ...]]:
+    """Refined hypotheses of n sightings, best first; none where no direction leads to a corner.
+
+    corners_m : n times (4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
+    """
+    out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)
+    at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
+    if not len(at):
+        return out
+    points, ideal, px_per_ideal = np.stack(corners_m)[at], ideal[at], px_per_ideal[at]
+    owner, rotation, translation = _starts(points, ideal)
+    seen = Observed(points[owner], ideal[owner], px_per_ideal[owner], np.repeat(sigma_px[at][owner, None] ** -2.0, 4, 1))
+    rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
+    error = rms_px(residuals(rotation, translation, seen), seen.weight)
+    error[~(_in_sight(rotation, translation) & np.isfinite(error))] = np.inf
+    apart = 8 * np.sin(_SAME_RAD / 2) ** 2  # squared distance of two rotation matrices by that angle
+    order = np.lexsort((error, owner))
+    for mine in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
+        found: list[int] = []
+        for i in mine[np.isfinite(error[mine])]:
+            if len(found) < 2 and all(((rotation[i] - rotation[f]) ** 2).sum() > apart for f in found):
+                found.append(int(i))
+        out[at[owner[mine[0]]]] = tuple(Hypothesis(Pose(rotation[i], translation[i]), float(error[i])) for i in found)
+    return out
+
+
+def _starts(points: np.ndarray, ideal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(owner (k,), rotation (k, 3, 3), translation (k, 3)) of poses to start from, points (n, 4, 3) and ideal (n, 4, 2)."""
+    n = len(points)
+    every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
+    # IPPE returns rubbish for a marker that faces the camera, or is parallel to the picture, exactly: starts of their own
+    ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
+    facing, parallel = (frontal_poses(points, ideal, d) for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3))))
+    owner = np.concatenate([np.array([i for i, _ in every], int), np.arange(n), np.arange(n)])
+    r, t = stack([p for _, p in every])
+    return owner, np.concatenate([r, facing[0], parallel[0]]), np.concatenate([t, facing[1], parallel[1]])

@@ -1,0 +1,193 @@
+"""Smooths the poses of one shot with past and future, in the metric of the measurement.
+
+What is minimised is not a distance between poses but the misfit of the marker corners in picture pixels plus the
+unlikeliness of the motion: a direction that the corners hardly fix (the tilt of a frontal marker) is filled in from
+the neighbours, one that they fix well (its place in the picture) is left alone, so nothing swims. Gauss-Newton on
+SE(3), linearised anew in every pass; each pass is one RTS smoother (chain.py).
+
+The motion's noise is learned from the clip (chain.py): of each axis, and of a camera that turns about itself in the
+hand, which turns and moves the marker at once. Without the latter a hand's shake counts as the marker's sideways motion, and
+what stands off the marker's plane trembles against the picture by a parallax that is not there.
+Axes: rotation about the camera's x, y, z; the place of the markers' centre as x/z, y/z and ln z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from arfx.analyse.pose.chain import AXES, GROUPS, LEAST, MOST, Links, evidence, learn_density, link, smooth_chain
+from arfx.analyse.pose.planar import Observed, huber_cost, residuals, view_jacobian
+from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
+
+# Between two frames: what moves is unknown after ten seconds as after a day, whose cube leaves no digits for the corners.
+LONGEST_STEP_S = 10.0
+PASSES = 4  # linearisations between two estimates of the motion's noise
+_STIFF = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6, LEAST])  # start of the second attempt: hardly any motion but sideways
+_LOOSE = 1e-8  # share of a shake in which its axes go their own ways: 1e-4 of its size, and nothing is singular
+_UNSURE_RAD = 0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """rotation (n, 3, 3), translation_m (n, 3), covariance (n, 6, 6) of the left perturbation [rad, m] in the camera
+    frame; density (5,) learned noise, median over the shot, of chain.GROUPS."""
+
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    covariance: np.ndarray
+    density: np.ndarray
+
+
+def smooth_poses(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed, times_s: np.ndarray, strength: float = 1.0
+) -> Smoothed:
+    """Smooth n frames of one shot.
+
+    rotation, translation : start, also in frames without corners (any sensible in-between)
+    seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on the time scale, > 0
+    """
+    on = seen.weight > 0
+    centre = seen.points_m[on].mean(0)
+    dt = np.clip(np.diff(times_s), 1e-4, LONGEST_STEP_S)
+    raw = _Chain(rotation, translation, seen, dt, centre)
+    # Twice: from the raw poses, and from a path that hardly moves. Where the corners do not fix a tilt (a frontal
+    # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff path finds the one between.
+    attempts = []
+    for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
+        chain, density = raw, None
+        if stiff:
+            chain = chain.settled(np.broadcast_to(_STIFF, (len(dt), AXES)), 2 * PASSES)
+        for local in (False, True):
+            density = learn_density(*chain.measurement, chain.links, density, local)
+            chain = chain.settled(density, PASSES)
+        assert density is not None
+        attempts.append((chain.likelihood(density), chain, density))
+    _, chain, density = max(attempts, key=lambda a: a[0])
+    if strength != 1.0:
+        density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)
+    chain = chain.settled(density, PASSES)
+    _, covariance = smooth_chain(*chain.measurement, chain.links, density)
+    to_left = _left_from_axes(chain.rotation, chain.translation, centre)
+    covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
+    middle = np.array([np.median(density[:, list(group)]) for group in GROUPS]) if len(dt) else np.zeros(len(GROUPS))
+    return Smoothed(chain.rotation, chain.translation, covariance, middle)
+
+
+class _Chain:
+    """The problem linearised at one set of poses."""
+
+    def __init__(self, rotation: np.ndarray, translation: np.ndarray, seen: Observed, dt: np.ndarray, centre: np.ndarray) -> None:
+        self.rotation, self.translation, self.seen, self.dt, self.centre = rotation, translation, seen, dt, centre
+        self.measurement = _measurement(rotation, translation, seen, centre)
+        self.links = _links(rotation, translation, centre, dt)
+
+    def settled(self, density: np.ndarray, passes: int) -> _Chain:
+        """Smoothed and linearised anew, up to `passes` times."""
+        chain = self
+        for _ in range(passes):
+            mean, _ = smooth_chain(*chain.measurement, chain.links, density)
+            step = mean[:, :6]
+            # linearisation holds for about .3 rad: a frame that wants more gets there in several passes
+            size = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
+            step = step * np.minimum(1.0, 0.3 / np.maximum(size, 1e-12))
+            chain = _Chain(*_moved(chain.rotation, chain.translation, step, self.centre), self.seen, self.dt, self.centre)
+            if np.abs(step).max() < 1e-6:  # rad, or shares of the distance: a thousandth of a pixel
+                break
+        return chain
+
+    def typical_turn_error(self) -> float:
+        """Median over the frames seen of the largest standard deviation of a turn, radians."""
+        info = self.measurement[0]
+        info = info[np.einsum("nii->n", info) > 0]
+        scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
+        spread = np.linalg.pinv(info * scale[:, :, None] * scale[:, None], hermitian=True)
+        return float(np.sqrt(np.median((np.einsum("nii->ni", spread) * scale**2)[:, :3].max(1))))
+
+    def likelihood(self, density: np.ndarray) -> float:
+        """Log evidence with the true misfit at these poses in place of the linearised one's constant."""
+        r = residuals(self.rotation, self.translation, self.seen)
+        cost, _ = huber_cost(r, self.seen.weight)
+        return float(evidence(*self.measurement, self.links, density[None])[0] - cost.sum())
+
+
+def _place(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre in camera coordinates (n, 3) and as x/z, y/z, ln z."""
+    p = rotation @ centre + translation
+    z = np.maximum(p[:, 2], 1e-4)
+    return p, np.stack([p[:, 0] / z, p[:, 1] / z, np.log(z)], -1)
+
+
+def _place_jacobian(p: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) of the camera point with respect to x/z, y/z, ln z."""
+    out = np.zeros((len(p), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = p[:, 2]
+    out[:, :, 2] = p
+    return out
+
+
+def _left_from_axes(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) from a step in this module's axes to the left perturbation of the pose."""
+    p, _ = _place(rotation, translation, centre)
+    out = np.zeros((len(p), 6, 6))
+    out[:, :3, :3] = np.eye(3)
+    out[:, 3:, :3] = skew(p)
+    out[:, 3:, 3:] = _place_jacobian(p)
+    return out
+
+
+def _moved(rotation: np.ndarray, translation: np.ndarray, step: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    _, place = _place(rotation, translation, centre)
+    place = place + step[:, 3:]
+    z = np.exp(place[:, 2])
+    p = np.stack([place[:, 0] * z, place[:, 1] * z, z], -1)
+    turned = rotation_from_rotvec(step[:, :3]) @ rotation
+    return turned, p - turned @ centre
+
+
+def _measurement(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information (n, 6, 6) and right-hand side (n, 6) of the corners, linearised here."""
+    p, _ = _place(rotation, translation, centre)
+    arm = np.einsum("nij,npj->npi", rotation, seen.points_m - centre)
+    view = seen.px_per_ideal @ view_jacobian(arm + p[:, None])
+    j = np.concatenate([view @ -skew(arm), view @ _place_jacobian(p)[:, None]], -1)
+    r = residuals(rotation, translation, seen)
+    _, factor = huber_cost(r, seen.weight)
+    jw = j * (seen.weight * factor)[..., None, None]
+    return np.einsum("npki,npkj->nij", jw, j), -np.einsum("npki,npk->ni", jw, r)
+
+
+def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt: np.ndarray) -> Links:
+    """Constant velocity between frames: Log(R_k+1 R_k^T) and the place's difference, minus dt times the velocity."""
+    n = len(dt)
+    _, place = _place(rotation, translation, centre)
+    turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
+    bend = skew(turn) / 2  # inverse Jacobians of SO(3), left and right, to second order in the turn between frames
+    before, after = np.zeros((n, 12, 12)), np.zeros((n, 12, 12))
+    i = np.arange(6)
+    after[:, i, i] = 1
+    before[:, i, i] = -1
+    after[:, :3, :3] -= bend
+    before[:, :3, :3] -= bend
+    before[:, i, i + 6] = -dt[:, None]
+    after[:, i + 6, i + 6] = 1
+    before[:, i + 6, i + 6] = -1
+    offset = np.zeros((n, 12))
+    offset[:, :3], offset[:, 3:6] = turn, np.diff(place, axis=0)
+    return link(before, after, offset, dt, _shake((place[1:] + place[:-1]) / 2))
+
+
+def _shake(place: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at place (n, 3).
+
+    The hand that holds a camera turns it far more than it carries it: the marker turns and moves, both at once.
+    """
+    x, y, axes = place[:, 0], place[:, 1], np.zeros((len(place), 6, 2))
+    axes[:, 0, 0] = axes[:, 1, 1] = 1
+    axes[:, 3] = np.stack([-x * y, 1 + x * x], -1)
+    axes[:, 4] = np.stack([-1 - y * y, x * y], -1)
+    axes[:, 5] = np.stack([y, -x], -1)
+    return axes @ np.swapaxes(axes, 1, 2) + _LOOSE * np.eye(6)

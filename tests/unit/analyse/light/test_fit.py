@@ -1,0 +1,223 @@
+"""Lights from irradiance: what is claimed, what is refused, and that nothing non-finite leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.analyse.light.explain import Params
+from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit, paper_lights
+from arfx.analyse.light.icosphere import icosphere
+from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SWITCHED, fit_over_time, switches
+from arfx.core.numerics import angle_between, normalise
+
+AMBIENT = np.array([0.2, 0.21, 0.24])
+LAMP = np.array([0.6, 0.56, 0.5])
+EXACT = Params(gamma_sigma=0.0)
+
+
+def at(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
+    a, e = np.radians([azimuth_deg, elevation_deg])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def cap(half_deg: float, count: int = 160, seed: int = 0) -> np.ndarray:
+    """Normals evenly over a cap around z."""
+    rng = np.random.default_rng(seed)
+    z = 1 - rng.random(count) * (1 - np.cos(np.radians(half_deg)))
+    phi = 2 * np.pi * rng.random(count)
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
+
+
+def seen(n: np.ndarray, *lamps: tuple[np.ndarray, float], ambient: float = 1.0) -> np.ndarray:
+    out = np.repeat(ambient * AMBIENT[None], len(n), 0)
+    for d, strength in lamps:
+        out = out + strength * np.clip(n @ d, 0, None)[:, None] * LAMP
+    return out
+
+
+def finite(f: LightFit) -> bool:
+    parts = [f.ambient_rgb, f.seen_rgb, [f.condition, f.span_deg, f.misfit, f.model_error], *(li.rgb for li in f.lights)]
+    return all(np.isfinite(p).all() for p in parts) and all(np.isfinite(li.direction).all() for li in f.lights)
+
+
+def test_one_lamp_is_found_with_its_colour_and_the_ambient_light() -> None:
+    n, d = cap(70), at(30, 40)
+    found = fit(n, seen(n, (d, 1.0)), None, None, EXACT)
+    assert found.verdict == MEASURED and found.count == 1
+    assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.2
+    assert found.lights[0].rgb[0] == pytest.approx(LAMP, rel=0.02) and found.ambient_rgb[0] == pytest.approx(AMBIENT, rel=0.02)
+    assert found.light().radiance(n) == pytest.approx(seen(n, (d, 1.0)), rel=0.02)
+
+
+@pytest.mark.parametrize("apart_deg", [0.5, 12, 40, 90])
+@pytest.mark.parametrize("grey", [False, True])
+def test_the_papers_lights_are_those_that_no_other_candidate_near_them_rivals(apart_deg: float, grey: bool) -> None:
+    """Eq. (9) as it is written: each candidate beside all others. grey : values of few steps, many of them equal"""
+    sphere = icosphere(3)
+    value = np.random.default_rng(2).random((len(sphere.vertices), 3))
+    value = np.round(value) if grey else value
+    upper = sphere.centres[:, 2] >= 0
+    n, M = sphere.centres[upper], value.mean(1)[sphere.faces[upper]].mean(1)
+    near = (n @ n.T > np.cos(np.radians(apart_deg))) & ~np.eye(len(n), dtype=bool)
+    peaks = [k for k in np.argsort(-M, kind="stable") if M[k] > 0.4 and (M[near[k]] < M[k]).all()]
+    assert np.array_equal(paper_lights(value, 3, 0.4, apart_deg), n[peaks].reshape(-1, 3))
+    assert grey or len(peaks)
+
+
+@pytest.mark.parametrize("apart_deg", [30, 60, 80])
+def test_two_equal_lamps_are_never_their_middle(apart_deg: float) -> None:
+    """The paper's peaks of M find one light in the middle; the fit claims a true lamp or nothing."""
+    first, second = at(-apart_deg / 2, 35), at(apart_deg / 2, 35)
+    middle = normalise(first + second)
+    sphere = icosphere(4)
+    printed = paper_lights(seen(sphere.vertices, (first, 1.0), (second, 1.0)).mean(1), 4, 0.0, 30.0)
+    # the paper's hemisphere is z >= 0: the one peak lies within a triangle of the middle
+    assert len(printed) == 1 and np.degrees(angle_between(printed[0], middle)) < 5
+    n = cap(75, 220)
+    found = fit(n, seen(n, (first, 1.0), (second, 1.0)) * (1 + 0.002 * np.random.default_rng(1).normal(size=(220, 3))))
+    assert found.verdict in (MEASURED, REFUSED)
+    for li in found.lights:
+        if li.confidence_deg < 90:
+            off = min(np.degrees(angle_between(li.direction, d)) for d in (first, second))
+            assert off < max(2 * li.confidence_deg, 3)
+
+
+@pytest.mark.parametrize(
+    ("normals", "says"),
+    [
+        (np.array([[0.0, 0, 1]] * 50), "one normal"),
+        (normalise(np.array([[1e-6 * np.cos(k), 1e-6 * np.sin(k), 1.0] for k in range(50)])), "one normal"),
+        (np.eye(3)[np.arange(60) % 3], "3 normals only"),
+        (np.array([[0.0, 0, 1]]), "one normal"),
+    ],
+)
+def test_too_few_normals_are_refused_in_words(normals: np.ndarray, says: str) -> None:
+    found = fit(normals, seen(normals, (at(20, 50), 1.0)))
+    assert found.verdict == REFUSED and says in found.reason and not found.lights and finite(found)
+    assert found.ambient_rgb[0] == pytest.approx(seen(normals, (at(20, 50), 1.0)).mean(0), rel=0.05)
+
+
+@pytest.mark.parametrize("elevation_deg", [-60.0, -10.0, 0.0, 10.0])
+def test_a_lamp_at_the_horizon_or_behind_is_never_claimed_wrongly(elevation_deg: float) -> None:
+    n, d = cap(50), at(70, elevation_deg)
+    found = fit(n, seen(n, (d, 1.0)))
+    assert finite(found)
+    for li in found.lights:
+        if li.confidence_deg < 90:
+            assert np.degrees(angle_between(li.direction, d)) < max(2 * li.confidence_deg, 3)
+    if elevation_deg < -50:  # no normal sees it
+        assert found.verdict == REFUSED
+
+
+def test_even_and_black_light_are_refused() -> None:
+    n = cap(60)
+    for light in (seen(n), np.zeros((len(n), 3))):
+        found = fit(n, light)
+        assert found.verdict == REFUSED and finite(found)
+
+
+def test_what_is_not_finite_is_left_out_and_counted() -> None:
+    n, d = cap(70), at(-50, 45)
+    light, normals = seen(n, (d, 1.0)), n.copy()
+    light[3, 1], light[4, 0], normals[5, 2] = np.nan, np.inf, np.nan
+    found = fit(normals, light, None, None, EXACT)
+    assert found.ignored == 3 and found.used == len(n) - 3 and found.verdict == MEASURED
+    assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.5
+    nothing = fit(np.full((4, 3), np.nan), np.ones((4, 3)))
+    assert nothing.verdict == REFUSED and nothing.used == 0 and finite(nothing)
+
+
+def test_who_knows_that_there_is_one_lamp_needs_less() -> None:
+    """Four faces of a cube, one of them in the shade."""
+    faces = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])
+    n, d = np.repeat(faces, 20, 0), at(-20, 48)
+    light = seen(n, (d, 1.0)) * (1 + 0.003 * np.random.default_rng(2).normal(size=(80, 3)))
+    assert fit(n, light).verdict == REFUSED
+    one = fit(n, light, None, None, Params(most_lights=1))
+    assert one.verdict == MEASURED and np.degrees(angle_between(one.lights[0].direction, d)) < 3
+
+
+def test_amplitudes_are_never_negative() -> None:
+    n = cap(60)
+    found = fit(n, np.clip(0.5 - 0.6 * np.clip(n @ at(0, 60), 0, None), 0, None)[:, None] * np.ones(3))
+    assert (found.ambient_rgb >= 0).all() and all((li.rgb >= 0).all() for li in found.guess)
+
+
+def clip(n: np.ndarray, light: np.ndarray, breaks_s: list[float]) -> tuple[str, list]:
+    times = np.arange(len(n)) / 25
+    return fit_over_time(times, n, light, np.full(light.shape, 1e-6), breaks_s, 2.0, EXACT)
+
+
+def turned(count: int) -> np.ndarray:
+    """One marker that is turned by hand: a slow curve of normals over 70 degrees to either side."""
+    t = np.linspace(0, 2 * np.pi, count)
+    tilt = np.radians(70) * np.stack([np.sin(2 * t), np.cos(3 * t)], -1) / np.sqrt(2)
+    return normalise(np.column_stack([np.sin(tilt), np.cos(tilt).prod(1)]))
+
+
+def test_spans_cover_the_clip_without_gaps() -> None:
+    n = turned(150)
+    account, spans = clip(n, seen(n, (at(40, 40), 1.0)), [])
+    assert account == CONSTANT and len(spans) == 1
+    assert spans[0].start_s == 0 and spans[0].stop_s == pytest.approx(149 / 25) and spans[0].fit.verdict == MEASURED
+
+
+def switched(on: np.ndarray, gain: np.ndarray) -> tuple[str, list, np.ndarray]:
+    """A marker turned by hand before a lamp that is on and off, exposed by a gain, both (180,)."""
+    n, d = turned(180), at(40, 40)
+    light = gain[:, None] * (AMBIENT + on[:, None] * np.clip(n @ d, 0, None)[:, None] * LAMP)
+    return *clip(n, light, [60 / 25, 110 / 25]), d
+
+
+def test_a_lamp_that_is_switched_keeps_its_direction_and_the_ambient_light() -> None:
+    on = np.ones(180)
+    on[60:110] = 0
+    account, spans, d = switched(on, np.ones(180))
+    assert account == SWITCHED and len(spans) == 3
+    assert [s.stop_s for s in spans[:-1]] == [s.start_s for s in spans[1:]]
+    assert not spans[1].fit.lights and spans[1].fit.verdict == MEASURED
+    for s in spans:
+        assert s.fit.ambient_rgb[0] == pytest.approx(AMBIENT, rel=0.02)
+        assert all(np.degrees(angle_between(li.direction, d)) < 1 for li in s.fit.lights)
+
+
+def test_exposure_that_jumps_is_not_taken_for_a_lamp() -> None:
+    gain = np.ones(180)
+    gain[60:110] = 0.4
+    account, spans, d = switched(np.ones(180), gain)
+    assert account == SEGMENTS and len(spans) == 3
+    assert spans[1].fit.lights[0].rgb[spans[1].group] == pytest.approx(0.4 * LAMP, rel=0.05)
+    assert np.degrees(angle_between(spans[0].fit.lights[0].direction, d)) < 2
+
+
+def test_steps_that_do_not_go_down_and_up_in_turn_are_no_switch() -> None:
+    t, edges = np.arange(100) / 25, [0.0, 1.0, 2.0, 3.96]
+    down = np.where(t < 1, 1.0, np.where(t < 2, 0.6, 0.3))[:, None] * np.ones(3)
+    assert switches(t, down, edges) is None and switches(t, down, [0.0, 3.96]) is None
+    assert switches(t, np.where(t[:, None] < 2, down, 1.0 - down), edges).tolist() == [1, 0, 1]  # type: ignore[union-attr]
+
+
+def test_a_lamp_that_swings_before_one_marker_is_refused() -> None:
+    n = turned(150)
+    t = np.arange(150) / 25
+    lamps = np.array([at(60 * np.sin(2 * np.pi * s / 1.3), 45) for s in t])
+    light = AMBIENT + np.clip((n * lamps).sum(1), 0, None)[:, None] * LAMP
+    account, spans = clip(n, light, [])
+    for s in spans:
+        assert s.fit.verdict == REFUSED, account
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_light_that_fades_before_one_marker_is_not_claimed_elsewhere(seed: int) -> None:
+    """Brightness and direction trade places where a frame shows one normal: nothing that is off may be claimed."""
+    rng = np.random.default_rng(seed)
+    n, d = turned(200), at(rng.uniform(0, 360), rng.uniform(25, 60))
+    fade = np.linspace(0.5, 1, 200)[:, None]
+    light = fade * seen(n, (d, 1.0)) * (1 + 0.003 * rng.normal(size=(200, 3)))
+    _, spans = clip(n, light, [])
+    for s in spans:
+        for li in s.fit.lights:
+            if li.confidence_deg < 90:
+                assert np.degrees(angle_between(li.direction, d)) < 5

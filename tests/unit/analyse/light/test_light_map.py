@@ -1,0 +1,191 @@
+"""The light map: the weights of SYSTEMS.md S1, constant and stepping light, what is not finite, both formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.analyse.light.light_map import (
+    NEVER_S,
+    STEADY,
+    STEP,
+    STRAY,
+    UNKNOWN,
+    LightMap,
+    Observation,
+    Params,
+    changes,
+    smooth,
+    weight,
+)  # fmt: skip
+
+UP = np.array([[0.0, 0, 1]])
+PAPER = Params("paper")
+
+
+def shot(t: float, value: float | np.ndarray, normals: np.ndarray = UP, deviation: float = 1e-3) -> Observation:
+    n = np.asarray(normals, float)
+    return Observation(t, n, np.broadcast_to(np.asarray(value, float), (len(n), 3)).copy(), np.full((len(n), 3), deviation**2))
+
+
+def clip(values: list[float], noise: float = 0.0, fps: float = 30.0) -> list[Observation]:
+    rng = np.random.default_rng(0)
+    return [shot(i / fps, v + noise * rng.normal(size=(1, 3)), deviation=max(noise, 1e-3)) for i, v in enumerate(values)]
+
+
+def smoothed(seen: list[Observation], params: Params = Params()) -> np.ndarray:  # noqa: B008 - frozen
+    """(t, 3) of the map at UP, everything finite."""
+    out = []
+    for value, variance in smooth(seen, params):
+        assert np.isfinite(value).all() and np.isfinite(variance).all() and (variance >= 0).all()
+        out.append(LightMap(params).sphere.interpolate(value, UP[0]))
+    assert len(out) == len(seen)
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("formula", "table"),
+    [("paper", [1, 0.8040, 0.3359, 0.1129, 0.0127, 0.0014]), ("corrected", [1, 0.9962, 0.9092, 0.6833, 0.2180, 0.0325])],
+)
+def test_weights_are_those_of_the_table(formula: str, table: list[float]) -> None:
+    angles = np.radians([0, 1, 5, 10, 20, 30])
+    assert np.abs(weight(np.cos(angles), 0.2, formula) - table).max() < 5.1e-5
+
+
+def test_only_the_corrected_condition_excludes_normals_that_turn_away() -> None:
+    cosine = np.cos(np.radians([89.0, 91, 135, 180]))
+    assert (weight(cosine, 2.0, "paper") > 0).all()
+    assert (weight(cosine, 2.0) > 0).tolist() == [True, False, False, False]
+
+
+@pytest.mark.parametrize("formula", ["paper", "corrected"])
+def test_constant_light_stays_constant_for_1000_updates(formula: str) -> None:
+    light, first = LightMap(Params(formula)), None
+    for i in range(1000):
+        light.wait(1 / 30 if i else 0)
+        light.add(UP, np.full((1, 3), 0.7), np.full((1, 3), 1e-6))
+        here = light.at(UP)[0] if i % 100 in (0, 99) else first
+        first = here if first is None else first
+        assert np.abs(here / first - 1).max() < 1e-6
+    pole = light.sphere.vertices[:, 2].argmax()
+    if formula == "corrected":
+        assert np.abs(light.value[light.variance[:, 0] < UNKNOWN] / 0.7 - 1).max() < 1e-6
+        assert np.abs(smoothed(clip([0.7] * 1000))[:, 0] / 0.7 - 1).max() < 1e-6
+    assert np.abs(light.value[pole] / 0.7 - 1).max() < 1e-6  # the paper's map starts at black, and has long filled up
+
+
+def test_the_paper_replaces_and_the_correction_averages() -> None:
+    noisy = [0.7 + 0.05 * (-1) ** i for i in range(60)]
+    on_vertex = LightMap().sphere.vertices[:1]
+    spread = {}
+    for params in (PAPER, Params()):
+        light, out = LightMap(params), []
+        for i, v in enumerate(noisy):
+            light.wait(1 / 30 if i else 0)
+            light.add(on_vertex, np.full((1, 3), v), np.full((1, 3), 0.05**2))
+            out.append(float(light.value[0, 0]))
+        spread[params.formula] = float(np.std(out[20:]))
+    assert spread["paper"] > 0.049  # f = 1: nothing older is left
+    assert spread["corrected"] < 0.015
+
+
+def test_what_was_not_seen_is_unknown_and_grows_old() -> None:
+    light = LightMap()
+    light.add(UP, np.full((1, 3), 0.5), np.full((1, 3), 1e-6))
+    below = light.sphere.vertices[:, 2] < -0.1
+    assert (light.variance[below] == UNKNOWN).all() and (light.age_s[below] == NEVER_S).all() and (light.value[below] == 0).all()
+    near = light.sphere.vertices[:, 2] > 0.99
+    before = light.variance[near].copy()
+    light.wait(2.0)
+    assert (light.age_s[near] == 2.0).all() and (light.variance[near] > before).all()
+
+
+def test_an_observation_does_not_bind_other_normals_beyond_what_it_can_tell() -> None:
+    """1,000 observations of one normal: 20 degrees off the light may differ by x sin(20) / sqrt 3, however often it is seen."""
+    light = LightMap()
+    for _ in range(1000):
+        light.add(UP, np.ones((1, 3)), np.full((1, 3), 1e-6))
+    off = np.array([[np.sin(np.radians(20)), 0, np.cos(np.radians(20))]])
+    assert 0.1 < float(np.sqrt(light.at(off)[1].max())) < 0.5
+
+
+@pytest.mark.parametrize("formula", ["paper", "corrected"])
+@pytest.mark.parametrize("where", ["normal", "value", "variance", "negative variance", "no normal"])
+def test_what_is_not_finite_is_left_out_and_counted(formula: str, where: str) -> None:
+    light = LightMap(Params(formula))
+    light.add(UP, np.full((1, 3), 0.5), np.full((1, 3), 1e-6))
+    value, variance = light.value.copy(), light.variance.copy()
+    n, x, v = UP.copy(), np.full((1, 3), 0.9), np.full((1, 3), 1e-6)
+    {"normal": n, "value": x, "variance": v, "negative variance": v, "no normal": n}[where][0, 1] = (
+        -1.0 if where == "negative variance" else 0.0 if where == "no normal" else np.nan
+    )
+    if where == "no normal":
+        n[:] = 0
+    light.add(n, x, v)
+    assert light.ignored == 1 and (light.value == value).all() and (light.variance == variance).all()
+
+
+def test_a_frame_of_nan_or_without_observations_is_bridged() -> None:
+    seen = clip([0.4] * 30)
+    seen[10] = shot(10 / 30, np.nan)
+    seen[11] = Observation(11 / 30, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+    assert (changes(seen) == STEADY).all()
+    assert np.abs(smoothed(seen) - 0.4).max() < 1e-9
+    assert np.isfinite(list(smooth(seen, PAPER))).all()
+
+
+def test_a_single_frame_and_none() -> None:
+    assert np.abs(smoothed(clip([0.3])) - 0.3).max() < 1e-9
+    assert changes(clip([0.3])).tolist() == [STEADY]
+    assert list(smooth([])) == [] and changes([]).tolist() == []
+
+
+def test_black_light_is_known_black() -> None:
+    seen = clip([0.0] * 20)
+    assert (changes(seen) == STEADY).all() and np.abs(smoothed(seen)).max() == 0
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.1, 0.8), (0.0, 0.8), (0.5, 0.6)])
+def test_light_switched_off_and_on_is_cut_at_its_frames(low: float, high: float) -> None:
+    truth = np.array([high] * 20 + [low] * 25 + [high] * 17)
+    seen = clip(truth.tolist(), 0.003)
+    kinds = changes(seen)
+    assert np.flatnonzero(kinds == STEP).tolist() == [20, 45] and not (kinds == STRAY).any()
+    out = smoothed(seen)
+    assert np.abs(out - truth[:, None]).max() < 0.009  # neither foreseen nor smeared: 3 deviations
+    assert np.abs(out - truth[:, None]).std() < 0.0025  # and evened: less than the observations' noise
+
+
+def test_one_frame_that_disagrees_is_left_out() -> None:
+    truth = [0.5] * 30
+    values = truth.copy()
+    values[12] = 0.9  # a flash, or a misread marker
+    seen = clip(values, 0.002)
+    kinds = changes(seen)
+    assert np.flatnonzero(kinds).tolist() == [12] and kinds[12] == STRAY
+    assert np.abs(smoothed(seen) - 0.5).max() < 0.004
+
+
+def test_slow_change_is_followed_and_is_no_step() -> None:
+    truth = 0.5 + 0.2 * np.sin(np.arange(150) / 30 * 2 * np.pi / 5)
+    seen = clip(truth.tolist(), 0.004)
+    assert (changes(seen) == STEADY).all()
+    error = smoothed(seen)[:, 0] - truth
+    assert np.abs(error).max() < 0.02 and np.sqrt((error**2).mean()) < 0.004
+
+
+def test_smoothing_sees_both_ways() -> None:
+    """A normal that is seen only late is known from the first frame on, with the variance that the waiting brings."""
+    side = np.array([[1.0, 0, 0]])
+    seen = [shot(i / 30, 0.5) if i < 30 else shot(i / 30, 0.2, side) for i in range(60)]
+    maps = list(smooth(seen))
+    light = LightMap()
+    assert abs(float(light.sphere.interpolate(maps[0][0], side[0])[0]) - 0.2) < 0.01
+    assert abs(float(light.sphere.interpolate(maps[-1][0], UP[0])[0]) - 0.5) < 0.01
+    deviation = [float(np.sqrt(light.sphere.interpolate(v, side[0])[0])) for _, v in maps]
+    assert deviation[0] > deviation[29] > deviation[45]
+
+
+def test_unknown_formula_is_named() -> None:
+    with pytest.raises(ValueError, match="not one of corrected, paper"):
+        LightMap(Params("printed"))

@@ -1,0 +1,117 @@
+"""Brightness of every frame beside one light that rests, and what speaks against light that rests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.analyse.light import over_time
+from arfx.analyse.light.explain import Params
+from arfx.analyse.light.fit import MEASURED, REFUSED, FittedLight, LightFit
+from arfx.analyse.light.over_time import SHARED, drift, fit_over_time, gains, matched
+from arfx.core.light import harmonics
+from arfx.core.numerics import normalise
+
+LAMP = normalise(np.array([0.5, -0.3, 0.8]))
+FRAMES = 40
+TIMES = np.arange(FRAMES) / 25
+TILTS = normalise(np.array([[0.0, 0, 1], [0.7, 0, 0.7], [-0.4, 0.6, 0.7]]))
+
+
+def turned(frames: int = FRAMES) -> np.ndarray:
+    """(frames, 3, 3) rotations of a board that is turned by hand."""
+    a = 2 * np.pi * np.arange(frames) / frames
+    z = normalise(np.stack([0.5 * np.sin(a), 0.5 * np.cos(1.7 * a), np.ones(frames)], -1))
+    x = normalise(np.cross([0.0, 1, 0], z))
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def board(gain: np.ndarray, tilts: np.ndarray = TILTS, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(times (k,), normals (k, 3), irradiance (k, 3)) of several tilted markers in every frame."""
+    n = (turned() @ tilts.T).transpose(0, 2, 1).reshape(-1, 3)
+    light = (0.2 + 0.6 * np.clip(n @ LAMP, 0, None)) * np.repeat(gain, len(tilts))
+    light = light * (1 + noise * np.random.default_rng(0).normal(size=len(light)))
+    return np.repeat(TIMES, len(tilts)), n, np.repeat(light[:, None], 3, 1)
+
+
+def test_the_gain_of_every_frame_is_found_where_frames_show_several_normals() -> None:
+    gain = 1 + 0.4 * np.sin(2 * np.pi * 1.3 * TIMES)
+    found = gains(*board(gain))
+    assert found is not None
+    assert np.abs(found / np.median(found) - np.repeat(gain, 3) / np.median(gain)).max() < 0.03
+    noisy = gains(*board(gain, noise=0.005))
+    assert noisy is not None and np.abs(noisy / np.median(noisy) - np.repeat(gain, 3) / np.median(gain)).max() < 0.06
+
+
+@pytest.mark.parametrize("tilts", [TILTS[:1], normalise(np.array([[0, 0, 1.0], [0.1, 0, 1]]))])
+def test_no_gain_is_claimed_where_a_frame_shows_one_normal(tilts: np.ndarray) -> None:
+    assert gains(*board(1 + 0.4 * np.sin(9 * TIMES), tilts)) is None
+
+
+def test_no_gain_is_claimed_where_frames_are_black() -> None:
+    gain = np.ones(FRAMES)
+    gain[5:20] = 0
+    assert gains(*board(gain)) is None
+
+
+def test_factors_bring_a_model_to_the_light_and_have_the_median_1() -> None:
+    frame = np.repeat(np.arange(5), 2)
+    g = np.array([0.5, 0.8, 1.0, 1.2, 3.0])
+    model = np.linspace(0.2, 1, 10)
+    assert matched(frame, model, 2 * g[frame] * model) == pytest.approx(g)
+    assert np.isfinite(matched(frame, 0 * model, model)).all()
+
+
+def test_light_that_rests_does_not_drift_and_light_that_changes_does() -> None:
+    """Of one normal at several times; noise of single frames is little in a quarter of a second."""
+    n = np.repeat(TILTS, 60, 0)
+    times = np.tile(np.arange(60) / 25, 3)
+    light = (harmonics(n) @ np.array([1.5, 0, 0.5, 0.2, 0, 0, 0, 0, 0]))[:, None] * np.ones(3)
+    noise = 1 + 0.01 * np.random.default_rng(1).normal(size=(180, 1))
+    assert drift(times, n, light) < 1e-9 and drift(times, n, light * noise) < 0.006
+    wave = 1 + 0.1 * np.sin(2 * np.pi * 0.5 * times)[:, None]
+    assert 0.03 < drift(times, n, light * wave) < 0.12
+    step = np.where(times < 1.2, 1.0, 0.6)
+    assert drift(times, n, light * step[:, None]) > 0.1
+    assert drift(times, n, light * step[:, None], (times < 1.2).astype(int)) < 1e-9  # each on its own side
+    assert drift(times, n, 0 * light) == 0.0
+
+
+def test_one_normal_seen_once_says_nothing_of_drift() -> None:
+    n = normalise(np.random.default_rng(0).normal((0, 0, 1.5), size=(30, 3)))
+    assert drift(np.arange(30) / 5, n, np.random.default_rng(1).random((30, 3))) < 0.25
+
+
+def told(off_deg: float, tilts: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[str, LightFit]:
+    """(account, fit) of a clip whose brightness wanders, where fits of its first and its second half stand off_deg to either
+    side of the whole's. The fits are made up: this is about what is made of them."""
+
+    def made_up(n: np.ndarray, E: np.ndarray, *args: object, **_: object) -> LightFit:
+        late = (E.mean(1) > 1.5).mean()
+        turn = np.radians(off_deg * (1 if late == 1 else -1 if late == 0 else 0))
+        light = FittedLight(np.array([np.sin(turn), 0.0, np.cos(turn)]), np.ones((9, 3)), 1.0)
+        error = 0.02 if args[1] is None else 0.001  # one light for all explains less than one for each window
+        if args[1] is None and len(n) < 100 * len(tilts):
+            return LightFit(REFUSED, "too little of the clip", np.ones((1, 3)), np.ones((1, 3)))
+        return LightFit(MEASURED, "made up", np.ones((9, 3)), np.ones((9, 3)), (light,), (light,), 1, model_error=error)
+
+    monkeypatch.setattr(over_time, "fit", made_up)
+    times = np.repeat(np.arange(100) / 25, len(tilts))
+    normals = np.tile(tilts, (100, 1))
+    light = np.where(times > 1.98, 2.0, 1.0)[:, None] * np.ones(3)
+    account, spans = fit_over_time(times, normals, light, None, (), 2.0, Params())
+    return account, spans[0].fit
+
+
+def test_halves_of_a_light_that_wanders_before_one_normal_have_to_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within 3 degrees: brightness that changes bends a direction by some, and no cone knows of it."""
+    account, found = told(2.0, TILTS[:1], monkeypatch)
+    assert account == SHARED and found.verdict == MEASURED and found.lights[0].confidence_deg == pytest.approx(2.0)
+    _, found = told(4.0, TILTS[:1], monkeypatch)
+    assert found.verdict == REFUSED and not found.lights and "no two parts" in found.reason
+
+
+def test_halves_may_differ_more_where_frames_show_several_normals(monkeypatch: pytest.MonkeyPatch) -> None:
+    account, found = told(4.0, TILTS, monkeypatch)
+    assert account == SHARED and found.verdict == MEASURED and found.lights[0].confidence_deg == pytest.approx(4.0)
+    assert told(20.0, TILTS, monkeypatch)[1].verdict == REFUSED

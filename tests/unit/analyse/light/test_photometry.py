@@ -1,0 +1,293 @@
+"""Bias and light out of patches: the numbers of SYSTEMS.md S1, both formulas, and what cannot be solved."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from arfx.analyse.light.patches import WHITE, comparable
+from arfx.analyse.light.photometry import DEGENERATE, INK, MEASURED, PAPER, UNKNOWN_VARIANCE, Photometry, solve
+from arfx.analyse.light.photometry_paper import smallest_vector, solve_paper
+
+RHO = np.where(WHITE, PAPER, INK)
+
+
+def clip(
+    frames: int = 40, bias: float = 0.02, noise: float = 0.0, seed: int = 0, low: float = 0.2, high: float = 0.9,
+    rho: np.ndarray = RHO,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """(intensity (t, p, 3), light (t, 3))"""
+    rng = np.random.default_rng(seed)
+    y = rng.uniform(low, high, (frames, 3))
+    return rho[None, :, None] * y[:, None] + bias + rng.normal(0, noise, (frames, len(rho), 3)) if noise else (
+        rho[None, :, None] * y[:, None] + bias
+    ), y  # fmt: skip
+
+
+EXACT: dict = {"ink_sigma": 0.0, "transfer": 0.0, "steps": 0.0}  # print and curve are as stated
+
+
+def finite(p: Photometry) -> bool:
+    arrays = (p.y, p.var_y, p.var_y_own, p.bias, p.bias_95, p.ink, p.condition, p.misfit)
+    return all(np.isfinite(a).all() for a in arrays) and np.isfinite(p.clipped)
+
+
+@pytest.mark.parametrize(("albedos", "nullity"), [([0.5], 2), ([0.5, 0.5, 0.5], 2), ([0.05, 0.88], 1), ([0.05, 0.88, 0.5], 1)])
+@pytest.mark.parametrize("frames", [1, 2, 30])
+@pytest.mark.parametrize("constant", [True, False])
+@pytest.mark.parametrize("dense", [0, 100])
+def test_nullity_of_the_papers_system(albedos: list[float], nullity: int, frames: int, constant: bool, dense: int) -> None:
+    rho = np.array(albedos)
+    y = np.full(frames, 120.0) if constant else np.linspace(60, 200, frames)
+    assert smallest_vector(y[:, None] * rho + 12, rho, dense).nullity == nullity
+
+
+@pytest.mark.parametrize("scale", [255.0, 1.0])
+def test_bias_without_noise_is_exact_in_both_formulas(scale: float) -> None:
+    y = np.random.default_rng(0).uniform(60, 230, (25, 3))
+    grey = (RHO[None, :, None] * y[:, None] + 12) * scale / 255
+    for p in (solve(grey, white=WHITE), solve_paper(grey, white=WHITE)):
+        assert p.verdict == MEASURED and finite(p)
+        assert np.abs(p.bias * 255 / scale - 12).max() < 1e-9
+        assert np.abs(p.y * 255 / scale - y).max() < 1e-8
+    one = solve(grey[:1], white=WHITE)  # a single frame is enough
+    assert one.verdict == MEASURED and np.abs(one.bias * 255 / scale - 12).max() < 1e-9
+    printed = solve_paper(grey, white=WHITE, printed_bias=True)  # 1/b' in place of b'/g'
+    assert np.abs(printed.bias * 255 / scale - 12).min() > 1
+
+
+def test_the_papers_vector_is_biased_by_noise_and_by_the_units_and_least_squares_is_not() -> None:
+    rho = np.linspace(0.45, 0.55, 8)
+    found: dict[str, list[float]] = {"255": [], "1": []}
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        grey = rho * rng.uniform(100, 200, (6, 1)) + 12 + rng.normal(0, 2, (6, 8))
+        found["255"].append(smallest_vector(grey, rho).bias)
+        found["1"].append(255 * smallest_vector(grey / 255, rho).bias)
+    in_255, in_1 = np.median(found["255"]), np.median(found["1"])
+    assert 2.5 < in_255 < 4.5  # 3.4 in SYSTEMS.md
+    assert 5.4 < in_1 < 7.4  # 6.4
+    many = []
+    for rng in map(np.random.default_rng, range(60)):
+        grey = rho * rng.uniform(80, 200, (60, 1)) + 12 + rng.normal(0, 2, (60, 8))
+        many.append(float(solve(np.repeat(grey[..., None], 3, 2), albedo=rho).bias[0]))
+    assert 11 < np.median(many) < 13  # 11.9
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.01])
+def test_the_interval_of_the_bias_holds_the_truth(noise: float) -> None:
+    hit, wide = [], []
+    for seed in range(150):
+        grey, _ = clip(frames=6, noise=noise, seed=seed)
+        p = solve(grey, np.full(grey.shape, noise**2), WHITE, **EXACT)
+        assert p.verdict == MEASURED
+        hit += list((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02))
+        wide.append(np.ptp(p.bias_95, axis=1).mean())
+    assert 0.92 < np.mean(hit) <= 1
+    assert np.mean(wide) < 6 * noise / np.sqrt(24)  # not by being vague
+
+
+def test_the_inks_tolerance_is_in_the_interval() -> None:
+    """Light that rests cannot tell the ink from the bias: the interval is as wide as what is known of inks."""
+    grey, _ = clip(rho=np.where(WHITE, 0.87, 0.044), noise=1e-4, low=0.6, high=0.6)  # other print than assumed
+    p = solve(grey, np.full(grey.shape, 1e-8), WHITE, transfer=0, steps=0)
+    assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
+    assert np.abs(p.bias - 0.02).max() > 1e-3 and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
+    exact = solve(grey, np.full(grey.shape, 1e-8), WHITE, **EXACT)
+    assert not ((exact.bias_95[:, 0] < 0.02) & (exact.bias_95[:, 1] > 0.02)).all()
+
+
+def test_another_ink_is_in_the_interval_where_the_light_changes_too() -> None:
+    for known in (True, False):
+        grey, _ = clip(rho=np.where(WHITE, PAPER, 0.067), noise=5e-4)
+        p = solve(grey, np.full(grey.shape, 2.5e-7) if known else None, WHITE, transfer=0, steps=0)
+        assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all() and np.ptp(p.bias_95, axis=1).max() < 0.02
+
+
+def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
+    for exponent in (0.93, 1.07):
+        grey, _ = clip(rho=np.where(WHITE, 0.85, 0.06), noise=2e-4)
+        p = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE)
+        assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all(), exponent
+        narrow = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE, transfer=0, steps=0)
+        assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).any()
+
+
+def test_a_codecs_steps_are_in_the_interval() -> None:
+    grey, _ = clip(noise=2e-4)
+    off = grey + np.array([-0.0012, 0.0, 0.0012]) * ~WHITE[:, None]  # chroma off by half a step in every dark cell
+    p = solve(off, np.full(grey.shape, 4e-8), WHITE, ink_sigma=0, transfer=0)
+    assert np.abs(p.bias - 0.02).max() > 1e-3 and ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
+    narrow = solve(off, np.full(grey.shape, 4e-8), WHITE, **EXACT)
+    assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).all()
+
+
+def test_the_variance_of_the_light_is_right() -> None:
+    z, own = [], []
+    for seed in range(60):
+        grey, y = clip(frames=10, noise=0.004, seed=seed)
+        p = solve(grey, np.full(grey.shape, 0.004**2), WHITE, ink_sigma=0)
+        z.append(((p.y - y) / np.sqrt(p.var_y)).ravel())
+        own.append((p.var_y_own / p.var_y).max())
+    assert 0.8 < np.sqrt(np.mean(np.concatenate(z) ** 2)) < 1.1
+    assert max(own) <= 1
+
+
+def test_the_ink_is_found_where_the_light_changes_and_refused_where_it_does_not() -> None:
+    grey, y = clip(rho=np.where(WHITE, PAPER, 0.11), noise=0.0005)
+    p = solve(grey, np.full(grey.shape, 0.0005**2), WHITE, albedos="unknown")
+    assert p.verdict == MEASURED
+    assert np.abs(p.ink - 0.11).max() < 2e-3 and np.abs(p.bias - 0.02).max() < 1e-3 and np.abs(p.y - y).max() < 5e-3
+    assert np.abs(solve(grey, None, WHITE, **EXACT).bias - 0.02).min() > 0.01  # with the usual ink assumed
+    flat = np.repeat(grey[:1], 30, 0) + np.random.default_rng(1).normal(0, 1e-5, (30, 8, 3))
+    constant = solve(flat, np.full(flat.shape, 1e-10), WHITE, albedos="unknown")
+    assert constant.verdict == DEGENERATE and not constant.bias.any() and finite(constant)
+    exact = solve(np.repeat(clip(1)[0], 30, 0), None, WHITE, albedos="unknown")
+    assert exact.verdict == DEGENERATE and "constant" in exact.reason
+
+
+def test_normalised_albedos_give_ratios_of_light_whatever_the_print() -> None:
+    grey, y = clip(rho=np.where(WHITE, 0.7, 0.12), bias=0.03)
+    p = solve(grey, None, WHITE, albedos="normalised")
+    ratio = p.y / y
+    assert p.verdict == MEASURED and np.abs(ratio / ratio[0, 0] - 1).max() < 1e-9
+    known = solve(grey, None, WHITE, **EXACT).y / y  # the wrong albedos are in the ratios
+    assert np.abs(known / known[0, 0] - 1).max() > 0.1
+    grey[3, WHITE], grey[4, 0] = np.nan, np.inf
+    grey[5, 5] += 0.4  # one highlight among four
+    p = solve(grey + np.random.default_rng(0).normal(0, 1e-3, grey.shape), np.full(grey.shape, 1e-6), WHITE, albedos="normalised")
+    ratio = np.delete(p.y / y, 3, 0) / (0.58 / 0.83)
+    assert not p.seen[3] and finite(p) and np.abs(ratio - 1).max() < 0.03
+    with pytest.raises(ValueError, match="guessed"):
+        solve(grey, None, WHITE, albedos="guessed")
+
+
+DEGENERATES = {
+    "one albedo": lambda g: np.where(WHITE[None, :, None], g, np.nan),
+    "ink alone": lambda g: np.where(WHITE[None, :, None], np.nan, g),
+    "single frame with one patch": lambda g: np.where((np.arange(8) == 5)[None, :, None], g[:1], np.nan),
+    "all clipped": lambda g: np.full_like(g, np.nan),
+    "black": lambda g: np.zeros_like(g),
+    "no frames": lambda g: g[:0],
+    "no contrast": lambda g: np.full_like(g, 0.3) + np.random.default_rng(0).normal(0, 0.1, g.shape),
+    "dark brighter": lambda g: g[:, ::-1],
+    "infinite": lambda g: np.full_like(g, np.inf),
+}
+
+
+@pytest.mark.parametrize("case", DEGENERATES)
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("formula", ["corrected", "paper"])
+def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(case: str, known: bool, formula: str) -> None:
+    grey, y = clip(noise=0.001)
+    broken = DEGENERATES[case](grey)
+    variance = np.full(broken.shape, 1e-6 if case != "no contrast" else 1e-2) if known else None
+    p = solve(broken, variance, WHITE) if formula == "corrected" else solve_paper(broken, WHITE)
+    assert finite(p)
+    if formula == "paper" and case in ("black", "no contrast", "dark brighter", "no frames"):
+        return  # the paper solves anything; what it says is its own affair
+    assert p.verdict == DEGENERATE and not p.bias.any() and not p.determined.any()
+    assert "bias 0 assumed" in p.reason
+    if case == "one albedo":  # the light comes from the bright patches alone
+        assert np.abs(p.y - (y + 0.02 / PAPER)).max() < 0.01
+        if formula == "corrected":
+            assert "one albedo" in p.reason and (p.rank == p.unknowns - 1).all() and (p.condition >= 1e12).all()
+
+
+@pytest.mark.parametrize("difference", [1e-3, 1e-4, 0.0])
+def test_albedos_that_hardly_differ_are_degenerate_beside_noise(difference: float) -> None:
+    rho = np.where(WHITE, 0.5 + difference, 0.5)
+    for noise, seed in [(n, s) for n in (1e-3, 1e-2) for s in range(20)]:
+        grey, _ = clip(rho=rho, noise=noise, seed=seed)
+        assert solve(grey, np.full(grey.shape, noise**2), albedo=rho).verdict == DEGENERATE
+        assert solve(grey, None, albedo=rho).verdict == DEGENERATE
+    grey, _ = clip(rho=rho)
+    exact = solve(grey, None, albedo=rho)
+    if difference:  # without noise they are two equations
+        assert exact.verdict == MEASURED and np.abs(exact.bias - 0.02).max() < 1e-8
+    else:
+        assert exact.verdict == DEGENERATE
+
+
+def test_a_nan_in_a_patch_costs_that_patch_alone() -> None:
+    grey, y = clip(noise=0.0005)
+    broken = grey.copy()
+    broken[3, 2], broken[5, 6, 1], broken[7] = np.nan, np.inf, np.nan
+    p = solve(broken, np.full(grey.shape, 0.0005**2), WHITE)
+    assert p.verdict == MEASURED and finite(p) and p.ignored == 10
+    assert not p.seen[7] and (p.var_y[7] == UNKNOWN_VARIANCE).all() and not p.y[7].any()
+    assert np.abs(p.bias - 0.02).max() < 1e-3 and np.abs(p.y - y)[p.seen].max() < 5e-3
+
+
+def test_one_channel_that_is_clipped_does_not_take_the_others_along() -> None:
+    grey, y = clip(noise=0.0005)
+    grey[:, WHITE, 0] = np.nan
+    p = solve(grey, np.full(grey.shape, 0.0005**2), WHITE)
+    assert p.verdict == DEGENERATE and p.determined.tolist() == [False, True, True] and p.reason.startswith("R:")
+    assert p.bias[0] == 0 and np.abs(p.bias[1:] - 0.02).max() < 1e-3 and np.abs(p.y[:, 1:] - y[:, 1:]).max() < 5e-3
+
+
+def test_highlights_on_some_patches_do_little() -> None:
+    grey, y = clip(frames=60, noise=0.001)
+    rng = np.random.default_rng(0)
+    hit = (rng.uniform(size=grey.shape[:2]) < 0.12)[..., None]
+    p = solve(grey + 0.3 * hit, np.full(grey.shape, 1e-6), WHITE)
+    plain = [np.polyfit(np.repeat(y[:, c], 4), (grey + 0.3 * hit)[:, ~WHITE, c].ravel(), 1)[1] for c in range(3)]
+    assert np.abs(p.bias - 0.02).max() < 4e-3 and np.abs(np.array(plain) - 0.02).max() > 0.02
+    assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
+
+
+def test_shares_of_clipped_samples_are_reported() -> None:
+    grey, _ = clip()
+    assert solve(grey, None, WHITE, clipped=np.full((40, 8), 0.05)).clipped == pytest.approx(0.05)
+    with pytest.raises(ValueError, match="albedo"):
+        solve(grey)
+
+
+def test_the_large_system_of_the_paper_gives_what_the_dense_one_gives() -> None:
+    grey, _ = clip(frames=60, noise=0.002)
+    grey[4, 2] = np.nan
+    a, b = (smallest_vector(grey[..., 0], RHO, dense) for dense in (100, 10))
+    assert b.bias == pytest.approx(a.bias, abs=1e-8) and b.smallest == pytest.approx(a.smallest, rel=1e-6)
+    assert np.abs(a.y - b.y).max() < 1e-7 and a.nullity == b.nullity == 0 and a.rank == b.rank
+    exact = smallest_vector(clip(frames=60)[0][..., 0], RHO, 10)
+    assert exact.nullity == 1 and exact.bias == pytest.approx(0.02, abs=1e-6)
+    with pytest.raises(ValueError, match="no finite"):
+        smallest_vector(np.full((3, 2), np.nan), np.array([0.1, 0.8]))
+
+
+@pytest.mark.parametrize("formula", ["corrected", "paper"])
+def test_time_is_linear_in_frames(formula: str) -> None:
+    def seconds(frames: int) -> float:
+        grey, _ = clip(frames=frames, noise=0.001)
+        variance = np.full(grey.shape, 1e-6)
+        best = np.inf
+        for _ in range(3):
+            start = time.perf_counter()
+            p = solve(grey, variance, WHITE) if formula == "corrected" else solve_paper(grey, WHITE)
+            best = min(best, time.perf_counter() - start)
+        assert np.abs(p.bias - 0.02).max() < 1e-3
+        return best
+
+    assert seconds(10_000) < 25 * seconds(1000)  # quadratic: 100 times
+
+
+@pytest.mark.parametrize(("spoilt", "kept", "of_ink"), [(0, 30, False), (3, 27, False), (12, 30, True)])
+def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(spoilt: int, kept: int, of_ink: bool) -> None:
+    """The ink is .06 in truth: read from it, all light is 1.2 times as much, but of one scale."""
+    grey, y = clip(30, rho=np.where(WHITE, PAPER, 0.06), bias=0.0, noise=1e-5)
+    clipped = np.zeros(grey.shape[:2])
+    clipped[:spoilt, WHITE] = 1.0
+    grey[:spoilt, WHITE] = np.nan
+    variance = np.full(grey.shape, 1e-10)
+    p = solve(grey, variance, WHITE, clipped=clipped)
+    light, _own, fit = comparable(p, grey, variance, WHITE, clipped)
+    for c in range(3):
+        line = np.polyfit(y[fit, c], light[fit, c], 1)
+        assert line[0] == pytest.approx(1.2 if of_ink else 1.0, abs=0.03)
+        assert np.abs(light[fit, c] - np.polyval(line, y[fit, c])).max() < 0.005
+        if of_ink:  # both kinds together have no one scale
+            both = np.polyfit(y[:, c], p.y[:, c], 1)
+            assert np.abs(p.y[:, c] - np.polyval(both, y[:, c])).max() > 0.02

@@ -1,0 +1,296 @@
+"""Background motion and the field of sites: true motion is followed, rest is rest, a cut begins anew."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.analyse.motion.advection import FACT, determinants, relaxed, with_anchors
+from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_places, refined
+from arfx.core.facts import ABSENT, MEASURED, FrameFacts
+from arfx.core.pose import Pose
+from arfx.stages.watercolor import field as reader
+from arfx.stages.watercolor.sites import GRID_PX as STAGE_GRID_PX
+from tests.scenes import camera, look_at, scene
+
+W, H = 320, 240
+
+
+def texture(seed: int = 0) -> np.ndarray:
+    """(700, 700) uint8 blotches of several sizes."""
+    g = np.random.default_rng(seed)
+    t = sum(cv2.GaussianBlur(g.standard_normal((700, 700)), (0, 0), s) * s for s in (2, 5, 12))
+    return np.clip(128 + 45 * t / t.std(), 0, 255).astype(np.uint8)
+
+
+def view(world: np.ndarray, world_from_px: np.ndarray, seed: int) -> np.ndarray:
+    """A frame with noise of 2 grey levels. world_from_px : (2, 3)"""
+    m = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    frame = cv2.warpAffine(world, world_from_px, (W, H), flags=m, borderMode=cv2.BORDER_REFLECT).astype(float)
+    return np.clip(frame + np.random.default_rng(seed).normal(0, 2, frame.shape), 0, 255).astype(np.uint8)
+
+
+def pan(t: int) -> np.ndarray:
+    return np.array([[1, 0, 150 + 2.5 * t], [0, 1, 150 - 1.0 * t]])
+
+
+def zoom(t: int) -> np.ndarray:
+    s = 1.5 * 2 ** (-t / 12)
+    return np.array([[s, 0, 350 - s * W / 2], [0, s, 350 - s * H / 2]])
+
+
+def roll(t: int) -> np.ndarray:
+    c, s = np.cos(0.02 * t), np.sin(0.02 * t)
+    return np.array([[c, -s, 350 - c * W / 2 + s * H / 2], [s, c, 350 - s * W / 2 - c * H / 2]])
+
+
+def still(t: int) -> np.ndarray:
+    return pan(0)
+
+
+def folded(frames: list[np.ndarray]) -> BackgroundMotion:
+    motion = BackgroundMotion()
+    for k, frame in enumerate(frames):
+        motion.step(k, k / 30, frame)
+    return motion
+
+
+def field_of(f: FrameFacts) -> tuple[np.ndarray, np.ndarray]:
+    found = f.extra[FACT]
+    return reader.decoded(found["nodes"], *found["shape"])
+
+
+def facts_of(motion: BackgroundMotion, n: int, **shots: int) -> tuple[FrameFacts, ...]:
+    cut = shots.get("cut", n)
+    frames = [FrameFacts(k, k / 30, shot=int(k >= cut)) for k in range(n)]
+    return with_anchors(frames, motion.steps, camera(W, H), Pose.identity(), 0.0)
+
+
+@pytest.mark.parametrize("path", [pan, zoom, roll])
+def test_the_field_follows_true_motion(path: object) -> None:
+    """After a dozen frames a place in the picture still knows where it was in the first, to .3 px."""
+    n, world = 13, texture()
+    facts = facts_of(folded([view(world, path(t), t) for t in range(n)]), n)  # type: ignore[operator]
+    u, v = field_of(facts[-1])
+    gx, gy = node_places(W, H)
+    now, first = (np.vstack([path(t), [0, 0, 1]]) for t in (n - 1, 0))  # type: ignore[operator]
+    true = np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+    missed = np.hypot(u.ravel() - true[0], v.ravel() - true[1])
+    inside = ((gx >= 0) & (gx < W) & (gy >= 0) & (gy < H)).ravel()
+    assert np.median(missed[inside]) < 0.15 and missed[inside].max() < 0.3
+
+
+def test_the_nodes_are_laid_on_the_reference_to_hundredths_of_a_pixel() -> None:
+    """From .2 px off; brighter or darker does not matter, nor does what is not trusted, and where nothing is seen they stay."""
+    h, w, move = 120, 160, np.array([1.25, -0.75])
+    g = np.random.default_rng(0)
+    world = cv2.GaussianBlur(g.standard_normal((4 * h + 200, 4 * w + 200)), (0, 0), 8) * 8
+
+    def seen(at: np.ndarray) -> np.ndarray:
+        x, y = np.round(4 * (at + 20)).astype(int)
+        frame = cv2.resize(world[y : y + 4 * h, x : x + 4 * w], (w, h), interpolation=cv2.INTER_AREA)
+        return np.clip(128 + 55 * frame + g.normal(0, 1, (h, w)), 0, 255).astype(np.uint8)
+
+    reference, small = seen(np.zeros(2)), seen(move)
+    first, pitch = np.array([0.0, 0.0]), np.array([16.0, 16.0])
+    start, trust = np.full((9, 11, 2), move + 0.14), np.ones((h, w))
+    around = (slice(1, -2), slice(1, -2))
+
+    def missed(a: np.ndarray) -> float:
+        return float(np.linalg.norm(a - move, axis=-1)[around].max())
+
+    found = refined(start, small, reference, trust, first, pitch)
+    assert missed(start) > 0.19 and missed(found) < 0.05
+    assert missed(refined(start, cv2.add(small, 12), reference, trust, first, pitch)) < 0.05
+    spoilt, trust[36:64, 56:94] = small.copy(), 0
+    spoilt[40:60, 60:90] = 255 - small[40:60, 60:90]
+    assert missed(refined(start, spoilt, reference, trust, first, pitch)) < 0.08
+    flat = np.full((h, w), 128, np.uint8)
+    assert np.array_equal(refined(start, flat, flat, np.ones((h, w)), first, pitch), start)
+
+
+def test_a_resting_camera_keeps_its_sites_in_noise() -> None:
+    world = texture()
+    motion = folded([view(world, still(0), t) for t in range(12)])
+    assert len(motion.steps) == 1
+    facts = facts_of(motion, 12)
+    assert {f.extra[FACT]["set"] for f in facts} == {0}
+
+
+def test_a_new_set_only_where_the_picture_moved() -> None:
+    world = texture()
+    frames = [view(world, pan(t if t < 5 else 5), t) for t in range(12)]
+    sets = [f.extra[FACT]["set"] for f in facts_of(folded(frames), 12)]
+    assert sets[:6] == [0, 1, 2, 3, 4, 5] and len(set(sets[6:])) <= 2
+
+
+def test_a_cut_begins_anew_whether_or_not_the_flow_noticed() -> None:
+    a, b = texture(1), texture(2)
+    frames = [view(a, pan(t), t) for t in range(4)] + [view(b, pan(t), t) for t in range(4)]
+    for cut in (4, 2):  # as the flow sees it, and between two frames that are alike
+        facts = facts_of(folded(frames), 8, cut=cut)
+        u = [field_of(f)[0] for f in facts]
+        assert np.abs(u[cut] - u[cut - 1]).min() > 1000
+        gx, _ = node_places(W, H)
+        assert np.ptp(u[cut] - gx) == 0
+        assert np.abs(u[cut + 1] - u[cut]).max() < 20
+
+
+@pytest.mark.parametrize("frame", [np.zeros((H, W), np.uint8), np.full((H, W), 255, np.uint8)])
+def test_flat_frames_do_not_move(frame: np.ndarray) -> None:
+    assert len(folded([frame] * 3 + [frame ^ 1]).steps) == 1
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (9, 9), (20, 400)])
+def test_any_size(size: tuple[int, int]) -> None:
+    g = np.random.default_rng(0)
+    motion = BackgroundMotion()
+    for k in range(3):
+        motion.step(k, k / 30, g.integers(0, 256, size).astype(np.uint8))
+    frames = [FrameFacts(k, k / 30) for k in range(3)]
+    for f in with_anchors(frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0):
+        assert np.isfinite(field_of(f)).all()
+
+
+def test_noise_and_torn_motion_never_fold_the_field() -> None:
+    g = np.random.default_rng(0)
+    world = texture()
+    frames = []
+    for t in range(10):
+        frame = view(world, pan(t), t)
+        frame[:, W // 2 :] = view(world, pan(-3 * t), t)[:, W // 2 :]  # the right half goes the other way, fast
+        frames.append(frame)
+    frames += [g.integers(0, 256, (H, W)).astype(np.uint8) for _ in range(3)]
+    for f in facts_of(folded(frames), len(frames)):
+        least = np.stack(determinants(*field_of(f)))
+        assert least.min() > 0.05 and least.max() < 20
+
+
+def test_linear_fields_are_not_bent() -> None:
+    gx, gy = node_places(W, H)
+    u, v = 0.3 * gx - 0.1 * gy + 5, 0.1 * gx + 0.3 * gy
+    a, b = relaxed(u, v)
+    np.testing.assert_allclose(a, u, atol=1e-9)
+    np.testing.assert_allclose(b, v, atol=1e-9)
+
+
+def test_near_the_marker_the_pose_is_believed() -> None:
+    """A blank picture shows no motion; the poses do, and the sites on the plane go with it."""
+    nodes = node_places(W, H)[0].shape
+    even = np.zeros(nodes, np.uint8)
+    steps = [MotionStep(0, None, True, even), MotionStep(1, np.zeros((*nodes, 2), np.float32), False, even)]
+    s = scene(camera(W, H))
+    poses = [look_at(0.5, 40, 20), look_at(0.5, 40, 26)]
+    given = [FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0) for k, p in enumerate(poses)]
+    facts = with_anchors(given, steps, s.camera, s.world_from_anchor, 0.15)
+    where, pose = reader.frame_field(facts[1], s, 8.0, 0.0, True)
+    assert pose == Pose.from_json(poses[1].to_json())
+    ground = np.array([[0.05, 0.02, 0], [-0.04, 0.05, 0], [0.0, -0.06, 0]])
+    before, now = (s.camera.project(p.apply(ground)) for p in poses)
+    for place, was in zip(now, before, strict=True):
+        i, j = ((place - [where.x0, where.y0]) / GRID_PX).round().astype(int)
+        # to first order: the field around the nearest node
+        node = np.array([where.x0 + GRID_PX * i, where.y0 + GRID_PX * j])
+        jac = np.array([[where.u[j, i + 1] - where.u[j, i], where.u[j + 1, i] - where.u[j, i]],
+                        [where.v[j, i + 1] - where.v[j, i], where.v[j + 1, i] - where.v[j, i]]]) / GRID_PX  # fmt: skip
+        assert np.linalg.norm(np.array([where.u[j, i], where.v[j, i]]) + jac @ (place - node) - was) < 1.5
+        assert np.linalg.norm(place - was) > 2.5
+
+
+def test_the_stage_reads_what_is_written_and_json_keeps_it() -> None:
+    world = texture()
+    facts = facts_of(folded([view(world, pan(t), t) for t in range(4)]), 4)
+    back = FrameFacts.from_json(json.loads(json.dumps(facts[-1].to_json())))
+    assert GRID_PX == STAGE_GRID_PX and reader.FACT == FACT and back.status == ABSENT
+    where, pose = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, True)
+    assert pose is None and where.u.shape == node_places(W, H)[0].shape
+    assert where.x0 == node_places(W, H)[0][0, 0]
+    assert np.median(where.u - node_places(W, H)[0]) == pytest.approx(7.5, abs=0.4)
+    still_, _ = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, False)
+    assert np.ptp(still_.u - np.arange(still_.u.shape[1]) * GRID_PX) == 0
+
+
+def fields_of(f: FrameFacts, way: str) -> tuple[np.ndarray, np.ndarray]:
+    return reader.decoded(f.extra[FACT][way], *f.extra[FACT]["shape"])
+
+
+@pytest.mark.parametrize("path", [pan, zoom, roll])
+def test_both_ways_follow_true_motion_and_begin_unbent_at_either_end(path: object) -> None:
+    n, world = 13, texture()
+    facts = facts_of(folded([view(world, path(t), t) for t in range(n)]), n)  # type: ignore[operator]
+    shares = [f.extra[FACT]["share"] for f in facts]
+    assert shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
+    gx, gy = node_places(W, H)
+    inside = ((gx >= 0) & (gx < W) & (gy >= 0) & (gy < H)).ravel()
+    for way, start in (("forward", 0), ("backward", n - 1)):
+        u, v = fields_of(facts[start], way)
+        np.testing.assert_allclose([np.ptp(u - gx), np.ptp(v - gy)], 0, atol=1e-6)
+        for t in (0, n // 2, n - 1):
+            now, first = (np.vstack([path(k), [0, 0, 1]]) for k in (t, start))  # type: ignore[operator]
+            true = np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+            at_t = fields_of(facts[t], way)
+            missed = np.hypot(at_t[0].ravel() - (u - gx)[0, 0] - true[0], at_t[1].ravel() - true[1])
+            assert np.median(missed[inside]) < 0.8 and missed[inside].max() < 2.5
+
+
+def test_a_clip_run_backwards_gives_the_same_patterns_in_turn() -> None:
+    """What is forward in one is backward in the other, with the same shares: no direction is favoured."""
+    world = texture()
+    frames = [view(world, zoom(t), t) for t in range(10)]
+    one, other = facts_of(folded(frames), 10), facts_of(folded(frames[::-1]), 10)
+    for a, b in zip(one, other[::-1], strict=True):
+        assert a.extra[FACT]["share"] == pytest.approx(1 - b.extra[FACT]["share"], abs=0.12)
+        u, v = fields_of(a, "backward"), fields_of(b, "forward")
+        shift = np.round(np.median(u[0] - v[0]))
+        middle = (slice(3, -3),) * 2
+        apart = np.hypot(u[0] - v[0] - shift, u[1] - v[1])[middle]
+        assert np.median(apart) < 3 and apart.max() < 9
+
+
+def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("arfx.analyse.motion.advection.PERIOD", 4)
+    world = texture()
+    facts = facts_of(folded([view(world, pan(4 * t), t) for t in range(18)]), 18, cut=14)
+    u = [fields_of(f, "forward")[0] for f in facts]
+    begins = [t for t in range(1, 18) if np.abs(u[t] - u[t - 1]).min() > 1000]
+    assert len(begins) >= 3 and 14 in begins
+    gx, _ = node_places(W, H)
+    for t in begins:
+        before = fields_of(facts[t - 1], "backward")[0]
+        assert np.ptp(u[t] - gx) == 0
+        near = np.abs(u[t] - before).max() < 100
+        assert near == (t != 14)  # what faded in goes on; a cut shows nothing of it
+
+
+def test_detail_goes_with_the_things_and_holds_still() -> None:
+    """A patch of texture on an even ground in a noisy pan: cells are finer on it, coarser beside it, and the wanted sizes at a
+    place of the ground hardly change from frame to frame."""
+    world = np.full((700, 700), 120, np.uint8)
+    world[210:330, 260:330] = texture(3)[210:330, 260:330] // 2 + 40
+    world[210:330:12, 260:330] = 230
+    motion = folded([view(world, pan(t), t) for t in range(16)])
+    facts = with_anchors([FrameFacts(t, t / 30) for t in range(16)], motion.steps, camera(W, H), Pose.identity(), 0.0)
+    s, on, off = scene(camera(W, H)), [], []
+    for t, f in enumerate(facts):
+        field, _ = reader.frame_field(f, s, 8.0, 0.0, True, detail=1.0)
+        assert (field.size >= 8 * 2**-0.91).all() and (field.size <= 8 * 2**0.31).all()
+        x, y = (295 - 150 - 2.5 * t - field.x0) / GRID_PX, (270 - 150 + t - field.y0) / GRID_PX
+        grid = field.size.astype(np.float32)
+        on.append(float(cv2.remap(grid, np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR)[0, 0]))
+        off.append(float(field.size[-2, 4]))
+    assert max(on) < 0.8 * 8 < 8 < min(off)
+    assert np.abs(np.diff(np.log2(on))).max() < 0.08
+    plain, _ = reader.frame_field(facts[3], s, 8.0, 0.0, True)
+    assert np.ptp(plain.size) == 0
+
+
+def test_detail_goes_on_after_a_pause_and_begins_anew_at_a_cut() -> None:
+    a, b = np.full((H, W), 90, np.uint8), view(texture(1), pan(0), 1)
+    motion = folded([b, b, a, a])
+    facts = [FrameFacts(t, t / 30, shot=t // 2) for t in range(4)]
+    made = with_anchors(facts, motion.steps, camera(W, H), Pose.identity(), 0.0)
+    size = [reader.frame_field(f, scene(camera(W, H)), 8.0, 0.0, True, detail=1.0)[0].size for f in made]
+    assert np.array_equal(size[0], size[1]) and size[0].mean() < 7 and (size[2] > 8).all()

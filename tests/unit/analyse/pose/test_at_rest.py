@@ -1,0 +1,37 @@
+"""A camera at rest is told from one that moves, whatever moves before it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.analyse.pose.at_rest import RestCheck
+
+GROUND = cv2.resize(
+    np.random.default_rng(0).integers(40, 210, (70, 100)).astype(np.uint8), (800, 560), interpolation=cv2.INTER_CUBIC
+)
+
+
+def told(frames: list[np.ndarray]) -> RestCheck:
+    check, rng = RestCheck(), np.random.default_rng(1)
+    for k, f in enumerate(frames):
+        check.step(0.4 * k, np.clip(f + rng.normal(0, 2, f.shape), 0, 255).astype(np.uint8))
+    return check
+
+
+def test_noise_and_what_moves_are_no_motion_of_the_camera() -> None:
+    view = GROUND[40:520, 60:700]
+    moving = []
+    for k in range(4):
+        f = view.copy()
+        f[100:300, 60 * k : 60 * k + 150] = 128
+        moving.append(f)
+    assert told([view] * 4).rests and told(moving).rests
+    assert told([np.full((480, 640), 90, np.uint8)] * 3).rests  # nothing to see
+
+
+@pytest.mark.parametrize("step_px", [2, 7])
+def test_a_slow_pan_is_found(step_px: int) -> None:
+    check = told([GROUND[40:520, 60 + step_px * k : 700 + step_px * k] for k in range(6)])
+    assert not check.rests and check.moved_px > 1

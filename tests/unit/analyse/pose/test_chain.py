@@ -1,0 +1,141 @@
+"""The smoother's chain against dense Gaussian algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.analyse.pose.chain import DIM, evidence, link, smooth_chain
+from arfx.analyse.pose.kernels import solve_in_place
+
+N = 6
+RNG = np.random.default_rng(2)
+DT = np.array([0.033, 0.033, 0.1, 0.02, 0.05])
+
+
+def noise(density: np.ndarray, dt_s: float, shake: np.ndarray) -> np.ndarray:
+    """(12, 12) covariance of white acceleration over dt_s."""
+    one = np.array([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]])
+    return np.kron(one, np.diag(density[:6]) + density[6] * shake)
+
+
+def problem() -> tuple:
+    i = np.arange(6)
+    after = np.tile(np.eye(DIM), (N - 1, 1, 1))
+    after[:, :3, :3] += RNG.normal(0, 0.05, (N - 1, 3, 3))
+    before = np.tile(-np.eye(DIM), (N - 1, 1, 1))
+    before[:, i, i + 6] = -DT[:, None]
+    offset = np.zeros((N - 1, DIM))
+    offset[:, :6] = RNG.normal(0, 0.02, (N - 1, 6))
+    root = RNG.normal(0, 20, (N, 6, 6))
+    measured = root @ np.swapaxes(root, 1, 2)
+    measured[2] = 0  # a frame without a marker
+    measured[3, :2] = measured[3, :, :2] = 0  # two directions not fixed
+    pull = np.einsum("nij,nj->ni", measured, RNG.normal(0, 0.1, (N, 6)))
+    density = 10.0 ** RNG.uniform(-3, 1, (N - 1, 7))
+    axes = RNG.normal(0, 1, (N - 1, 6, 2))
+    return measured, pull, before, after, offset, density, axes @ np.swapaxes(axes, 1, 2)
+
+
+def dense(measured: np.ndarray, pull: np.ndarray, before: np.ndarray, after: np.ndarray, offset: np.ndarray,
+          density: np.ndarray, shake: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
+    """Mean, covariance and log evidence of the whole trajectory at once."""
+    a, g = np.zeros((N * DIM, N * DIM)), np.zeros(N * DIM)
+    start = np.diag([1e-2] * 6 + [1e-4] * 6)
+    a[:DIM, :DIM] += start
+    log = 0.5 * np.linalg.slogdet(start)[1]
+    for k in range(N):
+        s = slice(k * DIM, k * DIM + 6)
+        a[s, s] += measured[k]
+        g[s] += pull[k]
+    for k in range(N - 1):
+        j = np.zeros((DIM, N * DIM))
+        j[:, k * DIM : (k + 1) * DIM], j[:, (k + 1) * DIM : (k + 2) * DIM] = before[k], after[k]
+        w = np.linalg.inv(noise(density[k], DT[k], shake[k]))
+        a += j.T @ w @ j
+        g -= j.T @ w @ offset[k]
+        log += 0.5 * np.linalg.slogdet(after[k].T @ w @ after[k])[1] - 0.5 * offset[k] @ w @ offset[k]
+    cov = np.linalg.inv(a)
+    mean = cov @ g
+    return mean.reshape(N, DIM), cov, log + 0.5 * g @ mean - 0.5 * np.linalg.slogdet(a)[1]
+
+
+def test_smoother_and_evidence_are_those_of_the_whole_problem() -> None:
+    measured, pull, before, after, offset, density, shake = problem()
+    links = link(before, after, offset, DT, shake)
+    mean, cov = smooth_chain(measured, pull, links, density)
+    expected, dense_cov, log = dense(measured, pull, before, after, offset, density, shake)
+    np.testing.assert_allclose(mean, expected, rtol=1e-5, atol=5e-6)
+    for k in range(N):
+        s = slice(k * DIM, (k + 1) * DIM)
+        np.testing.assert_allclose(cov[k], dense_cov[s, s], rtol=1e-4, atol=1e-6)
+    other = density * 3
+    _, _, log_other = dense(measured, pull, before, after, offset, other, shake)
+    got = evidence(measured, pull, links, np.stack([density, other]))
+    assert got[0] - got[1] == pytest.approx(log - log_other, rel=1e-5, abs=1e-4)
+
+
+@pytest.mark.parametrize("q", [1e-12, 1e-6, 1.0, 1e4])
+def test_extreme_noise_stays_regular(q: float) -> None:
+    n = 300
+    dt = np.full(n - 1, 1 / 30)
+    i = np.arange(6)
+    before, after = np.tile(-np.eye(DIM), (n - 1, 1, 1)), np.tile(np.eye(DIM), (n - 1, 1, 1))
+    before[:, i, i + 6] = -dt[:, None]
+    links = link(before, after, np.zeros((n - 1, DIM)), dt, np.tile(np.eye(6), (n - 1, 1, 1)))
+    measured = np.tile(np.diag([1e2, 1e4, 1e6, 1e9, 1e9, 1e6]), (n, 1, 1))
+    value = np.random.default_rng(0).normal(0, 1, (n, 6)) / np.sqrt(np.diag(measured[0]))
+    mean, cov = smooth_chain(measured, np.einsum("nij,nj->ni", measured, value), links, np.full((n - 1, 7), q))
+    assert np.isfinite(mean).all() and (np.linalg.eigvalsh(cov[:, :6, :6]) > 0).all()
+    spread = np.sqrt(np.einsum("nii->ni", cov)[:, :6])
+    assert (np.abs(mean[:, :6]) < 6 * spread + 1e-9).all()
+    assert (spread <= 1 / np.sqrt(np.diag(measured[0])) * 1.0001).all()  # never worse than a frame alone
+
+
+def test_axes_that_are_all_but_bound_together_stay_regular() -> None:
+    """A camera turned wildly about itself, and nothing else moves: turn and place are one, to nine digits and more."""
+    n, density = 150, np.array([1e-12] * 6 + [1e4])
+    dt, i = np.full(n - 1, 1 / 30), np.arange(6)
+    before, after = np.tile(-np.eye(DIM), (n - 1, 1, 1)), np.tile(np.eye(DIM), (n - 1, 1, 1))
+    before[:, i, i + 6] = -dt[:, None]
+    together = np.array([[1, 0], [0, 1], [0, 0], [0, 1.1], [-1.1, 0], [0.1, -0.2]])
+    links = link(before, after, np.zeros((n - 1, DIM)), dt, np.tile(together @ together.T + 1e-8 * np.eye(6), (n - 1, 1, 1)))
+    size = np.array([1e2, 1e2, 1e3, 1e5, 1e5, 1e3])  # 1 / standard deviation
+    rng = np.random.default_rng(1)
+    pan = np.cumsum(rng.normal(0, 0.2, (n, 2)), 0)
+    value = pan @ together.T + rng.normal(0, 1, (n, 6)) / size
+    measured = np.tile(np.diag(size**2), (n, 1, 1))
+    mean, cov = smooth_chain(measured, value * size**2, links, np.tile(density, (n - 1, 1)))
+    assert (np.linalg.eigvalsh(cov[:, :6, :6] * np.outer(size, size)) > 0).all()
+    error = (mean[:, :6] - pan @ together.T) * size
+    assert (np.abs(error) < 6).all()
+    assert np.sqrt((error[:, :2] ** 2).mean()) < 0.3  # a turn is known from the place, not from its own measurement alone
+    best = evidence(measured, value * size**2, links, np.tile(density, (1, n - 1, 1)))[0]
+    assert best < 0.5 * (value**2 * size**2).sum()  # no likelihood exceeds that of a perfect fit
+
+
+def test_two_short_links_are_one_long_link() -> None:
+    def last(dt: list[float]) -> np.ndarray:
+        n = len(dt)
+        i = np.arange(6)
+        before, after = np.tile(-np.eye(DIM), (n, 1, 1)), np.tile(np.eye(DIM), (n, 1, 1))
+        before[:, i, i + 6] = -np.array(dt)[:, None]
+        links = link(before, after, np.zeros((n, DIM)), np.array(dt), np.tile(np.ones((6, 6)), (n, 1, 1)))
+        seen = np.zeros((n + 1, 6, 6))
+        seen[0] = np.eye(6) * 1e6
+        return smooth_chain(seen, np.zeros((n + 1, 6)), links, np.tile([1.0, 2, 3, 4, 5, 6, 0.5], (n, 1)))[1][-1]
+
+    np.testing.assert_allclose(last([0.02, 0.05]), last([0.07]), rtol=1e-9)
+
+
+def test_systems_are_solved_as_by_numpy() -> None:
+    rng = np.random.default_rng(5)
+    for n in (1, 3, 6, 12):
+        a, b = rng.normal(0, 1, (n, n)), rng.normal(0, 1, (n, 4))
+        a[0, 0] = 0.0 if n > 1 else 2.0  # needs a pivot
+        x = b.copy()
+        log = solve_in_place(a.copy(), x)
+        np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
+        assert log == pytest.approx(np.linalg.slogdet(a)[1])
+    x = np.ones((2, 1))
+    assert not np.isfinite(solve_in_place(np.zeros((2, 2)), x)) and not np.isfinite(x).any()

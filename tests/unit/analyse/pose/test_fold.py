@@ -1,0 +1,260 @@
+"""Marker map, choice of path, cuts, presence, background, visibility and the facts file."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.analyse.facts_file import read_analysis, read_facts, write_facts
+from arfx.analyse.params import AnalyseParams
+from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_distance
+from arfx.analyse.pose.fold import solve
+from arfx.analyse.pose.path import choose_path, move_costs
+from arfx.analyse.pose.presence import CutSignal, find_cuts, lasting, opacities, stretches, unlikeness
+from arfx.analyse.pose.visibility import corner_jitter_px, with_model
+from arfx.analyse.records import Record, Seen
+from arfx.core.facts import FrameFacts
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
+from arfx.core.rect import EMPTY
+from arfx.errors import InputError
+from tests.scenes import scene
+from tests.unit.analyse.synthetic import background, camera, records, tilted
+
+CAM = camera(640, 480, 800.0)
+A, B, C = (MarkerSpec("36h11", i, 0.1) for i in (1, 2, 3))
+LAYOUT = {
+    A: Pose.identity(),
+    B: Pose(rotation_from_rotvec(np.array([0.1, 0.5, 0.2])), np.array([0.25, 0.03, 0.05])),
+    C: Pose(rotation_from_rotvec(np.array([-0.4, 0.1, -0.3])), np.array([0.1, 0.2, -0.04])),
+}
+N = 60
+T = np.arange(N) / 30
+ORBIT = [tilted([0.4 * np.sin(a), 0.4 * np.cos(a), 0.1 * a], [-0.1 + 0.05 * a, 0.05, 1.4]) for a in T * 3]
+PARAMS = AnalyseParams(static="camera")
+
+
+def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
+    def visible(k: int, m: MarkerSpec) -> bool:
+        return {A: k < 25 or k > 50, B: 10 < k < 45, C: k >= 35}[m]
+
+    rec = records(CAM, ORBIT, T, LAYOUT, 0.1, visible=visible)
+    a = solve(rec, [A, B, C], CAM, PARAMS, None, [])
+    for m, truth in LAYOUT.items():
+        got = a.world_from_marker[m.key]
+        assert np.linalg.norm(got.translation_m - truth.translation_m) < 2e-3
+        assert np.degrees(rotation_angle_rad(got, truth)) < 0.5
+    assert a.summary["frames_measured"] == N and a.summary["map"]["condition"] < 1e9
+    off = [np.linalg.norm(f.camera_from_world.translation_m - p.translation_m) for f, p in zip(a.facts, ORBIT, strict=True)]  # type: ignore[union-attr]
+    assert max(off) < 0.01  # also while the world's own marker is out of sight
+
+
+def test_marker_never_seen_with_others_is_left_out_and_named() -> None:
+    rec = records(CAM, ORBIT, T, LAYOUT, 0.1, visible=lambda k, m: (m is C) == (k > 30))
+    a = solve(rec, [A, B, C], CAM, PARAMS, None, [])
+    assert set(a.world_from_marker) == {A.key, B.key} and any(C.key in n for n in a.notices)
+    assert {f.status for f in a.facts[31:]} == {"absent"}
+
+
+def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
+    rec = records(CAM, ORBIT, T, LAYOUT, 0.05)
+    wrong = rec[20].seen[2]
+    seen = (*rec[20].seen[:2], Seen(wrong.key, wrong.corners_px + np.array([90, -60]), wrong.sigma_px, 0.8, False))
+    rec[20] = Record(20, rec[20].time_s, seen, (), False, (0.0, 0.0))
+    a = solve(rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, [])
+    assert a.summary["map"]["given"] and a.summary["dropped"] == 1
+    assert np.degrees(rotation_angle_rad(a.facts[20].camera_from_world, ORBIT[20])) < 0.3  # type: ignore[arg-type]
+
+
+def test_path_is_the_cheapest_of_all() -> None:
+    rng = np.random.default_rng(5)
+    poses = [[tilted(rng.normal(0, 0.4, 3), [0, 0, 1 + 0.1 * rng.normal()]) for _ in range(2 + k % 2)] for k in range(6)]
+    costs = [list(rng.uniform(0, 30, len(p))) for p in poses]
+    times = np.cumsum(rng.uniform(0.01, 0.1, 6)).tolist()
+
+    def price(path: tuple[int, ...]) -> float:
+        total = sum(costs[k][i] for k, i in enumerate(path))
+        for k in range(5):
+            a, b = poses[k][path[k]], poses[k + 1][path[k + 1]]
+            arrays = (v[None] for v in (a.rotation, a.translation_m, b.rotation, b.translation_m))
+            total += move_costs(*arrays, times[k + 1] - times[k])[0]
+        return float(total)
+
+    best = min(itertools.product(*(range(len(p)) for p in poses)), key=price)
+    assert tuple(choose_path(poses, costs, times)) == best
+    assert choose_path([], [], []) == []
+
+
+def test_path_stays_in_one_valley_against_small_misfits() -> None:
+    rng = np.random.default_rng(0)
+    this, other = tilted([0.3, 0, 0], [0, 0, 1]), tilted([-0.3, 0, 0], [0, 0, 1])
+    costs = [[1.0, float(rng.choice([0.2, 1.5]))] for _ in range(20)]
+    costs[0] = [0.0, 60.0]
+    assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 20
+    costs[1:] = [[1.0, 1.5]] * 9 + [[60.0, 0.0]] * 10  # a real change, with evidence, is followed
+    assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 10 + [1] * 10
+
+
+def test_cut_is_found_flash_and_pan_are_not() -> None:
+    one, two = (np.clip(background(320, 180, s) * 255, 0, 255).astype(np.uint8) for s in (1, 2))
+    shift = [np.roll(one, 2 * k, 1) for k in range(10)]
+    flash = np.clip(shift[4].astype(int) * 2 + 40, 0, 255).astype(np.uint8)
+    white = np.full_like(one, 255)
+
+    def cuts(clip: list[np.ndarray], followed: bool = False) -> list[int]:
+        signal = CutSignal()
+        values = [signal.step(f) for f in clip]
+        return find_cuts([v[0] for v in values], [v[1] for v in values], [followed] * len(clip))
+
+    assert cuts([*shift, *[two] * 5]) == [10]
+    assert cuts([*shift, *[two] * 5], followed=True) == []
+    assert cuts([*shift[:4], flash, *shift[5:]]) == []
+    assert cuts([*shift[:4], white, *shift[5:]]) == []
+    assert cuts([np.roll(one, 60 * k, 1) for k in range(12)]) == []  # a whip pan
+    assert unlikeness(one, np.clip(one * 0.5 + 30, 0, 255).astype(np.uint8)) < 0.02
+
+
+def test_the_midst_of_a_quick_move_is_no_cut() -> None:
+    # as measured: a camera swung about, in a second
+    before = [0.0, 0.48, 0.44, 0.2, 0.1, 0.4, 0.55, 0.57, 0.44, 0.17, 0.04, 0.03, 0.04, 0.12]
+    last = [0.0, 0.0, 0.73, 0.58, 0.3, 0.52, 0.68, 0.74, 0.77, 0.69, 0.29, 0.09, 0.09, 0.23]
+    assert find_cuts(before, last, [False] * len(before)) == []
+    before[7], last[8] = 1.0, 1.0  # the same with a cut in it
+    before[6] = before[8] = 0.3
+    assert find_cuts(before, last, [False] * len(before)) == [7]
+    still = [0.0, *[0.01] * 12]
+    assert find_cuts([*still[:5], 0.9, 0.8, *still[7:]], [*still[:5], 0.9, 0.7, 0.8, *still[8:]], [False] * 13) == [5, 6]
+
+
+def test_a_flicker_is_no_presence() -> None:
+    measured = np.zeros(40, bool)
+    measured[[0, 12, 13, 25, 26, 27, 39]] = True
+    shot = np.zeros(40, int)
+    every = stretches(measured, shot, np.arange(40) / 10, 0.3)
+    assert lasting(every, measured, shot) == [(0, 1), (25, 28), (39, 40)]
+    shot[12:] = 1  # now it begins a shot: what came before is unknown
+    assert (12, 14) in lasting(stretches(measured, shot, np.arange(40) / 10, 0.3), measured, shot)
+
+
+def test_presence_and_fades() -> None:
+    measured = np.array([1, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 1], bool)
+    shot = np.zeros(12, int)
+    times = np.arange(12) * 0.1
+    assert stretches(measured, shot, times, 0.25) == [(0, 4), (8, 12)]
+    assert stretches(measured, shot, times, 0.6) == [(0, 12)]
+    shot[3:] = 1
+    assert stretches(measured, shot, times, 0.6) == [(0, 2), (3, 12)]
+    o = opacities([(0, 4), (8, 12)], np.zeros(12, int), 2)
+    np.testing.assert_allclose(o, [1, 1, 2 / 3, 1 / 3, 0, 0, 0, 0, 1 / 3, 2 / 3, 1, 1])
+    assert (opacities([(0, 2), (3, 12)], shot, 2)[3:] == 1).all()
+
+
+def static_clip(kind: str) -> tuple[str, dict[str, float]]:
+    """A textured wall and a marker before it; kind says what stands still."""
+    wall, wall_m = background(900, 700, 3) * 255, 1.25 if kind == "marker, orbited" else 2.0
+    poses, flow = {}, BackgroundFlow()
+    h0 = np.array([[900 / 2.4, 0, 450], [0, 900 / 2.4, 350], [0, 0, 1.0]])  # metres on the wall to texture px
+    for k in range(40):
+        a = k / 30
+        turn = rotation_from_rotvec(np.array([0.05 * np.sin(2 * a), 0.08 * np.sin(3 * a), 0.02 * a]))
+        moving = Pose(turn, np.array([0.1 * np.sin(2 * a), 0.05 * a, 0.05 * np.sin(a)]))
+        camera_from_room = Pose.identity() if kind == "camera" else moving
+        if kind == "marker, orbited":  # by 7 degrees in a third of a second, .14 m aside
+            turn = rotation_from_rotvec(np.array([0.0, 0.36 * (a - 0.6), 0.0]))
+            camera_from_room = Pose(turn, np.array([0, 0, 1.2]) - turn @ np.array([0, 0, 1.2]))
+        room_from_marker = tilted([0.3, 0.1, 0], [0.1, 0.05, 1.2])
+        if not kind.startswith("marker"):
+            room_from_marker = tilted([0.3 + 0.5 * np.sin(4 * a), 0.1, 0], [0.1 + 0.2 * np.sin(5 * a), 0.05, 1.2])
+        poses[k] = camera_from_room @ room_from_marker
+        plane = np.column_stack([camera_from_room.rotation[:, :2], camera_from_room.apply(np.array([0, 0, wall_m]))])
+        image = cv2.warpPerspective(wall, CAM.matrix @ plane @ np.linalg.inv(h0), (640, 480), borderMode=cv2.BORDER_REFLECT)
+        flow.step(k, a, np.clip(image, 0, 255).astype(np.uint8), [], True)
+    assert flow.samples
+    return decide_static(flow.samples, poses, CAM)
+
+
+@pytest.mark.parametrize("kind", ["camera", "marker", "marker, orbited", "both"])
+def test_static_is_told_from_the_background(kind: str) -> None:
+    static, evidence = static_clip(kind)
+    assert static == kind.split(",")[0], evidence
+
+
+def test_epipolar_distance_is_zero_on_points_of_a_rigid_world() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-0.3, -0.3, 1.5], [0.3, 0.3, 6], (50, 3))
+    move = Pose(rotation_from_rotvec(np.array([0.03, -0.02, 0.1])), np.array([0.08, 0.01, 0.02]))
+    a, b = CAM.project(points), CAM.project(move.apply(points))
+    assert 800 * epipolar_distance(CAM.normalised(a), CAM.normalised(b), move, 0.5).max() < 1e-6
+    assert 800 * np.median(epipolar_distance(CAM.normalised(a), CAM.normalised(b + np.array([0, 12])), move, 0.5)) > 5
+    assert np.isinf(epipolar_distance(np.full((1, 2), np.nan), np.zeros((1, 2)), move, 0.5)).all()
+
+
+def test_a_slow_drift_is_no_rest() -> None:
+    at = np.random.default_rng(0).uniform(50, 400, (20, 2))
+    poses = {0: tilted([0, 0, 0], [0, 0, 1.0]), 1: tilted([0, 0, 0], [0, 0, 1.0])}
+    for drift, expected in ((0.1, "camera"), (1.0, "both")):
+        sample = {"a": 0, "b": 1, "px": 4, "from": at, "to": at + np.array([4 * drift, 0.0])}
+        assert decide_static([sample], poses, CAM)[0] == expected
+
+
+def test_no_background_means_both() -> None:
+    assert decide_static([], {}, CAM)[0] == "both"
+
+
+def test_model_box_covers_the_model_and_only_that() -> None:
+    s = scene()
+    inside = FrameFacts(0, 0.0, camera_from_world=tilted([0, 0, 0], [0, 0, 4.0]), opacity=1.0)
+    behind = inside.with_(camera_from_world=tilted([0, 0, 0], [0, 0, -4.0]))
+    aside = inside.with_(camera_from_world=tilted([0, 0, 0], [40, 0, 4.0]))
+    boxes = with_model([inside, behind, aside, inside.with_(camera_from_world=None)], s)
+    px = s.camera.project(inside.camera_from_world.apply(s.model_points_m))  # type: ignore[union-attr]
+    box = boxes[0].model_box
+    assert box.x0 <= max(px[:, 0].min(), 0) and box.x1 >= min(px[:, 0].max(), s.camera.width - 1)
+    assert box.x0 >= px[:, 0].min() - 3 and box.x1 <= px[:, 0].max() + 4
+    z = inside.camera_from_world.apply(s.model_points_m)[:, 2]  # type: ignore[union-attr]
+    assert boxes[0].depth_range_m == (pytest.approx(z.min()), pytest.approx(z.max()))
+    assert [b.model_box for b in boxes[1:]] == [EMPTY] * 3
+
+
+def test_jitter_is_the_second_difference_and_skips_breaks() -> None:
+    place = [tilted([0, 0, 0], [x, 0, 1.0]) for x in (0, 0.01, 0.04, 0.05, 0.06)]
+    facts = [FrameFacts(k, k / 30, 0, "measured", p, p) for k, p in enumerate(place)]
+    rec = records(CAM, place, T[:5], {A: Pose.identity()}, 0.0)
+    facts = [f.with_(markers=solve(rec, [A], CAM, PARAMS, None, []).facts[k].markers) for k, f in enumerate(facts)]
+    out = corner_jitter_px(facts, np.zeros((1, 3)), CAM, raw=True)
+    assert out["triples"] == 3
+    assert out["median"] == pytest.approx(0.02 * 800) and out["relative_median"] < 1e-6
+    broken = [f.with_(shot=int(k > 1)) for k, f in enumerate(facts)]
+    assert corner_jitter_px(broken, np.zeros((1, 3)), CAM, raw=True)["triples"] == 1
+
+
+def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
+    a = solve(records(CAM, ORBIT, T, LAYOUT, 0.1), [A, B, C], CAM, PARAMS, None, [])
+    path = tmp_path / "facts.jsonl"
+    write_facts(path, a.facts, a)
+    back = read_analysis(path)
+    assert (back.static, back.summary, back.notices) == (a.static, a.summary, a.notices)
+    for f, g in zip(a.facts, back.facts, strict=True):
+        assert (f.index, f.time_s, f.status, f.opacity, f.reprojection_px) == (
+            g.index,
+            g.time_s,
+            g.status,
+            g.opacity,
+            g.reprojection_px,
+        )
+        np.testing.assert_allclose(f.camera_from_world.matrix, g.camera_from_world.matrix, atol=1e-14)  # type: ignore[union-attr]
+    assert not list(tmp_path.glob("*.part"))
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join(rows[:-3]))
+    with pytest.raises(InputError, match="cut short"):
+        read_facts(path)
+    path.write_text("\n".join([rows[0], rows[1][:40]]))
+    with pytest.raises(InputError, match=":2: not a frame"):
+        read_facts(path)
+    path.write_text("{}")
+    with pytest.raises(InputError, match="no facts file"):
+        read_facts(path)
