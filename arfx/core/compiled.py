@@ -35,6 +35,8 @@ _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPyt
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
 _NEEDS = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
+# Four channels of a pixel, said one by one, become one vector. numba leaves this off, and its index of kept code does not tell.
+_SLP = "NUMBA_SLP_VECTORIZE"
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
 
@@ -44,6 +46,7 @@ def prepare() -> None:
     others = os.environ.get(_LOCATORS) or _NUMBAS
     if ours not in others.split(","):
         os.environ[_LOCATORS] = f"{ours},{others}"
+    os.environ.setdefault(_SLP, "1")
     if target():
         os.environ.setdefault("NUMBA_CPU_NAME", TARGET)
         os.environ.setdefault("NUMBA_CPU_FEATURES", "")  # those of TARGET
@@ -94,7 +97,7 @@ class _Stamp:
 
     @functools.cached_property
     def digest(self) -> str:
-        parts = hashlib.sha256()
+        parts = hashlib.sha256(f"{_SLP}={os.environ.get(_SLP)}".encode())
         for part in _sources(self._function, set()):
             parts.update(part)
         return parts.hexdigest()

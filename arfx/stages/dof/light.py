@@ -12,7 +12,7 @@ import numpy as np
 
 from arfx.stages.dof.ladder import ALIGN_PX, SHARP_PX
 from arfx.stages.dof.spread import light_of_row
-from arfx.stages.four import put_colour
+from arfx.stages.four import put_four
 
 _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; something sharp laid there; light spread there.
@@ -80,7 +80,9 @@ def lay_real(
             state[j, lo:hi] = LAID
             flat = out[j].reshape(-1)
             for x in range(lo, hi - 1):
-                put_colour(flat, 3 * x, light, x)
+                r, g, b, w = light[4 * x], light[4 * x + 1], light[4 * x + 2], light[4 * x + 3]
+                inverse = np.float32(1) / w
+                put_four(flat, 3 * x, r * inverse, g * inverse, b * inverse, w * inverse)
             inverse = np.float32(1) / light[4 * hi - 1]
             for c in range(3):
                 flat[3 * (hi - 1) + c] = light[4 * (hi - 1) + c] * inverse

@@ -12,7 +12,7 @@ import numpy as np
 
 from arfx.stages.dof.aperture import STEPS
 from arfx.stages.dof.ladder import SHARP_PX
-from arfx.stages.four import add_between, add_two_between, mark_ends
+from arfx.stages.four import add_four, add_two_between
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
 _SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
@@ -133,6 +133,19 @@ def deposit_tile(
                     to_cell(cells, meta, rung, y, x, lead_y, lead_x, s[0] * share, s[1] * share, s[2] * share, s[3] * share, r)
 
 
+@numba.njit(nogil=True)
+def _mark_ends(marks, a, b, c, d, red, green, blue, weight, share, first, last):  # pragma: no cover - compiled
+    """Ends of one row of a disc, in cells of four: with v = (red, green, blue, weight) share, marks[a] += v first,
+    marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last. marks : flat"""
+    red, green, blue, weight = red * share, green * share, blue * share, weight * share
+    begin = red * first, green * first, blue * first, weight * first
+    end = red * last, green * last, blue * last, weight * last
+    add_four(marks, a, begin[0], begin[1], begin[2], begin[3])
+    add_four(marks, b, red - begin[0], green - begin[1], blue - begin[2], weight - begin[3])
+    add_four(marks, c, end[0] - red, end[1] - green, end[2] - blue, end[3] - weight)
+    add_four(marks, d, -end[0], -end[1], -end[2], -end[3])
+
+
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def _mark(marks, q, y, x, low, high, width, line, unit, ends, shares, n):  # pragma: no cover - compiled
     """Mark the row ends of one disc in rows low..high. marks : flat, (rows, width + 1, 4), from row low
@@ -152,7 +165,7 @@ def _mark(marks, q, y, x, low, high, width, line, unit, ends, shares, n):  # pra
             a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
         row = (y + j - low) * stride
         share, begin, end = shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
-        mark_ends(marks, row + a, row + b, row + c, row + d, red, green, blue, weight, share, begin, end)
+        _mark_ends(marks, row + a, row + b, row + c, row + d, red, green, blue, weight, share, begin, end)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -337,13 +350,15 @@ def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pr
             for n in range(half):
                 t = (np.float32(2 * n) + np.float32(0.5)) * step
                 for k in range(run, i):
-                    add_two_between(line, (k << rung) + half - lead_x + 2 * n, between, k, k + 1, t, step)
+                    add_two_between(line, (k << rung) + half - lead_x + 2 * n, between, k, t, step)
         i = begin >> rung
         while i < ((end - 1) >> rung) + 1:
             if i == first_whole and after_whole > i:
                 i = after_whole
                 continue
-            p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
+            p, q, x = 4 * max(i, 0), 4 * min(i + 1, width - 1), i << rung
             for n in range(max(begin - x, 0), min(end - x, side)):
-                add_between(line, x + half - lead_x + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
+                t = (np.float32(n) + np.float32(0.5)) * step
+                for c in range(4):
+                    line[4 * (x + half - lead_x + n) + c] += between[p + c] + (between[q + c] - between[p + c]) * t
             i += 1

@@ -9,10 +9,22 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.four import mean_of_rows, mean_of_texels
+from arfx.stages.four import mean_of_rows
 
+_F = np.float32
 # Cosine below which the footprint on the surface stops growing: one texel row would blur away a whole texture.
 _GRAZING = 0.1
+
+
+@numba.njit(nogil=True, fastmath=True)
+def _mean_of_texels(texels, i, j, k, m, a, b, c, d):  # pragma: no cover - compiled
+    """a texels[i] + b texels[j] + c texels[k] + d texels[m], a tuple. texels : (n, 4) uint16"""
+    return (
+        _F(texels[i, 0]) * a + _F(texels[j, 0]) * b + _F(texels[k, 0]) * c + _F(texels[m, 0]) * d,
+        _F(texels[i, 1]) * a + _F(texels[j, 1]) * b + _F(texels[k, 1]) * c + _F(texels[m, 1]) * d,
+        _F(texels[i, 2]) * a + _F(texels[j, 2]) * b + _F(texels[k, 2]) * c + _F(texels[m, 2]) * d,
+        _F(texels[i, 3]) * a + _F(texels[j, 3]) * b + _F(texels[k, 3]) * c + _F(texels[m, 3]) * d,
+    )
 
 
 @numba.njit(inline="always")
@@ -30,10 +42,9 @@ def _texel(texels, table, t, level, tu, tv, share):  # pragma: no cover - compil
     y0, y1 = y0 if y0 >= 0 else h - np.int32(1), y1 if y1 < h else np.int32(0)
     share *= np.float32(1 / 65535)
     b, c, d = share * fx * (one - fy), share * (one - fx) * fy, share * fx * fy
-    return mean_of_texels(
-        texels, np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1), np.uintp(start + y1 * w + x0),
-        np.uintp(start + y1 * w + x1), share - b - c - d, b, c, d,
-    )  # fmt: skip
+    i, j = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
+    k, m = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
+    return _mean_of_texels(texels, i, j, k, m, share - b - c - d, b, c, d)
 
 
 @numba.njit(inline="always")

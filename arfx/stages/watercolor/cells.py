@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from arfx.stages.bands import BANDS, by_bands
-from arfx.stages.four import add_pixel
+from arfx.stages.four import add_four
 from arfx.stages.watercolor.labels import Labels, bucketed
 from arfx.stages.watercolor.rows import Cover, Picture, labels_of, line_of, span_of
 from arfx.stages.watercolor.sites import STEPS
@@ -88,14 +88,9 @@ def _sum(
 
 @numba.njit(cache=True, nogil=True)
 def _add(line, a, sums):  # pragma: no cover - compiled
-    last = a.shape[0] - 1
-    if last < 0:
-        return
-    for x in range(last):
-        add_pixel(sums, _U(4) * _U(a[x]), line, _U(3) * _U(x))  # type: ignore[call-arg]
-    for c in range(3):  # no number follows it
-        sums[4 * a[last] + c] += line[3 * last + c]
-    sums[4 * a[last] + 3] += 1.0
+    for x in range(a.shape[0]):
+        i = _U(3) * _U(x)
+        add_four(sums, a[x], line[i], line[i + _U(1)], line[i + _U(2)], np.float32(1))
 
 
 def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.stages.bands import by_bands
-from arfx.stages.four import copy_four, mix_four
+from arfx.stages.four import put_four
 from arfx.stages.watercolor.labels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
 from arfx.stages.watercolor.rows import Cover, Picture, borders_of, labels_of, row_of
@@ -62,16 +62,19 @@ def _fill_row(table, a, to):  # pragma: no cover - compiled
     """The fourth number of each pixel is overwritten by the next one's."""
     last = a.shape[0] - 1
     for x in range(last):
-        copy_four(table, _U(4) * _U(a[x]), to, _U(3) * _U(x))  # type: ignore[call-arg]
+        i = _U(4) * _U(a[x])
+        put_four(to, 3 * x, table[i], table[i + _U(1)], table[i + _U(2)], table[i + _U(3)])
     for c in range(3):
         to[3 * last + c] = table[4 * a[last] + c]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
-    last = a.shape[0] - 1
+    last, red, green, blue, none = a.shape[0] - 1, ink[0], ink[1], ink[2], ink[3]
     for x in range(last):
-        mix_four(table, _U(4) * _U(a[x]), ink, lines[x] * opacity, to, _U(3) * _U(x))  # type: ignore[call-arg]
+        i, s = _U(4) * _U(a[x]), lines[x] * opacity
+        r, g, b, n = table[i], table[i + _U(1)], table[i + _U(2)], table[i + _U(3)]
+        put_four(to, 3 * x, r + s * (red - r), g + s * (green - g), b + s * (blue - b), n + s * (none - n))
     for c in range(3):
         v = table[4 * a[last] + c]
         to[3 * last + c] = v + lines[last] * opacity * (ink[c] - v)

@@ -138,3 +138,10 @@ def test_code_is_stale_when_what_it_calls_or_holds_has_changed(tmp_path: Path) -
     assert stamp(tmp_path, kind=np.float64) != before
     assert stamp(tmp_path, caller=CALLS + "# another\n") != before
     assert stamp(tmp_path, callee="@numba.njit\ndef f(x):\n    return x + 1\n") != before
+
+
+def test_code_that_was_compiled_without_the_slp_pass_is_stale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert numba.config.SLP_VECTORIZE == 1
+    before = stamp(tmp_path)
+    monkeypatch.setenv("NUMBA_SLP_VECTORIZE", "0")
+    assert stamp(tmp_path) != before
