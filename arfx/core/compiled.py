@@ -17,18 +17,13 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 from arfx.core.machine import instructions
 from arfx.core.places import cache_folder
-
-# Options of `numba.njit` for a function that counts no references to arrays. Every part of an array that is made or handed on
-# costs two locked additions otherwise: a fifth of the time of a kernel that goes by lines, and more where two threads count
-# the same array's. Such a function makes no arrays: one that counts makes the room to work in, holds what it is given, and
-# calls it.
-UNCOUNTED: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}
 
 _OURS = ("arfx", "arfx_cli")
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
@@ -51,8 +46,6 @@ def prepare() -> None:
         os.environ.setdefault("NUMBA_CPU_NAME", TARGET)
         os.environ.setdefault("NUMBA_CPU_FEATURES", "")  # those of TARGET
     if "numba" in sys.modules:  # imported before arfx
-        from importlib import import_module
-
         import_module("numba.core.config").reload_config()
 
 
@@ -62,6 +55,16 @@ def target() -> str:
     if platform.machine() not in ("x86_64", "AMD64"):
         return ""
     return TARGET if instructions() >= _NEEDS else ""
+
+
+def line_kernel(**options: Any) -> Any:
+    """`numba.njit` for a function that goes by lines and counts no references to arrays. options : further ones of njit
+
+    Each part of an array that is made or handed on costs two locked additions otherwise: a fifth of such a kernel's time, and
+    more where two threads count the same array's. It makes no arrays: a function that counts makes the room to work in, holds
+    what it is given, and calls it.
+    """
+    return import_module("numba").njit(cache=True, nogil=True, _nrt=False, **options)
 
 
 class Place:

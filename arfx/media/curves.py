@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numba
 import numpy as np
 
 from arfx.core.colour import Transfer
-from arfx.core.compiled import UNCOUNTED
+from arfx.core.compiled import line_kernel
 
 # Under this linear value a pure power is replaced by the chord to zero: less than 1e-7 of white in coded values.
 _DARKEST = 1e-17
@@ -40,7 +39,7 @@ def encode_curve(transfer: Transfer) -> np.ndarray:
     return np.array([toe / slope, slope, 0, 1, 1 / power, alpha, alpha - 1], np.float32)
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def apply_curve(values, curve, base, mantissa, out):
     """out[k] = the curve of values[k] (n,) float32, odd in the value; base, mantissa (n,) float32 : room to work in.
 
@@ -58,7 +57,7 @@ def apply_curve(values, curve, base, mantissa, out):
         out[k] = c if v >= np.float32(0) else -c
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def power_of(values, power, base, mantissa, out):
     """out[k] = values[k]^power (n,) float32 of values >= 0; base, mantissa (n,) float32 : room to work in."""
     n = values.shape[0]
@@ -67,7 +66,7 @@ def power_of(values, power, base, mantissa, out):
     _raise(base[:n], power, mantissa[:n], out)
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def _raise(base, power, mantissa, out):
     """out = base^power (n,) of positive normal float32; `base` and `mantissa` are used up."""
     one, middle, shift = np.float32(1), np.int32(0x3F3504F3), np.int32(23)  # the bits of sqrt(1/2)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.core.compiled import UNCOUNTED
+from arfx.core.compiled import line_kernel
 from arfx.media.curves import FAST, apply_curve, power_of
 from arfx.media.lines import add_steps, chroma_span, clipped_differences, coded_line, line_room, reduce_line, taps
 
@@ -40,7 +40,7 @@ def dim_luma(
     )  # fmt: skip
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def _dim_lines(
     y, u, v, rect, hole, left, opacity, bias, steps, cosited, chroma_size, scale, matrix, curves, to_yuv, picture_width,
     factor, legal, chroma, reach, tapped, wide, room,
@@ -98,7 +98,7 @@ def _dim_lines(
             reduce_line(line[c0 << sx :], sx, weights, chroma[c, j, c0:c1])
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def _span(bits, channels, n):
     """First pixel of a line of n that something is taken from, and the one behind the last, by blocks of _BLOCK.
 
@@ -121,7 +121,7 @@ def _full(bits):
     return taken == 0
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def _shares(flat, step, opacity, k, n):
     """k (3, n) : share of light left of n pixels, of flat (n step,), step values each.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.core.compiled import UNCOUNTED
+from arfx.core.compiled import line_kernel
 from arfx.media.curves import FAST, apply_curve
 from arfx.media.lines import (
     add_steps,
@@ -36,7 +36,7 @@ def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, c
     _linear_lines(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, room)
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def _linear_lines(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, room):
     # a line at a time in steps without branches, of which the compiler makes vector code
     x0, y0, x1, y1 = rect
@@ -134,7 +134,7 @@ def edit_luma(
     )  # fmt: skip
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def _edit_lines(
     y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, chroma, reach, tapped,
     wide, room, clean,
@@ -194,7 +194,7 @@ def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, low, 
     )
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, low, high, tapped, total):
     x0, y0, _, y1 = rect
     sx, sy = steps

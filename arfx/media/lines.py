@@ -7,7 +7,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.core.compiled import UNCOUNTED
+from arfx.core.compiled import line_kernel
 from arfx.media.curves import FAST
 
 
@@ -23,7 +23,7 @@ def chroma_span(x0, x1, step, columns):
     return max((x0 >> step) - 1, 0), min(((x1 - 1) >> step) + 2, columns)
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def coded_line(y, u, v, row, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded):
     """coded (3, w or more) = R'G'B' of w pixels of one line from column x0 on; other arguments as in `linear_from_yuv`.
 
@@ -63,7 +63,7 @@ def _between(above, below, part, offset, factor, out):
         out[i] = (a + part * (b - a) - offset) * factor
 
 
-@numba.njit(**UNCOUNTED, fastmath=FAST)
+@line_kernel(fastmath=FAST)
 def _widen(few, c0, columns, step, cosited, x0, out):
     """Chroma at the luma columns x0 ... of one line, linear between samples. few : those of the chroma columns from c0 on"""
     n = out.shape[0]

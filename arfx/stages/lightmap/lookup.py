@@ -14,7 +14,7 @@ from functools import lru_cache
 import numba
 import numpy as np
 
-from arfx.core.compiled import UNCOUNTED
+from arfx.core.compiled import line_kernel
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.lightmap.plane import PlaneTexture
@@ -93,7 +93,7 @@ def _look_up(
     return out
 
 
-@numba.njit(**UNCOUNTED, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up_lines(
     x0, y0, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength, out, borders, places,
     place, taken, lines, spans,
@@ -217,7 +217,7 @@ def _dark_columns(texels, meta, faint):  # pragma: no cover - compiled
     return out
 
 
-@numba.njit(**UNCOUNTED, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _ends(nodes, origin, iy, fy, g0, ends):  # pragma: no cover - compiled
     """ends (6, n) : of the runs of GRID_PX pixels of one line, from node g0 on: direction, distance along it (0 = does not
     meet the plane), plane x and y."""
@@ -241,7 +241,7 @@ def _meet(dx, dy, dz, ox, oy, oz, far, x, y):  # pragma: no cover - compiled
         y[i] = v if towards else _NOWHERE
 
 
-@numba.njit(**UNCOUNTED, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
     """px, py : where the pixels of the runs first ... last - 1 see the plane; as far from every picture as can be if nowhere."""
     step = np.float32(1.0 / GRID_PX)
@@ -266,7 +266,7 @@ def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
             py[at + i] = origin[1] + s * (ends[1, q] + f * (ends[1, q + 1] - ends[1, q])) if meets else _NOWHERE
 
 
-@numba.njit(**UNCOUNTED, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover - compiled
     """Half-open range of runs of GRID_PX lines outside which a picture has nothing dark. above, below (3, n) : their borders,
     distance, plane x and y"""
@@ -279,7 +279,7 @@ def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover
     return first, max(last, first)
 
 
-@numba.njit(**UNCOUNTED, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _may_be_dark(above, below, a, b, affine, dark_columns, columns):  # pragma: no cover - compiled
     """Whether pixels between the ends a and b of runs may see something dark. dark_columns (rows, 2), one picture's"""
     meets = (above[0, a] > 0) + (above[0, b] > 0) + (below[0, a] > 0) + (below[0, b] > 0)

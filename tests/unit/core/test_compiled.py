@@ -145,3 +145,22 @@ def test_code_that_was_compiled_without_the_slp_pass_is_stale(tmp_path: Path, mo
     before = stamp(tmp_path)
     monkeypatch.setenv("NUMBA_SLP_VECTORIZE", "0")
     assert stamp(tmp_path) != before
+
+
+def test_a_line_kernel_counts_no_references(tmp_path: Path) -> None:
+    """If numba drops the flag behind `line_kernel` this fails. Then leave the flag out of `line_kernel`: nothing else names it,
+    results stay the same, and kernels that go by lines get up to a quarter slower. `arfx bench --stage composite` and
+    `make bench` say how much; where it is too much, pass indices in place of parts of arrays."""
+    source = "def f(lines, out):\n    for y in range(len(out)):\n        out[y] = g(lines[y])\n"
+    first = compiled.line_kernel()(function(tmp_path / "first.py", "def f(line):\n    return line[0]\n"))
+    f = compiled.line_kernel()(function(tmp_path / "calls.py", source, g=first))
+    lines, out = np.arange(6.0).reshape(3, 2), np.zeros(3)
+    f(lines, out)
+    assert list(out) == [0, 2, 4]
+    assert "NRT_incref" not in f.inspect_llvm(f.signatures[0])
+
+
+def test_nothing_else_names_the_flag() -> None:
+    root = Path(compiled.__file__).parents[2]
+    naming = [p.name for folder in ("arfx", "cli", "tools") for p in (root / folder).rglob("*.py") if "_nrt" in p.read_text()]
+    assert naming == ["compiled.py"]
