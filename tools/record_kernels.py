@@ -39,6 +39,7 @@ def record(file: Path, arguments: list[str]) -> None:
     """In the process of one job: run it, and write (module, name, types, seconds) of what was called."""
     from numba.core.dispatcher import Dispatcher
 
+    from arfx.run.kernels import written
     from arfx_cli.main import main
 
     called: dict[tuple[str, str, str], float] = {}
@@ -52,7 +53,7 @@ def record(file: Path, arguments: list[str]) -> None:
         finally:
             here.depth -= 1
             if not here.depth and self.py_func.__module__.startswith("arfx."):
-                key = (self.py_func.__module__, self.py_func.__qualname__, repr(tuple(types)))
+                key = (self.py_func.__module__, self.py_func.__qualname__, written(types))
                 called.setdefault(key, round(time.thread_time() - start, 2))
 
     Dispatcher.compile = compile
@@ -89,7 +90,7 @@ def part_of(module: str) -> str:
     return name if package == "arfx" and name in STAGES else ""
 
 
-def written(parts: dict[str, list[list[Any]]]) -> str:
+def as_text(parts: dict[str, list[list[Any]]]) -> str:
     """A kernel a line."""
     lines = [f' "{part}": [\n' + ",\n".join(f"  {json.dumps(row)}" for row in rows) + "\n ]" for part, rows in parts.items()]
     return "{\n" + ",\n".join(lines) + "\n}\n"
@@ -99,4 +100,4 @@ if __name__ == "__main__":
     if len(sys.argv) > 1:
         record(Path(sys.argv[1]), sys.argv[2:])
     else:
-        MANIFEST.write_text(written(run_all()))
+        MANIFEST.write_text(as_text(run_all()))

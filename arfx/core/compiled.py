@@ -116,11 +116,15 @@ class _Stamp:
 
 
 def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
-    """The files of a function and of the compiled functions it calls, and the values that are compiled in as constants."""
+    """The files of a function, of the compiled functions it calls and of the named tuples it says it takes, and the values that
+    are compiled in as constants."""
     if id(function) in seen:
         return
     seen.add(id(function))
     yield _file_digest(function.__code__.co_filename)
+    for name in sorted(set(map(str, function.__annotations__.values())) & function.__globals__.keys()):
+        if file := getattr(sys.modules.get(function.__globals__[name].__module__), "__file__", None):
+            yield _file_digest(file)
     names = sorted(_names(function.__code__) & function.__globals__.keys())
     for value in _held(function) + [function.__globals__[name] for name in names]:
         called = getattr(value, "py_func", None)

@@ -11,11 +11,12 @@ import contextlib
 import json
 import os
 import queue
+import re
 import subprocess
 import sys
 import threading
 from collections import defaultdict, deque
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -34,7 +35,7 @@ Progress = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True)
 class Kernel:
-    """A compiled function for one list of argument types, as numba writes them. seconds : it takes to compile"""
+    """A compiled function for one list of argument types, as `written`. seconds : it takes to compile"""
 
     module: str
     name: str
@@ -57,11 +58,34 @@ class Kernel:
         self.function.compile(_types(self.types))
 
 
-@cache
-def _types(written: str) -> tuple[Any, ...]:
-    from numba.core.sigutils import normalize_signature
+def written(types: Iterable[Any]) -> str:
+    """Types of arguments as numba writes them, a named tuple's class with its module: "(int64, arfx.x.Pair(int64, int64))"."""
+    from numba.core.types.containers import BaseNamedTuple
 
-    return tuple(normalize_signature(written)[0])
+    def one(kind: Any) -> str:
+        if not issubclass(type(kind), BaseNamedTuple):
+            return repr(kind)
+        made_by = kind.instance_class
+        return f"{made_by.__module__}.{made_by.__qualname__}({', '.join(map(one, kind.types))})"
+
+    parts = [one(kind) for kind in types]
+    return f"({', '.join(parts)}{',' * (len(parts) == 1)})"
+
+
+@cache
+def _types(text: str) -> tuple[Any, ...]:
+    """What `written` wrote."""
+    from numba.core import types
+
+    known = dict(vars(types))
+    for module in set(re.findall(r"([\w.]+)\.\w+\(", text)):
+        import_module(module)
+        known[module.partition(".")[0]] = import_module(module.partition(".")[0])
+
+    def one(kind: Any) -> Any:  # a named tuple's own class made one of types
+        return types.containers.BaseTuple.from_types([one(k) for k in kind], type(kind)) if isinstance(kind, tuple) else kind
+
+    return tuple(one(kind) for kind in eval(text, known))
 
 
 def listed(parts: Collection[str] | None = None) -> list[Kernel]:
@@ -199,7 +223,7 @@ def unlisted_told(notice: Callable[[str], None]) -> Iterator[None]:
             here.depth = getattr(here, "depth", 0) + 1
             if here.depth > 1 or self.told:
                 return
-            function, types = started.data["dispatcher"].py_func, repr(tuple(started.data["args"]))
+            function, types = started.data["dispatcher"].py_func, written(started.data["args"])
             if (function.__module__, function.__qualname__, types) not in {(k.module, k.name, k.types) for k in listed()}:
                 self.told = True
                 notice("compiling further kernels, once: this clip or its settings need them")

@@ -23,11 +23,11 @@ from arfx.core.rect import Rect
 from arfx.errors import InputError, RenderError
 from arfx.stages.raster import gl_resolve, hits
 from arfx.stages.raster import mesh as columns
+from arfx.stages.raster.arrays import OUTPUTS, Buffers, GBuffer, gbuffer, no_samples, view
 from arfx.stages.raster.gl_context import discard, on_gl_thread, open_context
 from arfx.stages.raster.gl_draw import Drawing
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import Mesh
-from arfx.stages.raster.rays import OUTPUTS
 
 MAX_LAYERS = 8
 NEAR_M = 1e-3
@@ -70,10 +70,10 @@ class GlRenderer:
         rows = max(min(MAX_SIDE_PX // self.k, MAX_AREA_PX // (self.k**2 * rect.width)), 1)
         for top in range(rect.y0, rect.y1, rows):
             strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
-            self._strip(strip, camera_from_world, [out[name][strip.slices_in(rect)] for name in OUTPUTS])
+            self._strip(strip, camera_from_world, gbuffer({k: v[strip.slices_in(rect)] for k, v in out.items()}))
         return out
 
-    def _strip(self, rect: Rect, pose: Pose, outs: list[np.ndarray]) -> None:
+    def _strip(self, rect: Rect, pose: Pose, out: GBuffer) -> None:
         camera_from_mesh = Pose(pose.rotation, pose.apply(self.mesh.centre_m))
         depths = camera_from_mesh.apply(self.mesh.vertices)[:, 2]
         near, far = max(0.9 * float(depths.min()), NEAR_M), 1.1 * float(depths.max())
@@ -87,29 +87,25 @@ class GlRenderer:
         h, w, per = rect.height, rect.width, self.k**2
         directions, _ = hits.world_directions(lens[1:-1, 1:-1], rotation)
         texels = gl_resolve.texel_map(lens, h, w, self.k, scale, shift, rows_px, columns_px, not self.camera.distorted)
-        view, projection = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix, self._projection(place, near, far)
+        from_mesh, projection = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix, self._projection(place, near, far)
         grid = np.array([*scale, *shift, columns_px if self.camera.distorted else 0, rows_px], float)
         if not self.blends:
-            buffers = _drawn(self.drawing, view, projection, columns_px, rows_px, None)
-            rest = (*buffers, self.glows, grid, rotation, directions, eye, h, w, *outs)
-            gl_resolve.resolve_opaque(texels, self.order, per, *rest)
+            buffers = Buffers(*_drawn(self.drawing, from_mesh, projection, columns_px, rows_px, None))
+            gl_resolve.resolve_opaque(texels, self.order, per, buffers, self.glows, grid, rotation, directions, eye, out)
             return
-        acc = np.zeros((h * w * per, hits.COLUMNS), np.float32)
-        acc[:, 0] = 1
-        depth, ident = np.full(len(acc), np.inf, np.float32), np.zeros(len(acc), np.int32)
-        peel = None
+        samples, peel = no_samples(h * w * per), None
         for _ in range(MAX_LAYERS):
-            buffers = _drawn(self.drawing, view, projection, columns_px, rows_px, peel)
-            if not gl_resolve.add_layer(texels, per, *(*buffers, self.glows, grid, rotation, directions, acc, depth, ident)):
+            buffers = Buffers(*_drawn(self.drawing, from_mesh, projection, columns_px, rows_px, peel))
+            if not gl_resolve.add_layer(texels, per, buffers, self.glows, grid, rotation, directions, samples):
                 break
             # nothing drawn at a texel: everything there has been peeled
-            peel = np.where(buffers[2][:, 3] > 0, buffers[0][:, 3], np.float32(3e38))
+            peel = np.where(buffers.surface[:, 3] > 0, buffers.geometry[:, 3], np.float32(3e38))
         # pixels are numbered with a margin of one, the lens table has two
         ys, xs = np.divmod(np.arange(h * w), w)
         numbers = (ys + 1) * (w + 2) + xs + 1
         none = np.zeros((h + 2) * (w + 2), np.int32)
-        rest = (self.lens.directions(rect.pad(2)), rotation, eye, *outs)
-        hits.resolve_edges(w + 2, numbers, per, self.order, acc, depth, ident, none.astype(np.float32), none, *rest)
+        wide = view(self.lens.directions(rect.pad(2)), pose)
+        hits.resolve_edges(numbers, self.order, samples, none.astype(np.float32), none, wide, out)
 
     def _place(self, rect: Rect, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, int] | None:
         """Ideal camera of the buffer: position = direction * scale + shift; its size. None where nothing is seen."""

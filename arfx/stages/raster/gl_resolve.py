@@ -10,6 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.stages.raster.arrays import Buffers, GBuffer, Samples
+
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def texel_map(lens, height, width, k, scale, shift, rows, columns, exact):  # pragma: no cover - compiled
@@ -46,14 +48,15 @@ def texel_map(lens, height, width, k, scale, shift, rows, columns, exact):  # pr
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_opaque(
-    texels, order, per, geometry, colour, surface, glow, glows, grid, rotation, directions, eye, height, width, coverage,
-    depth, normal, position, albedo, material, emissive, object_id,
+    texels, order, per, buffers: Buffers, glows, grid, rotation, directions, eye, out: GBuffer
 ):  # fmt: skip  # pragma: no cover - compiled
     """Means over the covering samples of each pixel; depth and number from the one next to the centre.
 
     grid : (6,) scale x y, shift x y, columns, rows of the buffer; columns = 0 where texels lie on the samples
     """
-    unit = np.float32(1.0 / 65535.0)
+    geometry, colour, surface, glow = buffers
+    coverage, depth, normal, position, albedo, material, emissive, object_id = out
+    unit, (height, width) = np.float32(1.0 / 65535.0), coverage.shape
     for y in range(height):
         for x in range(width):
             first = (y * width + x) * per
@@ -120,9 +123,11 @@ def _moved(z, texel, geometry, grid, rotation, direction):  # pragma: no cover -
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def add_layer(
-    texels, per, geometry, colour, surface, glow, glows, grid, rotation, directions, acc, depth, ident
+    texels, per, buffers: Buffers, glows, grid, rotation, directions, samples: Samples
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Put one peeled layer behind those in `acc` (columns: hits.py); returns whether any light is left behind it."""
+    """Put one peeled layer behind those in `samples`; returns whether any light is left behind it."""
+    geometry, colour, surface, glow = buffers
+    acc, depth, ident = samples
     unit = np.float32(1.0 / 65535.0)
     left = False
     for k in range(texels.shape[0]):

@@ -1,8 +1,7 @@
 """From samples along rays to pixels: compiled inner loops of the `rays` back end.
 
-One row of `acc` gathers a sample's layers front to back, each weighted by its opacity times what is left of the light
-behind those before it: columns 0 transmittance, 1-3 albedo, 4-6 normal, 7 metallic, 8 roughness, 9 specular,
-10-12 emissive.
+One row of `sums` gathers a sample's layers front to back: columns 0 transmittance, 1-3 albedo, 4-6 normal, 7 metallic,
+8 roughness, 9 specular, 10-12 emissive.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -11,7 +10,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-COLUMNS = 13
+from arfx.stages.raster.arrays import COLUMNS, GBuffer, Samples, Surfaces, View
+from arfx.stages.raster.mesh import MODE, TWO_SIDED
+
 # Transparency below half an 8-bit step of the opacity is none.
 _CLEAR = 1.0 / 512.0
 
@@ -51,13 +52,15 @@ def sample_directions(lens, pixels, width, offsets):  # pragma: no cover - compi
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(
-    active, prim, z, values, directions, start, hidden, layered, part, face_normal, ints, acc, depth, ident, masked, onward
+    active, prim, z, values, directions, start, mesh: Surfaces, samples: Samples, masked, onward
 ):  # fmt: skip  # pragma: no cover - compiled
     """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `onward`.
 
     z, values : depth and attributes of the hits;  start : (samples,) moved behind the hit where the ray goes on
     masked : (samples,) bool, set where a cut-out material is met
     """
+    part, face_normal, ints = mesh.part, mesh.face_normal, mesh.ints
+    acc, depth, ident = samples
     going = 0
     for a in range(active.shape[0]):
         if prim[a] < 0:
@@ -66,12 +69,12 @@ def accumulate(
         facing = (
             face_normal[f, 0] * directions[k, 0] + face_normal[f, 1] * directions[k, 1] + face_normal[f, 2] * directions[k, 2]
         )
-        if hidden[f] and facing > 0:
+        if facing > 0 and ints[part[f], TWO_SIDED] == 0:
             start[k] = z[a]
             onward[going] = active[a]
             going += 1
             continue
-        if ints[part[f], 3] == 1:
+        if ints[part[f], MODE] == 1:
             masked[k] = True
         if values[a, 0] > _CLEAR:
             w = acc[k, 0] * values[a, 0]
@@ -81,7 +84,7 @@ def accumulate(
             if ident[k] == 0:
                 ident[k] = part[f] + 1
                 depth[k] = z[a]
-        if layered and acc[k, 0] > _CLEAR:
+        if acc[k, 0] > _CLEAR:
             start[k] = z[a]
             onward[going] = active[a]
             going += 1
@@ -89,49 +92,50 @@ def accumulate(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def write_pixel(
-    sums, y, x, acc, first, count, chosen, depth, ident, direction, eye, coverage, depth_out, normal, position, albedo,
-    material, emissive, object_id,
-):  # fmt: skip  # pragma: no cover - compiled
-    """Mean of samples first .. first + count over the covering ones; depth and number come from sample `chosen`."""
+def write_pixel(y, x, acc, z, ident, direction, eye, sums, out: GBuffer):  # pragma: no cover - compiled
+    """Mean of a pixel's samples, acc (n, COLUMNS), over the covering ones. z, ident : its depth and number
+
+    sums : (12,) scratch
+    """
+    count = acc.shape[0]
     covered = np.float32(0)
     hits = 0
-    for k in range(first, first + count):
+    for k in range(count):
         covered += np.float32(1) - acc[k, 0]
         if acc[k, 0] < 1:
             hits += 1
     if hits == 0:
         return
-    coverage[y, x] = min(covered / count, np.float32(1))
+    out.coverage[y, x] = min(covered / count, np.float32(1))
     inverse = np.float32(1) / covered
     sums[:] = 0
-    for k in range(first, first + count):
+    for k in range(count):
         for c in range(12):
             sums[c] += acc[k, c + 1]
     for c in range(3):
-        albedo[y, x, c] = sums[c] * inverse
-        emissive[y, x, c] = sums[9 + c] * inverse
-        material[y, x, c] = sums[6 + c] * inverse
-    material[y, x, 3] = covered / hits
+        out.albedo[y, x, c] = sums[c] * inverse
+        out.emissive[y, x, c] = sums[9 + c] * inverse
+        out.material[y, x, c] = sums[6 + c] * inverse
+    out.material[y, x, 3] = covered / hits
     n = np.sqrt(sums[3] * sums[3] + sums[4] * sums[4] + sums[5] * sums[5])
     for c in range(3):
         if n > 1e-6:
-            normal[y, x, c] = sums[3 + c] / n
+            out.normal[y, x, c] = sums[3 + c] / n
         else:  # opposite sides cancel in this pixel: straight towards the camera
-            normal[y, x, c] = -direction[c] / np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
-    z = depth[chosen]
-    depth_out[y, x] = z
+            out.normal[y, x, c] = -direction[c] / np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+    out.depth[y, x] = z
     for c in range(3):
-        position[y, x, c] = eye[c] + z * direction[c]
-    object_id[y, x] = ident[chosen]
+        out.position[y, x, c] = eye[c] + z * direction[c]
+    out.object_id[y, x] = ident
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_centres(
-    height, width, edge, acc, depth, ident, directions, eye, coverage, depth_out, normal, position, albedo, material,
-    emissive, object_id,
+    height, width, edge, samples: Samples, directions, eye, out: GBuffer
 ):  # fmt: skip  # pragma: no cover - compiled
     """Pixels that need one sample only; samples cover one pixel more on each side than the layers."""
+    acc, depth, ident = samples
+    coverage, depth_out, normal, position, albedo, material, emissive, object_id = out
     for y in range(height - 2):
         for x in range(width - 2):
             k = (y + 1) * width + x + 1
@@ -156,31 +160,27 @@ def resolve_centres(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_edges(
-    width, pixels, samples, order, acc, depth, ident, centre_depth, centre_ident, lens, rotation, eye, coverage, depth_out,
-    normal, position, albedo, material, emissive, object_id,
+    pixels, order, samples: Samples, centre_depth, centre_ident, view: View, out: GBuffer
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Pixels of many samples; numbered with one pixel of margin, two in the lens table.
+    """Pixels of many samples; numbered with one pixel of margin.
 
-    centre_depth, centre_ident : (pixels,) of the pixels' own centres;  order : (samples,) sample numbers from the
-    centre outwards
+    centre_depth, centre_ident : (pixels,) of the pixels' own centres;  order : (s,) sample numbers from the centre outwards
     """
+    acc, depth, ident = samples
+    lens, rotation, eye, _ = view
+    count, width = order.shape[0], lens.shape[1] - 2
     sums, direction = np.zeros(12, np.float32), np.empty(3, np.float32)
-    one_depth, one_ident = np.empty(1, np.float32), np.empty(1, np.int32)
     for a in range(pixels.shape[0]):
         k = pixels[a]
         y, x = k // width - 1, k % width - 1
         u, v = lens[y + 2, x + 2, 0], lens[y + 2, x + 2, 1]
         for c in range(3):
             direction[c] = rotation[0, c] * u + rotation[1, c] * v + rotation[2, c]
-        one_ident[0] = centre_ident[a]
-        one_depth[0] = centre_depth[a]
-        if one_ident[0] == 0:
-            for b in range(samples):
-                s = a * samples + order[b]
+        z, number = centre_depth[a], centre_ident[a]
+        if number == 0:
+            for b in range(count):
+                s = a * count + order[b]
                 if ident[s] > 0:
-                    one_ident[0], one_depth[0] = ident[s], depth[s]
+                    number, z = ident[s], depth[s]
                     break
-        write_pixel(
-            sums, y, x, acc, a * samples, samples, 0, one_depth, one_ident, direction, eye, coverage, depth_out, normal,
-            position, albedo, material, emissive, object_id,
-        )  # fmt: skip
+        write_pixel(y, x, acc[a * count : (a + 1) * count], z, number, direction, eye, sums, out)

@@ -11,6 +11,7 @@ from arfx.core.model import BLEND, MASK, OPAQUE, Model
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 from arfx.errors import InputError
+from arfx.stages.raster.arrays import Surfaces
 from arfx.stages.raster.textures import StackBuilder, TextureStack
 
 # Columns of the material tables, one row a part.
@@ -56,6 +57,14 @@ class Mesh:
     def texture_slots(self) -> int:
         """Up to which of the three texture columns any material has one, 0..3."""
         return 1 + int(np.flatnonzero((self.ints[:, : EMISSIVE_TEXTURE + 1] >= 0).any(0)).max(initial=-1))
+
+    @cached_property
+    def surfaces(self) -> Surfaces:
+        """What the compiled loops read."""
+        return Surfaces(
+            self.faces, self.part, self.face_normal, self.normals, self.uv, self.colours, self.uv_per_m, self.floats, self.ints,
+            self.texture_slots, self.textures.linear, self.textures.table,
+        )  # fmt: skip
 
     @cached_property
     def hidden(self) -> np.ndarray:

@@ -8,7 +8,7 @@ Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `R
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -18,15 +18,13 @@ from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.raster import hits, surface
+from arfx.stages.raster.arrays import COLUMNS, OUTPUTS, Hits, Samples, gbuffer, no_samples, view
 from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import CUTOFF, EMIT_R, Mesh
 from arfx.stages.raster.visibility import face_boxes, nearest_faces, nearest_faces_at
 
 MAX_LAYERS = 8
-OUTPUTS = (
-    Layer.COVERAGE, Layer.DEPTH, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE, Layer.OBJECT_ID,
-)  # fmt: skip
 # A ray goes on this far behind a hit, as a share of the depth: four steps of float32.
 _ONWARD = np.float32(4 * 1.2e-7)
 # A bilinear tap spreads over two texels; half a level finer comes nearest to the pixel's own average (least error
@@ -73,11 +71,6 @@ class RayRenderer:
         self.order = np.argsort((self.offsets**2).sum(1), kind="stable")
         self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
         self.glows = bool(mesh.floats[:, EMIT_R:CUTOFF].any())
-        m = mesh
-        self._surfaces = (
-            m.faces, m.part, m.face_normal, m.normals, m.uv, m.colours, m.uv_per_m, m.floats, m.ints, m.texture_slots,
-            m.textures.linear, m.textures.table,
-        )  # fmt: skip
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame."""
@@ -96,25 +89,23 @@ class RayRenderer:
         wide = rect.pad(1)
         h, w, m = wide.height, wide.width, self.mesh
         lens = self.lens.directions(wide.pad(1))
-        rotation = np.ascontiguousarray(camera_from_world.rotation)
-        eye_world = camera_from_world.inverse().translation_m
-        eye = eye_world - m.centre_m
+        seen_from = view(lens, camera_from_world, self.pixel * _SHARPER)
+        eye = seen_from.eye - m.centre_m
         points = Pose(camera_from_world.rotation, camera_from_world.apply(m.centre_m)).apply(m.vertices)
         box = face_boxes(points, self.camera.project(points), m.faces, self.camera, wide)
-        *seen, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
-        prim, depth = seen[0], seen[3]
+        *met, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
+        seen = Hits(*met)
+        prim, depth = seen.face, seen.depth
         edge = edge_pixels(m, self.camera, points, front, wide, depth.reshape(h, w)).ravel()
-        add_differences(edge, prim, depth, m.part, m.face_normal, lens, h, w, rotation, self.pixel)
-        arrays = tuple(out[name] for name in OUTPUTS)
-        pixel = np.float32(self.pixel * _SHARPER)
-        ident = None
+        add_differences(edge, prim, depth, m.part, m.face_normal, lens, h, w, seen_from.rotation, self.pixel)
+        layers, centres = gbuffer(out), None
         if not m.layered:
-            surface.write_centres(*(*seen, edge, lens, rotation, pixel, h, w, eye_world, self.glows, *self._surfaces, *arrays))
+            surface.write_centres(seen, edge, seen_from, self.glows, m.surfaces, layers)
         else:
-            directions, valid = hits.world_directions(lens[1:-1, 1:-1], rotation)
-            acc, depth, ident, masked = self._trace(eye, directions, valid, seen, pixel)
+            directions, valid = hits.world_directions(lens[1:-1, 1:-1], seen_from.rotation)
+            centres, masked = self._trace(eye, directions, valid, seen, seen_from.pixel)
             edge |= masked  # a mean of opacities says little about where a cut-out ends: sampled instead
-            hits.resolve_centres(h, w, edge, acc, depth, ident, directions, eye_world, *arrays)
+            hits.resolve_centres(h, w, edge, centres, directions, seen_from.eye, layers)
         inner = edge.reshape(h, w).copy()
         inner[[0, -1]], inner[:, [0, -1]] = False, False
         pixels = np.flatnonzero(inner)
@@ -124,31 +115,26 @@ class RayRenderer:
             inside = hits.sample_directions(lens, some, w, self.offsets)
             slot = np.full(h * w, -1, np.int32)
             slot[some] = np.arange(len(some))
-            found = nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
-            footprint = np.float32(self.pixel / np.sqrt(count))
-            if not m.layered:
-                met = (*found, prim[some], depth[some])
-                place = (w, lens, rotation, footprint, eye_world, self.glows)
-                surface.write_edges(*(some, inside, self.order, *met, *place, *self._surfaces, *arrays))
+            found = Hits(*nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M))
+            finer = seen_from._replace(pixel=np.float32(self.pixel / np.sqrt(count)))
+            if centres is None:
+                surface.write_edges(
+                    some, inside, self.order, found, prim[some], depth[some], finer, self.glows, m.surfaces, layers
+                )  # fmt: skip
                 continue
-            rays, ok = hits.world_directions(inside, rotation)
-            s_acc, s_depth, s_ident, _ = self._trace(eye, rays, ok, found, footprint)
-            assert ident is not None
-            hits.resolve_edges(
-                w, some, count, self.order, s_acc, s_depth, s_ident, depth[some], ident[some], lens, rotation, eye_world, *arrays
-            )
+            rays, ok = hits.world_directions(inside, finer.rotation)
+            samples, _ = self._trace(eye, rays, ok, found, finer.pixel)
+            hits.resolve_edges(some, self.order, samples, centres.depth[some], centres.ident[some], finer, layers)
 
     def _trace(
-        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, seen: Sequence[np.ndarray], pixel: np.float32
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Samples along rays from `eye`: rows of hits.COLUMNS, depth (inf = none), 1 + part or 0, met a cut-out.
+        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, seen: Hits, pixel: np.float32
+    ) -> tuple[Samples, np.ndarray]:
+        """Samples along rays from `eye`, and which met a cut-out.
 
-        seen : face, u, v and depth of the first hits;  pixel : footprint of a sample at depth 1, for texture filters
+        seen : the first hits;  pixel : footprint of a sample at depth 1, for texture filters
         """
         m, n = self.mesh, len(directions)
-        acc = np.zeros((n, hits.COLUMNS), np.float32)
-        acc[:, 0] = 1
-        depth, ident = np.full(n, np.inf, np.float32), np.zeros(n, np.int32)
+        samples = no_samples(n)
         start, masked = np.zeros(n, np.float32), np.zeros(n, bool)
         active = np.arange(n) if valid.all() else np.flatnonzero(valid)
         origin = eye.astype(np.float32)
@@ -156,7 +142,7 @@ class RayRenderer:
             if not len(active):
                 break
             if layer == 0:
-                face, u, v, distance = seen if len(active) == n else (a[active] for a in seen)
+                face, u, v, distance = seen if len(active) == n else Hits(*(a[active] for a in seen))
             else:
                 rays = directions[active]
                 start[active] *= 1 + _ONWARD
@@ -164,12 +150,9 @@ class RayRenderer:
                 face, u, v, distance = (hit[key] for key in ("primID", "u", "v", "tfar"))
             onward = np.empty(len(active), active.dtype)
             z = start[active] + distance
-            values = np.empty((len(active), hits.COLUMNS), np.float32)
+            values = np.empty((len(active), COLUMNS), np.float32)
             rays = directions if len(active) == n else directions[active]
-            surface.surfaces(face, u, v, z, rays, pixel, *self._surfaces, values)
-            going = hits.accumulate(
-                active, face, z, values, directions, start, m.hidden, m.layered, m.part, m.face_normal, m.ints,
-                acc, depth, ident, masked, onward,
-            )  # fmt: skip
+            surface.surfaces(Hits(face, u, v, z), rays, pixel, m.surfaces, values)
+            going = hits.accumulate(active, face, z, values, directions, start, m.surfaces, samples, masked, onward)
             active = onward[:going]
-        return acc, depth, ident, masked
+        return samples, masked

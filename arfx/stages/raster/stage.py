@@ -21,8 +21,8 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, Window
 from arfx.errors import ConfigError
+from arfx.stages.raster.arrays import OUTPUTS
 from arfx.stages.raster.backends import BACKENDS, choose_backend
-from arfx.stages.raster.rays import OUTPUTS
 
 
 @dataclass(frozen=True)

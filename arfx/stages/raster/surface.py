@@ -9,7 +9,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.stages.four import mean_of_rows
+from arfx.stages.raster.arrays import GBuffer, Hits, Surfaces, View
 
 _F = np.float32
 # Cosine below which the footprint on the surface stops growing: one texel row would blur away a whole texture.
@@ -58,29 +60,27 @@ def _in_world(rotation, x, y):  # pragma: no cover - compiled
 
 
 @numba.njit(inline="always")
-def _surface(
-    face, b1, b2, z, dx, dy, dz, pixel,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
-):  # fmt: skip  # pragma: no cover - compiled
+def _surface(face, b1, b2, z, dx, dy, dz, pixel, mesh: Surfaces):  # pragma: no cover - compiled
     """Opacity, albedo (3), unit normal (3), metallic, roughness, specular, emissive (3) of one hit.
 
     dx, dy, dz : the ray, camera z = 1;  z : depth of the hit;  pixel : footprint of a sample at depth 1
-    slots : how many of the three textures any material has
-    Inlined: a call with two dozen arrays takes ten times as long as the arithmetic (reference counts).
+    Inlined: a call with a dozen arrays takes ten times as long as the arithmetic (reference counts).
     """
+    normals, uv, floats, ints, table = mesh.normals, mesh.uv, mesh.floats, mesh.ints, mesh.table
+    face_normal, texels = mesh.face_normal, mesh.texels
     # unsigned indices spare numba the test for negative ones
     f = np.uintp(face)
-    p = np.uintp(part[f])
-    i0, i1, i2 = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+    p = np.uintp(mesh.part[f])
+    i0, i1, i2 = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     facing = face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz
     b0 = np.float32(1) - b1 - b2
-    r, g, b, alpha = mean_of_rows(colours, i0, i1, i2, b0, b1, b2)
+    r, g, b, alpha = mean_of_rows(mesh.colours, i0, i1, i2, b0, b1, b2)
     r, g, b, alpha = floats[p, 0] * r, floats[p, 1] * g, floats[p, 2] * b, floats[p, 3] * alpha
     one = np.float32(1)
     metallic, rough = floats[p, 4], floats[p, 5]
     er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
-    for slot in range(slots):
+    for slot in range(mesh.slots):
         t = ints[p, slot]
         if t < 0:
             continue
@@ -90,7 +90,7 @@ def _surface(
         tv -= np.floor(tv)
         # the pixel's footprint on the surface, in texels of the finest level
         cosine = max(abs(facing) / length, np.float32(_GRAZING))
-        side = z * pixel * uv_per_m[f]
+        side = z * pixel * mesh.uv_per_m[f]
         area = side * side * np.float32(table[t, 0] * table[t, 1]) / cosine
         lod = min(np.float32(0.5) * np.log2(area) if area > one else np.float32(0), np.float32(table[t, 2] - 1))
         level = np.int32(lod)
@@ -131,39 +131,36 @@ def _surface(
     return alpha, r, g, b, nx, ny, nz, metallic, rough, floats[p, 6], er, eg, eb
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def surfaces(
-    prim, bary_u, bary_v, depth, directions, pixel,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table, values,
-):  # fmt: skip  # pragma: no cover - compiled
+@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def surfaces(hits: Hits, directions, pixel, mesh: Surfaces, values):  # pragma: no cover - compiled
     """Attributes of hits into values (n, 13), in the order of `_surface`. Rows of misses stay as they are.
 
-    depth : (n,) of the hits;  directions : (n, 3) with camera z = 1
+    directions : (n, 3) with camera z = 1;  pixel : as of `View`
     """
+    prim, bary_u, bary_v, depth = hits
     for k in range(prim.shape[0]):
         if prim[k] < 0:
             continue
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         alpha, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
-            prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel,
-            faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
-        )  # fmt: skip
+            prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel, mesh
+        )
         values[k, 0], values[k, 1], values[k, 2], values[k, 3] = alpha, r, g, b
         values[k, 4], values[k, 5], values[k, 6] = nx, ny, nz
         values[k, 7], values[k, 8], values[k, 9] = metallic, rough, specular
         values[k, 10], values[k, 11], values[k, 12] = er, eg, eb
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def write_centres(
-    prim, bary_u, bary_v, depth, edge, lens, rotation, pixel, height, width, eye, glows,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
-    coverage, depth_out, normal, position, albedo, material, emissive, object_id,
-):  # fmt: skip  # pragma: no cover - compiled
+@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def write_centres(hits: Hits, edge, view: View, glows, mesh: Surfaces, out: GBuffer):  # pragma: no cover - compiled
     """All layers of an opaque mesh from one sample a pixel; those of misses and of `edge` pixels become neutral.
 
-    Hits cover one pixel more on each side than the layers do, the lens table two;  glows : else EMISSIVE is left alone
+    Hits cover one pixel more on each side than the layers do;  glows : else EMISSIVE is left alone
     """
+    prim, bary_u, bary_v, depth = hits
+    lens, rotation, eye, pixel = view
+    coverage, depth_out, normal, position, albedo, material, emissive, object_id = out
+    part, height, width = mesh.part, lens.shape[0] - 2, lens.shape[1] - 2
     for i in range(1, height - 1):
         for j in range(1, width - 1):
             k = np.uintp(i * width + j)
@@ -177,9 +174,8 @@ def write_centres(
             lx, ly, z = lens[i + 1, j + 1, 0], lens[i + 1, j + 1, 1], depth[k]
             dx, dy, dz = _in_world(rotation, lx, ly)
             _, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
-                prim[k], bary_u[k], bary_v[k], z, dx, dy, dz, pixel,
-                faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
-            )  # fmt: skip
+                prim[k], bary_u[k], bary_v[k], z, dx, dy, dz, pixel, mesh
+            )
             coverage[y, x], depth_out[y, x], object_id[y, x] = 1, z, part[np.uintp(prim[k])] + 1
             albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r, g, b
             normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = nx, ny, nz
@@ -189,23 +185,25 @@ def write_centres(
                 emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = er, eg, eb
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def write_edges(
-    pixels, samples, order, prim, bary_u, bary_v, depth, centre_prim, centre_depth, width, lens, rotation, pixel, eye, glows,
-    faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
-    coverage, depth_out, normal, position, albedo, material, emissive, object_id,
+    pixels, samples, order, hits: Hits, centre_prim, centre_depth, view: View, glows, mesh: Surfaces, out: GBuffer
 ):  # fmt: skip  # pragma: no cover - compiled
     """Pixels of many samples of an opaque mesh: means over the samples that meet it. Those that none meets stay as they are.
 
-    pixels (n,) : numbered with one pixel of margin, two in the lens table;  samples (n, s, 2) : directions in the camera
-    order (s,) : sample numbers from the centre outwards;  prim, bary_u, bary_v, depth (n * s,) : what the samples meet
+    pixels (n,) : numbered with one pixel of margin;  samples (n, s, 2) : directions in the camera
+    order (s,) : sample numbers from the centre outwards;  hits : of n * s samples
     centre_prim, centre_depth (n,) : what the pixels' centres meet
     """
+    prim, bary_u, bary_v, depth = hits
+    lens, rotation, eye, pixel = view
+    coverage, depth_out, normal, position, albedo, material, emissive, object_id = out
+    part, width = mesh.part, lens.shape[1] - 2
     count = np.uintp(order.shape[0])
     for a in range(pixels.shape[0]):
         y, x = np.uintp(pixels[a] // width - 1), np.uintp(pixels[a] % width - 1)
         start = np.uintp(a) * count
-        hits = np.float32(0)
+        met = np.float32(0)
         r, g, b = np.float32(0), np.float32(0), np.float32(0)
         nx, ny, nz = np.float32(0), np.float32(0), np.float32(0)
         metallic, rough, specular = np.float32(0), np.float32(0), np.float32(0)
@@ -217,15 +215,14 @@ def write_edges(
             lx, ly = samples[a, i, 0], samples[a, i, 1]
             dx, dy, dz = _in_world(rotation, lx, ly)
             _, r1, g1, b1, x1, y1, z1, metallic1, rough1, specular1, er1, eg1, eb1 = _surface(
-                prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel,
-                faces, part, face_normal, normals, uv, colours, uv_per_m, floats, ints, slots, texels, table,
-            )  # fmt: skip
-            hits += np.float32(1)
+                prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel, mesh
+            )
+            met += np.float32(1)
             r, g, b = r + r1, g + g1, b + b1
             nx, ny, nz = nx + x1, ny + y1, nz + z1
             metallic, rough, specular = metallic + metallic1, rough + rough1, specular + specular1
             er, eg, eb = er + er1, eg + eg1, eb + eb1
-        if hits == 0:
+        if met == 0:
             continue
         chosen, z = centre_prim[a], centre_depth[a]
         if chosen < 0:
@@ -236,8 +233,8 @@ def write_edges(
                     break
         lx, ly = lens[y + np.uintp(2), x + np.uintp(2), 0], lens[y + np.uintp(2), x + np.uintp(2), 1]
         dx, dy, dz = _in_world(rotation, lx, ly)
-        inverse = np.float32(1) / hits
-        coverage[y, x], depth_out[y, x], object_id[y, x] = hits / np.float32(count), z, part[np.uintp(chosen)] + 1
+        inverse = np.float32(1) / met
+        coverage[y, x], depth_out[y, x], object_id[y, x] = met / np.float32(count), z, part[np.uintp(chosen)] + 1
         albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r * inverse, g * inverse, b * inverse
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         if length > np.float32(1e-6):

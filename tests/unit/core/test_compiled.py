@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -138,6 +139,20 @@ def test_code_is_stale_when_what_it_calls_or_holds_has_changed(tmp_path: Path) -
     assert stamp(tmp_path, kind=np.float64) != before
     assert stamp(tmp_path, caller=CALLS + "# another\n") != before
     assert stamp(tmp_path, callee="@numba.njit\ndef f(x):\n    return x + 1\n") != before
+
+
+def test_code_is_stale_when_a_named_tuple_that_it_takes_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fields are taken by their place: another order would give one array for the other."""
+    monkeypatch.syspath_prepend(tmp_path)
+    name = f"tuples_{tmp_path.name}".replace("-", "_")
+    (tmp_path / f"{name}.py").write_text("from typing import NamedTuple\nclass Pair(NamedTuple):\n    a: int\n    b: int\n")
+    pair, source = importlib.import_module(name).Pair, "def f(pair: Pair):\n    return pair.a\n"
+    stamps = []
+    for _ in range(2):
+        compiled._file_digest.cache_clear()
+        stamps.append(compiled.Place(function(tmp_path / "takes.py", source, Pair=pair), "takes.py").get_source_stamp().digest)
+        (tmp_path / f"{name}.py").write_text("from typing import NamedTuple\nclass Pair(NamedTuple):\n    b: int\n    a: int\n")
+    assert stamps[0] != stamps[1]
 
 
 def test_code_that_was_compiled_without_the_slp_pass_is_stale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,10 @@ import subprocess
 from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
+import numba
+import numpy as np
 import pytest
 
 from arfx.run import job, kernels
@@ -117,6 +120,25 @@ def test_the_list_fits_the_code() -> None:
         function = kernel.function
         assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, kernel
         assert kernel.kept in (True, False), kernel
+
+
+class Pair(NamedTuple):
+    first: np.ndarray
+    second: np.ndarray
+
+
+class Both(NamedTuple):
+    pair: Pair
+    size: int
+
+
+def test_types_are_read_as_they_are_written() -> None:
+    alike, mixed = Pair(np.zeros(2), np.zeros(2)), Pair(np.zeros(2), np.zeros((2, 2), np.uint8))
+    for arguments in ((3,), (alike, True, np.float32(1)), (Both(mixed, 2), alike), ()):
+        types = tuple(map(numba.typeof, arguments))
+        text = kernels.written(types)
+        assert kernels._types(text) == types
+        assert not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
 
 
 @pytest.mark.parametrize("started", [None, 3.0])

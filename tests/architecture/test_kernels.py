@@ -1,0 +1,39 @@
+"""Compiled functions take few arguments: arrays that belong together come as a named tuple."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+STAGES = Path(__file__).parents[2] / "arfx" / "stages"
+MOST = 10
+COMPILED = ("numba.njit", "line_kernel")
+# Still to be gathered; what is done leaves the list.
+AS_YET = {"dof", "gi", "lightmap", "plain.py", "watercolor"}
+
+
+def too_many(source: str) -> list[str]:
+    """Compiled functions of more than MOST parameters."""
+    functions = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef)]
+    compiled = [f for f in functions if any(ast.unparse(d).startswith(COMPILED) for d in f.decorator_list)]
+    return [f.name for f in compiled if len(f.args.args) + len(f.args.kwonlyargs) > MOST]
+
+
+@pytest.mark.parametrize("path", sorted(STAGES.rglob("*.py")), ids=lambda p: str(p.relative_to(STAGES)))
+def test_kernels_take_at_most_ten_arguments(path: Path) -> None:
+    if path.relative_to(STAGES).parts[0] not in AS_YET:
+        assert not too_many(path.read_text())
+
+
+@pytest.mark.parametrize("name", sorted(AS_YET))
+def test_what_is_gathered_leaves_the_list(name: str) -> None:
+    files = [STAGES / name] if name.endswith(".py") else sorted((STAGES / name).rglob("*.py"))
+    assert any(too_many(file.read_text()) for file in files)
+
+
+def test_the_rule_sees_a_function_of_eleven() -> None:
+    eleven = ", ".join("abcdefghijk")
+    assert too_many(f"@numba.njit(cache=True)\ndef f({eleven}): ...\n@line_kernel()\ndef g({eleven}): ...") == ["f", "g"]
+    assert too_many("@numba.njit\ndef f(a, b): ...\ndef g(" + eleven + "): ...") == []
