@@ -15,7 +15,7 @@ import numpy as np
 from arfx.stages.bands import BANDS, by_bands
 from arfx.stages.four import add_four
 from arfx.stages.watercolor.labels import Labels, bucketed
-from arfx.stages.watercolor.rows import Cover, Picture, labels_of, line_of, span_of
+from arfx.stages.watercolor.rows import Cells, Cover, Picture, labels_of, line_of, span_of
 from arfx.stages.watercolor.sites import STEPS
 
 NEIGHBOURS = 8  # of a cell that are kept; a Voronoi cell has 6 on average
@@ -38,11 +38,11 @@ def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
 def cell_colours(picture: Picture, cover: Cover) -> np.ndarray:
     """(count, 4) float32: means as above, and the number of pixels."""
     h, w = picture.image.shape[:2]
-    count = cover.count
+    count, cells = cover.count, cover.cells
 
     def one(y0: int, y1: int) -> np.ndarray:
         total = np.zeros((count, 4))
-        _sum(*picture.parts, *cover.parts, y0, y1, total)  # type: ignore[call-arg]
+        _sum(picture, cells, y0, y1, total)
         return total
 
     parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, 2)
@@ -66,19 +66,19 @@ def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _sum(
-    image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, y0, y1, total
-):  # pragma: no cover
+def _sum(picture: Picture, cells: Cells, y0, y1, total):  # pragma: no cover - compiled
     """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1. Where the object may lie rows are put
     together in buffers."""
+    image, patch, py, px = picture
+    first, mask, ly, lx = cells.first, cells.mask, cells.y, cells.x
     w = first.shape[1]
     left, right = span_of(px, patch.shape[1], lx, mask.shape[1])
     buffer, numbers, sums = np.empty(3 * w, np.float32), np.empty(w, np.int32), total.reshape(-1)
     for y in range(y0, y1):
         line, a = image[y].reshape(-1), first[y]
         if py <= y < py + patch.shape[0] or ly <= y < ly + mask.shape[0]:
-            line_of(image, patch, py, px, y, left, right, buffer)
-            labels_of(first, own_first, mask, start, ly, lx, y, left, right, numbers)
+            line_of(picture, y, left, right, buffer)
+            labels_of(cells, y, left, right, numbers)
             _add(line[: 3 * left], a[:left], sums)
             _add(buffer[3 * left : 3 * right], numbers[left:right], sums)
             _add(line[3 * right :], a[right:], sums)

@@ -27,10 +27,10 @@ def measured(picture: Picture, yuv: np.ndarray, alpha: float, beta: float, smoot
     made, taps = np.empty((3, h, w), np.float32), taps_of(sigma)
     numbers = yuv.astype(np.float32), np.float32(alpha), np.float32(beta)
     if len(taps):
-        by_bands(lambda a, b: _in_one_pass(*picture.parts, taps, *numbers, a, b, made), h)  # type: ignore[call-arg]
+        by_bands(lambda a, b: _in_one_pass(picture, taps, *numbers, a, b, made), h)
         return made
     smooth = np.empty((h, 3, w), np.float32)
-    by_bands(lambda a, b: _halve_rows(*picture.parts, a, b, smooth), h)  # type: ignore[call-arg]
+    by_bands(lambda a, b: _halve_rows(picture, a, b, smooth), h)
     for c in range(3):
         plane = np.ascontiguousarray(smooth[:, c])
         smooth[:, c] = cv2.GaussianBlur(plane, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
@@ -39,17 +39,17 @@ def measured(picture: Picture, yuv: np.ndarray, alpha: float, beta: float, smoot
 
 
 @numba.njit(cache=True, nogil=True)
-def _in_one_pass(image, patch, py, px, taps, luma, alpha, beta, ya, yb, out):  # pragma: no cover - compiled
+def _in_one_pass(picture: Picture, taps, luma, alpha, beta, ya, yb, out):  # pragma: no cover - compiled
     """Rows ya ... yb - 1 of out (3, h, w)."""
     h, w = out.shape[1:]
     half, ring, smooth = np.empty((1, 3, w), np.float32), np.empty((_RING, 3, w), np.float32), np.empty((4, 3, w), np.float32)
-    lines, both = np.empty((2, 3 * image.shape[1]), np.float32), np.empty(3 * image.shape[1], np.float32)
+    lines, both = np.empty((2, 3 * picture.image.shape[1]), np.float32), np.empty(3 * picture.image.shape[1], np.float32)
     padded, slope = np.empty(w + 2 * REACH, np.float32), np.empty((6, w), np.float32)
     first, last, how = max(ya - 1, 0), min(yb + 1, h), (luma, alpha, beta)
     to_come = max(first - REACH, 0)
     for y in range(first, last):
         while to_come <= min(y + REACH, h - 1):
-            _halve_row(image, patch, py, px, to_come, lines, both, half[0])
+            _halve_row(picture, to_come, lines, both, half[0])
             for c in range(3):
                 across(half[0, c], padded, taps, ring[to_come % _RING, c])
             to_come += 1
@@ -64,10 +64,10 @@ def _in_one_pass(image, patch, py, px, taps, luma, alpha, beta, ya, yb, out):  #
 
 
 @numba.njit(cache=True, nogil=True)
-def _halve_rows(image, patch, py, px, ya, yb, out):  # pragma: no cover - compiled
-    lines, both = np.empty((2, 3 * image.shape[1]), np.float32), np.empty(3 * image.shape[1], np.float32)
+def _halve_rows(picture: Picture, ya, yb, out):  # pragma: no cover - compiled
+    lines, both = np.empty((2, 3 * picture.image.shape[1]), np.float32), np.empty(3 * picture.image.shape[1], np.float32)
     for y in range(ya, yb):
-        _halve_row(image, patch, py, px, y, lines, both, out[y])
+        _halve_row(picture, y, lines, both, out[y])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -81,14 +81,15 @@ def _measure_rows(smooth, luma, alpha, beta, ya, yb, out):  # pragma: no cover -
 
 
 @numba.njit(cache=True, nogil=True)
-def _halve_row(image, patch, py, px, y, lines, both, out):  # pragma: no cover - compiled
+def _halve_row(picture: Picture, y, lines, both, out):  # pragma: no cover - compiled
     """out (3, w) : row y of the square roots (near to coded values) of the means of 2 x 2 pixels."""
+    image, patch, py, px = picture
     y0, right = 2 * y, px + patch.shape[1]
     y1 = min(y0 + 1, image.shape[0] - 1)  # a row that has none below counts twice
     near = py <= y1 and y0 < py + patch.shape[0]
     if near:
-        line_of(image, patch, py, px, y0, px, right, lines[0])
-        line_of(image, patch, py, px, y1, px, right, lines[1])
+        line_of(picture, y0, px, right, lines[0])
+        line_of(picture, y1, px, right, lines[1])
     _halve(image[y0].reshape(-1), image[y1].reshape(-1), lines[0], lines[1], px, right if near else px, both, out)
 
 

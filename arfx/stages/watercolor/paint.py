@@ -7,6 +7,8 @@ Cost: O(pixels). Source: SYSTEMS.md S3 ("pigment"); the pigment itself is in pig
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -14,33 +16,48 @@ from arfx.stages.bands import by_bands
 from arfx.stages.four import put_four
 from arfx.stages.watercolor.labels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
-from arfx.stages.watercolor.rows import Cover, Picture, borders_of, labels_of, row_of
+from arfx.stages.watercolor.rows import Cells, Cover, Picture, borders_of, labels_of, row_of
 
 _FAST = {"contract", "nsz", "arcp", "nnan", "ninf"}
 _U, _F = np.uint64, np.float32
 _FLOW = 4.0  # turbulence lies in -_FLOW .. _FLOW
 
 
+class Paper(NamedTuple):
+    """grain : of `paper_grain`;  x, y : of the first pixel in the frame"""
+
+    grain: np.ndarray
+    x: int
+    y: int
+
+
+class Pen(NamedTuple):
+    """line, strengths : as in `paint`;  rgb (3,) float32 : linear colour of lines"""
+
+    line: np.ndarray
+    strengths: np.ndarray
+    rgb: np.ndarray
+
+
 def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: float, ink_rgb: np.ndarray) -> np.ndarray:
     """(h, w, 3) float32 linear: flat cells and lines. colours (n, 3) : linear;  line : as in `paint`"""
     h, w = cover.back.first.shape
     out = np.empty((h, w, 3), np.float32)
-    b = cover.back
-    start, mask = b.count, cover.mask
-    own = b if cover.own is None else cover.own
+    cells = cover.cells
     four = np.zeros((len(colours), 4), np.float32)
     four[:, :3] = colours
     ink = np.append(ink_rgb, 0).astype(np.float32)
 
     def one(ya: int, yb: int) -> None:
-        _paint_cells(b.first, own.first, mask, start, cover.y, cover.x, four, line, _F(opacity), ink, ya, yb, out)
+        _paint_cells(cells, four, line, _F(opacity), ink, ya, yb, out)
 
     by_bands(one, h)
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, ink, ya, yb, out):  # pragma: no cover
+def _paint_cells(cells: Cells, colours, line, opacity, ink, ya, yb, out):  # pragma: no cover
+    first, mask, ly = cells.first, cells.mask, cells.y
     w = first.shape[1]
     lh, lw = line.shape
     a, lines, row = np.empty(w, np.int32), np.zeros(w + 1, np.float32), np.empty(max(lw, 1), np.float32)
@@ -49,7 +66,7 @@ def _paint_cells(first, own_first, mask, start, ly, lx, colours, line, opacity, 
         to = out[y].reshape(-1)
         labels = first[y]
         if ly <= y < ly + mask.shape[0]:
-            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, a)
+            labels_of(cells, y, 0, w, a)
             labels = a
         if lh > 0 and line_row(line, y, row, lines):
             _draw_row(table, labels, lines, opacity, ink, to)
@@ -96,24 +113,12 @@ def paint(
     h, w = cover.back.first.shape
     out = np.empty((h, w, 3), np.float32)
     tinted, ink = _table(root, flow), ink_rgb.astype(np.float32)
+    cells, paper, pen = cover.cells, Paper(grain, x0, y0), Pen(line, strengths, ink)
     if not cover.back.second.size:
-        b, own = cover.back, cover.own or cover.back
-
-        def plain(ya: int, yb: int) -> None:
-            _paint_plain(
-                b.first, own.first, cover.mask, b.count, cover.y, cover.x, tinted, grain, line, strengths, ink, x0, y0, ya, yb,
-                out,
-            )  # fmt: skip
-
-        by_bands(plain, h)
+        by_bands(lambda ya, yb: _paint_plain(cells, tinted, paper, pen, ya, yb, out), h)
         return out
     known = _table(mean, flow)
-    parts = (*picture.parts, *cover.parts)
-
-    def one(ya: int, yb: int) -> None:
-        _paint(*parts, known, tinted, grain, line, strengths, ink, x0, y0, ya, yb, out)  # type: ignore[call-arg]
-
-    by_bands(one, h)
+    by_bands(lambda ya, yb: _paint(picture, cells, known, tinted, paper, pen, ya, yb, out), h)
     return out
 
 
@@ -129,10 +134,10 @@ def _table(colour, flow):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint(
-    image, patch, py, px, first, second, inside, own_first, own_second, own_inside, mask, start, ly, lx, known, tinted, grain,
-    line, strengths, ink, x0, y0, ya, yb, out,
-):  # fmt: skip  # pragma: no cover
+def _paint(picture: Picture, cells: Cells, known, tinted, paper: Paper, pen: Pen, ya, yb, out):  # pragma: no cover
+    first, second, inside, mask, ly = cells.first, cells.second, cells.inside, cells.mask, cells.y
+    grain, x0, y0 = paper
+    line, strengths, ink = pen
     w = first.shape[1]
     lh, lw = line.shape
     both_a, both_k, both_near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
@@ -140,11 +145,11 @@ def _paint(
     light = np.zeros((8, w + 1), np.float32)
     held, row = np.empty((4, w), np.uint64), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
-        row_of(image, patch, py, px, y, light[0], light[1], light[2])
+        row_of(picture, y, light[0], light[1], light[2])
         a, k, near = first[y], second[y], inside[y]
         if ly <= y < ly + mask.shape[0]:
-            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, both_a)
-            borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, both_k, both_near)
+            labels_of(cells, y, 0, w, both_a)
+            borders_of(cells, y, both_k, both_near)
             a, k, near = both_a, both_k, both_near
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
@@ -158,9 +163,10 @@ def _paint(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint_plain(
-    first, own_first, mask, start, ly, lx, tinted, grain, line, strengths, ink, x0, y0, ya, yb, out
-):  # pragma: no cover
+def _paint_plain(cells: Cells, tinted, paper: Paper, pen: Pen, ya, yb, out):  # pragma: no cover
+    first, mask, ly = cells.first, cells.mask, cells.y
+    grain, x0, y0 = paper
+    line, strengths, ink = pen
     w = first.shape[1]
     lh, lw = line.shape
     both, held = np.empty(w, np.int32), np.empty(w, np.uint64)
@@ -168,7 +174,7 @@ def _paint_plain(
     for y in range(ya, yb):
         a = first[y]
         if ly <= y < ly + mask.shape[0]:
-            labels_of(first, own_first, mask, start, ly, lx, y, 0, w, both)
+            labels_of(cells, y, 0, w, both)
             a = both
         for x in range(w):
             held[x] = tinted[_U(a[x])]

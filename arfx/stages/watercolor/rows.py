@@ -6,7 +6,7 @@ no pass needs a copy of the picture. Kernels only.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -19,18 +19,13 @@ _NO_IMAGE = np.zeros((0, 0, 3), np.float32)
 _NO_MASK = np.zeros((0, 0), bool)
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
+class Picture(NamedTuple):
     """image (h, w, 3) linear;  patch (bh, bw, 3) : stands in its place from pixel (y, x) on, may be empty"""
 
     image: np.ndarray
-    patch: np.ndarray = field(default_factory=lambda: _NO_IMAGE)
+    patch: np.ndarray = _NO_IMAGE
     y: int = 0
     x: int = 0
-
-    @property
-    def parts(self) -> tuple[Any, ...]:
-        return self.image, self.patch, self.y, self.x
 
     def whole(self) -> np.ndarray:
         if not self.patch.size:
@@ -38,6 +33,22 @@ class Picture:
         out = self.image.copy()
         out[self.y : self.y + self.patch.shape[0], self.x : self.x + self.patch.shape[1]] = self.patch
         return out
+
+
+class Cells(NamedTuple):
+    """A `Cover` as the kernels take it. first, second, inside : as of `Labels`, of the background, and own_… of the object, which
+    stands where mask says so from pixel (y, x) on;  start : number of the object's first cell"""
+
+    first: np.ndarray
+    second: np.ndarray
+    inside: np.ndarray
+    own_first: np.ndarray
+    own_second: np.ndarray
+    own_inside: np.ndarray
+    mask: np.ndarray
+    start: int
+    y: int
+    x: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +67,9 @@ class Cover:
         return self.back.count + (self.own.count if self.own is not None else 0)
 
     @property
-    def parts(self) -> tuple[Any, ...]:
-        """As the kernels take them."""
+    def cells(self) -> Cells:
         own = self.back if self.own is None else self.own
-        return (
+        return Cells(
             self.back.first, self.back.second, self.back.inside, own.first, own.second, own.inside, self.mask, self.back.count,
             self.y, self.x,
         )  # fmt: skip
@@ -79,8 +89,9 @@ def offset(box: Rect, rect: Rect) -> tuple[int, int]:
 
 
 @numba.njit(cache=True, nogil=True)
-def row_of(image, patch, py, px, y, r, g, b):  # pragma: no cover - compiled
+def row_of(picture: Picture, y, r, g, b):  # pragma: no cover - compiled
     """r, g, b (w,) float32 : row y of the picture."""
+    image, patch, py, px = picture
     line = image[y].reshape(-1)  # that a pixel has three numbers is known to the compiler in this form only
     for x in range(image.shape[1]):
         i = _U(3) * _U(x)
@@ -100,8 +111,9 @@ def span_of(px, pw, lx, lw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def labels_of(first, own_first, mask, start, ly, lx, y, left, right, a):  # pragma: no cover - compiled
+def labels_of(cells: Cells, y, left, right, a):  # pragma: no cover - compiled
     """a (w,) int32 : in columns left ... right - 1 row y of the labels."""
+    first, own_first, mask, start, ly, lx = cells.first, cells.own_first, cells.mask, cells.start, cells.y, cells.x
     for x in range(left, right):
         a[_U(x)] = first[y, _U(x)]
     if ly <= y < ly + mask.shape[0]:
@@ -111,8 +123,9 @@ def labels_of(first, own_first, mask, start, ly, lx, y, left, right, a):  # prag
 
 
 @numba.njit(cache=True, nogil=True)
-def borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k, near):  # pragma: no cover - compiled
+def borders_of(cells: Cells, y, k, near):  # pragma: no cover - compiled
     """k (w,) int32, near (w,) uint8 : row y of the next cells and of how far inside a pixel is."""
+    _, second, inside, _, own_second, own_inside, mask, start, ly, lx = cells
     for x in range(second.shape[1]):
         k[x] = second[y, x]
     for x in range(second.shape[1]):
@@ -126,8 +139,9 @@ def borders_of(second, inside, own_second, own_inside, mask, start, ly, lx, y, k
 
 
 @numba.njit(cache=True, nogil=True)
-def line_of(image, patch, py, px, y, left, right, line):  # pragma: no cover - compiled
+def line_of(picture: Picture, y, left, right, line):  # pragma: no cover - compiled
     """line (3 w,) float32 : in columns left ... right - 1 row y of the picture."""
+    image, patch, py, px = picture
     source = image[y].reshape(-1)
     for i in range(3 * left, 3 * right):
         line[_U(i)] = source[_U(i)]
