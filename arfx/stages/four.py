@@ -22,8 +22,17 @@ def add_four(out, cell, a, b, c, d):  # pragma: no cover - compiled
 
 
 @numba.njit(nogil=True)
+def add_between(out, cell, line, p, q, t):  # pragma: no cover - compiled
+    """out[cell] += line[p] + (line[q] - line[p]) t, in cells of four. out, line : flat"""
+    i, j = _U(4) * _U(p), _U(4) * _U(q)
+    a, b, c, d = line[i], line[i + _U(1)], line[i + _U(2)], line[i + _U(3)]
+    e, f, g, h = line[j] - a, line[j + _U(1)] - b, line[j + _U(2)] - c, line[j + _U(3)] - d
+    add_four(out, cell, a + e * t, b + f * t, c + g * t, d + h * t)
+
+
+@numba.njit(nogil=True)
 def add_two_between(out, cell, line, p, t, step):  # pragma: no cover - compiled
-    """out[cell] += line[p] + (line[p + 1] - line[p]) t, and out[cell + 1] with t + step; in cells of four. out, line : flat"""
+    """`add_between` p and p + 1 to `cell` and, with t + step, to the next one."""
     i, u = _U(4) * _U(p), t + step
     a, b, c, d = line[i], line[i + _U(1)], line[i + _U(2)], line[i + _U(3)]
     e, f, g, h = line[i + _U(4)] - a, line[i + _U(5)] - b, line[i + _U(6)] - c, line[i + _U(7)] - d

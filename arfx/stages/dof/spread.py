@@ -12,7 +12,7 @@ import numpy as np
 
 from arfx.stages.dof.aperture import STEPS
 from arfx.stages.dof.ladder import SHARP_PX
-from arfx.stages.four import add_four, add_two_between
+from arfx.stages.four import add_between, add_four, add_two_between
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
 _SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
@@ -356,9 +356,7 @@ def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pr
             if i == first_whole and after_whole > i:
                 i = after_whole
                 continue
-            p, q, x = 4 * max(i, 0), 4 * min(i + 1, width - 1), i << rung
+            p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
             for n in range(max(begin - x, 0), min(end - x, side)):
-                t = (np.float32(n) + np.float32(0.5)) * step
-                for c in range(4):
-                    line[4 * (x + half - lead_x + n) + c] += between[p + c] + (between[q + c] - between[p + c]) * t
+                add_between(line, x + half - lead_x + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
             i += 1
