@@ -29,7 +29,7 @@ def _mean_of_texels(texels, i, j, k, m, a, b, c, d):  # pragma: no cover - compi
     )
 
 
-@numba.njit(inline="always")
+@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _texel(texels, table, t, level, tu, tv, share):  # pragma: no cover - compiled
     """Four channels, bilinear, of one level of texture t at tu, tv in 0..1, times share; 1 = full."""
     one = np.float32(1)
