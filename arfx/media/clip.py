@@ -25,7 +25,10 @@ _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 
 @dataclass(frozen=True)
 class StreamInfo:
-    """One stream of the file. used : the video stream that is processed;  picture : a cover, not a video."""
+    """One stream of the file. used : the video stream that is processed;  picture : a cover, not a video
+
+    broken : its header does not say how it is to be played
+    """
 
     index: int
     kind: str
@@ -33,6 +36,7 @@ class StreamInfo:
     language: str = ""
     used: bool = False
     picture: bool = False
+    broken: bool = False
 
     def __str__(self) -> str:
         return f"#{self.index} {self.kind} {self.codec}" + (f" ({self.language})" if self.language else "")
@@ -136,7 +140,8 @@ def _is_cover(stream: Any) -> bool:
 def _describe(stream: Any, used: bool) -> StreamInfo:
     codec = stream.codec_context.name if stream.codec_context is not None else str(stream.metadata.get("handler_name", "?"))
     cover = stream.type == "video" and _is_cover(stream)
-    return StreamInfo(stream.index, stream.type, codec, stream.metadata.get("language", ""), used, cover)
+    broken = stream.type == "audio" and not (stream.codec_context is not None and stream.codec_context.sample_rate > 0)
+    return StreamInfo(stream.index, stream.type, codec, stream.metadata.get("language", ""), used, cover, broken)
 
 
 def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:

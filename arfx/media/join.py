@@ -161,7 +161,7 @@ def _remux(
             for packet in _merged(video, further, streams):
                 try:
                     out.mux(packet)
-                except av.error.InvalidDataError:  # of a further stream: damaged, and the clip's container did not know
+                except (av.error.InvalidDataError, av.error.ArgumentError):  # damaged, and the clip did not say so
                     if packet.stream.index == streams[info.stream_index].index:
                         raise
                     left_out += 1

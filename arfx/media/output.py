@@ -237,7 +237,9 @@ def _further_streams(info: ClipInfo, container: str, codec: Codec, path: Path, n
     for s in info.streams:
         if s.used:
             continue
-        if s.codec in holdable(container) and s.kind in ("audio", "video", "subtitle") and not s.picture:
+        if s.broken:
+            notices.append(f"stream {s} is left out: it is damaged, its sample rate is not known")
+        elif s.codec in holdable(container) and s.kind in ("audio", "video", "subtitle") and not s.picture:
             kept.append(s.index)
         elif s.kind == "audio":
             able = [CONTAINER_SUFFIX[c] for c in codec.containers if _all_audio(info, c)]
@@ -251,7 +253,7 @@ def _further_streams(info: ClipInfo, container: str, codec: Codec, path: Path, n
 
 
 def _all_audio(info: ClipInfo, container: str) -> bool:
-    return all(s.codec in holdable(container) for s in info.audio)
+    return all(s.codec in holdable(container) for s in info.audio if not s.broken)
 
 
 def _plan_sequence(info: ClipInfo, path: Path, codec: Codec, settings: OutputSettings) -> OutputPlan:

@@ -63,6 +63,15 @@ def test_a_damaged_packet_of_sound_is_left_out_with_a_word(material: Material, a
     assert len(frames(tmp_path / "out.mp4")) == 4
 
 
+def test_sound_that_cannot_be_played_is_left_out_with_a_word(material: Material, arfx: Run, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip.ts", 4, audio=True)
+    data = clip.read_bytes().replace(b"\xff\xf1\x50", b"\xff\x01\x50")  # no packet has a header: the rate is not known
+    clip.write_bytes(data)
+    r = arfx(*material.arguments("-o", "out.mp4", clip=clip))
+    assert r.code == 0 and "audio aac is left out: it is damaged" in r.err, r.err
+    assert len(frames(tmp_path / "out.mp4")) == 4
+
+
 def test_audio_is_copied_bit_for_bit(material: Material, arfx: Run, tmp_path: Path) -> None:
     r = arfx(*material.arguments("-o", "out.mp4"))
     assert r.code == 0, r.err

@@ -95,8 +95,8 @@ def _messages(case: Case, e: Ended) -> Found:
 
 
 def before_arfx(e: Ended) -> bool:
-    """Whether the interpreter itself was interrupted while it started (in `site`, say), which it ends with 1 and a traceback."""
-    return e.code == 1 and "KeyboardInterrupt" in e.err and not re.search(r'File ".*arfx', e.err)
+    """Whether the interpreter itself was interrupted while it started (in `site`, say), which it ends with a traceback."""
+    return e.code in (1, -2) and "KeyboardInterrupt" in e.err and not re.search(r'File ".*arfx', e.err)
 
 
 def _no_number(text: str) -> None:

@@ -269,7 +269,6 @@ def test_demand_says_why() -> None:
     frame = scene.camera.rect
     assert "px" in stage.demand(f, scene, frame).reason and frame.contains(stage.demand(f, scene, frame).rect)
     assert stage.demand(f.with_(model_box=EMPTY), scene, frame).reason == "model out of view"
-    assert stage.demand(f.with_(opacity=0.0), scene, frame).reason == "marker not visible"
 
 
 def test_a_model_in_millimetres_read_as_metres_is_refused() -> None:
