@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from arfx.core.rect import Rect
@@ -73,3 +74,8 @@ class FramePlan:
             d["index"], Rect.from_json(d["rect"]), Rect.from_json(d["changed"]),
             tuple(Step.from_json(s) for s in d["steps"]), tuple(Skip(s["stage"], s["reason"]) for s in d["skipped"]),
         )  # fmt: skip
+
+
+def levels_of(plans: Iterable[FramePlan]) -> set[tuple[str, str]]:
+    """(stage, level) of everything that runs."""
+    return {(step.stage, step.level) for plan in plans for step in plan.steps}

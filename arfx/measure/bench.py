@@ -105,39 +105,36 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
     Stages that require measured depth are timed on the same scene with a depth map.
     """
     made: dict[str, Stage] = {name: stages[name]() for name in stages}
-    if stage is None:
-        deep = {name for name, s in made.items() if "depth" in s.requires}
-    else:
-        deep = {stage} if "depth" in made[stage].requires else set()
-    flat = [] if stage in deep else _cells(at, made, made.keys() - deep, stage, level)
-    return flat + (_cells(at.in_depth(), made, deep, stage, level) if deep else [])
+    wanted = {stage} if stage is not None else set(made)
+    deep = {name for name in wanted if "depth" in made[name].requires}
+    scenes = [(at, wanted - deep), (at.in_depth(), deep)] if deep else [(at, wanted)]
+    return [cell for scene, names in scenes if names for cell in _cells(scene, made, names, level)]
 
 
-def _cells(
-    at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], stage: str | None, level: str | None
-) -> list[Cell]:
-    """wanted : names of the stages to be timed, of which only `stage` where that is given"""
+def _cells(at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], level: str | None) -> list[Cell]:
+    """Of the stages with these names."""
     size = (at.scene.camera.width, at.scene.camera.height)
     standard = {name: level_named(s.levels, "standard") for name, s in made.items()}
     plan = plan_frame(list(made.values()), standard, at.facts, at.scene, at.scene.camera.rect)
     steps = {s.stage: s for s in plan.steps}
-    if stage is not None and stage not in steps:
+    timed = [name for name in steps if name in wanted]
+    if not timed:
+        stage = next(iter(wanted))
         why = next((s.reason for s in plan.skipped if s.stage == stage), "")
         raise ConfigError(f"the standard scene does not call for {stage!r}: {why}", f"one of {', '.join(steps)}")
     canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
     if at.real_depth_m is not None:
         canvas.put(Layer.REAL_DEPTH, plan.rect, at.real_depth_m[plan.rect.slices])
     cells = []
-    last = max(list(steps).index(name) for name in steps if name in wanted)
-    for name, step in list(steps.items())[: last + 1]:
+    for name, step in steps.items():
         s = made[name]
-        for le in s.levels:
-            if name in wanted and stage in (None, name) and level in (None, le):
-                cells.append(_cell(s, le, step, canvas, at, size))
-        if name != stage or len(steps) > 1:
-            prepared = s.prepare(at.scene, standard[name])
-            for layer, array in _run(s, standard[name], step, canvas, at.facts, at.scene, prepared).items():
-                canvas.take(layer, array, step.need, step.out)
+        if name in wanted:
+            cells += [_cell(s, le, step, canvas, at, size) for le in s.levels if level in (None, le)]
+        if name == timed[-1]:
+            break
+        prepared = s.prepare(at.scene, standard[name])
+        for layer, array in _run(s, standard[name], step, canvas, at.facts, at.scene, prepared).items():
+            canvas.take(layer, array, step.need, step.out)
     return cells
 
 

@@ -125,13 +125,8 @@ def calibrate(
     prices = {}
     for key, runs in timed.items():
         stage = key.removeprefix("prepare ").split("/")[0]
-        wanted = (
-            ("frames", "mfaces")
-            if key.startswith("prepare ")
-            else stages[stage].terms
-            if stage in stages
-            else ("frames", "mpx", "object_mpx")
-        )
+        terms = stages.get(stage, Stage).terms  # of encoding and the like: the usual ones
+        wanted = ("frames", "mfaces") if key.startswith("prepare ") else terms
         prices[key] = fit(runs, wanted)
     source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
     return Prices(prices, crowd, source, True, float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0)

@@ -17,6 +17,7 @@ from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
 from arfx.core.opener import read_text
+from arfx.core.plan import levels_of
 from arfx.core.pose import find_rotvecs
 from arfx.core.scene import Scene
 from arfx.errors import InputError
@@ -34,10 +35,9 @@ def health(job: Job) -> list[dict[str, Any]]:
     facts, summary, truncated = job.facts, job.analysed.summary, job.analysed.truncated
     rows = [*_calibration(job), *_pose(facts, summary), *_light(summary.get("light"))]
     rows += _depth(job.analysed.depth)
-    levels: dict[str, set[str]] = {name: set() for name in job.stages}
-    for step in (step for frame in job.plan.frames for step in frame.steps):
-        levels[step.stage].add(step.level)
-    view = JobView(facts, job.scene, {name: frozenset(used) for name, used in levels.items()}, picture)
+    ran = levels_of(job.plan.frames)
+    levels = {name: frozenset(level for stage, level in ran if stage == name) for name in job.stages}
+    view = JobView(facts, job.scene, levels, picture)
     rows += [row for stage in job.stages.values() for row in stage.health(view)]
     absent = sum(f.status == ABSENT for f in facts)
     rows.append(Check("frames without a pose", absent, 0, absent == 0, "object left out there"))

@@ -126,6 +126,11 @@ def default_workers(pixels: int) -> tuple[int, bool]:
     return (cores if pixels > SHORT_JOB_PX else 1), False
 
 
+def _workers(options: Options, frames: int, inputs: Inputs) -> tuple[int, bool]:
+    """As `default_workers`, where none are stated."""
+    return (options.workers, False) if options.workers is not None else default_workers(frames * inputs.camera.rect.area)
+
+
 def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Job:
     """Analyse (or take up again what was analysed) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
@@ -188,9 +193,7 @@ def _compiled(parts: Sequence[str], options: Options, started: float | None) -> 
 
 def _size(inputs: Inputs, analysed: Analysed, stages: Mapping[str, Stage], spent: Spent, options: Options) -> Terms:
     frames = len(analysed.pts)
-    workers, threads = options.workers, False
-    if workers is None:
-        workers, threads = default_workers(frames * inputs.camera.rect.area)
+    workers, threads = _workers(options, frames, inputs)
     workers = max(min(workers, len(borders(frames))), 1)
     return Terms(
         frames, inputs.camera.rect.area / 1e6, spent.seconds.get("decode", 0.0), spent.wall_s, inputs.output.codec, workers,
@@ -280,9 +283,7 @@ def _render(job: Job, chunks: list[Chunk], options: Options) -> list[Path]:
         options.progress("render", keep + done, total)
 
     progress(0)
-    workers, threads = options.workers, False
-    if workers is None:
-        workers, threads = default_workers(total * job.inputs.camera.rect.area)
+    workers, threads = _workers(options, total, job.inputs)
     workers = min(workers, len(tasks))
     if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
         context = open_context(str(folder.path), job.key)

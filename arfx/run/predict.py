@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from arfx.core.cost import Prediction, Prices, exactly, together, with_spread
-from arfx.core.plan import FramePlan
+from arfx.core.plan import FramePlan, levels_of
 from arfx.plan.levels import alike
 from arfx.run.chunks import borders
 from arfx.run.schedule import Load, elapsed
@@ -73,13 +73,13 @@ def predict(
     share, lead = _shared(plans, work, terms, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
     phases = {
         "before": exactly(terms.before_s),
-        "prepare": exactly(0.0) if prepared else prepare(_levels(plans), terms, prices),
+        "prepare": exactly(0.0) if prepared else prepare(levels_of(plans), terms, prices),
         "decode": with_spread(terms.decode_s + lead, DECODE_SPREAD),
         "stages": work,
         "edit": edit,
         "encode": encode,
         "join": prices.predict("join", whole),
-        "report": prepare({at for at in _levels(plans) if at[0] in terms.checked}, terms, prices),
+        "report": prepare({at for at in levels_of(plans) if at[0] in terms.checked}, terms, prices),
     }
     return JobPrediction(phases, share, terms.workers)
 
@@ -108,10 +108,6 @@ def _shared(
     wall_s, lead_s = elapsed(loads, terms.workers, threads, terms.keys, terms.decode_s / max(terms.frames, 1), alone)
     spent_s = terms.decode_s + edit_s + encode_s + scale * sum(planned) + lead_s
     return (wall_s / spent_s if spent_s > 0 else 1.0 / terms.workers), lead_s
-
-
-def _levels(plans: Sequence[FramePlan]) -> set[tuple[str, str]]:
-    return {(s.stage, s.level) for p in plans for s in p.steps}
 
 
 def prepare(wanted: Collection[tuple[str, str]], terms: Terms, prices: Prices) -> Prediction | None:

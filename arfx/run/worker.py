@@ -20,7 +20,7 @@ from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.plan import FramePlan
+from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.errors import RenderError
@@ -124,7 +124,7 @@ def render_chunk(
     begin = max(first - history, 0)
     facts, plans = _told(context, place, begin, last)
     start = time.perf_counter()
-    needed = {(s.stage, s.level) for p in plans.values() for s in p.steps}
+    needed = levels_of(plans.values())
     if needed - context.prepared.keys():  # a chunk without work need not wait for another's preparation
         with _OPENING:
             context.prepare(needed)

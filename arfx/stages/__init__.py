@@ -44,9 +44,5 @@ STAGES: Mapping[str, Any] = _Table(
 
 def stages_with(effects: Collection[str], inputs: Collection[str] = ()) -> tuple[str, ...]:
     """Names of the stages of a job with these effects, in running order. inputs : that the job has and a stage may require"""
-
-    def part(name: str) -> bool:
-        stage = STAGES[name]
-        return (stage.always or name in effects) and stage.requires <= set(inputs)
-
-    return tuple(name for name in STAGES if part(name))
+    inputs = set(inputs)
+    return tuple(name for name, stage in STAGES.items() if (stage.always or name in effects) and stage.requires <= inputs)

@@ -50,7 +50,7 @@ class Dof(Stage):
     Params = DofParams
 
     def __init__(self, params: DofParams | None = None) -> None:
-        self.params = params or DofParams()
+        super().__init__(params)
         if self.params.lens == "footage":
             self.facts = frozenset({"pose", "lens"})
 
@@ -95,7 +95,7 @@ class Dof(Stage):
         self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
     ) -> Mapping[Layer, np.ndarray | Patch]:
         facts, now = window.facts[-1], window.now
-        if facts.camera_from_world is None or facts.opacity <= 0 or unknown_lens(self.params, facts):
+        if not facts.present or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
         at, real = self._frame(facts, scene)
         if self._paper:

@@ -100,7 +100,8 @@ class Watercolor(Stage):
     without_object = True
 
     def __init__(self, params: WatercolorParams | None = None) -> None:
-        self.params = p = params or WatercolorParams()
+        super().__init__(params)
+        p = self.params
         self.history = int(p.line_hold and p.lines > 0 and p.formula == "corrected")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
@@ -340,7 +341,7 @@ def _field_key(where: Field) -> bytes:
 
 def _box(facts: FrameFacts, rect: Rect) -> Rect:
     """What the object may touch."""
-    if facts.camera_from_world is None or facts.opacity <= 0:
+    if not facts.present:
         return EMPTY
     return facts.model_box.pad(PAD_PX).clip(rect)
 
