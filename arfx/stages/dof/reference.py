@@ -29,7 +29,7 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Plane, Real
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import Mesh, build_mesh
-from arfx.stages.raster.rays import EmbreeScene
+from arfx.stages.triangles import Triangles
 
 SAMPLES = 192
 _FINE = 12  # points a pixel's side by which the area of a circle in it is found
@@ -42,13 +42,13 @@ class Prepared:
     """mesh, its rays, and the camera's viewing directions"""
 
     mesh: Mesh
-    rays: EmbreeScene
+    rays: Triangles
     lens: LensTable
 
 
 def prepare(scene: Scene) -> Prepared:
     mesh = build_mesh(scene)
-    return Prepared(mesh, EmbreeScene(mesh), LensTable(scene.camera))
+    return Prepared(mesh, Triangles(mesh.corners_m, robust=True), LensTable(scene.camera))
 
 
 def render(

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.occlusion import hemisphere
+from arfx.stages.triangles import hemisphere
 
 START = np.float32(np.sqrt(3.0))
 # Cosine of the tilt of the five: a cosine lobe leaves 2/3 and 1/4 of the first two degrees of what is around (core.light), and

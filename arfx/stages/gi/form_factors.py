@@ -12,7 +12,6 @@ lamps mirrored by metal (caustics).
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numba
@@ -25,6 +24,7 @@ from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
 from arfx.stages.gi.cones import mirror_tangent, turned
 from arfx.stages.gi.voxelise import Voxels
+from arfx.stages.triangles import Triangles
 
 METAL = 0.5  # metalness from which a part mirrors instead of scattering
 SHIFTS = 64  # different lattices
@@ -61,20 +61,6 @@ class Factors:
     matt: np.ndarray
 
 
-class _Mesh:
-    """Triangles (f, 3, 3) float32 in an embree scene, robust: no ray slips between neighbours."""
-
-    def __init__(self, corners: np.ndarray) -> None:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
-
-        self._scene = rtcore_scene.EmbreeScene(robust=True)
-        self._triangles = TriangleMesh(self._scene, corners)
-
-    def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Mapping[str, np.ndarray]:
-        return self._scene.run(origins, directions, query="INTERSECT", output=True)
-
-
 def solid(scene: Scene) -> bool:
     """Whether rays tell all: no part can be seen through."""
     return all(p.material.alpha_mode == OPAQUE for p in scene.model.parts)
@@ -88,7 +74,7 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
     low, high = corners.reshape(-1, 3).min(0), corners.reshape(-1, 3).max(0)
     lift = _LIFT * max(float((high - low).max()), 1e-9)
     points = (places.reshape(-1, 3) + lift * axes[3]).astype(np.float32)
-    mesh = _Mesh(corners)
+    mesh = Triangles(corners, robust=True)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float32)
     frame = turned(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
     lattice, nearest = lattices(rays, frame, cones)

@@ -14,6 +14,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.surroundings import ENDLESS, Planes
+from arfx.stages.triangles import Triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +42,6 @@ class RayScene:
     emitting (triangles,) : each one's share of that"""
 
     def __init__(self, scene: Scene) -> None:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
-
         anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
         linear = anchor[:3, :3] / np.cbrt(abs(np.linalg.det(anchor[:3, :3])))
         triangles, self.parts, part_of, face_of = [], scene.model.parts, [], []
@@ -65,23 +63,18 @@ class RayScene:
         self.emits = float(weight.sum())
         self.emitting = divide(weight, self.emits)
         self._chosen = divide(strength, self.emits)
-        self._scene = rtcore_scene.EmbreeScene()
-        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(every, np.float32))
+        self._triangles = Triangles(every)
+        self.blocked = self._triangles.blocked
 
     def corners_of(self, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         c = self._corners[triangle]
         return c[:, 0], c[:, 1], c[:, 2]
 
-    def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
-        return np.asarray(self._scene.run(o, d, query="OCCLUDED")) >= 0
-
     def first(self, origins: np.ndarray, directions: np.ndarray) -> Hit:
-        o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
-        found = self._scene.run(o, d, query="INTERSECT", output=1)
+        found = self._triangles.first_hits(origins, directions)
         prim = np.asarray(found["primID"]).astype(np.int64)
         met = (prim >= 0) & (np.asarray(found["geomID"]).astype(np.int64) >= 0)
-        n = len(o)
+        n = len(origins)
         distance = np.where(met, np.asarray(found["tfar"], float), np.inf)
         of: list[np.ndarray] = [np.zeros((n, 3)) for _ in range(6)]
         hit = Hit(met, distance, of[0], of[1], of[2], of[3], of[4], of[5], np.zeros(n))

@@ -16,9 +16,8 @@ from arfx.core.numerics import normalise
 from arfx.stages.lightmap.beams import Beam, disc, disc_directions
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.penumbra import smoothed
-from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.silhouette import hidden_share
-from arfx.stages.occlusion import hemisphere
+from arfx.stages.triangles import Triangles, hemisphere
 
 _LIFT = 1e-4  # of the extent, off the plane: a base that lies in it would hide every ray or none, by rounding
 _MARGIN = 3  # texels without shadow around it
@@ -52,13 +51,13 @@ class PlaneTexture:
     texel_from_m: np.ndarray
 
 
-def ambient_texture(caster: Caster, rays: Rays, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
+def ambient_texture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
     """The share of the hemisphere, weighted by its cosine, that is hidden. centre, half (2,) : the box, metres."""
     n = level.ambient_texels
     t = (np.arange(n) + 0.5) / n * 2 - 1
     x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, _LIFT * caster.extent_m)], -1)
-    dark = 1 - rays.visible_share(points, hemisphere(level.ambient_rays)).reshape(n, n)
+    dark = 1 - rays.visible_fraction(points, hemisphere(level.ambient_rays)).reshape(n, n)
     dark = cv2.GaussianBlur(dark.astype(np.float32), (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
     scale = n / (2 * half)
     low = centre - half
@@ -67,7 +66,7 @@ def ambient_texture(caster: Caster, rays: Rays, centre: np.ndarray, half: np.nda
     )
 
 
-def beam_texture(caster: Caster, rays: Rays, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
+def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
     """The share of a directional light's disc that is hidden. hard : by its middle alone."""
     middle = disc_directions(beam, np.zeros((1, 2)))[0]
     away = normalise(-middle[:2])
@@ -117,7 +116,7 @@ def bounded(texture: PlaneTexture, surface_m: tuple[float, float, float, float] 
     return PlaneTexture((texture.dark * np.clip(inside / pitch + 0.5, 0, 1)).astype(np.float32), texture.texel_from_m)
 
 
-def _traced(dark: np.ndarray, rays: Rays, beam: Beam, count: int, matrix: np.ndarray, extent_m: float) -> np.ndarray:
+def _traced(dark: np.ndarray, rays: Triangles, beam: Beam, count: int, matrix: np.ndarray, extent_m: float) -> np.ndarray:
     """`dark` with the penumbra by rays: wherever the silhouettes do not agree, and two texels around."""
     low, high = cv2.erode(dark, np.ones((5, 5))), cv2.dilate(dark, np.ones((5, 5)))
     v, u = np.nonzero(high - low > 0)
@@ -126,7 +125,7 @@ def _traced(dark: np.ndarray, rays: Rays, beam: Beam, count: int, matrix: np.nda
     places = np.linalg.solve(matrix[:, :2], np.stack([u, v]) - matrix[:, 2:]).T
     out: np.ndarray = dark.copy()
     points = np.column_stack([places, np.full(len(u), _LIFT * extent_m)])
-    out[v, u] = 1 - rays.visible_share(points, disc_directions(beam, disc(count)))
+    out[v, u] = 1 - rays.visible_fraction(points, disc_directions(beam, disc(count)))
     return out
 
 

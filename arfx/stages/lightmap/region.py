@@ -17,8 +17,7 @@ from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
 from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture
-from arfx.stages.lightmap.rays import Rays
-from arfx.stages.occlusion import hemisphere
+from arfx.stages.triangles import Triangles, hemisphere
 
 _TEXELS, _RAYS = 64, 400
 _BORDER = 2.5  # heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less
@@ -31,7 +30,7 @@ class Ground:
 
     def __init__(self, scene: Scene) -> None:
         self.caster: Caster = make_caster(scene)
-        self.rays = Rays(self.caster)
+        self.rays = Triangles(self.caster.vertices[self.caster.faces])
         ground = self.caster.outline[:, :2]
         border = max(_BORDER * self.caster.height_m, 1e-3 * self.caster.extent_m)
         low, high = ground.min(0) - border, ground.max(0) + border
@@ -39,7 +38,7 @@ class Ground:
         t = (np.arange(_TEXELS) + 0.5) / _TEXELS * 2 - 1
         x, y = np.meshgrid(self.centre_m[0] + self.half_m[0] * t, self.centre_m[1] + self.half_m[1] * t)
         points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 1e-4 * self.caster.extent_m)], -1)
-        self.hidden = (1 - self.rays.visible_share(points, hemisphere(_RAYS))).reshape(_TEXELS, _TEXELS)
+        self.hidden = (1 - self.rays.visible_fraction(points, hemisphere(_RAYS))).reshape(_TEXELS, _TEXELS)
         self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
         self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
         self._whole_outline_m = lru_cache(maxsize=256)(self._joined)

@@ -18,8 +18,8 @@ from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
 from arfx.stages.lightmap.beams import Beam, disc, disc_directions
 from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.silhouette import highest
+from arfx.stages.triangles import Triangles
 
 _EMPTY = -1e9
 _LIFT_TEXELS = 1.5
@@ -95,7 +95,7 @@ def by_map(
 
 
 def by_rays(
-    coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Rays, caster: Caster, beam: Beam,
+    coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Triangles, caster: Caster, beam: Beam,
     anchor_from_world: Pose, level: SelfLevel, eye: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """The same with rays over the light's disc, weighted by their cosine to the normal. eye (3,) : the camera, WORLD frame"""
@@ -109,11 +109,11 @@ def by_rays(
     )
     points = anchor_from_world.apply(seen) + lift[:, None] * n
     if not level.search or len(directions) <= level.search:
-        out[y, x] = rays.weighted_share(points, n, directions)
+        out[y, x] = rays.visible_fraction(points, directions, n)
         return out
-    share = rays.weighted_share(points, n, directions[:: len(directions) // level.search])
+    share = rays.visible_fraction(points, directions[:: len(directions) // level.search], n)
     mixed = (share > 0) & (share < 1)
-    share[mixed] = rays.weighted_share(points[mixed], n[mixed], directions)
+    share[mixed] = rays.visible_fraction(points[mixed], directions, n[mixed])
     out[y, x] = share
     return out
 

@@ -30,10 +30,10 @@ from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.lookup import light_left
 from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, bounded
 from arfx.stages.lightmap.printed_map import printed_map
-from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.region import ground_of
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
 from arfx.stages.lightmap.shading import harmonic_terms, highlight_width, shade
+from arfx.stages.triangles import Triangles
 from arfx.stages.viewing import direction_grid
 
 _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
@@ -73,7 +73,7 @@ class Prepared:
     """Of one clip, worker and level. grid : viewing directions;  kept : shadows by their light"""
 
     caster: Caster
-    rays: Rays
+    rays: Triangles
     ambient: PlaneTexture
     grid: np.ndarray
     kept: Memo = field(default_factory=lambda: Memo(_KEPT))

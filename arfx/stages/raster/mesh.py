@@ -66,6 +66,11 @@ class Mesh:
             self.texture_slots, self.textures.linear, self.textures.table,
         )  # fmt: skip
 
+    @property
+    def corners_m(self) -> np.ndarray:
+        """(m, 3, 3) float64."""
+        return np.asarray(self.vertices[self.faces])
+
     @cached_property
     def hidden(self) -> np.ndarray:
         """(m,) bool, faces that are not shown from behind."""

@@ -8,8 +8,6 @@ Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `R
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from arfx.core.camera import Camera
@@ -23,6 +21,7 @@ from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import CUTOFF, EMIT_R, Mesh
 from arfx.stages.raster.visibility import face_boxes, nearest_faces, nearest_faces_at
+from arfx.stages.triangles import Triangles
 
 MAX_LAYERS = 8
 # A ray goes on this far behind a hit, as a share of the depth: four steps of float32.
@@ -44,21 +43,6 @@ def hammersley(count: int) -> np.ndarray:
     return np.stack([(i + 0.5) / count - 0.5, y - 0.5], 1)
 
 
-class EmbreeScene:
-    """The triangles of a mesh in an embree scene, robust mode: no ray slips between two triangles that share an edge."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh
-
-        self._scene = rtcore_scene.EmbreeScene(robust=True)
-        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(mesh.vertices[mesh.faces].astype(np.float32)))
-
-    def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Mapping[str, np.ndarray]:
-        """primID (-1 = none), u, v, tfar of rays (n, 3) float32."""
-        return self._scene.run(origins, directions, query="INTERSECT", output=True)
-
-
 class RayRenderer:
     """Renders rectangles of one mesh through one camera. samples : per edge pixel."""
 
@@ -66,7 +50,7 @@ class RayRenderer:
 
     def __init__(self, mesh: Mesh, camera: Camera, samples: int) -> None:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
-        self.scene = EmbreeScene(mesh)
+        self.scene = Triangles(mesh.corners_m, robust=True)
         self.offsets = hammersley(samples)
         self.order = np.argsort((self.offsets**2).sum(1), kind="stable")
         self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))

@@ -16,8 +16,9 @@ from arfx.core.rect import Rect
 from arfx.stages.raster import mesh as columns
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import Mesh
-from arfx.stages.raster.rays import MAX_LAYERS, OUTPUTS, EmbreeScene
+from arfx.stages.raster.rays import MAX_LAYERS, OUTPUTS
 from arfx.stages.raster.textures import CODE
+from arfx.stages.triangles import Triangles
 
 SAMPLES = 64
 _STRIP_PX = 4096
@@ -35,7 +36,7 @@ class ReferenceRenderer:
 
     def __init__(self, mesh: Mesh, camera: Camera, samples: int = SAMPLES) -> None:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
-        self.scene = EmbreeScene(mesh)
+        self.scene = Triangles(mesh.corners_m, robust=True)
         self.offsets = r2_sequence(samples)
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:

@@ -17,6 +17,7 @@ from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import Window, level_named
 from arfx.stages.gi import Gi, GiParams
+from arfx.stages.triangles import Triangles
 from tests.scenes import box_model, facts
 from tests.unit.stages.lightmap_scenes import from_above, ground_points, on_plane
 
@@ -50,9 +51,6 @@ def plain_plate(camera: Camera = CAMERA, rgb: Any = (0.5, 0.5, 0.5)) -> np.ndarr
 
 def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
     """What raster writes, by trimesh's own ray caster: nearest hits at pixel centres."""
-    from embreex import rtcore_scene
-    from embreex.mesh_construction import TriangleMesh
-
     assert f.camera_from_world is not None
     rect, part = s.camera.rect, s.model.parts[0]
     layers = {name: neutral(name, rect) for name in Gi.reads if name is not Layer.PLATE}
@@ -60,13 +58,8 @@ def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
     d = s.camera.directions(np.stack([x, y], -1).astype(float)) @ f.camera_from_world.rotation
     eye = f.camera_from_world.inverse().translation_m
     corners = s.model_points_m[part.faces].astype(np.float32)
-    rays = rtcore_scene.EmbreeScene()
-    mesh = TriangleMesh(rays, corners)
     o = np.broadcast_to(eye, d.shape).reshape(-1, 3)
-    found = rays.run(
-        np.ascontiguousarray(o, np.float32), np.ascontiguousarray(d.reshape(-1, 3), np.float32), query="INTERSECT", output=1
-    )
-    del mesh
+    found = Triangles(corners).first_hits(o, d.reshape(-1, 3))
     prim = np.asarray(found["primID"]).astype(int).reshape(rect.height, rect.width)
     met = prim >= 0
     t = np.asarray(found["tfar"], float).reshape(prim.shape)

@@ -20,8 +20,8 @@ from arfx.stages.lightmap import stage as stage_module
 from arfx.stages.lightmap.beams import QUANTUM, REACH, disc, disc_directions, rounded
 from arfx.stages.lightmap.caster import make_caster
 from arfx.stages.lightmap.plane import PLANE_LEVELS, beam_texture
-from arfx.stages.lightmap.rays import Rays
 from arfx.stages.lightmap.silhouette import hidden_share, highest
+from arfx.stages.triangles import Triangles
 from tests.scenes import box_model
 from tests.unit.stages.lightmap_scenes import (
     HIDES,
@@ -356,7 +356,8 @@ def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str)
     """A box half a metre up under a vertical light of 10 degrees: its edge against the share of a disc beyond a chord."""
     s = on_plane(box_model(), lamp(0, 90, 10.0), height_m=0.5)
     caster = make_caster(s)
-    texture = beam_texture(caster, Rays(caster), rounded(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level], False)
+    rays = Triangles(caster.vertices[caster.faces])
+    texture = beam_texture(caster, rays, rounded(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level], False)
     x = np.linspace(-0.12, 0.0, 61)
     places = np.column_stack([x, np.zeros(61), np.ones(61)]) @ texture.texel_from_m.T
     made = cv2.remap(texture.dark, *(places[:, i : i + 1].astype(np.float32) for i in (0, 1)), cv2.INTER_LINEAR)[:, 0]
