@@ -9,6 +9,7 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, Spans
 from arfx.core.numerics import EPS_DEPTH_M
+from arfx.core.parallel import parallel_map
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import deposit, light
 from arfx.stages.dof.cutout import continue_outside, object_radius
@@ -20,7 +21,6 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.real_pixels import RealPixels
 from arfx.stages.dof.spread import TILE_PX
 from arfx.stages.dof.surfaces import GRID_PX, Real, plane_radius, square_radius
-from arfx.stages.dof.work import on_all_cores
 
 Optics = tuple[np.float32, np.float32, np.float32]  # px per dioptre, focus dioptre, limit px
 _NONE = np.empty((0, 0), np.float32)
@@ -145,8 +145,8 @@ def render(
         flat = image.reshape(rect.height, -1), sharp.patch.reshape(len(sharp.patch), 3 * sharp.patch.shape[1])
         base.note(rows[k], deposit.deposit_real(top, bottom, a, b, base.radius, *flat, sharp.box, kept, boost, *base.sink))
 
-    on_all_cores(start, [k for k, (a, b) in enumerate(lit) if a < b])
-    on_all_cores(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
+    parallel_map(start, [k for k, (a, b) in enumerate(lit) if a < b])
+    parallel_map(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
     result, columns = np.empty(image.shape, np.float32), np.zeros((rect.height, 2), np.int32)
 
     def finish(strip: tuple[int, int]) -> None:
@@ -170,7 +170,7 @@ def render(
             light.restore(out, state, image, top, a, b)
 
     first, last = out.y0 - rect.y0, out.y1 - rect.y0
-    on_all_cores(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
+    parallel_map(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
     return Spans(rect, result, columns, lambda part: now.crop(part)[Layer.IMAGE])
 
 

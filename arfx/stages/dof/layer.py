@@ -11,11 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from arfx.core.parallel import scratch
 from arfx.core.rect import Rect
 from arfx.stages.dof.aperture import STEPS, Shape, shape
 from arfx.stages.dof.ladder import ALIGN_PX, Ladder
 from arfx.stages.dof.spread import TILE_PX, run_sums, spread_cells, spread_pixels
-from arfx.stages.dof.work import zeros
 
 STRIP_PX = ALIGN_PX  # rows worked on at once: cells of every rung lie in one strip only
 
@@ -112,7 +112,7 @@ class Spread:
             return DARK
         parts = [(k, *self._cell_rows(k, top, bottom)) for k in range(0 if self._any_near(top, bottom) else 1, self.rungs)]
         sizes = [(high - low) * (width + 1) * 4 for _, low, high, _, width in parts]
-        values, first, table = zeros(name, (sum(sizes),)), 0, []
+        values, first, table = scratch(name, (sum(sizes),)), 0, []
         for (k, low, high, height, width), size in zip(parts, sizes, strict=True):
             left, right = self._spread(k, low, high, values[first : first + size].reshape(high - low, width + 1, 4))
             if left < right:

@@ -9,11 +9,11 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
+from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
 from arfx.stages.dof.layer import strips
 from arfx.stages.dof.light import behind
 from arfx.stages.dof.spread import TILE_PX
-from arfx.stages.dof.work import on_all_cores
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class RealPixels:
             def fill(strip: tuple[int, int]) -> None:
                 behind(plate[slice(*strip)], shadow[slice(*strip)], opacity, bias, patch[slice(*strip)])
 
-            on_all_cores(fill, strips(box))
+            parallel_map(fill, strips(box))
             box = box.shift(-now.rect.x0, -now.rect.y0)
         image = now.within(Layer.IMAGE, parts)
         if not image.flags.c_contiguous:

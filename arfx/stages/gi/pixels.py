@@ -13,7 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 from arfx.stages.gi.cones import START, frame_of, trace
 from arfx.stages.gi.split_sum import gloss_weights
 from arfx.stages.gi.surroundings import behind
@@ -37,7 +37,7 @@ def light_points(points: np.ndarray, wanted: np.ndarray, eye: np.ndarray, *scene
         part: np.ndarray = _light_points(points[a:b], wanted[a:b], eye, *scene)
         return part
 
-    return np.concatenate([np.zeros((0, 6), np.float32), *by_bands(some, len(points), least=_FEW)])
+    return np.concatenate([np.zeros((0, 6), np.float32), *parallel_rows(some, len(points), least=_FEW)])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

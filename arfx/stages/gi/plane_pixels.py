@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 from arfx.stages.gi.surroundings import WARP, first_plane
 from arfx.stages.viewing import GRID_PX
 
@@ -48,7 +48,7 @@ def add_delta(shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, *rest: A
         part: np.ndarray = one(shadow[a:b], x0, y0 + a, within, *others, real[a:b] if real.size else real)
         return part
 
-    return np.concatenate(by_bands(some, len(shadow)))
+    return np.concatenate(parallel_rows(some, len(shadow)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

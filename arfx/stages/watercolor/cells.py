@@ -12,7 +12,7 @@ from functools import partial
 import numba
 import numpy as np
 
-from arfx.stages.bands import BANDS, by_bands
+from arfx.core.parallel import BANDS, parallel_rows
 from arfx.stages.four import add_four
 from arfx.stages.watercolor.labels import Labels, bucketed
 from arfx.stages.watercolor.rows import Cells, Cover, Picture, labels_of, line_of, span_of
@@ -45,7 +45,7 @@ def cell_colours(picture: Picture, cover: Cover) -> np.ndarray:
         _sum(picture, cells, y0, y1, total)
         return total
 
-    parts = [one(0, h)] if count * _MANY > h * w else by_bands(one, h, 2)
+    parts = [one(0, h)] if count * _MANY > h * w else parallel_rows(one, h, 2)
     out = np.empty((count, 4), np.float32)
     if len(parts) == BANDS:
         _mean_of_four(parts[0], parts[1], parts[2], parts[3], out)
@@ -110,7 +110,7 @@ def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarr
     start, order = bucketed(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
     place = np.zeros((3, n + _STEP), np.float32)
     place[0, :n], place[1, :n], place[2, :n] = x[order], y[order], np.float32(1 / REACH**2) / (size[order] ** 2)
-    by_bands(lambda a, b: _near(place, left, top, side, order, start, gh, gw, a, b, near, share), n)
+    parallel_rows(lambda a, b: _near(place, left, top, side, order, start, gh, gw, a, b, near, share), n)
     return near, share
 
 
@@ -166,7 +166,7 @@ def washed(
     sharp = np.float32(1 / max(contrast, 1e-3) ** 2)
     for _ in range(rounds):
         out = np.empty_like(root)
-        by_bands(partial(_pull_into, root, near, share, seen, sharp, out), len(root))
+        parallel_rows(partial(_pull_into, root, near, share, seen, sharp, out), len(root))
         root = out
     return root
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 
 ROW = 512  # words of 64 bits
 _SMALL = 4096  # rows: below it threads cost more than they save
@@ -23,7 +23,7 @@ def digest(array: np.ndarray) -> int:
     words = data[: data.size // 8 * 8].view(_U)
     rows = words.size // ROW
     whole, rest = words[: rows * ROW].reshape(-1, ROW), words[rows * ROW :]
-    parts = by_bands(lambda a, b: int(_digest(whole, a, b)), rows) if rows >= _SMALL else [int(_digest(whole, 0, rows))]
+    parts = parallel_rows(lambda a, b: int(_digest(whole, a, b)), rows) if rows >= _SMALL else [int(_digest(whole, 0, rows))]
     return hash((tuple(parts), int(_row(rest, rest.size)), data[words.size * 8 :].tobytes(), array.shape))
 
 

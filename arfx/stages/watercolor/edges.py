@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
-from arfx.stages.bands import BANDS, by_bands
+from arfx.core.parallel import BANDS, parallel_rows
 from arfx.stages.watercolor.measure import measured
 from arfx.stages.watercolor.rows import Picture
 
@@ -74,14 +74,14 @@ def lines_of(
     line = np.zeros((h, w), np.float32)
     weak = np.zeros((h, w), np.uint8)
     offset = np.float32(max(width_px / 2, 0.75))
-    by_bands(lambda a, b: _ridge(measure, dx, dy, offset, np.float32(low), np.float32(high), a, b, line, weak), h)
+    parallel_rows(lambda a, b: _ridge(measure, dx, dy, offset, np.float32(low), np.float32(high), a, b, line, weak), h)
     count, parts = cv2.connectedComponents(weak, connectivity=8, ltype=cv2.CV_32S)
     strongest = np.zeros((BANDS, count), np.float32)
     rows = -(-h // BANDS)
-    by_bands(lambda a, b: _strongest(measure, parts, a, b, strongest[a // rows]), h)
+    parallel_rows(lambda a, b: _strongest(measure, parts, a, b, strongest[a // rows]), h)
     most = strongest.max(0)
     most[0] = 0
-    by_bands(lambda a, b: _hysteresis(most, parts, np.float32(low), np.float32(high), a, b, line), h)
+    parallel_rows(lambda a, b: _hysteresis(most, parts, np.float32(low), np.float32(high), a, b, line), h)
     return line
 
 

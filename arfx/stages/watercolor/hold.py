@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 from arfx.stages.watercolor.sites import GRID_PX, Field
 
 SHARE = 0.5  # of the last frame's measure
@@ -56,7 +56,7 @@ def held(measure: np.ndarray, before: np.ndarray, back: np.ndarray, x0: int, y0:
     measure, before (h, w) : on the grid of half the size;  back : of `steps_back`, its first node at (x0, y0) of the picture
     """
     out = np.empty_like(measure)
-    by_bands(lambda a, b: _held(measure, before, back, np.float32(x0), np.float32(y0), a, b, out), measure.shape[0])
+    parallel_rows(lambda a, b: _held(measure, before, back, np.float32(x0), np.float32(y0), a, b, out), measure.shape[0])
     return out
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
+from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
-from arfx.stages.bands import by_bands
 from arfx.stages.watercolor.label_kernels import (
     BLOCK,
     FAR,
@@ -145,7 +145,7 @@ def label(
             mask, x0, y0, a, b, first, second, inside,
         )  # fmt: skip
 
-    by_bands(one, h - y0, BLOCK)
+    parallel_rows(one, h - y0, BLOCK)
     return Labels(first, second, inside, n)
 
 

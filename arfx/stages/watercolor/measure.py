@@ -8,7 +8,7 @@ import cv2
 import numba
 import numpy as np
 
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 from arfx.stages.watercolor.rows import Picture, line_of
 from arfx.stages.watercolor.smooth import REACH, across, down, taps_of
 
@@ -27,14 +27,14 @@ def measured(picture: Picture, yuv: np.ndarray, alpha: float, beta: float, smoot
     made, taps = np.empty((3, h, w), np.float32), taps_of(sigma)
     numbers = yuv.astype(np.float32), np.float32(alpha), np.float32(beta)
     if len(taps):
-        by_bands(lambda a, b: _in_one_pass(picture, taps, *numbers, a, b, made), h)
+        parallel_rows(lambda a, b: _in_one_pass(picture, taps, *numbers, a, b, made), h)
         return made
     smooth = np.empty((h, 3, w), np.float32)
-    by_bands(lambda a, b: _halve_rows(picture, a, b, smooth), h)
+    parallel_rows(lambda a, b: _halve_rows(picture, a, b, smooth), h)
     for c in range(3):
         plane = np.ascontiguousarray(smooth[:, c])
         smooth[:, c] = cv2.GaussianBlur(plane, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-    by_bands(lambda a, b: _measure_rows(smooth, *numbers, a, b, made), h)
+    parallel_rows(lambda a, b: _measure_rows(smooth, *numbers, a, b, made), h)
     return made
 
 

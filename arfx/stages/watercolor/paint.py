@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 from arfx.stages.four import put_four
 from arfx.stages.watercolor.labels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
@@ -51,7 +51,7 @@ def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: fl
     def one(ya: int, yb: int) -> None:
         _paint_cells(cells, four, line, _F(opacity), ink, ya, yb, out)
 
-    by_bands(one, h)
+    parallel_rows(one, h)
     return out
 
 
@@ -115,10 +115,10 @@ def paint(
     tinted, ink = _table(root, flow), ink_rgb.astype(np.float32)
     cells, paper, pen = cover.cells, Paper(grain, x0, y0), Pen(line, strengths, ink)
     if not cover.back.second.size:
-        by_bands(lambda ya, yb: _paint_plain(cells, tinted, paper, pen, ya, yb, out), h)
+        parallel_rows(lambda ya, yb: _paint_plain(cells, tinted, paper, pen, ya, yb, out), h)
         return out
     known = _table(mean, flow)
-    by_bands(lambda ya, yb: _paint(picture, cells, known, tinted, paper, pen, ya, yb, out), h)
+    parallel_rows(lambda ya, yb: _paint(picture, cells, known, tinted, paper, pen, ya, yb, out), h)
     return out
 
 

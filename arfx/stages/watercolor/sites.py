@@ -15,7 +15,7 @@ from functools import partial
 import numba
 import numpy as np
 
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 
 STEPS = 8  # sites lie on multiples of 1/8 px: squared distances below 500 px are exact in float32
 GRID_PX = 32  # pitch of the nodes on which the field is known
@@ -78,7 +78,7 @@ def sites_of(field: Field, seed: int, limit: int, unit_px: float = 8.0) -> Sites
     for _ in range(_HIGHEST):
         args = field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, unit_px
         make = partial(_enumerate, field.x0, field.y0, *args)
-        parts = by_bands(make, field.u.shape[0] - 1, least=8)
+        parts = parallel_rows(make, field.u.shape[0] - 1, least=8)
         made = parts[0] if len(parts) == 1 else tuple(np.concatenate(column) for column in zip(*parts, strict=True))
         if made[0].shape[0] < limit:
             break

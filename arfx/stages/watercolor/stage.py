@@ -28,11 +28,11 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.memo import Memo
+from arfx.core.parallel import BackgroundTask
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, Window
-from arfx.stages.bands import Beside
 from arfx.stages.watercolor.cells import cell_colours, neighbours, toned, washed
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
@@ -134,12 +134,12 @@ class Watercolor(Stage):
 
         def make() -> np.ndarray:
             # neither needs the cells: they are made beside them
-            picture = Beside(lambda: self._with_toon(now, box, facts, scene))
+            picture = BackgroundTask(lambda: self._with_toon(now, box, facts, scene))
             if before is None or earlier is None:
-                lines = Beside(lambda: self._lines(picture(), now, box, facts))
+                lines = BackgroundTask(lambda: self._lines(picture(), now, box, facts))
             else:
                 of_both = (now, facts, content), (*before, earlier)
-                lines = Beside(lambda: self._held_lines(*of_both, scene, prepared, level))
+                lines = BackgroundTask(lambda: self._held_lines(*of_both, scene, prepared, level))
             painted = [self._painted(now, box, scene, prepared, level, *field, picture, lines) for field, _ in fields]
             if len(painted) == 1:
                 return painted[0]
@@ -192,7 +192,7 @@ class Watercolor(Stage):
 
     def _painted(
         self, now: Layers, box: Rect, scene: Scene, prepared: Prepared, level: str, where: Field, pose: Any,
-        sites_key: bytes, picture: Beside[Picture], lines: Beside[np.ndarray],
+        sites_key: bytes, picture: BackgroundTask[Picture], lines: BackgroundTask[np.ndarray],
     ) -> np.ndarray:  # fmt: skip
         p, rect = self.params, now.rect
         cells = prepared.cells.get((sites_key, rect), lambda: self._cells(where, rect, scene, prepared, level))

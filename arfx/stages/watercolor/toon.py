@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from arfx.core.light import Light
-from arfx.stages.bands import by_bands
+from arfx.core.parallel import parallel_rows
 
 EVEN = 0.8  # share of the ambient light that is the same in all tones
 RAMP = 0.06  # of n . l over which a step is spread
@@ -59,7 +59,7 @@ def toon(
         direction.astype(f32), (radiance - even).astype(f32), even.astype(f32), np.array(thresholds, f32),
         np.array(factors, f32), f32(opacity), f32(0.0 if hard else RAMP),
     )  # fmt: skip
-    by_bands(lambda a, b: _toon(virtual, coverage, normal, albedo, emissive, *light, a, b, out), len(out))
+    parallel_rows(lambda a, b: _toon(virtual, coverage, normal, albedo, emissive, *light, a, b, out), len(out))
     return out
 
 

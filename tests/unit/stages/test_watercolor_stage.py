@@ -6,10 +6,7 @@ import base64
 import dataclasses
 import itertools
 import tracemalloc
-import weakref
 import zlib
-from concurrent.futures import ThreadPoolExecutor
-from threading import Event, get_ident
 from typing import Any
 
 import cv2
@@ -25,7 +22,6 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import Window
 from arfx.errors import ConfigError
-from arfx.stages.bands import Beside, by_bands
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.params import WatercolorParams
@@ -141,37 +137,6 @@ def test_a_frame_is_known_by_every_one_of_its_samples() -> None:
     swapped = row.copy()
     swapped[:4] = row[[2, 3, 0, 1]]
     assert len({digest(a) for a in (row, row[::-1], np.roll(row, 1024), swapped, row.reshape(64, 64), -row)}) == 6
-
-
-def test_bands_come_in_order_whoever_does_them_and_errors_come_out() -> None:
-    spans = by_bands(lambda a, b: (a, b), 1000, 8)
-    assert [a for a, _ in spans] == [0, *(b for _, b in spans[:-1])] and spans[-1][1] == 1000
-    with ThreadPoolExecutor(4) as pool:
-        assert all(made == spans for made in pool.map(lambda _: by_bands(lambda a, b: (a, b), 1000, 8), range(64)))
-    with pytest.raises(ZeroDivisionError):
-        by_bands(lambda a, b: 1 // (a - 256), 1000, 8)
-
-
-@pytest.mark.parametrize("cores", [1, 2])
-def test_what_is_made_beside_is_made_once_whoever_is_free(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
-    monkeypatch.setattr("arfx.stages.bands._threads", lambda: cores)
-    gate, made = Event(), []
-    blocked = [Beside(gate.wait) for _ in range(8)]  # no thread is left
-    late = Beside(lambda: made.append(get_ident()) or len(made))
-    after = Beside(lambda: late() + 1)  # one may wait for another
-    if cores > 1:
-        assert late() == 1 and after() == 2 and made == [get_ident()]  # by the one who asks
-    gate.set()
-    assert all(b() for b in blocked) and (late(), late(), after(), len(made)) == (1, 1, 2, 1)
-    wrong = Beside(lambda: 1 // 0)
-    for _ in range(2):
-        with pytest.raises(ZeroDivisionError):
-            wrong()
-    if cores == 1:
-        holder = Beside(lambda: np.zeros(8))
-        gone = weakref.ref(holder())
-        del holder
-        assert gone() is None  # nothing that waits in a queue holds it
 
 
 def test_a_picture_too_large_to_keep_is_the_same_picture(monkeypatch: pytest.MonkeyPatch) -> None:
