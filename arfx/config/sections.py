@@ -161,7 +161,8 @@ class JobConfig(Section):
 
 class Setting(NamedTuple):
     """A setting of a job file. kinds : its type and what that is made of;  repeated : its section is an array of tables;
-    limits : of pydantic;  flags, metavar, help : of its option; no flags: it has none; messages name the first"""
+    limits : of pydantic;  flags, metavar, help : of its option; no flags: it has none; messages name the first
+    text : what it does"""
 
     section: str
     key: str
@@ -172,6 +173,7 @@ class Setting(NamedTuple):
     flags: list[str]
     metavar: str | None
     help: str
+    text: str
 
     @property
     def name(self) -> str:
@@ -187,7 +189,7 @@ def settings() -> Iterator[Setting]:
             option = field.json_schema_extra["option"].split()
             flags = [word for word in option if word.startswith("-")] or option
             metavar = option[-1] if len(option) > len(flags) else None
-            about = (field.default, field.metadata, flags, metavar, field.json_schema_extra["help"])
+            about = (field.default, field.metadata, flags, metavar, field.json_schema_extra["help"], field.description)
             yield Setting(section, key, kinds(field.annotation), repeated, *about)
 
 

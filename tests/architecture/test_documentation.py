@@ -10,6 +10,7 @@ import click
 import pytest
 
 from arfx.core.stage import Stage
+from arfx.run.catalogue import page
 from arfx.run.parameters import parameters
 from arfx.stages import STAGES
 from arfx_cli.main import COMMANDS, EXIT_CODES, cli
@@ -40,6 +41,10 @@ def test_every_setting_is_documented(section: str) -> None:
 def test_every_stage_keeps_the_contract_by_type(name: str) -> None:
     stage = STAGES[name]()
     assert isinstance(stage, Stage) and stage.name == name and stage.levels
+
+
+def test_the_page_of_stages_is_what_the_stages_say() -> None:
+    assert (ROOT / "docs" / "stages.md").read_text(encoding="utf-8") == page(), "arfx stages all > docs/stages.md"
 
 
 def test_exit_codes_agree_with_the_errors() -> None:

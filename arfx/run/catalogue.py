@@ -1,0 +1,177 @@
+"""What a job can set: every stage and every section of a job file, as data and as one Markdown text.
+
+`arfx stages` prints it, and docs/stages.md is the same text.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from arfx.config.load import near
+from arfx.config.sections import Length, Time, settings
+from arfx.core.cost import load_prices
+from arfx.core.marker import MarkerSpec
+from arfx.errors import ConfigError
+from arfx.plan.errors import shipped_errors
+from arfx.run.parameters import parameters
+from arfx.stages import STAGES
+
+_WORDS = {
+    bool: "true or false", int: "whole number", float: "number", str: "text", Path: "file or folder", MarkerSpec: "marker",
+}  # fmt: skip
+
+_INTRO = """# Stages and settings
+
+Made by `arfx stages all`. In a job file a setting stands in the table of its section; on the command line it is
+`--set SECTION.NAME=VALUE`. A level's error is its mean difference to `reference` on sample scenes, in grey levels of 255."""
+
+
+def sections() -> list[str]:
+    """Names of the sections of a job file that belong to no stage."""
+    return list(dict.fromkeys([*(s.section for s in settings()), *(name for name in parameters() if name not in STAGES)]))
+
+
+def describe(name: str) -> dict[str, Any]:
+    """A stage or section as data; errors in grey levels, prices in ms. Raises ConfigError for a name that is neither."""
+    if name in STAGES:
+        return _stage(name)
+    if name in parameters():
+        kind = parameters()[name]
+        return {"name": name, "about": _about(kind).partition("\n\n")[0], "settings": _of_dataclass(kind)}
+    found = [s for s in settings() if s.section == name]
+    if not found:
+        raise ConfigError(f"there is no stage or section {name!r}", near(name, [*STAGES, *sections()]))
+    rows = [
+        {"name": s.key, "type": _words(s.kinds[0]), "default": _plain(s.default), "text": s.text, "option": " ".join(s.flags)}
+        for s in found
+    ]
+    return {"name": name, "about": "", "settings": rows}
+
+
+def _stage(name: str) -> dict[str, Any]:
+    stage = STAGES[name]
+    errors, prices = shipped_errors().by_level.get(name, {}), load_prices()
+    levels = []
+    for level in stage.levels:
+        price = prices.prices.get(f"{name}/{level}")
+        terms = None if price is None else {term: 1e3 * s for term, s in price.coefficients.items() if s}
+        error = 0.0 if level == stage.levels[-1] else errors.get(level)
+        levels.append({"level": level, "error": error, "price_ms": terms})
+    about = stage.__dict__.get("__doc__") or inspect.getmodule(stage).__doc__ or ""
+    return {
+        "name": name, "about": inspect.cleandoc(about), "always": stage.always, "requires": sorted(stage.requires),
+        "reads": sorted(stage.reads), "writes": sorted(stage.writes), "facts": sorted(stage.facts),
+        "overrides": {other: dict(changes) for other, changes in stage.overrides.items()},
+        "levels": levels, "prices": prices.source, "settings": _of_dataclass(stage.Params),
+    }  # fmt: skip
+
+
+def _about(kind: type) -> str:
+    return inspect.cleandoc(kind.__doc__ or "")
+
+
+def _of_dataclass(kind: type) -> list[dict[str, Any]]:
+    """The fields of a frozen dataclass with their text, which its docstring holds as `name : text` or `name, other : text`."""
+    fields, doc = {f.name: f for f in dataclasses.fields(kind)}, _about(kind)
+    heads = [
+        (m.span(), names)
+        for m in re.finditer(r"(?:^|;  )(\w+(?:, \w+)*) : ", doc, re.MULTILINE)
+        if set(names := m[1].split(", ")) <= set(fields)
+    ]
+    texts: dict[str, str] = {}
+    for ((_, begin), names), ((end, _), _) in pairwise([*heads, ((len(doc), 0), [])]):
+        texts |= dict.fromkeys(names, " ".join(doc[begin:end].split()))
+    hints = get_type_hints(kind)
+    return [
+        {"name": n, "type": _words(hints[n]), "default": _plain(f.default), "text": texts.get(n, "")} for n, f in fields.items()
+    ]
+
+
+def _words(hint: Any) -> str:
+    """A type as people say it: number, length, list of 3 numbers."""
+    if hint in (Length, Time):
+        return "length" if hint == Length else "time"
+    origin, inner = get_origin(hint), [a for a in get_args(hint) if a is not type(None)]
+    if origin is Literal:
+        return " or ".join(map(str, inner))
+    if origin in (tuple, list):
+        many = "" if origin is list or Ellipsis in inner else f"{len(inner)} "
+        return f"list of {many}{_words(inner[0])}s".replace("texts", "names")
+    if origin is Union or origin is type(int | None):
+        return " or ".join(_words(a) for a in inner)
+    return _words(inner[0]) if inner else _WORDS.get(hint, str(hint))
+
+
+def _plain(default: Any) -> Any:
+    """A default as JSON and TOML have it; None = it has none."""
+    if isinstance(default, tuple):
+        return list(default)
+    return default if isinstance(default, (bool, int, float, str)) else None
+
+
+def overview() -> str:
+    """All stages in running order and the other sections, one line each, in Markdown."""
+    lines = ["| stage | runs | levels | what |", "|---|---|---|---|"]
+    for d in map(describe, STAGES):
+        levels = ", ".join(e["level"] for e in d["levels"])
+        lines.append(f"| `{d['name']}` | {_when(d)} | {levels} | {_summary(d)} |")
+    return "\n".join([*lines, "", "Other sections of a job file: " + ", ".join(f"`{s}`" for s in sections()) + "."])
+
+
+def _when(d: dict[str, Any]) -> str:
+    depends = f", with {' and '.join(d['requires'])}" if d["requires"] else ""
+    return ("always" if d["always"] else "on request") + depends
+
+
+def _summary(d: dict[str, Any]) -> str:
+    """The first sentence of what a stage says of itself, without its name."""
+    words = re.sub(rf"^{d['name']}: ", "", " ".join(d["about"].split()), flags=re.IGNORECASE)
+    return re.split(r"(?<=[.])\s", words, maxsplit=1)[0].replace("|", "\\|")
+
+
+def text(d: dict[str, Any], prices: bool = True) -> str:
+    """One stage or section in Markdown. d : as `describe`;  prices : with those that hold on this machine"""
+    name, lines = d["name"], [f"## {d['name']}", ""]
+    if d["about"]:
+        lines += [d["about"], ""]
+    if "levels" in d:
+        lines.append(f"- Runs: {_when(d)}" + ("" if d["always"] else f" (`--pipeline {name}`, or any of its settings)"))
+        lines += [f"- {key.capitalize()}: {', '.join(d[key]) or 'nothing'}" for key in ("reads", "writes", "facts")]
+        lines += [f"- Takes over: `{o}.{k} = {_toml(v)}`" for o, changes in d["overrides"].items() for k, v in changes.items()]
+        lines += [f"- Level `{e['level']}`: {_of_level(e, prices)}" for e in d["levels"]]
+        if prices:
+            lines.append(
+                f"- Prices: {d['prices']}, for a frame (mpx: millions of pixels); `arfx bench --calibrate` makes its own"
+            )
+        lines.append("")
+    for s in d["settings"]:
+        value = "" if s["default"] is None else f" = {_toml(s['default'])}"
+        option = f" (`{s['option']}`)" if s.get("option") else ""
+        lines.append(f"- `{name}.{s['name']}{value}`, {s['type']}{option}: {s['text']}")
+    return "\n".join([*lines, *([] if d["settings"] else ["It has no settings."])])
+
+
+def _of_level(entry: dict[str, Any], prices: bool) -> str:
+    error = "error not measured" if entry["error"] is None else f"error {entry['error']:g} grey levels"
+    if not prices:
+        return error
+    if entry["price_ms"] is None:
+        return f"{error}; price unknown"
+    return f"{error}; {' + '.join(f'{ms:.3g} {term}' for term, ms in entry['price_ms'].items()) or '0'} ms"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_toml(v) for v in value)}]"
+    return f'"{value}"' if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else f"{value}"
+
+
+def page() -> str:
+    """docs/stages.md: everything, without this machine's prices."""
+    every = (text(describe(name), prices=False) for name in [*STAGES, *sections()])
+    return "\n\n".join([_INTRO, overview(), *every]) + "\n"
