@@ -159,7 +159,9 @@ class Analyser(Fold):
 
     def _with_lens(self, analysis: Analysis, edges: EdgeBlur) -> Analysis:
         fit = footage_lens(analysis.facts, edges, self.markers, analysis.world_from_marker)
-        notices = analysis.notices if fit.known else (*analysis.notices, f"the footage does not tell its lens: {fit.reason}")
+        notices = (
+            analysis.notices if fit.known else (*analysis.notices, f"the lens cannot be measured from the footage: {fit.reason}")
+        )
         summary = {**analysis.summary, "footage_lens": to_json(fit)}
         return replace(analysis, facts=with_lens(analysis.facts, fit), summary=summary, notices=notices)
 

@@ -184,8 +184,8 @@ def _remarks(found: Found, copies: Sequence[Rejected], rejected: Sequence[Reject
         out.append(f"{len(turned)} views show the board upside down (corners renumbered): {_few(turned)}")
     if found.spec.turn_is_ambiguous and found.spec.kind == CHESSBOARD:
         out.append(
-            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half a turn: views upside down cannot be "
-            "told (the intrinsics do not suffer; one odd and one even count avoids it)"
+            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half a turn: which views are upside "
+            "down cannot be known (the intrinsics do not suffer; one odd and one even count avoids it)"
         )
     if found.empty:
         out.append(f"no board in {len(found.empty)} of {found.searched} pictures: {_few(found.empty)}")

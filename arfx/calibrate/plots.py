@@ -76,7 +76,7 @@ def _coverage(result: Calibration) -> Figure:
     circle = np.linspace(0, 2 * np.pi, 181)
     tilts.plot(circle, np.full(circle.shape, TILTED_DEG), "--", color="0.5", linewidth=1)
     tilts.set_ylim(0, max(45.0, float(result.seen.tilt_deg.max()) * 1.1))
-    tilts.set_title("tilt of each view, degrees, towards its near edge (dashed: too little to tell)", fontsize=10)
+    tilts.set_title("tilt of each view, degrees, towards its near edge (dashed: too little to count)", fontsize=10)
     figure.suptitle(
         f"verdict: {result.verdict.word}" + (f" - {result.verdict.reasons[0]}" if result.verdict.reasons else ""), fontsize=11
     )

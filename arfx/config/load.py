@@ -113,7 +113,7 @@ def _params(name: str, kind: type, table: dict[str, Any], problem: Any) -> Any:
         if key not in fields:
             problem((name, key), f"{_noun(name)} has no setting {key!r}", near(key, fields))
         elif (bad := _absurd(value)) is not None:
-            problem((name, key), f"{name}.{key}: {bad:g} is no number to work with", f"between -{_LARGEST:g} and {_LARGEST:g}")
+            problem((name, key), f"{name}.{key}: {bad:g} is out of range", f"between -{_LARGEST:g} and {_LARGEST:g}")
         else:
             good[key] = value
     try:

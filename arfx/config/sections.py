@@ -72,16 +72,18 @@ def _field(default: Any, text: str, option: str = "", help: str = "", **limits: 
 
 class InputSection(Section):
     clip: Path | None = _field(None, "The video to process.", "CLIP")
-    camera: Path | None = _field(None, "Calibration: OpenCV, ROS, COLMAP, Kalibr, WPILib. Missing: a guess.", "--camera FILE")
+    camera: Path | None = _field(
+        None, "Calibration: OpenCV, ROS, COLMAP, Kalibr, WPILib. Without it the focal length is guessed.", "--camera FILE"
+    )
     marker_map: Path | None = _field(  # TOML, or WPILib field JSON
         None, "Known layout of several markers; without it they are mapped from the clip.", "--marker-map FILE"
     )
     poses: Path | None = _field(  # or with the time before the pose
-        None, "Camera poses for --anchor plane: tx ty tz qx qy qz qw a frame.", "--poses FILE"
+        None, "Camera poses for --anchor plane: a line tx ty tz qx qy qz qw for each frame.", "--poses FILE"
     )
     depth: Path | None = _field(None, "Real depth: maps (16-bit PNG, PGM, EXR, TIFF), video (FFV1).", "--depth PATH")
     depth_scale: float | None = _field(
-        None, "Stored depth values to a metre; default 1000 (mm), EXR 1.", "--depth-scale N", ge=1e-6, le=1e9
+        None, "Depth steps to a metre; default 1000 (mm), EXR 1.", "--depth-scale N", ge=1e-6, le=1e9
     )
     depth_start: Time | None = _field(None, "When the first map was taken, from the clip's first frame.")
     depth_align: Literal["marker", "none"] = _field(
@@ -119,17 +121,21 @@ class ModelSection(Section):
 class PipelineSection(Section):
     stages: list[str] | Literal["auto"] = _field(
         "auto",
-        "Effects allowed, in order; default auto = lightmap and every other effect with a setting of its own.",
+        "Effects to run, in order. Default auto: those that the job has a setting for. Light and shadow always run.",
         "--pipeline A,B,C",
     )
     quality: Literal["draft", "standard", "high", "reference"] = _field("standard", "Level of every effect.", "--quality")
-    budget: Time | None = _field(None, "Levels: the best that keep the whole job within it: 90s, 1:30.", "--budget TIME", gt=0)
-    fps: float | None = _field(None, "The same as frames per second of work.", "--fps", gt=0, le=1e6)
-    max_error: float | None = _field(None, "Levels: the cheapest within E mean grey levels.", "--max-error E", ge=0, le=255)
-    tradeoff: Path | None = _field(None, "Errors of this clip's levels: a tradeoff.json; default shipped.", "--tradeoff FILE")
+    budget: Time | None = _field(None, "Choose the best levels whose predicted time fits: 90s, 1:30.", "--budget TIME", gt=0)
+    fps: float | None = _field(None, "The same, as frames per second.", "--fps", gt=0, le=1e6)
+    max_error: float | None = _field(
+        None, "Choose the fastest levels within this error, mean grey levels of 255.", "--max-error E", ge=0, le=255
+    )
+    tradeoff: Path | None = _field(
+        None, "Errors of this clip's levels, by `arfx tradeoff`; default: a shipped table.", "--tradeoff FILE"
+    )
     skip: bool = _field(
-        True, "Leave out what a frame does not call for; false forces every stage.",
-        "--no-skip", "Force every stage on every frame that has a pose.",
+        True, "Leave out stages that would change nothing in a frame; false runs every stage.",
+        "--no-skip", "Run every stage on every frame that has a pose.",
     )  # fmt: skip
     seed: int = _field(0, "Seed of all random numbers.", ge=0, lt=2**63)
 

@@ -61,7 +61,7 @@ def lens_from_blur(dioptre: np.ndarray, blur_px: np.ndarray, sigma_px: np.ndarra
         w = weight / error**2
         normal = a.T @ (w[:, None] * a)
         if condition(normal / normal[0, 0]) > MOST_CONDITION:
-            return LensFit(False, "the markers' distances do not tell a parabola from a line")
+            return LensFit(False, "the markers' distances do not separate a parabola from a line")
         p = np.linalg.solve(normal, a.T @ (w * s * s))
         residual = np.abs(s * s - a @ p) / error
         weight = np.minimum(1.0, divide(_HUBER, residual, where_zero=1.0))

@@ -121,7 +121,7 @@ def _cells(at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], l
     if not timed:
         stage = next(iter(wanted))
         why = next((s.reason for s in plan.skipped if s.stage == stage), "")
-        raise ConfigError(f"the standard scene does not call for {stage!r}: {why}", f"one of {', '.join(steps)}")
+        raise ConfigError(f"the standard scene does not use {stage!r}: {why}", f"one of {', '.join(steps)}")
     canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
     if at.real_depth_m is not None:
         canvas.put(Layer.REAL_DEPTH, plan.rect, at.real_depth_m[plan.rect.slices])

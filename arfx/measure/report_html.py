@@ -181,7 +181,7 @@ def _predicted(report: Mapping[str, Any]) -> str:
         return ""
     wall = predicted.get("wall")
     if wall is None:
-        return "<p>The plan knew no price for a part of this job, so it told no time.</p>"
+        return "<p>A part of this job had no price, so no time was predicted.</p>"
     ends = f"{number(wall['low_s'])} to {number(wall['high_s'])} s nine times in ten"
     prices = "" if predicted.get("calibrated") else "; with shipped prices: <code>arfx bench --calibrate</code> narrows them"
     return f"<p>The plan said {number(wall['s'])} s ({ends}{prices}); the job took {number(timing['wall_s'])} s.</p>"

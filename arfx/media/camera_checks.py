@@ -59,7 +59,7 @@ def check_camera(camera: Camera) -> None:
             f"camera file {where}: a distortion coefficient is {np.abs(camera.distortion).max():g}", "calibrate again"
         )
     if _seen(camera) < _LEAST_SEEN:
-        raise InputError(f"camera file {where}: with its distortion hardly a pixel has a viewing direction", "calibrate again")
+        raise InputError(f"camera file {where}: with its distortion almost no pixel has a viewing direction", "calibrate again")
 
 
 def camera_doubts(camera: Camera) -> list[str]:

@@ -123,7 +123,7 @@ def _index(value: Any, rows: list) -> int:
 
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r} is no whole number from 0 on")
+        raise ValueError(f"{value!r} is not a whole number, 0 or more")
     return value
 
 

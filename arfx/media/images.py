@@ -75,6 +75,4 @@ def _write(path: Path, data: bytes) -> None:
     try:
         path.write_bytes(data)
     except OSError as e:
-        raise RenderError(
-            f"{path} cannot be written: {e.strerror or e}", "is there room, and may this folder be written to?"
-        ) from e
+        raise RenderError(f"{path} cannot be written: {e.strerror or e}", "is the disk full, or the folder read-only?") from e

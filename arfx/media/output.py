@@ -184,7 +184,7 @@ def _try(codec: Codec, options: dict[str, str], preset: str) -> None:
     try:
         open_encoder(ctx)
     except (av.error.FFmpegError, ValueError):
-        usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` tells what there is"
+        usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` lists them"
         raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None
 
 

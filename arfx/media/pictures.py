@@ -41,7 +41,7 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     except cv2.error:
         raw = None
     if raw is None:
-        raise InputError(f"{kind} {path} cannot be read: it is damaged, or of a variant that is not known", "save it anew")
+        raise InputError(f"{kind} {path} cannot be read: it is damaged, or of a variant that is not known", "save it again")
     return raw
 
 

@@ -37,7 +37,7 @@ def chunk_suffix(plan: OutputPlan) -> str:
 def write_failed(path: Path, error: BaseException) -> RenderError:
     """One clear message for a write that failed: full disk, read-only folder, file limit."""
     reason = getattr(error, "strerror", None) or str(error)
-    return RenderError(f"{path} cannot be written: {reason}", "is there room, and may this folder be written to?")
+    return RenderError(f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?")
 
 
 class ChunkWriter:

@@ -34,6 +34,6 @@ def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: C
         return None
     depth = maps.load(told.map, camera.width, camera.height)
     if not depth.any():
-        raise InputError(f"depth map {maps.name(told.map)} has changed since the analysis", "start the job anew")
+        raise InputError(f"depth map {maps.name(told.map)} has changed since the analysis", "start the job again")
     whole = filled(depth, np.ascontiguousarray(frame.luma()))
     return np.ascontiguousarray(whole[rect.slices]) * np.float32(told.scale)

@@ -67,5 +67,5 @@ class Span(Fold):
             end = "its end" if self._end_s is None else f"{self._end_s:g} s"
             raise NothingToDoError(
                 f"{path} has no frame between {self._start_s or 0:g} s and {end}",
-                "check --start and --end; `arfx inspect` tells the clip's length",
+                "check --start and --end; `arfx inspect` shows the clip's length",
             )

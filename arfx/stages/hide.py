@@ -61,7 +61,7 @@ class Hide(Stage):
             rect = rect.union(Rect(*(TILE_PX * int(v) for v in corners)).clip(box))
         if rect.empty:
             return Demand(EMPTY, f"nothing real is nearer than the object's {farthest:.2f} m")
-        return Demand(rect.pad(reach_px(scene)).clip(box), "something real may stand before the object")
+        return Demand(rect.pad(reach_px(scene)).clip(box), "something real may be in front of the object")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out.pad(reach_px(scene)).clip(scene.camera.rect)

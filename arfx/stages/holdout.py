@@ -57,7 +57,7 @@ class Holdout(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if real_depth_of(facts) is None:
             return Demand(EMPTY, "the real scene's depth is not known")
-        return Demand(frame, "depth tells what of the picture is the plane", within_earlier=True)
+        return Demand(frame, "measured depth shows which pixels are the plane", within_earlier=True)
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out.pad(reach_px(scene)).clip(scene.camera.rect)

@@ -42,7 +42,7 @@ def command(as_json: bool) -> None:
                     click.echo(f"      fix: {c.fix}")
     if not sound(checks):
         wrong = [c.name for c in checks if c.essential and not c.ok] or ["every renderer"]
-        raise RenderError(f"arfx cannot work here: {', '.join(wrong)}", "the fixes stand beside each check")
+        raise RenderError(f"arfx cannot work here: {', '.join(wrong)}", "the fix is printed under each check")
     if not as_json:
         broken = [c.name for c in checks if not c.ok]
         click.echo("Clips can be processed here." + (f" Missing, not essential: {', '.join(broken)}." if broken else ""))

@@ -14,7 +14,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 
 @click.command()
 @click.argument("clip", type=FILE)
-@click.option("--camera", type=FILE, help="Calibration file; with it the markers' tilt is told too.")
+@click.option("--camera", type=FILE, help="Calibration file; with it the markers' tilt is shown too.")
 @click.option("--samples", type=click.IntRange(1, 1000), default=24, show_default=True, help="Frames that are searched.")
 @message_options
 def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> None:

@@ -23,10 +23,10 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 
 _OTHERS = [
     click.Option(["--config"], type=FILE, multiple=True,
-                 help="Job file (TOML) or preset name, repeatable: the later wins, the command line over all."),
-    click.Option(["--light"], metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation; degrees."),
+                 help="Job file (TOML) or preset name. Repeatable: later ones win, and the command line over all."),
+    click.Option(["--light"], metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation, degrees."),
     click.Option(["--environment"], type=FILE, help="A known light: HDR panorama, its top the marker's z, its middle x."),
-    click.Option(["--formula"], type=click.Choice(["paper", "corrected"]), help="As printed, or with its defects removed."),
+    click.Option(["--formula"], type=click.Choice(["paper", "corrected"]), help="Methods as printed, or corrected (default)."),
     click.Option(["--set"], multiple=True, metavar="STAGE.KEY=VALUE", help="Any setting, repeatable."),
     click.Option(["--report", "report_dir"], type=FOLDER, help="Folder for report.json and report.html."),
     click.Option(["--job", "job_dir"], type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),

@@ -32,7 +32,7 @@ _ROWS = (
 def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) -> None:
     """What a lens shows sharp: near and far limits around the focus distance, and the hyperfocal distance.
 
-    Two formulas: `paper` as S2 prints it, `corrected` as a thin lens has it.
+    Two formulas: `paper` as Zhao et al. (2012) print it, `corrected` as a thin lens has it.
 
     \b
     Example:

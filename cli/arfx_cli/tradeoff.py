@@ -67,7 +67,7 @@ def _show(told: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table(title=f"error against reference, grey levels; {len(told['frames'])} frames", title_justify="left")
-    for name in ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "unrest", "worst frame"):
+    for name in ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "flicker", "worst frame"):
         table.add_column(name, justify="left" if name in ("effect", "level") else "right")
     last = ""
     for r in [*told["effects"], *told["pipelines"]]:

@@ -65,6 +65,26 @@ def test_readme_names_only_commands_that_exist() -> None:
         assert (ROOT / link).exists(), f"README links to {link}"
 
 
+_STILTED = re.compile(r"\b(tells?|told|called for|calls? for|dear|stands? in)\b(?! the middle)", re.IGNORECASE)
+_LONGEST = 25  # words of a sentence on the first screen
+
+
+def test_readme_begins_with_short_sentences() -> None:
+    first = "\n".join((ROOT / "README.md").read_text(encoding="utf-8").splitlines()[:40])
+    prose = re.sub(r"^```.*?^```|^\|.*?$|^#.*?$", ".", first, flags=re.DOTALL | re.MULTILINE)
+    sentences = [s.split() for s in re.split(r"[.:;!?]\s|\n\n", prose)]
+    assert len(sentences) > 10 and not [" ".join(s) for s in sentences if len(s) > _LONGEST]
+
+
+def test_readme_and_help_are_in_plain_words() -> None:
+    texts = {"README.md": (ROOT / "README.md").read_text(encoding="utf-8")}
+    for name in COMMANDS:
+        command = cli.get_command(click.Context(cli), name)
+        assert command is not None
+        texts[name] = command.get_help(click.Context(command, info_name=name))
+    assert not [f"{name}: {found[0]}" for name, text in texts.items() if (found := _STILTED.search(text))]
+
+
 def test_no_machine_paths_in_tracked_files() -> None:
     wrong = re.compile(r"/(?:work|root|home)/\w")
     listed = project_files()

@@ -52,7 +52,7 @@ def test_help_says_what_the_pipeline_auto_is(arfx: Run) -> None:
     from arfx.run.parameters import parameters, pipeline
 
     text = " ".join(arfx("process", "--help").out.split())
-    assert "auto = lightmap and every other effect with a setting of its own" in text
+    assert "Default auto: those that the job has a setting for. Light and shadow always run." in text
     usual, lens, printed = (
         pipeline(load(None, tree, parameters())) for tree in ({}, {"dof": {"fnumber": 4}}, {"dof": {"formula": "paper"}})
     )

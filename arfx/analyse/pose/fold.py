@@ -96,7 +96,7 @@ def solve(
     every = stretches(path.measured, shot, times, params.max_gap_s)
     present = lasting(every, path.measured, shot)
     if len(present) < len(every):
-        notices.append(f"{len(every) - len(present)} sightings of one or two frames amid long absence are not shown")
+        notices.append(f"{len(every) - len(present)} sightings of only one or two frames are not shown")
     status = statuses(path.measured, present)
     opacity = opacities(present, shot, params.fade_frames)
     rotation, translation = _filled(path, present, times)

@@ -42,7 +42,7 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
     fit = facts.extra.get(FOOTAGE_LENS)
     if fit is None:
         return "the lens of the footage was not measured"
-    return None if fit["known"] else f"the footage does not tell its lens: {fit['reason']}"
+    return None if fit["known"] else f"the lens cannot be measured from the footage: {fit['reason']}"
 
 
 def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:

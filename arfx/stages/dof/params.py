@@ -64,7 +64,7 @@ class DofParams:
         _one_of("scope", self.scope, ("all", "virtual"))
         _one_of("lens", self.lens, ("given", "footage"))
         if self.lens == "footage" and self.scope == "all":
-            raise ConfigError("dof.lens = footage blurs what is blurred already", "with it goes dof.scope = virtual")
+            raise ConfigError("dof.lens = footage would blur the footage twice", "use it with dof.scope = virtual")
         if not 0 < self.sensor_width_mm <= 1e4:
             raise ConfigError(f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}")
         not_below_0 = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "max_radius_px", "highlight_boost",

@@ -107,7 +107,7 @@ class Gi(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.drawn_box.clip(frame)
         if size_px := self._unseen_px(facts, scene):
-            return Demand(model, f"no cones: model matt and grey, all that it changes is {size_px} px wide; even light")
+            return Demand(model, f"no cones: the model is matt and grey, and what it changes is {size_px} px wide; even light")
         disc, why = self._disc(facts, scene, frame)
         mirror = self._mirror_rect(facts, scene, frame)
         if model.empty and disc.empty and mirror.empty:

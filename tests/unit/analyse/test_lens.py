@@ -62,7 +62,7 @@ def test_refused_where_the_footage_does_not_tell(px_per_dioptre: float, focus_m:
     found = analysed(px_per_dioptre, focus_m, DISTANCES)
     fit = found.summary["footage_lens"]
     assert not fit["known"] and words in fit["reason"] and fit["focus_ci95"] is None
-    assert any("does not tell its lens" in n for n in found.notices)
+    assert any("lens cannot be measured" in n for n in found.notices)
 
 
 @pytest.mark.parametrize(

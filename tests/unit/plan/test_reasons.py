@@ -88,7 +88,7 @@ GIVEN = {
     ("gi", "model out of view; plane out of view or seen from behind"): (SCENE, below(SCENE), {}),
     ("dof", "marker not visible"): (SCENE, ABSENT, {}),
     ("dof", "the lens of the footage was not measured"): (SCENE, SEEN, FOOTAGE),
-    ("dof", "the footage does not tell its lens: # edges of known distance"): (
+    ("dof", "the lens cannot be measured from the footage: # edges of known distance"): (
         SCENE, SEEN.with_(extra={"footage_lens": UNKNOWN}), FOOTAGE),
     ("dof", "largest blur circle # px < # px"): (SCENE, SEEN, CLOSED),
     ("dof", "blur circles up to # px, but out of view"): (SCENE, SEEN.with_(model_box=Rect(4000, 0, 4100, 90)), OUT_OF_FOCUS),

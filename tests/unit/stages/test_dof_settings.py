@@ -27,7 +27,7 @@ from tests.unit.stages.dof_scenes import Shot, blurred, shot
     [
         ({"formula": "papper"}, "one of corrected, paper"),
         ({"scope": "real"}, "one of all, virtual"),
-        ({"lens": "footage"}, "blurs what is blurred already"),
+        ({"lens": "footage"}, "blur the footage twice"),
         ({"fnumber": 0.0}, "must be above 0"),
         ({"fnumber": "wide"}, "is not a number"),
         ({"sensor_width_mm": 0.0}, "must be above 0"),
@@ -198,7 +198,7 @@ def test_the_footages_lens_is_used_where_it_is_known() -> None:
     assert stage.demand(at.facts, at.scene, frame).reason == "the lens of the footage was not measured"
     np.testing.assert_array_equal(blurred(at, "standard", lens="footage", scope="virtual"), at.layers[Layer.IMAGE])
     refused = at.facts.with_(extra={"footage_lens": {"known": False, "reason": "too few edges"}})
-    assert stage.demand(refused, at.scene, frame).reason.endswith("tell its lens: too few edges")
+    assert stage.demand(refused, at.scene, frame).reason.endswith("from the footage: too few edges")
     fit = {"known": True, "reason": "", "px_per_dioptre": 9.0, "focus": 0.5}
     known = Shot(at.scene, at.facts.with_(extra={"footage_lens": fit}), at.layers)
     assert not stage.demand(known.facts, at.scene, frame).rect.empty

@@ -29,7 +29,7 @@ def test_a_grey_matt_object_of_a_few_pixels_needs_no_cones(monkeypatch: pytest.M
     s, pose = far(GREY)
     f = facts(s, pose)
     told = Gi().demand(f, s, CAMERA.rect)
-    assert "no cones: model matt and grey, all that it changes is" in told.reason and told.rect.area < 100
+    assert "no cones: the model is matt and grey, and what it changes is" in told.reason and told.rect.area < 100
     made = run_gi(s, pose=pose)
     monkeypatch.setattr(stage_module, "SMALL_PX", 0)
     full = run_gi(s, pose=pose)
