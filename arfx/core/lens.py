@@ -1,7 +1,7 @@
-"""A thin lens: blur circle, depth of field and hyperfocal distance, as S2 prints them and as they should be.
+"""A thin lens: blur circle, depth of field and hyperfocal distance, as Zhao et al. 2012 print them and as they should be.
 
 Distances run along the optical axis from the lens. In dioptres (1 / distance) the blur circle is affine: there is no
-pole at infinity and none at the hyperfocal distance. Source: S2 equations 3 to 7; corrections in SYSTEMS.md S2.
+pole at infinity and none at the hyperfocal distance. Source: docs/methods/dof.md#lens.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from arfx.errors import InputError
 
 PAPER, CORRECTED = "paper", "corrected"
 # A surface nearer to the lens than this share of the focal length is treated as if it stood there: the blur circle of
-# S2 equation 3 grows without bound as the distance goes to 0. At the bound it is about 100 apertures wide.
+# Equation 3 grows without bound as the distance goes to 0. At the bound it is about 100 apertures wide.
 NEAREST_SHARE = 1e-2
 
 
@@ -60,7 +60,7 @@ def circle_of_confusion_mm(distance_mm: np.ndarray | float, lens: Lens) -> np.nd
     distance_mm : (...) float, > 0; inf allowed
     Returns (...) float64 mm, >= 0, finite for every input: nearer than NEAREST_SHARE of the focal length counts as
     there; a NaN or a distance <= 0 gives 0 (no surface).
-    Source: S2 equation 3, in dioptres.
+    Source: docs/methods/dof.md#lens.
     """
     d = np.asarray(distance_mm, float)
     known = d > 0
@@ -84,8 +84,8 @@ def depth_of_field(lens: Lens, coc_mm: float, formula: str = CORRECTED) -> Limit
 
     corrected : near and far limits where the blur circle is exactly coc_mm; back and total are inf from the hyperfocal
         distance on
-    paper : S2 equations 4 to 6 as printed, with the object's distance in place of distance less focal length; back and
-        total are None where they have a pole or are negative
+    paper : equations 4 to 6 as printed (docs/methods/dof.md#errata), with the object's distance in place of distance less focal
+    length; back and total are None where they have a pole or are negative
 
     Raises InputError unless coc_mm is above 0 and finite, and the focus distance is finite.
     """

@@ -26,7 +26,7 @@ _UPRIGHT = {
 
 @dataclass(frozen=True)
 class Placement:
-    """How the model stands on its marker. Scale or fit, then rotate, then offset (CLI.md)."""
+    """How the model stands on its marker. Scale or fit, then rotate, then offset."""
 
     scale: float = 1.0
     fit_m: float | None = None

@@ -13,7 +13,7 @@ _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])")
 
 
 def summarise(plans: Iterable[FramePlan], names: Iterable[str], frame_area: int) -> list[dict[str, Any]]:
-    """One row per stage, in the fields of report.json's `stages` (CLI.md), without the measured time.
+    """One row per stage, in the fields of report.json's `stages`, without the measured time.
 
     area_fraction : mean over the frames in which the stage runs of its output area / picture area
     reasons : why it was left out, by text, with the number of frames; equal but for numbers = one text with ranges

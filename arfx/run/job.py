@@ -79,7 +79,7 @@ class Options:
 
 
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
-    """Run a whole job. Returns the report (CLI.md, report.json), which the job folder holds too.
+    """Run a whole job. Returns the report (report.json), which the job folder holds too.
 
     Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed.
     """

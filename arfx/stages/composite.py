@@ -1,8 +1,10 @@
-"""Virtual over real, in linear light: IMAGE = (b + (PLATE - b) x SHADOW) x (1 - COVERAGE) + VIRTUAL, faded by the facts'
-opacity. b is what the camera adds where no light falls (the facts' bias): a shadow takes light, not that.
+"""Composite: virtual over real, in linear light.
 
-Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, SYSTEMS.md S1. Cost: O(pixels), memory bound.
-Leaves out: depth order against real objects (stage `hide`).
+IMAGE = (b + (PLATE - b) x SHADOW) x (1 - COVERAGE) + VIRTUAL, faded by the facts' opacity. b is what the camera adds
+where no light falls (the facts' bias): a shadow takes light, not that.
+
+Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, docs/methods/light.md#shadow. Cost: O(pixels), memory
+bound. Leaves out: depth order against real objects (stage `hide`).
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -1,4 +1,4 @@
-"""Real things that stand nearer than the virtual object hide it: COVERAGE and VIRTUAL times the share that is seen.
+"""Hide: real things nearer than the object hide it: COVERAGE and VIRTUAL times the visible share.
 
 Only where the job measures the real scene's depth. How much nearer the real surface is, as a share of its distance, says
 what is hidden; depth maps end some pixels beside the things that they show, so a guided filter moves that mask's edge to

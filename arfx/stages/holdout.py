@@ -1,8 +1,8 @@
-"""Real things that are not the object's plane are held out of its shadow: SHADOW is kept where measured depth is the plane's.
+"""Holdout: keeps the plane's shadow off real things that are not the plane, by measured depth.
 
 `lightmap` knows one plane and dims every pixel in which it would be seen. Where the job measures the real
 scene's depth, what is nearer (a thing that stands on the plane) or farther (the floor beyond a table's edge) keeps its light.
-How far off counts is told by the depth's own noise on the prints; holes were filled along the picture's edges before. Depth
+How far off counts follows from the depth's own noise on the prints; holes were filled along the picture's edges before. Depth
 maps end some pixels beside the things that they show, so beside such an edge a guided filter moves it to the picture's own.
 `gi` asks the depth itself, plane by plane, and adds to what is left. Cost: O(pixels of the shadow). Leaves out: the shadow
 that such a thing would really take, and cast on the object.

@@ -5,8 +5,8 @@ towards the camera. What they miss tells the sensor's noise, which grows with th
 `find_planes`: hypotheses are points whose neighbours agree (region seeds), fitted to their neighbourhood; the one that most
 points lie on is refined by reweighted least squares on connected points, taken out, and the search goes on (sequential
 RANSAC). Thresholds are multiples of the cloud's own noise. Deterministic.
-Source: S4 (point cloud, normals, k nearest neighbours that agree belong to a plane; points are moved onto it); Tukey's
-biweight. Cost: O(points x log points), and O(hypotheses x points) per plane; points, not pixels.
+Source: docs/methods/calibration.md#planes. Cost: O(points x log points), and O(hypotheses x points) per plane; points, not
+pixels.
 """
 
 from __future__ import annotations

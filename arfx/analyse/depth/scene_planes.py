@@ -4,7 +4,7 @@ Which way is up nobody tells: a camera is held upright and not turned down by mo
 leans less than that against the pictures' mean upward direction, and no wall does.
 What was seen of a plane is a mesh: its points moved onto it, in cells, the rim (half level of the occupancy) smoothed, small
 holes closed.
-Source: S4 (several planes; points moved onto the plane, mesh; the object at the centre of the dominant one).
+Source: docs/methods/calibration.md#planes.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ result `measured` only if
   that it is one (its terminator). `most_lights = 1` is for a user who knows that there is one lamp.
 Everything else is `refused`, in words; then `guess` is the best explanation all the same, and the ambient light the
 mean of what was seen. Light that is the same for every normal is refused too: there is no direction to be had.
-Source: Tan, Chen, Sun 2010, eq. (1); (9) is `paper_lights`; SYSTEMS.md S1.
+Source: Tan, Chen, Sun 2009, eq. (1); (9) is `paper_lights`; docs/methods/light.md#lamps.
 Cost: 20 to 150 ms.
 """
 

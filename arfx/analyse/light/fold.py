@@ -7,7 +7,7 @@ the surroundings folded from the picture, as soft light without a direction; amb
 brightness and colour of each frame are those that the markers show (exposure and light together: from one normal the two
 cannot be told apart, and only their product is used).
 The frame in which lights are fixed is the room's: the camera's where the camera stands still, else the marker map's.
-Source: Tan, Chen, Sun 2010; SYSTEMS.md S1.
+Source: docs/methods/light.md#cues.
 """
 
 from __future__ import annotations

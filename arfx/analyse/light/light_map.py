@@ -9,7 +9,7 @@ it is neither foreseen nor smeared; a single frame that disagrees with those bef
 To the compiled functions (`walked` folds the frames' brightness, for static_frame.py) observations of all frames lie one
 after the other: normals, irradiance, variance (k, 3), starts (t + 1,) by frame. The map: vertices, value, variance (v, 3),
 age_s (v,).
-Source: Tan, Chen, Sun 2010, eq. (7), (8); SYSTEMS.md S1. Cost: some 5 us per observation at level 3.
+Source: Tan, Chen, Sun 2009, eq. (7), (8); docs/methods/light.md#update. Cost: some 5 us per observation at level 3.
 """
 
 from __future__ import annotations

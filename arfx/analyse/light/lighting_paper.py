@@ -4,7 +4,7 @@ What the lights at its peaks give is taken out of the map M, so that a surface w
 rest is written as a cube, for shading, and as its harmonics of degree 2, for what knows nothing of maps. Directions that no
 marker faced (M is near 0 there as printed, for ever) have the harmonics' light in the cube too.
 The paper states no brightness of a light: here M at the peak less its smallest value where something was seen.
-Source: Tan, Chen, Sun 2010, eq. (7) to (9).
+Source: Tan, Chen, Sun 2009, eq. (7) to (9).
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ the same directions.)
 `already_blocked` is the real shadow on the anchor's print, told by the quarters of its paper, so that the object's shadow is
 not taken twice there. Quarters are compared with the brightest one, which is taken for lit: a shadow over the whole print
 cannot be told from less light, and counts as that.
-Source: Tan, Chen, Sun 2010 ("dynamic light map"), section 2.1: the patch's pixel brightness I of eq. (2); SYSTEMS.md S1, with
-shadow as a ratio. Cost: about .2 ms for a marker of 270 px.
+Source: Tan, Chen, Sun 2009 ("dynamic light map"), section 2.1: the patch's pixel brightness I of eq. (2);
+docs/methods/light.md#meter. Cost: about .2 ms for a marker of 270 px.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ albedo is unknown too), O(frames x patches). `paper`: the smallest singular vect
 (photometry_paper).
 What cannot be solved is told by its rank and by the uncertainty that it would have, and reported as `degenerate`; then
 b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
-Source: Tan, Chen, Sun 2010, eq. (2), (4) to (6); corrections: SYSTEMS.md S1.
+Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); corrections: docs/methods/light.md#bias.
 Cost: 10,000 frames x 8 patches x 3 channels about .25 s.
 """
 

@@ -4,7 +4,7 @@ Unknowns (g', b', x_1 .. x_t); one row -I g' + b' + rho x_t = 0 per patch and fr
 decomposition; beyond, by the normal matrix, whose x part is diagonal: its smallest eigenvalue is the smallest root of a
 secular equation in the 2 x 2 rest, O(frames x patches) (and good to half as many digits).
 The vector is biased where I is noisy, and depends on the units of I: for comparison, not for use.
-Source: Tan, Chen, Sun 2010, eq. (4) to (6); the printed b' = 1/b and the correct b' = b/g: SYSTEMS.md S1.
+Source: Tan, Chen, Sun 2009, eq. (4) to (6); the printed b' = 1/b and the correct b' = b/g: docs/methods/light.md#errata.
 """
 
 from __future__ import annotations

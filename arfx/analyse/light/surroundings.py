@@ -14,8 +14,8 @@ the plane, whose radiance is in the picture.
 `with_environment` is for reflections: one cube per shot, in the facts. Looks at the surroundings are brought to the axes in
 which the room stands still and averaged over their shot, so that nothing flickers and what is seen from several sides adds up.
 A panorama that the user gave takes their place.
-Source: S4 (environment map from the single camera); SYSTEMS.md S1 (cue ladder) and S4 (smoothing in the analysis, analytic
-light apart). Cost: some 0.3 ms a frame at SIZE 16. Leaves out: the four corners of the picture.
+Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16. Leaves out: the four
+corners of the picture.
 """
 
 from __future__ import annotations

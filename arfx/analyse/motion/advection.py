@@ -9,7 +9,7 @@ sees one that is little bent, and sees the same in a clip that is run backwards 
 shot does, and in a long one at a key frame every PERIOD sets. The fade goes by sets, not by time: nothing fades where nothing
 moves.
 Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
-Source: SYSTEMS.md S3 ("sites fixed on the screen"). Cost: O(nodes) per set.
+Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per set.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ how well they fit. What all ask for together (an affine motion) is taken first, 
 nothing where there is little to see. That one of the two is brighter around a node does not count. Motion of more than
 _MOST_PX beyond what was found is the flow's work.
 Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame, most of it flow, some 2 ms the step.
-Source: SYSTEMS.md S3, "anchor sites"; Lucas and Kanade 1981.
+Source: docs/methods/watercolor.md#advection.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ Points are taken twice, from the image and from its contrast against the neighbo
 * Neither: both move.
 Where there is no marker, `RestCheck` tells whether the camera stands still over a clip: corners of the first picture, looked
 for again in later ones, about 2 ms each time. Things that move before a camera at rest take some with them; most stay.
-Source: SYSTEMS.md S1, "Which frame are the lights fixed in?".
+Source: docs/methods/pose.md#rest.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Depth of field of a stated lens, equal on real and virtual pixels (stage S2)."""
+"""Depth of field of a stated lens, equal on real and virtual pixels (docs/methods/dof.md)."""
 
 from arfx.stages.dof.stage import Dof
 

@@ -1,4 +1,4 @@
-"""The formula `paper`: S2 as printed. For reproduction and comparison; its defects are listed in SYSTEMS.md S2.
+"""The formula `paper` (Zhao et al. 2012), for reproduction and comparison; its defects: docs/methods/dof.md#errata.
 
 The composite, coded as sRGB, is mean-filtered; every pixel that has brighter neighbours among its eight takes their mean,
 weighted by how much brighter they are (8), unless they belong to something nearer; the result is blended with the sharp
@@ -71,7 +71,7 @@ def extremes(facts: FrameFacts, real: Real, grid: np.ndarray, params: DofParams)
 
 
 def blend_factor(dioptre: np.ndarray, clip: tuple[float, float], at: Circles, params: DofParams) -> np.ndarray:
-    """a of S2, 0..1: the blur circle over the larger of those at the clip planes."""
+    """a of Zhao et al. 2012, 0..1: the blur circle over the larger of those at the clip planes."""
     circle_mm = at.px_per_dioptre * at.coc_mm_per_px * np.abs(at.focus - dioptre)
     largest = at.px_per_dioptre * at.coc_mm_per_px * max(abs(at.focus - d) for d in clip)
     a = np.minimum(divide(circle_mm, largest), 1.0)

@@ -19,7 +19,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class DofParams:
-    """formula : corrected, or paper: S2 as printed
+    """formula : corrected, or paper: Zhao et al. 2012 as printed
     scope : all (the whole picture gets the lens's blur) or virtual (the footage has its own; only the object gets it)
     lens : given (by the settings below), or footage: the one that the analysis measured, for scope virtual
     focal_mm : focal length; 0 = the one that the calibration and sensor_width_mm give

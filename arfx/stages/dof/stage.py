@@ -1,10 +1,10 @@
-"""Depth of field: the blur of a stated thin lens on real and virtual pixels alike, in linear light.
+"""Dof: the blur of a stated thin lens on real and virtual pixels alike, in linear light.
 
 Every pixel's light is spread over its blur circle (disc or n-blade), energy kept, at a resolution that fits the circle's
 size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
 Where the circle stays below 1 px nothing changes, bit for bit. While the object fades in or out the lens opens with it.
 Cost: O(blurred pixels), nearly independent of the radius. Leaves out: what real things hide behind their edges, lens
-aberrations, vignetting, motion. Source: S2 (paper, and corrections in SYSTEMS.md S2).
+aberrations, vignetting, motion. Source: docs/methods/dof.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ the same levels and no pattern of voxels shows; values between voxels are trilin
 1 - (1 - a)^(ds / s) for a step of ds, and radiance is scaled with it. Directions between the axes blend three of the six
 directional values by the squares of their components, which sum to 1.
 A surface would meet its own voxels: samples begin START voxels off it, and of a sample only those voxels count whose
-centre is above the surface's tangent plane by more than a voxel that holds the surface can be. Source: S4; SYSTEMS.md S4.
+centre is above the surface's tangent plane by more than a voxel that holds the surface can be. Source: docs/methods/gi.md#cones.
 """
 
 # mypy: disable-error-code="no-untyped-def"

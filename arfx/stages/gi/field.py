@@ -2,7 +2,7 @@
 
 Planes first lose what the object hides of their light. Then voxels: direct light with a cone towards each light for its
 shadow, surroundings and darkened planes by six cones, light between the object's own surfaces closed in place; everything
-leaves diffusely. Then planes gain what the object sends. Source: SYSTEMS.md S4 (delta = with - without, added).
+leaves diffusely. Then planes gain what the object sends. Source: docs/methods/gi.md#field.
 """
 
 from __future__ import annotations

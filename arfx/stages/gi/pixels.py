@@ -2,7 +2,7 @@
 own place and normal, then spread to the others where normal and plane agree; where they do not, gathered again.
 
 Diffuse: six cones. Gloss: one cone about the lobe's middle, as wide as the roughness asks. Cost: O(covered pixels x
-cones x steps). Source: S4; SYSTEMS.md S4.
+cones x steps). Source: docs/methods/gi.md#cones.
 """
 
 # mypy: disable-error-code="no-untyped-def"

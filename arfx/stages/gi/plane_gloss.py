@@ -2,7 +2,7 @@
 
 What the plane mirrors without the object is in the picture already; what the object sends takes its place, so the change is
 F x (object - (1 - left) x what is behind it), as a share of the pixel. F as for the object's own gloss.
-Source: S4 (the object is reflected in the real plane, by a mirror cone); SYSTEMS.md S4. Cost: O(pixels of the mirror image x
+Source: docs/methods/gi.md#delta. Cost: O(pixels of the mirror image x
 steps). Leaves out: highlights of the lamps, and their shadow in the mirror image's place.
 """
 

@@ -2,7 +2,7 @@
 
 Coarser voxels, `corrected`: for each axis direction the nearer child hides the farther one, then the four columns are
 averaged: a wall one voxel thick stays opaque. `paper`: the mean of the eight children, which lets 1 - 2^-L of the light
-through at level L. Radiance is premultiplied by opacity. Source: SYSTEMS.md S4.
+through at level L. Radiance is premultiplied by opacity. Source: docs/methods/gi.md#pyramid.
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -1,10 +1,12 @@
-"""Gi: indirect light. The object in the light of its surroundings (occlusion, colour bleeding, reflections of the picture),
+"""Gi: indirect light between the object, its surroundings and the real planes.
+
+The object in the light of its surroundings (occlusion, colour bleeding, reflections of the picture),
 and what it adds to and takes from the real planes, as a ratio. Takes the place of lightmap's light without a direction.
 
 Voxels are made once per clip, their light once per light; planes see the object by rays, once per clip, and are gathered in
 their own texels, so a still light costs a frame only the object's own cones and a look-up. `reference` traces rays (embree)
 and shares no kernel with the others.
-Source: SYSTEMS.md S4 (paper and corrections). Cost: O(covered pixels x cones). Leaves out: real things that are no plane,
+Source: docs/methods/gi.md. Cost: O(covered pixels x cones). Leaves out: real things that are no plane,
 caustics, refraction, light that the object sends through its own transparent parts.
 """
 

@@ -3,7 +3,7 @@
 `FrameFacts.extra["light_map"]` holds what M has beside its lights' own cosine lobes, as a cube:
     {**cube.packed, "map_from_world": nine numbers, row by row}
 so that lights which the object takes from itself can be left out of M. Faces as in core.cube, axes of the map.
-Source: Tan, Chen, Sun 2010, eq. (3), (7); SYSTEMS.md S1.
+Source: Tan, Chen, Sun 2009, eq. (3), (7); docs/methods/light.md#idea.
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -2,7 +2,7 @@
 
 Diffuse: albedo times the light's radiance for the normal (soft harmonics and directional lights, `core.light`), each
 directional light times what the object leaves of it. Gloss: Blinn and Phong's lobe of the half-vector, Schlick's Fresnel,
-metals and dielectrics as in glTF 2.0; a light of some size widens it. Source of the `paper` formula: SYSTEMS.md S1,
+metals and dielectrics as in glTF 2.0; a light of some size widens it. Source of the `paper` formula: docs/methods/light.md#idea,
 I = g rho M(n) + b and Phong's lobe of the mirrored direction. What a camera adds where no light falls is added to the
 object too.
 Cost: O(covered pixels). Leaves out: the surroundings' picture in metals, light from the plane onto the object.

@@ -1,10 +1,10 @@
-"""Lightmap: the object in the light of the frame, its shadow on itself, and what it takes from its plane, as a ratio.
+"""Lightmap: the object in the light of the frame, and its shadow on itself and, as a ratio, on its plane.
 
 The light comes from the facts (measured, given or refused: `Light.source`), or is the scene's. Shadows are kept by the
 direction of their light: a still light costs nothing per frame but the look-up.
 Cost: O(pixels of the shadow + covered pixels x taps); a light that moves adds O(directions x edges) a frame.
 Leaves out: other real surfaces, transparent shadows, light from the plane onto the object, caustics.
-Source: SYSTEMS.md S1 (paper and corrections).
+Source: docs/methods/light.md#shadow, docs/methods/light.md#shading.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A wash is what a painter lays on in one go: neighbouring cells of nearly one colour. Their colours are drawn together over
 the graph of neighbours, with a weight that falls with their difference, so that cells vanish in even areas and stay where
-the picture changes. Cost: O(pixels) once for the means, O(cells) after. Source: SYSTEMS.md S3 step 3.
+the picture changes. Cost: O(pixels) once for the means, O(cells) after. Source: docs/methods/watercolor.md#cells.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ As printed: Edge_YUV = (1 - a) |grad Y| + a (|grad U| + |grad V|) / 2, Edge_RGB 
 an edge where b Edge_YUV + (1 - b) Edge_RGB exceeds a threshold; grad is the difference along x and y.
 Corrected: the same measure on a smoothed picture of half the size, only its ridges (line width in px), faded in between two
 thresholds, kept where a line is strong somewhere (hysteresis). Edges of the virtual object also come from its coverage,
-normals and depth. Cost: O(pixels). Source: SYSTEMS.md S3 steps 4 and 5, (2) to (4).
+normals and depth. Cost: O(pixels). Source: docs/methods/watercolor.md#edges.
 """
 
 from __future__ import annotations

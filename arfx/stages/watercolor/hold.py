@@ -2,7 +2,7 @@
 
 Half of it counts where both are alike, none where they are not: what comes into view, moves on its own or follows a cut is as
 it is now. Only the last frame's own measure is used, never what was mixed before, so that a frame is the same whoever paints
-it and wherever a stretch of work begins. Cost: O(pixels of the half-size grid). Source: SYSTEMS.md S3 ("temporal filter").
+it and wherever a stretch of work begins. Cost: O(pixels of the half-size grid). Source: docs/methods/watercolor.md#edges.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Kernels of labels.py: what a tile of 8 x 8 pixels does with the sites around it, each loop in steps of a vector unit.
 
 Places are whole numbers of 1/STEPS px, relative to a block's or a tile's middle, so that int32 holds every square and
-float32 every packed distance; what is too far or too much for that goes through float64. Source: SYSTEMS.md S3 step 2.
+float32 every packed distance; what is too far or too much for that goes through float64. Source:
+docs/methods/watercolor.md#labels.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 Distance is that of a power diagram, |p - s|^2 - weight; with all weights 0 the cells are Voronoi cells. Sites and pixels lie
 on a grid of 1/8 px, so that distances are integers; of equal distances the site of the lower number wins. Pixels may be
 displaced (wobble) before they ask. A block of 2 x 2 tiles collects the sites around it once; its tiles prune them and compare
-what is left (label_kernels). Cost: O(pixels x some 10 candidates). Source: SYSTEMS.md S3 step 2; tiles in place of cones.
+what is left (label_kernels). Cost: O(pixels x some 10 candidates). Source: docs/methods/watercolor.md#labels; tiles in place of
+cones.
 """
 
 from __future__ import annotations

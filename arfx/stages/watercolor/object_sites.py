@@ -1,7 +1,7 @@
 """Sites on the model's surface: they move with it, whatever it does.
 
 The surface is strewn with points once; a point's importance is the coarsest level of a nested grid in space at which it is
-still its cell's first (SYSTEMS.md S3: sites anchored to what they lie on). Each picture takes those that the wanted density
+still its cell's first (docs/methods/watercolor.md#sites). Each picture takes those that the wanted density
 calls for. Cost: O(points) per set. Leaves out: which points other parts of the model hide; they add cells where they lie.
 """
 

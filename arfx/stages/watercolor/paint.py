@@ -2,7 +2,7 @@
 
 Paint knows of each cell two things of 64 bits each: the root of its colour with its turbulence, and its mean. A row is
 painted in steps: what the pixel's own cell and the next one hold is fetched, then all is computed in steps of a vector unit.
-Cost: O(pixels). Source: SYSTEMS.md S3 ("pigment"); the pigment itself is in pigment.py.
+Cost: O(pixels). Source: docs/methods/watercolor.md#pigment; the pigment itself is in pigment.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A cell of level k is 2^k cells wide and is parted into four of level k - 1. Its 
 by a hash of (seed, level, column, row), and so on down: a site is the same point at every level it belongs to, so making
 the grid finer adds sites and moves none. The other three appear one by one in a fixed order; while one appears its cell
 grows from nothing (the weight of a power diagram), so that nothing pops.
-Source: jittered sampling, SYSTEMS.md S3 (1); nesting and fading replace its fixed grid. Cost: O(sites).
+Source: jittered sampling, docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cost: O(sites).
 """
 
 from __future__ import annotations

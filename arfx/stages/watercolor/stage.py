@@ -1,4 +1,4 @@
-"""Watercolor: real and virtual become one painting of washes, lines, pigment and paper.
+"""Watercolor: the whole picture, real and virtual, as one painting of washes, lines, pigment and paper.
 
 1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact mean of its pixels;
 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour, silhouette or crease are strong.
@@ -11,7 +11,7 @@ transform costs four times the exact labels); high paints the patterns carried f
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 line_hold looks at the frame before as well (hold.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
-Source: SYSTEMS.md S3 (paper and corrections). Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
+Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Above the first threshold of n . l the colour is kept, above the second it is scaled, else scaled more (.5, .2; 1, .4, .1).
 Corrected: the steps are ramps a few degrees wide, so that they do not crawl, and only what comes from the light's side is
 scaled: in soft light no side is black. Cost: O(covered pixels).
-Source: SYSTEMS.md S3 step 4. Leaves out: highlights, shadows of the object on itself.
+Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of the object on itself.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The thin lens: numbers of SYSTEMS.md S2, and every place where the printed formulas have a pole."""
+"""The thin lens: numbers of docs/methods/dof.md#numbers, and every place where the printed formulas have a pole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Indirect light of the object and of the plane: white furnace, resolution, identity, hard cases, and each erratum of S4."""
+"""Indirect light of the object and of the plane: white furnace, resolution, identity, hard cases, and errata
+(docs/methods/gi.md#errata)."""
 
 from __future__ import annotations
 

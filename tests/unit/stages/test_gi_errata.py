@@ -1,4 +1,4 @@
-"""Each erratum of SYSTEMS.md S4 that other tests do not show: what is printed, beside what is done instead."""
+"""Each erratum of docs/methods/gi.md#errata that other tests do not show: what is printed, beside what is done instead."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Voxels of the model: walls that stay opaque, numbers of SYSTEMS.md S4 in both formulas, memory that grows with the surface."""
+"""Voxels of the model: walls that stay opaque, numbers of docs/methods/gi.md#numbers in both formulas, memory that grows with the
+surface."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def test_plain_cells_keep_the_mean_of_the_picture() -> None:
 
 
 def test_the_paper_flickers_and_the_correction_does_not() -> None:
-    """A still clip with noise: squared error between frames (SYSTEMS.md: 5.4e-3 against 1.2e-6)."""
+    """A still clip with noise: squared error between frames (docs/methods/watercolor.md#errata)."""
     g = np.random.default_rng(0)
     base = np.sqrt(picture())
     frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1) ** 2 for _ in range(3)]

@@ -1,4 +1,4 @@
-"""The light map: the weights of SYSTEMS.md S1, constant and stepping light, what is not finite, both formulas."""
+"""The light map: the weights of docs/methods/light.md#numbers, constant and stepping light, what is not finite, both formulas."""
 
 from __future__ import annotations
 

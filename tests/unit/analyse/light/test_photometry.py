@@ -1,4 +1,4 @@
-"""Bias and light out of patches: the numbers of SYSTEMS.md S1, both formulas, and what cannot be solved."""
+"""Bias and light out of patches: the numbers of docs/methods/light.md#numbers, both formulas, and what cannot be solved."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_the_papers_vector_is_biased_by_noise_and_by_the_units_and_least_squares
         found["255"].append(smallest_vector(grey, rho).bias)
         found["1"].append(255 * smallest_vector(grey / 255, rho).bias)
     in_255, in_1 = np.median(found["255"]), np.median(found["1"])
-    assert 2.5 < in_255 < 4.5  # 3.4 in SYSTEMS.md
+    assert 2.5 < in_255 < 4.5  # 3.4
     assert 5.4 < in_1 < 7.4  # 6.4
     many = []
     for rng in map(np.random.default_rng, range(60)):
