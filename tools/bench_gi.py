@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from arfx.core.layers import Layer, Layers
-from arfx.core.stage import Window, level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import Canvas
@@ -40,8 +40,7 @@ def layers_of(at: BenchScene) -> Layers:
     steps = {step.stage: step for step in plan.steps}
     for s in stages[:2]:
         step = steps[s.name]
-        window = Window((canvas.view(s.reads, step.need),), (at.facts,))
-        made = s.run(window, at.scene, s.prepare(at.scene, levels[s.name]), levels[s.name], np.random.default_rng(0))
+        made = ReadyStage.of(s, at.scene, levels[s.name]).run(canvas.view(s.reads, step.need), at.facts)
         for layer, array in made.items():
             canvas.take(layer, array, step.need, step.out)
     return canvas.view(Gi.reads, steps["gi"].need)
@@ -69,12 +68,11 @@ def once(at: BenchScene, level: str) -> tuple[Any, Any]:
     """(a call that runs the stage, one that runs it under a light it has not seen)."""
     now = layers_of(at)
     stage = Gi()
-    le = level_named(stage.levels, level)
-    prepared = stage.prepare(at.scene, le)
+    ready = ReadyStage.of(stage, at.scene, level_named(stage.levels, level))
     count = [0]
 
     def go(facts: Any = at.facts) -> Any:
-        return stage.run(Window((now,), (facts,)), at.scene, prepared, le, np.random.default_rng(0))
+        return ready.run(now, facts)
 
     def other() -> Any:
         count[0] += 1

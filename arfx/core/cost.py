@@ -13,7 +13,7 @@ import json
 import math
 import platform
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +80,7 @@ class Prices:
     """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
 
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
+    calibrated : all of it measured on this machine
     alone : time of one that works alone, as a share of its time among `threads`
     """
 
@@ -96,9 +97,14 @@ class Prices:
             return None
         return with_spread(price.seconds(terms), price.spread if self.calibrated else max(price.spread, UNCALIBRATED))
 
+    def with_stage(self, stage: str, own: Prices) -> Prices:
+        """These, but for one stage, which `own` prices."""
+        source = f"{self.source.partition(';')[0]}; {stage} {own.source}"
+        return replace(self, prices={**self.prices, **own.prices}, source=source)
+
     def to_json(self) -> dict[str, Any]:
         return {
-            "format": FORMAT, "threads": self.threads, "source": self.source, "alone": self.alone,
+            "format": FORMAT, "threads": self.threads, "source": self.source, "alone": self.alone, "calibrated": self.calibrated,
             "prices": {k: p.to_json() for k, p in sorted(self.prices.items())},
         }  # fmt: skip
 
@@ -116,7 +122,7 @@ class Prices:
         alone = float(d.get("alone", 1.0))
         if not 0 < alone <= 1:
             raise ValueError("price list: alone")
-        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated, alone)
+        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated and bool(d.get("calibrated", True)), alone)
 
 
 def prices_file() -> Path:

@@ -108,6 +108,13 @@ class FrameFacts:
         return self.model_box.pad(_AROUND_PX)
 
     @property
+    def pose(self) -> Pose:
+        """camera_from_world of a frame that has one. Raises ValueError: where there is none, it is not to be asked for."""
+        if self.camera_from_world is None:
+            raise ValueError(f"frame {self.index} has no pose: look at `present` first")
+        return self.camera_from_world
+
+    @property
     def present(self) -> bool:
         """Whether the object is shown: there is a pose, and it has not faded out."""
         return self.camera_from_world is not None and self.opacity > 0

@@ -1,37 +1,52 @@
-"""The last few things that were made, by key: what a stage need not make anew in the next frame."""
+"""What need not be made anew in the next frame: the last few things of each kind, by key."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
 
 
 class Memo:
-    """Holds so many things, and drops the one used longest ago. Making is pure: two threads that make a thing make the same.
+    """Making is pure: two threads that make a thing make the same.
 
-    made : how many were
+    made : how many things were
     """
 
-    def __init__(self, most: int) -> None:
-        self._most, self._lock = most, Lock()
-        self._things: OrderedDict[Hashable, Any] = OrderedDict()
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._kinds: dict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
         self.made = 0
 
-    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
+    def get(self, key: Hashable, make: Callable[[], Any], kind: str = "", most: int = 8) -> Any:
+        """most : things that are kept of the kind; the one used longest ago is dropped first"""
         with self._lock:
-            if key in self._things:
-                self._things.move_to_end(key)
-                return self._things[key]
+            things = self._kinds[kind]
+            if key in things:
+                things.move_to_end(key)
+                return things[key]
         thing = make()
         with self._lock:
             self.made += 1
-            self._things[key] = thing
-            while len(self._things) > self._most:
-                self._things.popitem(last=False)
+            things[key] = thing
+            while len(things) > most:
+                things.popitem(last=False)
         return thing
 
     def clear(self) -> None:
         with self._lock:
-            self._things.clear()
+            for things in self._kinds.values():
+                things.clear()
+
+
+@dataclass(frozen=True, eq=False)
+class Memos:
+    """What a stage keeps from frame to frame, at one level, in one process.
+
+    of_light : made for a light, found again while the light stays;  of_frame : made of a frame's pixels: empty before timing
+    """
+
+    of_light: Memo = field(default_factory=Memo)
+    of_frame: Memo = field(default_factory=Memo)

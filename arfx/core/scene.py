@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
 from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
@@ -76,6 +77,10 @@ class Scene:
     seed: int = 0
     surface_m: tuple[float, float, float, float] | None = None
     real_planes: tuple[RealPlane, ...] = ()
+
+    def light_of(self, facts: FrameFacts) -> Light:
+        """Of a frame: its own, else the scene's."""
+        return self.light if facts.light is None else facts.light
 
     @cached_property
     def model_points_m(self) -> np.ndarray:

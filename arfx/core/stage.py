@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +11,10 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.health import Check, JobView
 from arfx.core.layers import Dimmed, Layer, Layers, Patch
+from arfx.core.light import Light
+from arfx.core.memo import Memos
+from arfx.core.noise import noise, noise_key
+from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 
@@ -30,22 +34,46 @@ class Demand:
     within_earlier: bool = False
 
 
-@dataclass(frozen=True)
-class Window:
-    """What `run` sees: its layers, the facts of the same frames, oldest first; the last is the frame itself.
+@dataclass(frozen=True, eq=False)
+class View:
+    """One frame as `run` sees it. view[LAYER] is what the layer holds over `rect`, read-only.
 
-    out : the pixels that are kept of what it makes, None = all: a slow stage may leave the others as they are
+    out : the pixels that are kept of what it makes: a slow stage may leave the others as they are
+    key : of its random numbers, from seed, frame and stage;  memo : what it keeps from frame to frame
+    before : earlier frames, oldest first, at most `history`; those have no earlier ones themselves
     last : nobody reads what it makes but the edit of the frame, so IMAGE may be left as `Dimmed`
     """
 
-    layers: tuple[Layers, ...]
-    facts: tuple[FrameFacts, ...]
-    out: Rect | None = None
+    layers: Layers
+    facts: FrameFacts
+    scene: Scene
+    level: str
+    out: Rect
+    key: int
+    memo: Memos
+    before: tuple[View, ...] = ()
     last: bool = False
 
+    def __getitem__(self, name: Layer) -> np.ndarray:
+        return self.layers[name]
+
     @property
-    def now(self) -> Layers:
-        return self.layers[-1]
+    def rect(self) -> Rect:
+        return self.layers.rect
+
+    @property
+    def pose(self) -> Pose:
+        """CAMERA from WORLD. Raises ValueError in a frame without one: `without_object` stages ask the facts."""
+        return self.facts.pose
+
+    @property
+    def light(self) -> Light:
+        """The frame's, else the scene's."""
+        return self.scene.light_of(self.facts)
+
+    def noise(self, channel: int = 0) -> np.ndarray:
+        """(h, w) float32 in [0, 1): random, new in every frame, the same for a pixel whatever the rectangle."""
+        return noise(self.rect, self.key, channel)
 
 
 @dataclass(frozen=True)
@@ -72,6 +100,8 @@ class Stage:
         Mapping[str, Mapping[str, Any]]
     ] = {}  # settings of other stages that it takes over: stage, setting, value
 
+    after: ClassVar[str] = ""  # of a plug-in: the stage that it runs behind; "" = the last one that writes what it reads
+
     facts: frozenset[str] = frozenset({"pose"})  # parts of the analysis that it reads, by name
     history: int = 0  # earlier frames that it looks at
     padding_px: int = 0  # input pixels that it takes around each output pixel
@@ -85,6 +115,11 @@ class Stage:
         missing = [name for name in ("name", "reads", "writes", "run") if getattr(cls, name, None) in (None, Stage.run)]
         if missing:
             raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")
+
+    @classmethod
+    def settled(cls, params: Any) -> Any:
+        """The settings with what they leave to the machine chosen: once for a job, for all workers, and part of its keys."""
+        return params
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         """Pixels that it may change in this frame, and why; an empty rectangle: why it does not run.
@@ -110,11 +145,35 @@ class Stage:
         """What it estimated in a job, for the report."""
         return ()
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray | Patch | Dimmed]:
-        """What it writes, over the rectangle of the layers that it is given."""
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Patch | Dimmed]:
+        """What it writes, over the rectangle of the view. prepared : what `prepare` returned"""
         raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class ReadyStage:
+    """A stage at one level, with what it prepared for a clip and what it keeps; threads may share it."""
+
+    stage: Stage
+    scene: Scene
+    level: str
+    prepared: Any
+    memo: Memos = field(default_factory=Memos)
+
+    @staticmethod
+    def of(stage: Stage, scene: Scene, level: str) -> ReadyStage:
+        return ReadyStage(stage, scene, level, stage.prepare(scene, level))
+
+    def view(
+        self, layers: Layers, facts: FrameFacts, out: Rect | None = None, before: tuple[View, ...] = (), last: bool = False
+    ) -> View:
+        """out : None = all"""
+        key = noise_key(self.scene.seed, facts.index, self.stage.name)
+        return View(layers, facts, self.scene, self.level, layers.rect if out is None else out, key, self.memo, before, last)
+
+    def run(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> Mapping[Layer, np.ndarray | Patch | Dimmed]:
+        """One frame by itself."""
+        return self.stage.run(self.view(layers, facts, out), self.prepared)
 
 
 def level_named(levels: Sequence[str], name: str) -> str:

@@ -19,14 +19,13 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import Step
 from arfx.core.rect import Rect
-from arfx.core.scene import Scene
-from arfx.core.stage import Stage, Window, level_named
+from arfx.core.stage import ReadyStage, Stage, level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.measure.timed_runs import WALL
 from arfx.plan.planner import plan_frame
 from arfx.plan.work import terms_of
-from arfx.run.frame import Canvas, rng_for
+from arfx.run.frame import Canvas
 from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
@@ -132,8 +131,7 @@ def _cells(at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], l
             cells += [_cell(s, le, step, canvas, at, size) for le in s.levels if level in (None, le)]
         if name == timed[-1]:
             break
-        prepared = s.prepare(at.scene, standard[name])
-        for layer, array in _run(s, standard[name], step, canvas, at.facts, at.scene, prepared).items():
+        for layer, array in _run(ReadyStage.of(s, at.scene, standard[name]), step, canvas, at.facts).items():
             canvas.take(layer, array, step.need, step.out)
     return cells
 
@@ -143,25 +141,23 @@ def _cell(s: Stage, le: str, step: Step, canvas: Canvas, at: BenchScene, size: t
     here = Step(step.stage, le, step.out, need, step.reason, None)
     frozen = Canvas(canvas.plate, canvas.rect)
     frozen.stored = dict(canvas.stored)  # later steps must not change what this one reads
-    prepared: list[Any] = []
+    ready: list[ReadyStage] = []
 
     def prepare() -> None:
-        if not prepared:
-            prepared.append(s.prepare(at.scene, le))
+        if not ready:
+            ready.append(ReadyStage.of(s, at.scene, le))
 
     def go(facts: FrameFacts = at.facts) -> None:
         prepare()
-        if hasattr(prepared[0], "forget"):  # what is kept of the last run would make the next one cost nothing
-            prepared[0].forget()
-        _run(s, le, here, frozen, facts, at.scene, prepared[0])
+        ready[0].memo.of_frame.clear()  # with what is kept of the last run the next one would cost nothing
+        _run(ready[0], here, frozen, facts)
 
     return Cell(s.name, le, size, step.out.area, terms_of(need, at.facts, at.scene), prepare, go)
 
 
-def _run(s: Stage, le: str, step: Step, canvas: Canvas, facts: FrameFacts, scene: Scene, prepared: Any) -> Any:
+def _run(at: ReadyStage, step: Step, canvas: Canvas, facts: FrameFacts) -> Any:
     need = step.need if canvas.rect.contains(step.need) else step.need.clip(canvas.rect)
-    window = Window((canvas.view(s.reads, need),), (facts,))
-    return s.run(window, scene, prepared, le, rng_for(0, 0, s.name))
+    return at.run(canvas.view(at.stage.reads, need), facts)
 
 
 def _take_turns(cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]) -> None:

@@ -27,7 +27,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.core.stage import Stage
-from arfx.measure.bench import make_cells
+from arfx.measure.bench import check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
 from arfx.measure.timed_runs import WALL, Runs, Watch
@@ -100,12 +100,15 @@ def calibrate(
     limit_s: float = LIMIT_S,
     output: bool = True,
     watch: Watch = WALL,
+    stage: str | None = None,
 ) -> Prices:
-    """Time, fit, and return the price list; nothing is written.
+    """Time, fit, and return the price list; nothing is written. Raises ConfigError for a stage that there is not.
 
+    stage : only this one, and nothing that is not a stage's
     limit_s : after this the scenes that are left are passed over (what has runs is fitted)
     output : time what is not a stage's too: editing planes, encoding, joining
     """
+    check(stages, stage, None, ())
     workers, threads = default_workers(1)
     crowd = min(workers, MOST_THREADS) if threads else 1
     began = time.perf_counter()
@@ -113,19 +116,19 @@ def calibrate(
     alone: list[float] = []
     plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
     with ThreadPoolExecutor(crowd) as pool:
-        if output:
+        if output and stage is None:
             time_output(timed, pool, crowd, watch, lambda done, total: progress("calibrate output", done, total))
         for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:
                 break
             model = ball(longitudes, latitudes) if k % 2 else pile(longitudes, latitudes)
             at = bench_scene(width, height, covered, model)
-            alone += _time_scene(at, slow, stages, timed, pool, crowd, watch)
+            alone += _time_scene(at, slow, stages, stage, timed, pool, crowd, watch)
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
     for key, runs in timed.items():
-        stage = key.removeprefix("prepare ").split("/")[0]
-        terms = stages.get(stage, Stage).terms  # of encoding and the like: the usual ones
+        name = key.removeprefix("prepare ").split("/")[0]
+        terms = stages.get(name, Stage).terms  # of encoding and the like: the usual ones
         wanted = ("frames", "mfaces") if key.startswith("prepare ") else terms
         prices[key] = fit(runs, wanted)
     source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
@@ -141,14 +144,14 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 
 
 def _time_scene(
-    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int,
-    watch: Watch,
+    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], stage: str | None, timed: dict[str, Runs],
+    pool: ThreadPoolExecutor, crowd: int, watch: Watch,
 ) -> list[float]:  # fmt: skip
     """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones twice, and under a light that changes
 
     Returns what one thread alone took, as a share of what it took among `crowd`: of the runs that are long enough to tell.
     """
-    every = make_cells(at, None, None, stages)
+    every = make_cells(at, stage, None, stages)
     best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}
     alone = []
     for cell in (c for c in every if (best.get(c.stage) == c.level) == slow):

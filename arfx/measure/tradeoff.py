@@ -195,9 +195,7 @@ def _open_benches(work: _Work, wanted: Sequence[int], plans: Mapping[int, FrameP
 
 def _time(work: _Work, times: Times, sample: Sample, shop: Shop, wanted: Sequence[tuple[str, str]]) -> None:
     b = work.benches[sample.index]
-    time_frame(
-        times, b.facts, b.canvas(), b.plan, shop.scene, shop.stages, shop.at, work.ground, frozenset(wanted), work.slow, work.new
-    )
+    time_frame(times, b.facts, b.canvas(), b.plan, shop.stages, shop.at, work.ground, frozenset(wanted), work.slow, work.new)
 
 
 def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +18,9 @@ from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Stage, Window
+from arfx.core.stage import ReadyStage, Stage
 from arfx.measure.tradeoff_time import Times, areas_of
-from arfx.run.frame import Canvas, rng_for
+from arfx.run.frame import Canvas
 
 NEAR_PX = 16
 KEPT = 40
@@ -35,17 +34,17 @@ class Shop:
 
     scene: Scene
     stages: Mapping[str, Stage]
-    prepared: dict[tuple[str, str], Any] = field(default_factory=dict)
+    ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
     spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the pictures took, processor time
 
-    def at(self, stage: str, level: str) -> Any:
+    def at(self, stage: str, level: str) -> ReadyStage:
         key = (stage, level)
-        if key not in self.prepared:
+        if key not in self.ready:
             start = time.process_time()
-            self.prepared[key] = self.stages[stage].prepare(self.scene, level)
+            self.ready[key] = ReadyStage.of(self.stages[stage], self.scene, level)
             self.prepare_s[key] = time.process_time() - start
-        return self.prepared[key]
+        return self.ready[key]
 
 
 @dataclass
@@ -124,14 +123,10 @@ class FrameBench:
 
     def _do(self, canvas: Canvas, step: Step) -> None:
         began = time.process_time()
-        stage = self.shop.stages[step.stage]
-        level = step.level
-        prepared = self.shop.at(stage.name, level)
-        window = Window((canvas.view(stage.reads, step.need),), (self.facts,), step.out)
-        rng = rng_for(self.shop.scene.seed, self.facts.index, stage.name)
-        for layer, array in stage.run(window, self.shop.scene, prepared, level, rng).items():
+        at = self.shop.at(step.stage, step.level)
+        for layer, array in at.run(canvas.view(at.stage.reads, step.need), self.facts, step.out).items():
             canvas.take(layer, array, step.need, step.out)
-        told = f"{stage.name}/{level}"
+        told = f"{step.stage}/{step.level}"
         self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.process_time() - began
 
     def _step(self, chain: Chain) -> Step | None:

@@ -22,9 +22,8 @@ from arfx.core.cost import Prediction, exactly, together, with_spread
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.core.scene import Scene
-from arfx.core.stage import Stage, Window
-from arfx.run.frame import Canvas, rng_for
+from arfx.core.stage import ReadyStage, Stage
+from arfx.run.frame import Canvas
 
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = 4, 0.6, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
@@ -119,9 +118,8 @@ def time_frame(
     facts: FrameFacts,
     canvas: Canvas,
     plan: FramePlan,
-    scene: Scene,
     stages: Mapping[str, Stage],
-    prepared: Callable[[str, str], Any],
+    ready: Callable[[str, str], ReadyStage],
     usual: Mapping[str, str],
     wanted: Collection[At],
     slow: Collection[At],
@@ -140,7 +138,7 @@ def time_frame(
             if key not in wanted and not (later and level == usual[step.stage]):
                 continue
             began = times.clock()
-            runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
+            runner = _Runner(times, ready(step.stage, level), facts, canvas)
             if key in wanted and key in slow:
                 _on_tiles(runner, step, facts.model_box, key, new.get(step.stage, 0.0))
             elif key in wanted:
@@ -149,7 +147,7 @@ def time_frame(
             times.spent_s[told] = times.spent_s.get(told, 0.0) + times.clock() - began
         if later:
             level = usual[step.stage]
-            runner = _Runner(times, stage, level, prepared(step.stage, level), facts, canvas, scene)
+            runner = _Runner(times, ready(step.stage, level), facts, canvas)
             runner.run(step.out)
             for layer, array in runner.made.items():
                 canvas.take(layer, array, runner.need, step.out)
@@ -160,34 +158,28 @@ class _Runner:
     """One level of one stage on one frame."""
 
     times: Times
-    stage: Stage
-    level: str
-    prepared: Any
+    at: ReadyStage
     facts: FrameFacts
     canvas: Canvas
-    scene: Scene
     made: Mapping[Any, Any] = field(default_factory=dict)
     need: Rect = field(default_factory=lambda: Rect(0, 0, 0, 0))
 
     def run(self, out: Rect) -> float:
         """Seconds of one run that makes `out`, with nothing kept of this picture from a run before."""
-        if hasattr(self.prepared, "forget"):
-            self.prepared.forget()
+        self.at.memo.of_frame.clear()
         self.need = self.needed(out)
-        window = Window((self.canvas.view(self.stage.reads, self.need),), (self.facts,), out)
-        rng = rng_for(self.scene.seed, self.facts.index, self.stage.name)
+        layers = self.canvas.view(self.at.stage.reads, self.need)
         start = self.times.clock()
-        self.made = self.stage.run(window, self.scene, self.prepared, self.level, rng)
+        self.made = self.at.run(layers, self.facts, out)
         return self.times.clock() - start
 
     def needed(self, out: Rect) -> Rect:
-        return self.stage.needs(out, self.facts, self.scene, self.level).union(out).clip(self.scene.camera.rect)
+        scene = self.at.scene
+        return self.at.stage.needs(out, self.facts, scene, self.at.level).union(out).clip(scene.camera.rect)
 
     def anew(self, out: Rect) -> float:
         """The same under a light that was not met before."""
-        kept = getattr(self.prepared, "kept", None)
-        if kept is not None:
-            kept.clear()
+        self.at.memo.of_light.clear()
         return self.run(out)
 
 

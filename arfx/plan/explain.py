@@ -103,9 +103,18 @@ def level_lines(levels: dict[str, Any]) -> list[str]:
     return lines
 
 
-def total_line(predicted: dict[str, Any], frames: int) -> str:
-    """The whole job's time in words."""
+def without_price(stages: Sequence[str]) -> tuple[str, str]:
+    """In words: what is not known, and the command that measures it."""
+    one = len(stages) == 1
+    command = "arfx bench --calibrate" + (f" --stage {stages[0]}" if one else "")
+    return f"{', '.join(stages)} {'has' if one else 'have'} no price here", f"`{command}` measures it"
+
+
+def total_line(predicted: dict[str, Any], frames: int, unknown: Sequence[str] = ()) -> str:
+    """The whole job's time in words. unknown : stages without a price"""
     wall, workers = predicted["wall"], predicted["workers"]
+    if unknown:
+        return f"time of the whole job: unknown: {'; '.join(without_price(unknown))}"
     if wall is None:
         missing = ", ".join(name for name, p in predicted["phases"].items() if p is None)
         return f"time of the whole job: unknown ({missing} has no price)"

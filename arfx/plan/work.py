@@ -12,8 +12,7 @@ from arfx.core.stage import Stage
 
 def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()) -> dict[str, float]:
     """new : those of "new_directions", "new_lights" that hold for the frame"""
-    light = scene.light if facts.light is None else facts.light
-    lamps = float(sum(any(c > 0 for c in li.rgb) for li in light.lights))
+    lamps = float(sum(any(c > 0 for c in li.rgb) for li in scene.light_of(facts).lights))
     object_mpx = facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0
     return {
         "frames": 1.0,

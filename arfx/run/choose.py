@@ -15,15 +15,20 @@ from arfx.core.stage import Stage
 from arfx.errors import ConfigError
 from arfx.plan.clip import Wish, plan_clip
 from arfx.plan.errors import Errors
+from arfx.plan.explain import without_price
 from arfx.run.predict import Terms, predict, prepare_one, stages_of, to_json
 
 
-def wish_of(config: JobConfig) -> Wish:
-    """How levels are to be chosen. Raises ConfigError where two ways are asked for."""
+def wish_of(config: JobConfig, stages: Mapping[str, Stage], prices: Prices) -> Wish:
+    """How levels are to be chosen. Raises ConfigError where two ways are asked for, or a budget with a stage without prices."""
     p = config.pipeline
     asked = [f"--{name.replace('_', '-')}" for name in ("budget", "fps", "max_error") if getattr(p, name) is not None]
     if len(asked) > 1:
         raise ConfigError(f"{asked[0]} and {asked[1]} both choose levels", "give one of them")
+    unknown = [n for n, s in stages.items() if not any(f"{n}/{level}" in prices.prices for level in s.levels)]
+    if unknown and (p.budget is not None or p.fps is not None):
+        what, how = without_price(unknown)
+        raise ConfigError(f"a budget needs the price of everything, and {what}", how)
     return Wish(p.quality, p.budget, p.max_error)
 
 

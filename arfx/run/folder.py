@@ -222,11 +222,10 @@ def content_digest(path: Path) -> str:
 
 
 @cache
-def code_digest() -> str:
-    """Digest of arfx's own source: a chunk made by other code is made again."""
-    h = hashlib.blake2b(arfx.__version__.encode(), digest_size=8)
-    root = Path(arfx.__file__).parent
-    for path in sorted(root.rglob("*.py")):
+def code_digest(root: Path = Path(arfx.__file__).parent, version: str = arfx.__version__) -> str:
+    """Digest of the source of a package (arfx's own) or module: a chunk made by other code is made again."""
+    h = hashlib.blake2b(version.encode(), digest_size=8)
+    for path in [root] if root.is_file() else sorted(root.rglob("*.py")):
         h.update(str(path.relative_to(root)).encode())
         h.update(path.read_bytes())
     return h.hexdigest()

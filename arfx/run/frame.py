@@ -1,4 +1,4 @@
-"""Run one frame's plan. A pure function of its arguments: any process may run any frame.
+"""Run one frame's plan. Pixels depend on the arguments alone: any process may run any frame.
 
 Each layer is kept with the rectangle that it was made for; a step sees what it reads over its own rectangle, filled
 with the neutral value (nothing virtual, no shadow) where no stage has written.
@@ -7,7 +7,6 @@ with the neutral value (nothing virtual, no shadow) where no stage has written.
 from __future__ import annotations
 
 import time
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,7 +21,7 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.sheet import Sheet
-from arfx.core.stage import Stage, Window
+from arfx.core.stage import ReadyStage, Stage
 from arfx.errors import RenderError
 from arfx.media.frame import Frame
 
@@ -121,27 +120,24 @@ class Plate(Sheet):
         return pixels
 
 
-def rng_for(seed: int, index: int, stage: str) -> np.random.Generator:
-    """Random numbers keyed by (seed, frame, stage): the same whoever renders the frame, in whatever order."""
-    return np.random.Generator(np.random.Philox(key=[seed, (index << 32) | zlib.crc32(stage.encode())]))
+def made_ready(plan: FramePlan, stages: Mapping[str, Stage], scene: Scene) -> dict[str, ReadyStage]:
+    """What `run_frame` needs to run a plan, prepared for it alone."""
+    return {s.stage: ReadyStage.of(stages[s.stage], scene, s.level) for s in plan.steps}
 
 
 def run_frame(
     plate: np.ndarray | Plate,
     facts: FrameFacts,
     plan: FramePlan,
-    scene: Scene,
-    stages: Mapping[str, Stage],
-    levels: Mapping[str, str],
-    prepared: Mapping[str, Any],
-    seed: int = 0,
-    past: Sequence[tuple[Canvas, FrameFacts]] = (),
+    ready: Mapping[str, ReadyStage],
+    past: Sequence[tuple[Canvas, FrameFacts]] | None = None,
     real_depth_m: np.ndarray | None = None,
 ) -> FrameResult:
     """Run a plan that has steps.
 
     plate : (h, w, 3) float32 linear light over plan.rect; with a `Plate` the last stage may leave IMAGE as `Dimmed`
-    past : canvases of the frames before, oldest first, as many as the longest history asks for
+    ready : the stages of the plan, at its levels
+    past : canvases of the frames before, oldest first, as many as the longest history asks for; None = no stage looks back
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite.
@@ -153,30 +149,24 @@ def run_frame(
     dimmed: Dimmed | None = None
     spans: Spans | None = None
     painted = EMPTY  # where IMAGE was written before them
-    may_dim = isinstance(plate, Plate) and not any(s.history for s in stages.values())
+    may_dim = isinstance(plate, Plate) and past is None
 
     def spent() -> float:
         """Seconds so far without those of converting the plate, which are no stage's."""
         return time.perf_counter() - (plate.seconds if isinstance(plate, Plate) else 0.0)
 
     for step in plan.steps:
-        stage = stages[step.stage]
-        start = spent()
-        earlier = past[len(past) - stage.history :] if stage.history else ()
+        at = ready[step.stage]
+        stage, start = at.stage, spent()
         seen = canvas.view(stage.reads, step.need)
+        earlier = past[-stage.history :] if stage.history and past else ()
+        before = tuple(at.view(c.read.get(stage.name) or c.view(stage.reads, step.need), f) for c, f in earlier)
         if stage.history:
             canvas.read[stage.name] = seen
-        window = Window(
-            (*(c.read.get(stage.name) or c.view(stage.reads, step.need) for c, _ in earlier), seen),
-            (*(f for _, f in earlier), facts),
-            step.out,
-            may_dim and step is plan.steps[-1],
-        )
-        rng = rng_for(seed, facts.index, stage.name)
-        made = stage.run(window, scene, prepared[stage.name], levels[stage.name], rng)
-        for name, array in made.items():
+        view = at.view(seen, facts, step.out, before, may_dim and step is plan.steps[-1])
+        for name, array in stage.run(view, at.prepared).items():
             dimmed = array if isinstance(array, Dimmed) else dimmed
-            if isinstance(array, Spans) and window.last and array.rect.contains(plan.changed):
+            if isinstance(array, Spans) and view.last and array.rect.contains(plan.changed):
                 spans = array.only(step.out)
                 _require_finite_spans(spans, name, stage.name, facts.index)
                 continue

@@ -22,7 +22,7 @@ from arfx.core.pose import find_rotvecs
 from arfx.core.scene import Scene
 from arfx.errors import InputError
 from arfx.plan.planner import plan_frame
-from arfx.run.frame import run_frame
+from arfx.run.frame import made_ready, run_frame
 from arfx.run.planned import Job
 from arfx.stages import STAGES
 
@@ -61,8 +61,7 @@ def picture(scene: Scene, facts: FrameFacts, levels: Mapping[str, str]) -> Layer
     if not plan.steps:
         return None
     plate = np.ones((plan.rect.height, plan.rect.width, 3), np.float32)
-    prepared = {s.stage: stages[s.stage].prepare(scene, s.level) for s in plan.steps}
-    canvas = run_frame(plate, facts, plan, scene, stages, levels, prepared).canvas
+    canvas = run_frame(plate, facts, plan, made_ready(plan, stages, scene)).canvas
     return canvas.view(frozenset(Layer), plan.rect)
 
 

@@ -158,9 +158,10 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         base.append(file_digest(config.params["light"].environment))
     analysis_key = digest(*base)
     maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
-    job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps)
+    plugins = [code_digest(*STAGES.source(name)) for name in pipeline(config) if name in STAGES.plugins]
+    job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps, plugins)
     stages, prices = make_stages(config), load_prices()
-    wish = wish_of(config)
+    wish = wish_of(config, stages, prices)
     errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
     write_text(folder.job, MARK + to_toml({**tree, "output": output}))
     write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))

@@ -60,13 +60,9 @@ def make_stages(config: JobConfig) -> dict[str, Stage]:
 
 
 def on_this_machine(config: JobConfig) -> JobConfig:
-    """The job with what its settings come to here (`RasterParams.on_this_machine`): chosen once, the same in every worker,
-    and part of the keys, so that a job resumed on another machine mixes nothing."""
-    params = dict(config.params)
-    for name in pipeline(config):
-        if hasattr(params[name], "on_this_machine"):
-            params[name] = params[name].on_this_machine()
-    return config.model_copy(update={"params": params})
+    """The job with what its settings come to here (`Stage.settled`): a job resumed on another machine mixes nothing."""
+    settled = {name: STAGES[name].settled(config.params[name]) for name in pipeline(config)}
+    return config.model_copy(update={"params": {**config.params, **settled}})
 
 
 def folds_wanted(config: JobConfig) -> frozenset[str]:

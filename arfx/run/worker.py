@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
-from arfx.core.stage import Stage
+from arfx.core.stage import ReadyStage, Stage
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps
@@ -46,8 +46,9 @@ _OPENING = threading.Lock()  # what threads share is made once
 
 @dataclass
 class Context:
-    """What a worker keeps between chunks of one job: the scene and what each stage prepared.
+    """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at.
 
+    history : the most earlier frames that a stage looks at
     facts, plans : of every frame, where the process that made them renders too; None = they are read chunk by chunk
     """
 
@@ -59,14 +60,18 @@ class Context:
     pts: list[int]
     previews: frozenset[int]
     depth: DepthMaps | None = None
-    prepared: dict[tuple[str, str], Any] = field(default_factory=dict)
+    ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
     facts: Sequence[FrameFacts] | None = None
     plans: Sequence[FramePlan] | None = None
 
+    @cached_property
+    def history(self) -> int:
+        return max((s.history for s in self.stages.values()), default=0)
+
     def prepare(self, wanted: set[tuple[str, str]]) -> None:
         """wanted : (stage, level)"""
-        for name, level in sorted(wanted - self.prepared.keys()):
-            self.prepared[name, level] = self.stages[name].prepare(self.scene, level)
+        for name, level in sorted(wanted - self.ready.keys()):
+            self.ready[name, level] = ReadyStage.of(self.stages[name], self.scene, level)
 
 
 @cache
@@ -120,17 +125,16 @@ def render_chunk(
     with _OPENING:
         context = open_context(folder, job_key)
     place = JobFolder(Path(folder))
-    history = max((s.history for s in context.stages.values()), default=0)
-    begin = max(first - history, 0)
+    begin = max(first - context.history, 0)
     facts, plans = _told(context, place, begin, last)
     start = time.perf_counter()
     needed = levels_of(plans.values())
-    if needed - context.prepared.keys():  # a chunk without work need not wait for another's preparation
+    if needed - context.ready.keys():  # a chunk without work need not wait for another's preparation
         with _OPENING:
             context.prepare(needed)
     seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
     stage_seconds: dict[str, float] = {}
-    past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=max(history, 1))
+    past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=context.history)
 
     def encode(out: Frame) -> None:
         start = time.perf_counter()
@@ -203,11 +207,8 @@ def _frame(
         start = time.perf_counter()
         depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
         seconds["decode"] += time.perf_counter() - start
-    levels = {s.stage: s.level for s in plan.steps}
-    prepared = {s.stage: context.prepared[s.stage, s.level] for s in plan.steps}
-    result = run_frame(
-        plate, facts, plan, context.scene, context.stages, levels, prepared, context.scene.seed, tuple(past), depth
-    )  # fmt: skip
+    ready = {s.stage: context.ready[s.stage, s.level] for s in plan.steps}
+    result = run_frame(plate, facts, plan, ready, tuple(past) if context.history else None, depth)
     past.append((result.canvas, facts))
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s

@@ -1,34 +1,105 @@
 """The one table of stages. To add an effect: write its module, add its line here, add a scene folder.
 
-Modules are imported on first use of `stage_class`, so that help and configuration stay quick.
+Other distributions add theirs by entry points of the group `arfx.stages`: `name = "module:Class"`.
+Modules are imported when a stage is looked up, so that help stays quick.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Collection, Iterator, Mapping
+from functools import cached_property
 from importlib import import_module
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from arfx.errors import ConfigError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+GROUP = "arfx.stages"
 
 
-class _Table(Mapping[str, type]):
-    """name -> stage class, imported when looked up."""
+class Table(Mapping[str, Any]):
+    """name -> stage class, in running order; imported when looked up.
+
+    Raises ConfigError, with the distribution, for a plug-in that cannot be loaded or placed, or whose name is taken.
+    """
 
     def __init__(self, places: dict[str, str]) -> None:
         self._places = places
 
     def __getitem__(self, name: str) -> Any:
-        module, _, cls = self._places[name].rpartition(".")
-        return getattr(import_module(module), cls)
+        if name in self._places:
+            module, _, cls = self._places[name].rpartition(".")
+            return getattr(import_module(module), cls)
+        return self._loaded(name, self.plugins[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
+        return iter(self._order)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._order)
+
+    @cached_property
+    def plugins(self) -> Mapping[str, EntryPoint]:
+        """Stages of other distributions, by name."""
+        from importlib.metadata import entry_points
+
+        found: dict[str, EntryPoint] = {}
+        for point in entry_points(group=GROUP):
+            if point.name in self._places or point.name in found:
+                first = _told(found[point.name]) if point.name in found else "arfx itself"
+                raise ConfigError(f"stage {point.name!r} is in {first} and in {_told(point)}", "uninstall one of them")
+            found[point.name] = point
+        return found
+
+    def source(self, name: str) -> tuple[Path, str]:
+        """The module, or the folder of the outermost package, that a plug-in comes from, and its distribution's version."""
+        path, dist = Path(inspect.getfile(self[name])), self.plugins[name].dist
+        while (path.parent / "__init__.py").is_file():
+            path = path.parent
+        return path, "" if dist is None else dist.version
+
+    @cached_property
+    def _order(self) -> tuple[str, ...]:
+        order, waiting = list(self._places), sorted(self.plugins)
+        while waiting:
+            name = next((n for n in waiting if not self[n].after or self[n].after in order), None)
+            if name is None:
+                name, after = waiting[0], self[waiting[0]].after
+                raise ConfigError(
+                    f"stage {name!r} of {_told(self.plugins[name])} is to run after {after!r}, which there is not",
+                    f"one of {', '.join(order)}",
+                )
+            waiting.remove(name)
+            stage = self[name]
+            before = [stage.after] if stage.after else [n for n in order if self[n].writes & stage.reads]
+            order.insert(order.index(before[-1]) + 1 if before else 0, name)
+        return tuple(order)
+
+    def _loaded(self, name: str, point: EntryPoint) -> Any:
+        from arfx.core.stage import Stage
+
+        try:
+            stage = point.load()
+        except Exception as e:  # whatever another's module raises
+            raise ConfigError(
+                f"stage {name!r} of {_told(point)} cannot be loaded: {type(e).__name__}: {e}",
+                "uninstall it, or install a version that fits this arfx",
+            ) from e
+        if not (isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name):
+            raise ConfigError(f"{point.value} of {_told(point)} is not a Stage named {name!r}", "uninstall it")
+        return stage
+
+
+def _told(point: EntryPoint) -> str:
+    return "a distribution without a name" if point.dist is None else f"{point.dist.name} {point.dist.version}"
 
 
 # In the order in which they run. Configuration can leave effects out, never reorder them.
-STAGES: Mapping[str, Any] = _Table(
+STAGES = Table(
     {
         "raster": "arfx.stages.raster.Raster",
         "lightmap": "arfx.stages.lightmap.Lightmap",

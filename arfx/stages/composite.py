@@ -20,7 +20,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Dimmed, Layer, Layers, Patch
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 
 
 class Composite(Stage):
@@ -32,11 +32,9 @@ class Composite(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         return Demand(frame, "something virtual is in view", within_earlier=True)
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray | Dimmed]:
-        now, facts = window.now, window.facts[-1]
-        if window.last:  # beside the object nothing is mixed: the light alone is less
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Dimmed]:
+        now, facts = view.layers, view.facts
+        if view.last:  # beside the object nothing is mixed: the light alone is less
             part = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.drawn_box))
             dark = now.crop(now.extent(Layer.SHADOW))
             over = Patch(part.rect, _composed(part, facts) if not part.rect.empty else np.empty((0, 0, 3), np.float32))

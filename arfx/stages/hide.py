@@ -23,7 +23,7 @@ from arfx.core.layers import Layer
 from arfx.core.real_depth import TILE_PX, real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.guided import reach_px, refined, window_px
 
@@ -66,15 +66,12 @@ class Hide(Stage):
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out.pad(reach_px(scene)).clip(scene.camera.rect)
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]:
-        now = window.now
-        coverage, virtual = now[Layer.COVERAGE], now[Layer.VIRTUAL]
-        seen = rough_mask(coverage, now[Layer.DEPTH], now[Layer.REAL_DEPTH], np.float32(self.params.margin))
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+        coverage, virtual = view[Layer.COVERAGE], view[Layer.VIRTUAL]
+        seen = rough_mask(coverage, view[Layer.DEPTH], view[Layer.REAL_DEPTH], np.float32(self.params.margin))
         there = (coverage > 0).astype(np.float32)
         if (seen < 1).any():
-            seen = refined(seen, there, now[Layer.PLATE], window_px(scene))
+            seen = refined(seen, there, view[Layer.PLATE], window_px(view.scene))
         return {Layer.COVERAGE: coverage * seen, Layer.VIRTUAL: virtual * seen[..., None]}
 
 

@@ -24,7 +24,7 @@ from arfx.core.pose import Pose
 from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.guided import reach_px, refined, window_px
 from arfx.stages.viewing import direction_grid, viewing
@@ -65,16 +65,15 @@ class Holdout(Stage):
     def prepare(self, scene: Scene, level: str) -> np.ndarray:
         return direction_grid(scene.camera)
 
-    def run(self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator) -> Mapping[Layer, Patch]:
-        now, facts = window.now, window.facts[-1]
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, Patch]:
+        now, scene = view.layers, view.scene
         inside = now.extent(Layer.SHADOW)
         if inside.empty:
             return {Layer.SHADOW: Patch(inside, np.empty((0, 0, 3), np.float32))}
         around = inside.pad(reach_px(scene)).clip(now.rect)
-        part, told, pose = now.crop(around), real_depth_of(facts), facts.camera_from_world
-        assert pose is not None
+        part, told = now.crop(around), real_depth_of(view.facts)
         tolerance = max(self.params.tolerance, 0.0 if told is None else _SIGMAS * told.noise)
-        share = on_plane(part[Layer.REAL_DEPTH], plane_dioptres(prepared, pose @ scene.world_from_anchor, around), tolerance)
+        share = on_plane(part[Layer.REAL_DEPTH], plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around), tolerance)
         if (share < 1).any():
             share = refined(share, np.ones_like(share), part[Layer.PLATE], window_px(scene))
         share = share[inside.slices_in(around)]

@@ -26,7 +26,9 @@ def parse_size(text: str) -> tuple[int, int]:
     "--size", "sizes", metavar="WxH", multiple=True, default=["1280x720"], show_default=True, help="Picture size, repeatable."
 )
 @click.option(
-    "--calibrate", is_flag=True, help="Measure this machine's price list, which `plan` and --budget use; under a minute."
+    "--calibrate",
+    is_flag=True,
+    help="Measure this machine's price list, or a --stage's prices in it, which `plan` and --budget use; under a minute.",
 )
 @message_options
 def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibrate: bool, as_json: bool) -> None:
@@ -39,6 +41,7 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
     Example:
       arfx bench --stage raster --size 1920x1080
       arfx bench --calibrate
+      arfx bench --calibrate --stage dof
     """
     if calibrate:
         _calibrate(stage, level, as_json)
@@ -69,17 +72,20 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
 
 
 def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
+    from arfx.core.cost import load_prices
     from arfx.errors import ConfigError
     from arfx.measure.costs import as_table, calibrate, save_prices
     from arfx.run.kernels import compile_ahead
 
-    if stage is not None or level is not None:
-        raise ConfigError("--calibrate measures every stage and level", "leave out --stage and --level")
+    if level is not None:
+        raise ConfigError("--calibrate measures every level", "leave out --level")
     with Progress("done") as progress:
         compile_ahead(None, progress, note)
-        prices = calibrate(progress)
+        prices = calibrate(progress, stage=stage)
+    if stage is not None:
+        prices = load_prices().with_stage(stage, prices)
     path = save_prices(prices)
-    rows = as_table(prices)
+    rows = [r for r in as_table(prices) if stage in (None, r["entry"].removeprefix("prepare ").partition("/")[0])]
     if as_json:
         emit_json({"file": str(path), "source": prices.source, "threads": prices.threads, "prices": rows})
         return

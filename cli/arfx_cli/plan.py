@@ -46,7 +46,7 @@ def command(as_json: bool, **given: Any) -> None:
         detail(line)
     for line in level_lines(job.plan.levels):
         say(line)
-    say(total_line(job.plan.predicted, len(job.plan.frames)))
+    say(total_line(job.plan.predicted, len(job.plan.frames), [r["name"] for r in rows if r["predicted_s"] is None]))
 
 
 def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:

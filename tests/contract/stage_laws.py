@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, Patch, neutral
 from arfx.core.rect import Rect
-from arfx.core.scene import Scene
-from arfx.core.stage import Stage, Window
-from arfx.run.frame import rng_for
+from arfx.core.stage import ReadyStage
 
 
 def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
@@ -52,33 +49,33 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
     return Layers(rect).adding(out)
 
 
-def run(stage: Stage, layers: Layers, f: FrameFacts, scene: Scene, prepared: Any, level: str) -> Mapping[Layer, np.ndarray]:
-    window = Window(tuple([layers] * (stage.history + 1)), tuple([f] * (stage.history + 1)))
-    made = stage.run(window, scene, prepared, level, rng_for(0, f.index, stage.name))
+def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndarray]:
+    made = at.stage.run(at.view(layers, f, before=(at.view(layers, f),) * at.stage.history), at.prepared)
     return {name: a.over(name, layers.rect) if isinstance(a, Patch) else a for name, a in made.items()}
 
 
-def check_roi_law(stage: Stage, level: str, scene: Scene, f: FrameFacts, prepared: Any, seed: int, atol: float = 1e-6) -> None:
+def check_roi_law(at: ReadyStage, f: FrameFacts, seed: int, atol: float = 1e-6) -> None:
     """run(crop(needs(out))) == crop(run(all)) on `out`."""
+    stage, scene = at.stage, at.scene
     frame = scene.camera.rect
     g = np.random.default_rng(seed)
     x, y = int(g.integers(0, frame.width - 40)), int(g.integers(0, frame.height - 32))
     out = Rect(x, y, x + 37, y + 29)
     whole = random_layers(frame, seed, stage.reads)
-    need = stage.needs(out, f, scene, level).union(out).clip(frame)
-    a = run(stage, whole, f, scene, prepared, level)
-    b = run(stage, whole.crop(need), f, scene, prepared, level)
+    need = stage.needs(out, f, scene, at.level).union(out).clip(frame)
+    a = run(at, whole, f)
+    b = run(at, whole.crop(need), f)
     for name in stage.writes:
         np.testing.assert_allclose(b[name][out.slices_in(need)], a[name][out.slices_in(frame)], rtol=0, atol=atol, err_msg=name)
 
 
-def check_pure(stage: Stage, level: str, scene: Scene, f: FrameFacts, prepared: Any) -> None:
+def check_pure(at: ReadyStage, f: FrameFacts) -> None:
     """Inputs stay unchanged, only declared layers are read and written, the same seed gives the same bits."""
-    rect = Rect(20, 15, 95, 80)
+    stage, rect = at.stage, Rect(20, 15, 95, 80)
     layers = random_layers(rect, 5, stage.reads)
     before = {k: layers[k].copy() for k in stage.reads}
-    first = run(stage, layers, f, scene, prepared, level)
-    second = run(stage, layers, f, scene, prepared, level)
+    first = run(at, layers, f)
+    second = run(at, layers, f)
     assert set(first) <= stage.writes, f"{stage.name} writes {set(first) - stage.writes} without saying so"
     for name in stage.reads:
         assert np.array_equal(layers[name], before[name]), f"{stage.name} changed its input {name}"
@@ -87,9 +84,10 @@ def check_pure(stage: Stage, level: str, scene: Scene, f: FrameFacts, prepared: 
         assert np.array_equal(array, second[name], equal_nan=True), f"{stage.name} gives other bits for the same seed: {name}"
 
 
-def check_finite(stage: Stage, level: str, scene: Scene, f: FrameFacts, prepared: Any) -> None:
+def check_finite(at: ReadyStage, f: FrameFacts) -> None:
     """Hard but legal layers give finite values (depth may be infinite where nothing is)."""
-    made = run(stage, hard_layers(Rect(20, 15, 95, 80), stage.reads), f, scene, prepared, level)
+    stage = at.stage
+    made = run(at, hard_layers(Rect(20, 15, 95, 80), stage.reads), f)
     for name, array in made.items():
         assert not np.isnan(array).any(), f"{stage.name} makes NaN in {name}"
         if name is not Layer.DEPTH:

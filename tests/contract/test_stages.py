@@ -11,7 +11,7 @@ import pytest
 
 from arfx.core.layers import Layer
 from arfx.core.rect import Rect
-from arfx.core.stage import LEVELS, Demand, Stage
+from arfx.core.stage import LEVELS, Demand, ReadyStage, Stage
 from arfx.plan.planner import ABSENT, plan_frame
 from arfx.stages import STAGES
 from tests.contract import stage_laws as laws
@@ -27,14 +27,14 @@ QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}}  # the laws hold for a
 
 
 @cache
-def made(name: str, level: int) -> tuple[Stage, str, Any]:
+def made(name: str, level: int) -> ReadyStage:
     stage = STAGES[name](STAGES[name].Params(**QUICK.get(name, {})))
-    return stage, stage.levels[level], stage.prepare(SCENE, stage.levels[level])
+    return ReadyStage.of(stage, SCENE, stage.levels[level])
 
 
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_declares_what_the_contract_asks(name: str, level: int) -> None:
-    stage, _, _ = made(name, level)
+    stage = made(name, level).stage
     assert isinstance(stage, Stage) and stage.name == name
     assert list(stage.levels) == [level for level in LEVELS if level in stage.levels] and stage.history >= 0
     demand = stage.demand(FACTS, SCENE, SCENE.camera.rect)
@@ -59,20 +59,17 @@ def test_a_class_without_the_four_members_is_no_stage() -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_roi_law(name: str, level: int, seed: int) -> None:
-    stage, at, prepared = made(name, level)
-    laws.check_roi_law(stage, at, SCENE, FACTS, prepared, seed, atol=1e-5)
+    laws.check_roi_law(made(name, level), FACTS, seed, atol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_pure_and_deterministic(name: str, level: int) -> None:
-    stage, at, prepared = made(name, level)
-    laws.check_pure(stage, at, SCENE, FACTS, prepared)
+    laws.check_pure(made(name, level), FACTS)
 
 
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_finite_on_hard_layers(name: str, level: int) -> None:
-    stage, at, prepared = made(name, level)
-    laws.check_finite(stage, at, SCENE, FACTS, prepared)
+    laws.check_finite(made(name, level), FACTS)
 
 
 class Blur(Stage):
@@ -90,8 +87,8 @@ class Blur(Stage):
     def demand(self, f: Any, s: Any, frame: Rect) -> Demand:
         return Demand(frame, "always")
 
-    def run(self, window: Any, s: Any, prepared: Any, level: str, rng: np.random.Generator) -> dict[Layer, np.ndarray]:
-        image = window.now[Layer.IMAGE]
+    def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
+        image = view[Layer.IMAGE]
         out = cv2.blur(image, (9, 9), borderType=cv2.BORDER_REPLICATE)
         if self.fault == "not deterministic":
             out = out + np.random.default_rng().random(out.shape, dtype=np.float32) * 1e-3
@@ -104,27 +101,27 @@ class Blur(Stage):
         return {Layer.DEPTH: out[..., 0], Layer.IMAGE: out} if self.fault == "undeclared" else {Layer.IMAGE: out}
 
 
+def blur(fault: str = "") -> ReadyStage:
+    return ReadyStage.of(Blur(fault), SCENE, "standard")
+
+
 def test_a_sound_blur_passes() -> None:
-    b = Blur()
-    laws.check_roi_law(b, b.levels[0], SCENE, FACTS, None, 0)
-    laws.check_pure(b, b.levels[0], SCENE, FACTS, None)
+    laws.check_roi_law(blur(), FACTS, 0)
+    laws.check_pure(blur(), FACTS)
 
 
 def test_a_missing_padding_is_caught() -> None:
-    b = Blur("no padding")
     with pytest.raises(AssertionError):
-        laws.check_roi_law(b, b.levels[0], SCENE, FACTS, None, 0)
+        laws.check_roi_law(blur("no padding"), FACTS, 0)
 
 
 @pytest.mark.parametrize("fault", ["not deterministic", "writes its input", "undeclared"])
 def test_impure_stages_are_caught(fault: str) -> None:
-    b = Blur(fault)
     with pytest.raises((AssertionError, ValueError)):
-        laws.check_pure(b, b.levels[0], SCENE, FACTS, None)
+        laws.check_pure(blur(fault), FACTS)
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_values_that_are_not_finite_are_caught() -> None:
-    b = Blur("not finite")
     with pytest.raises(AssertionError, match="NaN"):
-        laws.check_finite(b, b.levels[0], SCENE, FACTS, None)
+        laws.check_finite(blur("not finite"), FACTS)

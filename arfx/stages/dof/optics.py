@@ -76,8 +76,7 @@ def focus_dioptre(params: DofParams, facts: FrameFacts, scene: Scene) -> float:
 def _dioptre(what: str | float, facts: FrameFacts, scene: Scene) -> float:
     if not isinstance(what, str):
         return 0.0 if math.isinf(what) else 1.0 / what
-    pose = facts.camera_from_world
-    assert pose is not None
+    pose = facts.pose
     if what == OBJECT:
         corners = pose.apply(scene.model_corners_m)[:, 2]
         point = float(corners.min() + corners.max()) / 2

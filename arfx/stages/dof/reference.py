@@ -218,8 +218,7 @@ def _object(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Share of the lens that sees the object (h, w), and its premultiplied colour (h, w, 3)."""
     share, colour = np.zeros((now.rect.height, now.rect.width)), np.zeros((now.rect.height, now.rect.width, 3))
-    pose = facts.camera_from_world
-    assert pose is not None
+    pose = facts.pose
     near, far = depth_range(facts)
     reach = float(at.radius_px(np.array([1 / near, 1 / far])).max())
     corner = 1.0 if params.blades < 3 else 1.3

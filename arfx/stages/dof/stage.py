@@ -23,7 +23,7 @@ from arfx.core.numerics import divide
 from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 from arfx.stages.dof import demand as called
 from arfx.stages.dof import paper
 from arfx.stages.dof.corrected import render
@@ -91,10 +91,8 @@ class Dof(Stage):
             return reference.prepare(scene)
         return grid_of(scene.camera)
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray | Patch]:
-        facts, now = window.facts[-1], window.now
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Patch]:
+        now, facts, scene = view.layers, view.facts, view.scene
         if not facts.present or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
         at, real = self._frame(facts, scene)
@@ -103,21 +101,19 @@ class Dof(Stage):
             if called.demand(facts, scene.camera.rect, at, shown, prepared).rect.empty:
                 return {Layer.IMAGE: now[Layer.IMAGE].copy()}
             return {Layer.IMAGE: paper.render(now, facts, real, prepared, at, self.params)}
-        if level == "reference":
+        if view.level == "reference":
             from arfx.stages.dof import reference
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
-        out = now.rect if window.out is None else window.out
-        return {Layer.IMAGE: render(now, facts, scene.camera.rect, out, real, prepared, at, LADDERS[level], self.params)}
+        ladder = LADDERS[view.level]
+        return {Layer.IMAGE: render(now, facts, scene.camera.rect, view.out, real, prepared, at, ladder, self.params)}
 
     @property
     def _paper(self) -> bool:
         return self.params.formula == "paper"
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
-        pose, p = facts.camera_from_world, self.params
-        assert pose is not None
-        measured = real_depth_of(facts)
+        p, measured = self.params, real_depth_of(facts)
         if measured is not None:
             return circles(p, facts, scene), Real(None, (), 0.0, measured.tiles)
-        return circles(p, facts, scene), real_scene(scene, pose, p.plane_extent_m, p.background_m)
+        return circles(p, facts, scene), real_scene(scene, facts.pose, p.plane_extent_m, p.background_m)

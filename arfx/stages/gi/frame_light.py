@@ -9,12 +9,12 @@ import numpy as np
 
 from arfx.core.cube import face_directions, unpacked
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer
 from arfx.core.light import Light
-from arfx.core.memo import Memo
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.stage import View
 from arfx.errors import RenderError
 from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
 from arfx.stages.gi.plane_pixels import measured
@@ -158,24 +158,21 @@ def decoded(told: dict[str, Any]) -> np.ndarray:
     return cube
 
 
-def around(
-    now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, places: np.ndarray, kept: Memo
-) -> Around:
+def around(view: View, seen: Rect, planes: Planes, places: np.ndarray) -> Around:
     """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  places : of the
-    texels of the picture on the planes;  kept : environments that were made ready before"""
-    pose = facts.camera_from_world
-    assert pose is not None
+    texels of the picture on the planes"""
+    facts, scene, light = view.facts, view.scene, view.light
     cube, factor = environment_cube(facts, scene, light)
     picture, known = picture_on_planes(
-        now[Layer.PLATE], now.rect, seen, scene.camera, pose @ scene.world_from_anchor,
-        places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(now[Layer.REAL_DEPTH]),
+        view[Layer.PLATE], view.rect, seen, scene.camera, view.pose @ scene.world_from_anchor,
+        places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(view[Layer.REAL_DEPTH]),
     )  # fmt: skip
     up = scene.world_from_anchor.rotation[:, 2]
     mean = plane_mean(picture, known, places, planes, scene, 0.4 * light.radiance(up))
     p = len(planes.axes)
     textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
     turn = scene.world_from_anchor.rotation.astype(np.float32)
-    maps = factor.astype(np.float32) * kept.get(cube.tobytes(), lambda: octahedral(cube))
+    maps = factor.astype(np.float32) * view.memo.of_light.get(cube.tobytes(), lambda: octahedral(cube))
     back = Behind(
         planes.axes, planes.reach, textures, mips, maps,
         np.array(HALF_ANGLES_DEG, np.float32), turn,
@@ -197,26 +194,16 @@ def plane_mean(
     return np.asarray(np.where(mean > 1e-6, np.exp(np.round(np.log(np.maximum(mean, 1e-6)) / _STEP) * _STEP), 0.0))
 
 
-def frame_field(
-    body: Body,
-    scene: Scene,
-    facts: FrameFacts,
-    light: Light,
-    planes: Planes,
-    made: Around,
-    at: LevelSettings,
-    paper: bool,
-    kept: Memo,
-) -> Field:
+def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelSettings, paper: bool) -> Field:
     """The voxels' light and the planes' change, made anew only where light, environment or plane differ."""
-    coarse = rounded(light)
-    cube, factor = environment_cube(facts, scene, coarse)
+    coarse, kept = rounded(view.light), view.memo.of_light
+    cube, factor = environment_cube(view.facts, view.scene, coarse)
     key = (repr(coarse), cube.tobytes(), made.mean.tobytes())
 
     def make() -> Field:
         maps = kept.get(cube.tobytes(), lambda: octahedral(cube))
         back = replace(made.back, maps=factor.astype(np.float32) * maps)
-        return make_field(body, scene, coarse, planes, back, made.mean, paper, at.bounce)
+        return make_field(body, view.scene, coarse, planes, back, made.mean, paper, at.bounce)
 
     found: Field = kept.get(key, make)
     return found

@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.core.stage import View
 from arfx.stages.gi.frame_light import environment_cube
 from arfx.stages.gi.plane_pixels import DARKEST, agrees, measured
 from arfx.stages.gi.real_planes import ball_of
@@ -209,17 +209,13 @@ class Tracer:
 
 
 def trace_frame(
-    now: Layers, scene: Scene, facts: FrameFacts, light: Light, planes: Planes, seen: Rect, disc: Rect, samples: int,
-    strength: float, rng: np.random.Generator, gloss: tuple[float, float] = (0.0, 0.0), mirror: Rect = EMPTY,
-    out: Rect | None = None,
+    view: View, planes: Planes, seen: Rect, disc: Rect, samples: int, strength: float,
+    gloss: tuple[float, float] = (0.0, 0.0), mirror: Rect = EMPTY,
 ) -> Mapping[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL and SHADOW with indirect light. seen : pixels of the picture that are looked at;  disc : planes' pixels
     gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object
-    out : the pixels that are wanted, None = all
     """
-    pose = facts.camera_from_world
-    assert pose is not None
-    seed = int(rng.integers(1 << 31))
+    now, scene, facts, light, pose, seed = view.layers, view.scene, view.facts, view.light, view.pose, view.key
     rays = RayScene(scene)
     cube, factor = environment_cube(facts, scene, light)
     around = Surroundings(now, seen, scene, facts, cube * factor, planes, ball_of(scene)[1])
@@ -232,7 +228,7 @@ def trace_frame(
     virtual, shadow = now[Layer.VIRTUAL].copy(), now[Layer.SHADOW].copy()
     lengths = np.linalg.norm(now[Layer.NORMAL], axis=-1)
     kept = np.zeros((rect.height, rect.width), bool)
-    kept[(rect if out is None else out.clip(rect)).slices_in(rect)] = True
+    kept[view.out.clip(rect).slices_in(rect)] = True
     for rows in _batches(np.argwhere((now[Layer.COVERAGE] > 0) & (lengths > 1e-3) & kept)):
         at = rows[:, 0], rows[:, 1]
         normals = normalise(now[Layer.NORMAL][at].astype(float)) @ anchor.rotation.T

@@ -118,11 +118,9 @@ class Surroundings:
     def __init__(
         self, now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, cube: np.ndarray, planes: Planes, radius_m: float
     ) -> None:
-        pose = facts.camera_from_world
-        assert pose is not None
         self.axes, self._bounds = planes.axes.astype(float), planes.bounds.astype(float)
         self.cube, self.turn = cube, scene.world_from_anchor.rotation
-        self._camera, self._pose = scene.camera, pose @ scene.world_from_anchor
+        self._camera, self._pose = scene.camera, facts.pose @ scene.world_from_anchor
         self._eye = self._pose.inverse().translation_m
         inside = seen.clip(now.rect)
         self._at, plate = inside, now[Layer.PLATE]

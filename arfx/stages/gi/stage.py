@@ -13,20 +13,19 @@ caustics, refraction, light that the object sends through its own transparent pa
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.health import Check, JobView
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer
 from arfx.core.light import Light
-from arfx.core.memo import Memo
 from arfx.core.numerics import divide
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, make_body
@@ -78,7 +77,7 @@ class GiParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. body : voxels, None at level reference;  kept : fields by their light"""
+    """Of one clip, worker and level. body : voxels, None at level reference"""
 
     planes: Planes
     grid: np.ndarray
@@ -88,7 +87,6 @@ class Prepared:
     tangents: np.ndarray
     steps: np.ndarray
     places: np.ndarray
-    kept: Memo = field(default_factory=lambda: Memo(8))
 
 
 class Gi(Stage):
@@ -152,30 +150,23 @@ class Gi(Stage):
             steps_of(six_cones()[2], at.voxels), texture_places(planes, _texture_side(scene, at)),
         )  # fmt: skip
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Prepared, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]:
-        facts, now = window.facts[-1], window.now
-        pose = facts.camera_from_world
-        assert pose is not None
-        light = source_light(facts, scene)
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+        facts, now, scene, pose = view.facts, view.layers, view.scene, view.pose
         frame = scene.camera.rect
         if self._unseen_px(facts, scene):
-            return even_light(now, light)
+            return even_light(view)
         disc = self._disc(facts, scene, frame)[0]
-        if level == "reference":
+        if view.level == "reference":
             return trace_frame(
-                now, scene, facts, light, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples,
-                self.params.strength, rng, (self.params.plane_gloss, self.params.plane_roughness),
-                self._mirror_rect(facts, scene, frame), window.out,
+                view, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples, self.params.strength,
+                (self.params.plane_gloss, self.params.plane_roughness), self._mirror_rect(facts, scene, frame),
             )  # fmt: skip
-        at = LEVELS[level]
-        assert prepared.body is not None
-        made = around(now, self._seen(facts, scene, frame), scene, facts, light, prepared.planes, prepared.places, prepared.kept)
-        whole = frame_field(prepared.body, scene, facts, light, prepared.planes, made, at, self._paper, prepared.kept)
-        virtual = self._virtual(now, facts, scene, prepared, at, made.lit(whole))
+        at = LEVELS[view.level]
+        made = around(view, self._seen(facts, scene, frame), prepared.planes, prepared.places)
+        whole = frame_field(view, prepared.body, prepared.planes, made, at, self._paper)
+        virtual = self._virtual(view, prepared, at, made.lit(whole))
         shadow, real = now[Layer.SHADOW], measured(now[Layer.REAL_DEPTH])
-        radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(light, scene))
+        radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(view.light, scene))
         if not disc.empty and radius > 0:
             disc = disc_rect(scene, prepared.planes, radius, pose, frame)
             anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
@@ -193,26 +184,24 @@ class Gi(Stage):
             else:
                 shadow = changed
         if self.params.plane_gloss > 0 and self.params.strength > 0:
-            virtual, shadow = self._mirrored(now, facts, scene, prepared, made.lit(whole), virtual, shadow, real)
+            virtual, shadow = self._mirrored(view, prepared, made.lit(whole), virtual, shadow, real)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
 
-    def _virtual(
-        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, at: LevelSettings, back: Around
-    ) -> np.ndarray:
-        out = now[Layer.VIRTUAL].copy()
+    def _virtual(self, view: View, prepared: Prepared, at: LevelSettings, back: Around) -> np.ndarray:
+        now, out = view.layers, view[Layer.VIRTUAL].copy()
         block = at.block
-        box = facts.drawn_box.align(block, block).clip(now.rect)
+        box = view.facts.drawn_box.align(block, block).clip(now.rect)
         if box.empty:
             return out
-        part, pose = now.crop(box), facts.camera_from_world
-        assert pose is not None and prepared.body is not None and back.atlas is not None
-        anchor = scene.world_from_anchor.inverse()
+        part = now.crop(box)
+        assert prepared.body is not None and back.atlas is not None
+        anchor = view.scene.world_from_anchor.inverse()
         f32, volume = np.float32, prepared.body.voxels.volume
         directions, weights, tan_half = six_cones()
         structure = prepared.body.structure
         surface: Any = [part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)]
         axes: Any = anchor.rotation.astype(f32), anchor.translation_m.astype(f32)
-        eye = anchor.apply(pose.inverse().translation_m).astype(f32)
+        eye = anchor.apply(view.pose.inverse().translation_m).astype(f32)
         cones: Any = (
             back.atlas.values, structure.brick_of, structure.meta, np.array(volume.low_m, f32), f32(volume.voxel_m),
             directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps, prepared.lobes,
@@ -234,18 +223,17 @@ class Gi(Stage):
         return out
 
     def _mirrored(
-        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, back: Around, virtual: np.ndarray,
-        shadow: np.ndarray, real: np.ndarray,
+        self, view: View, prepared: Prepared, back: Around, virtual: np.ndarray, shadow: np.ndarray, real: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """VIRTUAL and SHADOW with the object's mirror image in the planes: a share of the pixel, or added (paper)."""
-        pose, rect = facts.camera_from_world, now.rect
-        assert pose is not None and prepared.body is not None and back.atlas is not None
+        now, facts, scene, rect = view.layers, view.facts, view.scene, view.rect
+        assert prepared.body is not None and back.atlas is not None
         within = self._mirror_rect(facts, scene, scene.camera.rect).clip(rect)
         if within.empty:
             return virtual, shadow
         f32, volume, structure = np.float32, prepared.body.voxels.volume, prepared.body.structure
         lobe = round(max(self.params.plane_roughness, SHARPEST) * (LOBES - 1))
-        anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
+        anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, within)
         bias = np.array(facts.bias_rgb, f32)
         plate = np.ascontiguousarray(now.crop(within)[Layer.PLATE])
@@ -278,7 +266,7 @@ class Gi(Stage):
         pose = facts.camera_from_world
         if pose is None or self.params.strength <= 0:
             return EMPTY, "planes left alone"
-        radius = self._radius_m(source_light(facts, scene), scene)
+        radius = self._radius_m(scene.light_of(facts), scene)
         if radius <= 0:
             return EMPTY, "no indirect light on the plane"
         rect = disc_rect(scene, planes_of(scene), radius, pose, frame)
@@ -304,7 +292,7 @@ class Gi(Stage):
         pose = facts.camera_from_world
         if pose is None or facts.model_box.empty or self.params.plane_gloss > 0 or not plain(scene):
             return 0
-        radius = self._radius_m(source_light(facts, scene), scene)
+        radius = self._radius_m(scene.light_of(facts), scene)
         wide = facts.model_box.union(disc_rect(scene, planes_of(scene), radius, pose, scene.camera.rect))
         size = max(wide.width, wide.height)
         return size if size <= SMALL_PX else 0
@@ -341,11 +329,7 @@ def plain(scene: Scene) -> bool:
     return True
 
 
-def even_light(now: Layers, light: Light) -> Mapping[Layer, np.ndarray]:
+def even_light(now: View) -> Mapping[Layer, np.ndarray]:
     """VIRTUAL with the light's soft part on the object as if nothing were in its way, SHADOW as it is."""
-    soft = light.soft_radiance(now[Layer.NORMAL]) * now[Layer.ALBEDO] * now[Layer.COVERAGE][..., None]
+    soft = now.light.soft_radiance(now[Layer.NORMAL]) * now[Layer.ALBEDO] * now[Layer.COVERAGE][..., None]
     return {Layer.VIRTUAL: now[Layer.VIRTUAL] + soft.astype(np.float32), Layer.SHADOW: now[Layer.SHADOW].copy()}
-
-
-def source_light(facts: FrameFacts, scene: Scene) -> Light:
-    return scene.light if facts.light is None else facts.light

@@ -10,7 +10,7 @@ Source: docs/methods/light.md#shadow, docs/methods/light.md#shading.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,11 +18,9 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, Patch, neutral
-from arfx.core.light import Light
-from arfx.core.memo import Memo
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.blocked import blocked_texture
@@ -37,7 +35,6 @@ from arfx.stages.triangles import Triangles
 from arfx.stages.viewing import direction_grid
 
 _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
-_KEPT = 8  # lights whose shadows are kept; at the standard level 1.3 MB each
 
 
 @dataclass(frozen=True)
@@ -70,13 +67,12 @@ class LightmapParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. grid : viewing directions;  kept : shadows by their light"""
+    """Of one clip, worker and level. grid : viewing directions"""
 
     caster: Caster
     rays: Triangles
     ambient: PlaneTexture
     grid: np.ndarray
-    kept: Memo = field(default_factory=lambda: Memo(_KEPT))
 
 
 class Lightmap(Stage):
@@ -95,7 +91,7 @@ class Lightmap(Stage):
         shadow, why = self._shadow_rect(facts, scene, frame, light)
         if model.empty and shadow.empty:
             return Demand(EMPTY, f"model out of view; {why}")
-        lit = f"model lit ({_source(facts, scene).source})" if not model.empty else "model out of view"
+        lit = f"model lit ({scene.light_of(facts).source})" if not model.empty else "model out of view"
         return Demand(model.union(shadow), f"{lit}; {why}")
 
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
@@ -112,31 +108,26 @@ class Lightmap(Stage):
         ambient = ground.ambient_picture(self.params.faint, PLANE_LEVELS[level])
         return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), grid)
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray | Patch]:
-        facts, now = window.facts[-1], window.now
-        light = self._light(facts, scene)
-        lit = now.crop(facts.drawn_box.clip(now.rect))
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Patch]:
+        light = self._light(view.facts, view.scene)
+        lit = view.layers.crop(view.facts.drawn_box.clip(view.rect))
         return {
-            Layer.VIRTUAL: Patch(lit.rect, self._virtual(lit, facts, scene, prepared, level, light)),
-            Layer.SHADOW: self._shadow(now.rect, facts, scene, prepared, level, light),
+            Layer.VIRTUAL: Patch(lit.rect, self._virtual(lit, view, prepared, light)),
+            Layer.SHADOW: self._shadow(view, prepared, light),
         }
 
-    def _virtual(
-        self, now: Layers, facts: FrameFacts, scene: Scene, prepared: Prepared, level: str, light: FrameLight
-    ) -> np.ndarray:
+    def _virtual(self, now: Layers, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
+        """now : its part with the object"""
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
-        pose = facts.camera_from_world
-        assert pose is not None
+        facts = view.facts
         coverage, normal, position = now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION]
-        eye = pose.inverse().translation_m
+        eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
         left = np.ones((len(reaching), now.rect.height, now.rect.width), np.float32)
-        anchor_from_world = scene.world_from_anchor.inverse()
+        anchor_from_world = view.scene.world_from_anchor.inverse()
         if self.params.self_shadow > 0:
-            at = SELF_LEVELS[level]
+            at = SELF_LEVELS[view.level]
             for i, k in enumerate(reaching):
                 beam = light.beams[k]
                 if at.rays:
@@ -144,7 +135,7 @@ class Lightmap(Stage):
                         coverage, normal, position, prepared.rays, prepared.caster, beam, anchor_from_world, at, eye
                     )
                 else:
-                    found = prepared.kept.get(("depth", beam), partial(depth_map, prepared.caster, beam, at))
+                    found = view.memo.of_light.get(("depth", beam), partial(depth_map, prepared.caster, beam, at))
                     left[i] = by_map(coverage, normal, position, found, anchor_from_world, at)
             if self.params.self_shadow < 1:
                 left = 1 + np.float32(self.params.self_shadow) * (left - 1)
@@ -158,33 +149,29 @@ class Lightmap(Stage):
         )  # fmt: skip
         return virtual
 
-    def _shadow(
-        self, rect: Rect, facts: FrameFacts, scene: Scene, prepared: Prepared, level: str, light: FrameLight
-    ) -> np.ndarray:
-        pose = facts.camera_from_world
-        assert pose is not None
-        anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
+    def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
+        scene = view.scene
+        anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         strength = self.params.shadow_strength
         if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
-            return neutral(Layer.SHADOW, rect)
+            return neutral(Layer.SHADOW, view.rect)
         textures, shares = [prepared.ambient], [self._ambient * light.ambient_share]
         for beam, share in zip(light.beams, light.direct_shares, strict=True):
             if beam.on_plane and share.max() > 0:
                 make = lambda b=beam: bounded(  # noqa: E731
-                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[level], self._paper), scene.surface_m
+                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[view.level], self._paper), scene.surface_m
                 )
-                textures.append(prepared.kept.get(("plane", beam), make))
+                textures.append(view.memo.of_light.get(("plane", beam), make))
                 shares.append(share)
-        blocked = blocked_texture(facts.extra, light.ambient_share)
+        blocked = blocked_texture(view.facts.extra, light.ambient_share)
         return light_left(
-            rect, prepared.grid, anchor_from_camera, textures, np.array(shares), blocked, self.params.faint, strength
+            view.rect, prepared.grid, anchor_from_camera, textures, np.array(shares), blocked, self.params.faint, strength
         )
 
     def _shadow_rect(self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight) -> tuple[Rect, str]:
         """Pixels in which the shadow may show, and why those or none."""
-        pose, faint = facts.camera_from_world, self.params.faint
-        assert pose is not None
-        eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+        faint = self.params.faint
+        eye = scene.world_from_anchor.inverse().apply(facts.pose.inverse().translation_m)
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
         most = self.params.shadow_strength * _darkest(light, scene)
@@ -209,18 +196,13 @@ class Lightmap(Stage):
         return self.params.formula == "paper"
 
     def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
-        return frame_light(_source(facts, scene), scene.world_from_anchor, self._paper, self.params.plane_blocks)
-
-
-def _source(facts: FrameFacts, scene: Scene) -> Light:
-    return scene.light if facts.light is None else facts.light
+        return frame_light(scene.light_of(facts), scene.world_from_anchor, self._paper, self.params.plane_blocks)
 
 
 def _around(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
     """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are not before the camera."""
-    assert facts.camera_from_world is not None
     points = np.column_stack([points_m, np.zeros(len(points_m))])
-    seen = scene.camera.project(facts.camera_from_world.apply(scene.world_from_anchor.apply(points)))
+    seen = scene.camera.project(facts.pose.apply(scene.world_from_anchor.apply(points)))
     return Rect.around(seen, 1.0) if np.isfinite(seen).all() else scene.camera.rect
 
 

@@ -19,7 +19,7 @@ from arfx.core.layers import Layer, neutral
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.raster.arrays import OUTPUTS
 from arfx.stages.raster.backends import BACKENDS, choose_backend
@@ -39,10 +39,6 @@ class RasterParams:
             raise ConfigError(f"raster.backend {self.backend!r} is unknown", "one of auto, " + ", ".join(BACKENDS))
         if not 0 <= self.samples <= 256:
             raise ConfigError(f"raster.samples must be between 0 and 256, is {self.samples}")
-
-    def on_this_machine(self) -> RasterParams:
-        """With the back end that `auto` takes here."""
-        return replace(self, backend=choose_backend(self.backend).name)
 
 
 class Renderer(Protocol):
@@ -65,6 +61,11 @@ class Raster(Stage):
     always = True
     terms = ("frames", "mpx", "object_mpx", "mfaces")
 
+    @classmethod
+    def settled(cls, params: RasterParams) -> RasterParams:
+        """With the back end that `auto` takes here."""
+        return replace(params, backend=choose_backend(params.backend).name)
+
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         rect = facts.drawn_box.clip(frame)
         return Demand(rect, f"model covers up to {rect.area} px" if not rect.empty else "model out of view")
@@ -81,16 +82,13 @@ class Raster(Stage):
         backend = choose_backend(self.params.backend)
         return backend.renderer(mesh, scene.camera, self.params.samples or backend.samples[level])
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]:
-        rect, facts = window.now.rect, window.facts[-1]
-        box = facts.drawn_box.clip(scene.camera.rect)
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+        rect, box = view.rect, view.facts.drawn_box.clip(view.scene.camera.rect)
         shown = box.clip(rect)
-        if facts.camera_from_world is None or shown.empty:
+        if shown.empty:
             return {name: neutral(name, rect) for name in OUTPUTS}
         drawn = shown if prepared.any_rectangle else box
-        made: dict[Layer, np.ndarray] = prepared.render(drawn, facts.camera_from_world)
+        made: dict[Layer, np.ndarray] = prepared.render(drawn, view.pose)
         if drawn == rect:
             return made
         out = {name: neutral(name, rect) for name in OUTPUTS}

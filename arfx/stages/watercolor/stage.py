@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -26,13 +26,12 @@ import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
-from arfx.core.memo import Memo
+from arfx.core.layers import Layer
 from arfx.core.parallel import BackgroundTask
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, Window
+from arfx.core.stage import Demand, Stage, View
 from arfx.stages.watercolor.cells import cell_colours, neighbours, toned, washed
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
@@ -77,17 +76,6 @@ class Prepared:
     grain: np.ndarray
     wobbles: Wobbles
     surface: Surface
-    cells: Memo = field(default_factory=lambda: Memo(_KEPT_SETS))
-    pictures: Memo = field(default_factory=lambda: Memo(_KEPT_PICTURES))
-    fields: Memo = field(default_factory=lambda: Memo(_KEPT_SETS))
-    measures: Memo = field(default_factory=lambda: Memo(_KEPT_MEASURES))
-
-    def forget(self) -> None:
-        """Drop what was kept between frames, so that the next one costs what a new frame costs."""
-        self.cells.clear()
-        self.pictures.clear()
-        self.fields.clear()
-        self.measures.clear()
 
 
 class Watercolor(Stage):
@@ -116,89 +104,82 @@ class Watercolor(Stage):
         wobbles = Wobbles(scene.seed, p.wobble_px if p.pigment else 0.0)
         return Prepared(paper_grain(scene.seed, p.grain_px), wobbles, surface_of(scene, scene.seed))
 
-    def run(
-        self, window: Window, scene: Scene, prepared: Any, level: str, rng: np.random.Generator
-    ) -> Mapping[Layer, np.ndarray]:
-        now, facts, p = window.now, window.facts[-1], self.params
-        box = _box(facts, now.rect)
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+        p = self.params
         if p.formula == "paper":
-            image = self._with_toon(now, box, facts, scene).whole()
-            return {Layer.IMAGE: printed(image, now.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, rng)}
-        fields = [
-            (self._field(facts, scene, prepared, level, way), share) for way, share in ways(facts, p.anchored, level == "high")
-        ]
+            image = self._with_toon(view).whole()
+            return {Layer.IMAGE: printed(image, view.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, view.key)}
+        fields = [(self._field(view, way), share) for way, share in ways(view.facts, p.anchored, view.level == "high")]
 
-        before = self._before(window)
-        content = _content(now, box, facts, scene)
-        earlier = None if before is None else _content(before[0], _box(before[1], before[0].rect), before[1], scene)
+        before = self._before(view)
+        content = _content(view)
+        earlier = None if before is None else _content(before)
 
         def make() -> np.ndarray:
             # neither needs the cells: they are made beside them
-            picture = BackgroundTask(lambda: self._with_toon(now, box, facts, scene))
+            picture = BackgroundTask(lambda: self._with_toon(view))
             if before is None or earlier is None:
-                lines = BackgroundTask(lambda: self._lines(picture(), now, box, facts))
+                lines = BackgroundTask(lambda: self._lines(picture(), view))
             else:
-                of_both = (now, facts, content), (*before, earlier)
-                lines = BackgroundTask(lambda: self._held_lines(*of_both, scene, prepared, level))
-            painted = [self._painted(now, box, scene, prepared, level, *field, picture, lines) for field, _ in fields]
+                lines = BackgroundTask(lambda: self._held_lines((view, content), (before, earlier)))
+            painted = [self._painted(view, prepared, *field, picture, lines) for field, _ in fields]
             if len(painted) == 1:
                 return painted[0]
             (_, first), (_, second) = fields
             return cv2.addWeighted(painted[0], first, painted[1], second, 0).reshape(painted[0].shape)
 
-        if now.rect.area > _LARGEST_KEPT_PX:
+        if view.rect.area > _LARGEST_KEPT_PX:
             return {Layer.IMAGE: make()}
         key = (
-            tuple((sites_key, share) for (_, _, sites_key), share in fields), now.rect, content, earlier,
+            tuple((sites_key, share) for (_, _, sites_key), share in fields), view.rect, content, earlier,
             tuple(_pose_key(pose) for (_, pose, _), _ in fields),
         )  # fmt: skip
-        return {Layer.IMAGE: prepared.pictures.get(key, make)}
+        return {Layer.IMAGE: view.memo.of_frame.get(key, make, "picture", _KEPT_PICTURES)}
 
-    def _field(
-        self, facts: FrameFacts, scene: Scene, prepared: Prepared, level: str, way: str
-    ) -> tuple[Field, Any, bytes]:  # fmt: skip
+    def _field(self, view: View, way: str) -> tuple[Field, Any, bytes]:
         """(where the sites come from, the pose that goes with it, a number of the field's content)."""
-        p, cell_px = self.params, self._cell_px(level)
+        p, facts, cell_px = self.params, view.facts, self._cell_px(view.level)
 
         def make() -> tuple[Field, Any, bytes]:
-            where, pose = frame_field(facts, scene, cell_px, p.nearer_finer, p.anchored, way, p.detail)
+            where, pose = frame_field(facts, view.scene, cell_px, p.nearer_finer, p.anchored, way, p.detail)
             return where, pose, _field_key(where)
 
         found, pose = facts.extra.get(FACT, {}), facts.camera_from_world
         key = (found.get(way), found.get("detail"), repr(found.get("pose")), None if found else _pose_key(pose))
-        made: tuple[Field, Any, bytes] = prepared.fields.get(key, make)
+        made: tuple[Field, Any, bytes] = view.memo.of_frame.get(key, make, "field", _KEPT_SETS)
         return made
 
     def _cell_px(self, level: str) -> float:
         return self.params.cell_px * (1.4 if level == "draft" else 1.0)
 
-    def _with_toon(self, now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> Picture:
-        p, image = self.params, now[Layer.IMAGE]
+    def _with_toon(self, view: View) -> Picture:
+        p, image = self.params, view[Layer.IMAGE]
+        box = view.layers.extent(Layer.COVERAGE).clip(_box(view))
         if not p.toon or box.empty:
             return Picture(image)
-        box = now.extent(Layer.COVERAGE).clip(box)
-        part = now.crop(box)
-        if box.empty or not part[Layer.COVERAGE].any():
+        part = view.layers.crop(box)
+        if not part[Layer.COVERAGE].any():
             return Picture(image)
-        light = facts.light or scene.light
-        direction, radiance = toon_light(light, scene.world_from_anchor.rotation[:, 2])
+        light = view.light
+        direction, radiance = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
         even = np.zeros(3) if p.formula == "paper" else EVEN * np.clip(light.ambient_rgb, 0, radiance)
         patch = toon(
             part[Layer.IMAGE], part[Layer.VIRTUAL], part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.ALBEDO],
-            part[Layer.EMISSIVE], direction, radiance, even, p.toon_thresholds, p.toon_factors, facts.opacity,
+            part[Layer.EMISSIVE], direction, radiance, even, p.toon_thresholds, p.toon_factors, view.facts.opacity,
             p.formula == "paper",
         )  # fmt: skip
-        return Picture(image, patch, *offset(box, now.rect))
+        return Picture(image, patch, *offset(box, view.rect))
 
     def _painted(
-        self, now: Layers, box: Rect, scene: Scene, prepared: Prepared, level: str, where: Field, pose: Any,
-        sites_key: bytes, picture: BackgroundTask[Picture], lines: BackgroundTask[np.ndarray],
+        self, view: View, prepared: Prepared, where: Field, pose: Any, sites_key: bytes, picture: BackgroundTask[Picture],
+        lines: BackgroundTask[np.ndarray],
     ) -> np.ndarray:  # fmt: skip
-        p, rect = self.params, now.rect
-        cells = prepared.cells.get((sites_key, rect), lambda: self._cells(where, rect, scene, prepared, level))
+        p, rect = self.params, view.rect
+        make = lambda: self._cells(where, view, prepared)  # noqa: E731
+        cells = view.memo.of_frame.get((sites_key, rect), make, "cells", _KEPT_SETS)
         cover = Cover(cells.labels)
-        if not box.empty and pose is not None:
-            cover, cells = self._with_object(now, box, cells, scene, prepared, level, pose)
+        if pose is not None:
+            cover, cells = self._with_object(view, cells, prepared, pose)
         colours = cell_colours(picture(), cover)
         root = washed(colours[:, :3], cells.near, cells.share, colours[:, 3], 0.02 + 0.16 * p.wash, int(np.ceil(8 * p.wash)))
         root = toned(root, p.lightness, p.saturation, p.deepest)
@@ -208,50 +189,42 @@ class Watercolor(Stage):
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
         return paint(picture(), cover, colours, root, cells.flow, prepared.grain, lines(), strengths, ink, rect.x0, rect.y0)
 
-    def _lines(self, picture: Picture, now: Layers, box: Rect, facts: FrameFacts) -> np.ndarray:
+    def _lines(self, picture: Picture, view: View) -> np.ndarray:
         """Strength of lines, empty where none are wanted."""
         p = self.params
         if p.lines <= 0:
             return np.zeros((0, 0), np.float32)
         made = measured(picture, yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
-        return lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(now, box, facts))
+        return lines_of(made, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(view))
 
-    def _before(self, window: Window) -> tuple[Layers, FrameFacts] | None:
+    def _before(self, view: View) -> View | None:
         """The frame before, where lines are held and it shows the same things."""
-        if not self.history or len(window.layers) < 2:
+        if not self.history or not view.before:
             return None
-        then, now = window.facts[-2:]
-        same = then.index == now.index - 1 and then.shot == now.shot and window.layers[-2].rect == window.now.rect
-        return (window.layers[-2], then) if same else None
+        before, now = view.before[-1], view.facts
+        then = before.facts
+        return before if then.index == now.index - 1 and then.shot == now.shot and before.rect == view.rect else None
 
-    def _held_lines(
-        self, now: tuple[Layers, FrameFacts, Key], before: tuple[Layers, FrameFacts, Key], scene: Scene, prepared: Prepared,
-        level: str,
-    ) -> np.ndarray:  # fmt: skip
+    def _held_lines(self, now: tuple[View, Key], before: tuple[View, Key]) -> np.ndarray:
         """Strength of lines, from the measures of both frames: each is made once."""
-        p = self.params
+        p, view = self.params, now[0]
 
-        def made(layers: Layers, facts: FrameFacts, key: Key) -> np.ndarray:
-            def make() -> np.ndarray:
-                picture = self._with_toon(layers, _box(facts, layers.rect), facts, scene)
-                return measured(picture, yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
-
-            found: np.ndarray = prepared.measures.get(key, make)
+        def made(seen: View, key: Key) -> np.ndarray:
+            make = lambda: measured(self._with_toon(seen), yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)  # noqa: E731
+            found: np.ndarray = view.memo.of_frame.get(key, make, "measure", _KEPT_MEASURES)
             return found
 
-        layers, facts, _ = now
-        (own, *_), (then, *_) = (self._field(f, scene, prepared, level, "nodes") for f in (facts, before[1]))
+        (own, *_), (then, *_) = (self._field(v, "nodes") for v in (view, before[0]))
         back, out = steps_back(own, then), made(*now).copy()
         if back is not None:
-            out[0] = held(out[0], made(*before)[0], back, own.x0 - layers.rect.x0, own.y0 - layers.rect.y0)
-        drawn = self._virtual_edges(layers, _box(facts, layers.rect), facts)
-        return lines_of(out, p.line_low, p.line_high, p.line_width_px, *drawn)
+            out[0] = held(out[0], made(*before)[0], back, own.x0 - view.rect.x0, own.y0 - view.rect.y0)
+        return lines_of(out, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(view))
 
-    def _virtual_edges(self, now: Layers, box: Rect, facts: FrameFacts) -> tuple[np.ndarray | None, tuple[int, int]]:
+    def _virtual_edges(self, view: View) -> tuple[np.ndarray | None, tuple[int, int]]:
         """(edges of the object or None, where they lie on the half-size grid of the whole picture)."""
+        now, rect, box = view.layers, view.rect, _box(view)
         if box.empty:
             return None, (0, 0)
-        rect = now.rect
         y, x = (box.y0 - rect.y0) // 2, (box.x0 - rect.x0) // 2
         whole = Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1)
         seen = now.extent(Layer.COVERAGE).clip(whole)
@@ -259,9 +232,10 @@ class Watercolor(Stage):
             return None, (0, 0)
         part = now.crop(seen)
         at, shape = offset(seen, whole), (whole.height, whole.width)
-        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], facts.opacity, at, shape), (y, x)
+        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], view.facts.opacity, at, shape), (y, x)
 
-    def _cells(self, where: Field, rect: Rect, scene: Scene, prepared: Prepared, level: str) -> Cells:
+    def _cells(self, where: Field, view: View, prepared: Prepared) -> Cells:
+        scene, rect, level = view.scene, view.rect, view.level
         cell, area = self._cell_px(level), scene.camera.rect.area
         most = int(min(2 * area + 4096, 12 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
@@ -288,11 +262,10 @@ class Watercolor(Stage):
             return reference_labels(sites, rect, moved.astype(np.float32), blend)
         return label(sites, rect, wobble, blend, mask)
 
-    def _with_object(
-        self, now: Layers, box: Rect, cells: Cells, scene: Scene, prepared: Prepared, level: str, pose: Any
-    ) -> tuple[Cover, Cells]:
+    def _with_object(self, view: View, cells: Cells, prepared: Prepared, pose: Any) -> tuple[Cover, Cells]:
         """Labels, and what is known of all cells, with those of the object's surface in the pixels that it mostly covers."""
-        rect, cell, box = now.rect, 0.8 * self._cell_px(level), now.extent(Layer.COVERAGE).clip(box)
+        now, scene, level, cell = view.layers, view.scene, view.level, 0.8 * self._cell_px(view.level)
+        box = now.extent(Layer.COVERAGE).clip(_box(view))
         inside = now.crop(box)[Layer.COVERAGE] >= 0.5
         if not inside.any():
             return Cover(cells.labels), cells
@@ -305,14 +278,14 @@ class Watercolor(Stage):
             return self._described(sites, labels, np.full(len(sites), cell, np.float32), scene.seed + 1)
 
         key = ("object", _pose_key(pose), box, digest(inside.view(np.uint8)))
-        own = prepared.cells.get(key, make)
+        own = view.memo.of_frame.get(key, make, "cells", _KEPT_SETS)
         # neighbours within the object only: paint does not run over its outline
         if own.near.shape[1] and cells.near.shape[1]:
             near = np.concatenate([cells.near, own.near + np.int32(cells.labels.count)])
             share = np.concatenate([cells.share, own.share])
         else:
             near, share = (np.zeros((cells.labels.count + own.labels.count, 0), t) for t in (np.int32, np.float32))
-        cover = Cover(cells.labels, own.labels, inside, *offset(box, rect))
+        cover = Cover(cells.labels, own.labels, inside, *offset(box, view.rect))
         return cover, Cells(cells.labels, np.concatenate([cells.flow, own.flow]), near, share)
 
 
@@ -339,19 +312,18 @@ def _field_key(where: Field) -> bytes:
     return h.digest()
 
 
-def _box(facts: FrameFacts, rect: Rect) -> Rect:
+def _box(view: View) -> Rect:
     """What the object may touch."""
-    if not facts.present:
-        return EMPTY
-    return facts.model_box.pad(PAD_PX).clip(rect)
+    return view.facts.model_box.pad(PAD_PX).clip(view.rect) if view.facts.present else EMPTY
 
 
-def _content(now: Layers, box: Rect, facts: FrameFacts, scene: Scene) -> Key:
+def _content(view: View) -> Key:
     """What a frame shows."""
+    now, facts, box = view.layers, view.facts, _box(view)
     out: list[Any] = [digest(now[Layer.IMAGE])]
     box = now.extent(Layer.COVERAGE).clip(box)
     if not box.empty:
         part = now.crop(box)
         # few rows tell one state of the object from another: its colours are in the picture, its pose is known
         out += [digest(part[name][::_EVERY]) for name in (Layer.COVERAGE, Layer.NORMAL)]
-    return (*out, box, facts.opacity, repr(facts.light or scene.light), _pose_key(facts.camera_from_world))
+    return (*out, box, facts.opacity, repr(view.light), _pose_key(facts.camera_from_world))

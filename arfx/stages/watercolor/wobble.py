@@ -29,7 +29,7 @@ class Wobbles:
 
     seed: int
     reach_px: float
-    _made: Memo = field(default_factory=lambda: Memo(PARTS * PARTS))
+    _made: Memo = field(default_factory=Memo)
 
     def at(self, x_px: float, y_px: float) -> Wobble:
         """Moved so that pixel (0, 0) of the frame has what lies at (x_px, y_px)."""
@@ -38,7 +38,8 @@ class Wobbles:
         x, y = round(x_px * PARTS), round(y_px * PARTS)
         between = (x % PARTS) / PARTS, (y % PARTS) / PARTS
         wavelength = 4 * self.reach_px + 6
-        made: Wobble = self._made.get(between, lambda: wobble_of(wobble_tile(self.seed, self.reach_px, wavelength, between)))
+        make = lambda: wobble_of(wobble_tile(self.seed, self.reach_px, wavelength, between))  # noqa: E731
+        made: Wobble = self._made.get(between, make, most=PARTS * PARTS)
         return made.at(x // PARTS, y // PARTS)
 
     def of_field(self, where: Field) -> Wobble:

@@ -32,10 +32,10 @@ class Sleeper(Stage):
     def prepare(self, scene: Any, level: str) -> str:
         return level
 
-    def run(self, window: Any, scene: Any, prepared: str, level: str, rng: Any) -> dict:
-        assert prepared == level, "each level is run with what was prepared for it"
-        time.sleep({"draft": 0.002, "standard": 0.02, "reference": 0.08}[level])
-        return {Layer.IMAGE: window.now[Layer.IMAGE] * 0.5}
+    def run(self, view: Any, prepared: str) -> dict:
+        assert prepared == view.level, "each level is run with what was prepared for it"
+        time.sleep({"draft": 0.002, "standard": 0.02, "reference": 0.08}[prepared])
+        return {Layer.IMAGE: view[Layer.IMAGE] * 0.5}
 
 
 STAGES: dict[str, type] = {"sleeper": Sleeper}

@@ -10,7 +10,7 @@ from arfx.core.cost import Prediction, exactly
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.core.stage import level_named
+from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, touched, unrest
 from arfx.measure.tradeoff import Found, Row
 from arfx.measure.tradeoff_document import _share, front, recommendation
@@ -105,21 +105,14 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     assert np.array_equal(*pictures) and (pictures[0] != bench.original()).any()
 
 
-class Deep:
+class Deep(Stage):
     """Shows the real depth, 255 grey levels a metre."""
 
     name, reads, writes = "deep", frozenset({Layer.IMAGE, Layer.REAL_DEPTH}), frozenset({Layer.IMAGE})
-    levels = ("standard",)
 
-    def needs(self, out: Rect, *_: Any) -> Rect:
-        return out
-
-    def prepare(self, *_: Any) -> None:
-        return None
-
-    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
-        depth = window.now[Layer.REAL_DEPTH]
-        return {Layer.IMAGE: np.repeat(depth[..., None], 3, -1) if depth.size else 0 * window.now[Layer.IMAGE]}
+    def run(self, view: View, prepared: None) -> dict[Layer, np.ndarray]:
+        depth = view[Layer.REAL_DEPTH]
+        return {Layer.IMAGE: np.repeat(depth[..., None], 3, -1) if depth.size else 0 * view[Layer.IMAGE]}
 
 
 def test_stages_read_the_measured_depth_as_in_a_job() -> None:

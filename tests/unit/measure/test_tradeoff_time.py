@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import EMPTY, Rect
-from arfx.core.stage import Stage, Window
+from arfx.core.stage import ReadyStage, Stage, View
 from arfx.measure.tradeoff_time import Tiles, Times, time_frame
 from arfx.run.frame import Canvas
 from tests.scenes import camera, facts, look_at, scene
@@ -36,21 +37,15 @@ class Slow(Stage):
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out.pad(9)
 
-    def run(self, window: Window, _scene: Any, prepared: Any, level: str, _rng: Any) -> dict[Layer, np.ndarray]:
-        assert window.out is not None
-        share = 1.0 if level == "reference" else 1e-3
-        self.most_px = max(self.most_px, window.out.area if level == "reference" else 0)
-        if not prepared.kept:
-            self.now_s += NEW_S * share
-            prepared.kept.add(1)
-        where = window.now.rect if self.by_reading else window.out
+    def run(self, view: View, prepared: Any) -> dict[Layer, np.ndarray]:
+        share = 1.0 if view.level == "reference" else 1e-3
+        self.most_px = max(self.most_px, view.out.area if view.level == "reference" else 0)
+        made = view.memo.of_light.made
+        view.memo.of_light.get("the light", lambda: 1)
+        self.now_s += NEW_S * share * (view.memo.of_light.made - made)
+        where = view.rect if self.by_reading else view.out
         self.now_s += share * (ALONE_S + float(self.seconds[where.slices].sum()))
-        return {Layer.IMAGE: window.now[Layer.IMAGE]}
-
-
-class Prepared:
-    def __init__(self) -> None:
-        self.kept: set[int] = set()
+        return {Layer.IMAGE: view[Layer.IMAGE]}
 
 
 def measured(seed: int, new: float = 0.0, frames: int = 2, reads: bool = False) -> tuple[Times, Slow, float]:
@@ -60,12 +55,12 @@ def measured(seed: int, new: float = 0.0, frames: int = 2, reads: bool = False) 
     out = seen.model_box.pad(60).clip(s.camera.rect)
     stage = Slow(seen.model_box, seed, reads)
     plan = FramePlan(seed, out, out, (Step("slow", "draft", out, out.pad(9).clip(s.camera.rect), "", None),), ())
-    times, prepared = Times(clock=lambda: stage.now_s), Prepared()
+    times, ready = Times(clock=lambda: stage.now_s), ReadyStage.of(stage, s, "draft")
     wanted = frozenset({("slow", "draft"), ("slow", "reference")})
     for k in range(frames):
         canvas = Canvas(np.zeros((480, 640, 3), np.float32), s.camera.rect)
         at = seen.with_(index=100 * seed + k)
-        time_frame(times, at, canvas, plan, s, {"slow": stage}, lambda *_: prepared, {"slow": "draft"}, wanted,
+        time_frame(times, at, canvas, plan, {"slow": stage}, lambda _, le: replace(ready, level=le), {"slow": "draft"}, wanted,
                    frozenset({("slow", "reference")}), {"slow": new})  # type: ignore[dict-item]  # fmt: skip
     whole = out.pad(9).clip(s.camera.rect) if reads else out
     return times, stage, ALONE_S + float(stage.seconds[whole.slices].sum())

@@ -2,19 +2,20 @@ from __future__ import annotations
 
 import itertools
 import weakref
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from arfx.core.layers import Layer, Spans
+from arfx.core.layers import Layer, Layers, Spans
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.core.stage import Stage
+from arfx.core.stage import ReadyStage, Stage
 from arfx.errors import RenderError
 from arfx.plan.planner import plan_frame
 from arfx.run.chunks import borders
-from arfx.run.frame import Canvas, Plate, rng_for, run_frame
+from arfx.run.frame import Canvas, Plate, made_ready, run_frame
 from arfx.stages.composite import Composite
 from tests.scenes import facts, scene
 from tests.unit.media.test_dimming import samples
@@ -44,8 +45,8 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
 class Bad(Stage):
     name, reads, writes = "bad", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE})
 
-    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
-        out = window.now[Layer.IMAGE].copy()
+    def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
+        out = view[Layer.IMAGE].copy()
         out[3, 4] = np.nan
         return {Layer.IMAGE: out}
 
@@ -54,9 +55,7 @@ def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
     rect = Rect(5, 6, 25, 26)
     plan = FramePlan(7, rect, rect, (Step("bad", "standard", rect, rect, "", 0.0),), ())
     with pytest.raises(RenderError, match=r"'bad' made 1 pixels.*frame 7, first at x 9, y 9"):
-        run_frame(
-            np.ones((20, 20, 3), np.float32), FACTS.with_(index=7), plan, SCENE, {"bad": Bad()}, {"bad": LEVEL}, {"bad": None}
-        )  # type: ignore[dict-item]
+        run_frame(np.ones((20, 20, 3), np.float32), FACTS.with_(index=7), plan, made_ready(plan, {"bad": Bad()}, SCENE))
 
 
 class Paint(Stage):
@@ -73,8 +72,8 @@ class Paint(Stage):
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out
 
-    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
-        r = window.now.rect
+    def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
+        r = view.rect
         return {
             Layer.COVERAGE: np.ones((r.height, r.width), np.float32),
             Layer.VIRTUAL: np.full((r.height, r.width, 3), (1, 0, 0), np.float32),
@@ -84,8 +83,8 @@ class Paint(Stage):
 class Spot(Paint):
     """As every raster does, it leaves the border of its rectangle free."""
 
-    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
-        made = super().run(window)
+    def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
+        made = super().run(view, prepared)
         inner = np.pad(np.ones(tuple(n - 4 for n in made[Layer.COVERAGE].shape), np.float32), 2)
         return {Layer.COVERAGE: inner, Layer.VIRTUAL: made[Layer.VIRTUAL] * inner[..., None]}
 
@@ -101,8 +100,8 @@ class Shade(Paint):
 
         return Demand(Rect(20, 20, 90, 80), "shade")
 
-    def run(self, window: Any, *_: Any) -> dict[Layer, np.ndarray]:
-        r = window.now.rect
+    def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
+        r = view.rect
         left = np.linspace(0.4, 1, r.width, dtype=np.float32)[None, :, None]
         return {Layer.SHADOW: np.broadcast_to(left, (r.height, r.width, 3))}
 
@@ -111,7 +110,7 @@ class Shade(Paint):
 def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
     """Nothing but the object's own pixels is converted, and the picture is the one that whole conversion gives."""
     stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite()}
-    levels, prepared = {n: LEVEL for n in stages}, dict.fromkeys(stages)
+    levels = {n: LEVEL for n in stages}
     f = FACTS.with_(opacity=0.9, bias_rgb=(bias, bias, bias), model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame("yuv420p", SCENE.camera.width, SCENE.camera.height, smooth=True)
@@ -121,8 +120,8 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
         asked.append(rect)
         return picture.linear(rect)
 
-    found = run_frame(Plate(plan.rect, linear), f, plan, SCENE, stages, levels, prepared)
-    whole = run_frame(picture.linear(plan.rect), f, plan, SCENE, stages, levels, prepared)
+    found = run_frame(Plate(plan.rect, linear), f, plan, made_ready(plan, stages, SCENE))
+    whole = run_frame(picture.linear(plan.rect), f, plan, made_ready(plan, stages, SCENE))
     assert found.dimmed is not None and whole.dimmed is None
     assert all(Rect(40, 30, 60, 50).contains(r) for r in asked) and plan.changed == Rect(20, 20, 90, 80)
     for a, b in zip(samples(found.onto(picture, plan.changed)), samples(whole.onto(picture, plan.changed)), strict=True):
@@ -130,10 +129,10 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
     assert np.abs(samples(found.onto(picture, plan.changed))[0] - samples(picture)[0]).max() > 10
 
 
-class Streak:
+class Streak(Stage):
     """Brightens some columns of each row of IMAGE, and says which."""
 
-    name, reads, writes, history = "streak", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 0
+    name, reads, writes = "streak", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE})
 
     def demand(self, f: Any, s: Any, frame: Rect) -> Any:
         from arfx.core.stage import Demand
@@ -143,8 +142,8 @@ class Streak:
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out
 
-    def run(self, window: Any, *_: Any) -> dict[Layer, Spans]:
-        now = window.now
+    def run(self, view: Any, prepared: Any) -> dict[Layer, Spans]:
+        now = view.layers
         made, columns = (
             np.full((now.rect.height, now.rect.width, 3), np.nan, np.float32),
             np.zeros((now.rect.height, 2), np.int32),
@@ -159,12 +158,12 @@ class Streak:
 @pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p10le", "gbrp"])
 def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_made_all(pixel_format: str) -> None:
     stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite(), "streak": Streak()}
-    levels, prepared = {n: LEVEL for n in stages}, dict.fromkeys(stages)
+    levels = {n: LEVEL for n in stages}
     f = FACTS.with_(model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
-    found = run_frame(Plate(plan.rect, picture.linear), f, plan, SCENE, stages, levels, prepared)
-    whole = run_frame(picture.linear(plan.rect), f, plan, SCENE, stages, levels, prepared)
+    found = run_frame(Plate(plan.rect, picture.linear), f, plan, made_ready(plan, stages, SCENE))
+    whole = run_frame(picture.linear(plan.rect), f, plan, made_ready(plan, stages, SCENE))
     assert isinstance(found.made, Spans) and not isinstance(whole.made, Spans)
     for a, b in zip(samples(found.onto(picture, plan.changed)), samples(whole.onto(picture, plan.changed)), strict=True):
         np.testing.assert_array_equal(a, b)
@@ -196,27 +195,58 @@ def test_composite_over_the_plate_with_opacity(opacity: float) -> None:
     f = FACTS.with_(opacity=opacity)
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     plate = np.random.default_rng(1).random((plan.rect.height, plan.rect.width, 3), dtype=np.float32)
-    result = run_frame(plate, f, plan, SCENE, stages, levels, {"paint": None, "composite": None})
+    result = run_frame(plate, f, plan, made_ready(plan, stages, SCENE))
     np.testing.assert_allclose(result.image, plate + opacity * (np.float32([1, 0, 0]) - plate), atol=1e-6)
     assert set(result.seconds) == {"paint", "composite"}
 
 
 def test_composite_leaves_bare_pixels_bit_identical() -> None:
-    from arfx.core.layers import Layers, neutral
-    from arfx.core.stage import Window
+    from arfx.core.layers import neutral
 
     rect = Rect(0, 0, 50, 40)
     plate = np.random.default_rng(2).random((40, 50, 3), dtype=np.float32)
     layers = Layers(rect).adding(
         {Layer.PLATE: plate, Layer.IMAGE: plate, **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)}}
     )
-    out = Composite().run(Window((layers,), (FACTS,)), SCENE, None, LEVEL, rng_for(0, 0, "c"))[Layer.IMAGE]
+    out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE]
     assert np.array_equal(out, plate)
 
 
 def test_random_numbers_depend_on_seed_frame_and_stage_only() -> None:
-    draws = [rng_for(*k).random() for k in ((0, 1, "a"), (0, 1, "b"), (0, 2, "a"), (1, 1, "a"), (0, 1, "a"))]
+    other = type("Other", (Bad,), {"name": "other"})
+    layers, draws = Layers(Rect(3, 4, 9, 8)), []
+    for seed, index, stage in ((0, 1, Bad), (0, 1, other), (0, 2, Bad), (1, 1, Bad), (0, 1, Bad)):
+        ready = ReadyStage(stage(), replace(SCENE, seed=seed), LEVEL, None)
+        draws.append(ready.view(layers, FACTS.with_(index=index)).noise().tobytes())
     assert draws[0] == draws[4] and len(set(draws)) == 4
+
+
+def test_what_a_stage_asks_of_a_frame_without_a_pose_is_an_error_that_names_the_frame() -> None:
+    absent = FACTS.with_(camera_from_world=None, opacity=0.0, index=12, light=None)
+    view = ReadyStage.of(Bad(), SCENE, LEVEL).view(Layers(Rect(0, 0, 8, 8)), absent)
+    assert view.light is SCENE.light and view.rect == view.out and not view.before
+    with pytest.raises(ValueError, match="frame 12 has no pose"):
+        _ = view.pose
+
+
+class Remembers(Stage):
+    """Adds up IMAGE of this frame and the two before it."""
+
+    name, reads, writes, history = "remembers", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 2
+
+    def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
+        return {Layer.IMAGE: view[Layer.IMAGE] + sum(v[Layer.IMAGE] for v in view.before)}
+
+
+def test_a_stage_sees_what_it_saw_of_earlier_frames_not_what_it_made_of_them() -> None:
+    rect = Rect(0, 0, 6, 5)
+    plan = FramePlan(0, rect, rect, (Step("remembers", LEVEL, rect, rect, "", 0.0),), ())
+    ready, past, seen = made_ready(plan, {"remembers": Remembers()}, SCENE), [], []
+    for k in range(4):
+        made = run_frame(np.full((5, 6, 3), 10.0**k, np.float32), FACTS.with_(index=k), plan, ready, tuple(past))
+        past.append((made.canvas, FACTS.with_(index=k)))
+        seen.append(float(made.image[0, 0, 0]))
+    assert seen == [1, 11, 111, 1110]
 
 
 @pytest.mark.parametrize("frames", [1, 29, 30, 31, 159, 240, 960, 961, 5000])

@@ -19,7 +19,7 @@ from arfx.errors import ConfigError
 from arfx.measure.bench_scene import ball, bench_scene
 from arfx.plan.planner import plan_frame
 from arfx.run.folder import JobFolder, read_lines
-from arfx.run.frame import run_frame
+from arfx.run.frame import made_ready, run_frame
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
 from arfx.run.parameters import parameters
@@ -80,14 +80,15 @@ def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
         dof = STAGES["dof"](replace(STAGES["dof"]().params, scope="virtual", fnumber=4.0, focus=focus))  # type: ignore[call-arg]
         stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite")} | {"dof": dof}
         levels = {n: level_named(s.levels, "standard") for n, s in stages.items()}
-        prepared = {n: s.prepare(at.scene, levels[n]) for n, s in stages.items()}
+        whole = plan_frame(list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip=False)
+        ready = made_ready(whole, stages, at.scene)
         pictures, times = {}, {True: [], False: []}
         for skip in [True, False] * 3:
             plan = plan_frame(list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip)
             assert len(plan.steps) == (runs if skip else 4)
             plate = at.plate[plan.rect.slices]
             start = time.process_time()
-            made = run_frame(plate, facts, plan, at.scene, stages, levels, prepared)
+            made = run_frame(plate, facts, plan, ready)
             times[skip].append(time.process_time() - start)
             pictures[skip] = at.plate.copy()
             pictures[skip][plan.changed.slices] = made.image

@@ -13,9 +13,9 @@ from arfx.core.layers import Layer, Layers, Patch
 from arfx.core.model import Material
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
-from arfx.core.stage import Window, level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.plan.planner import plan_frame
-from arfx.run.frame import run_frame
+from arfx.run.frame import made_ready, run_frame
 from arfx.stages import STAGES
 from arfx.stages.dof import Dof
 from arfx.stages.dof.params import DofParams
@@ -62,8 +62,7 @@ def compose(s: Scene, f: FrameFacts, plate: np.ndarray) -> Shot:
     stages = {name: STAGES[name]() for name in MAKING}
     levels = {name: level_named(stages[name].levels, "high" if name == "raster" else "standard") for name in MAKING}
     plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect, skip=False)
-    prepared = {name: stages[name].prepare(s, levels[name]) for name in MAKING}
-    made = run_frame(plate, f, plan, s, stages, levels, prepared)
+    made = run_frame(plate, f, plan, made_ready(plan, stages, s))
     layers = made.canvas.view(Dof.reads, s.camera.rect)
     return Shot(s, f, layers)
 
@@ -72,13 +71,9 @@ def blurred(at: Shot, level: str, seconds: list[float] | None = None, **params: 
     """IMAGE (h, w, 3) of dof over the whole frame."""
     import time
 
-    from arfx.run.frame import rng_for
-
-    stage = Dof(DofParams(**params))  # type: ignore[arg-type]
-    le = level_named(Dof.levels, level)
-    prepared = stage.prepare(at.scene, le)
+    ready = ReadyStage.of(Dof(DofParams(**params)), at.scene, level_named(Dof.levels, level))  # type: ignore[arg-type]
     start = time.perf_counter()
-    out = stage.run(Window((at.layers,), (at.facts,)), at.scene, prepared, le, rng_for(0, 0, "dof"))[Layer.IMAGE]
+    out = ready.run(at.layers, at.facts)[Layer.IMAGE]
     if seconds is not None:
         seconds.append(time.perf_counter() - start)
     return out.array if isinstance(out, Patch) else out

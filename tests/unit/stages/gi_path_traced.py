@@ -6,7 +6,6 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +19,7 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
-from arfx.core.stage import level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import run_frame
 from arfx.stages import STAGES
@@ -91,10 +90,10 @@ def traced(name: str) -> Traced:
 
 
 @cache
-def kept(name: str, stage: str) -> Any:
-    """What a stage beside gi prepares, at level high, with the shadow of the scene's lamp once that is made: for every run."""
+def kept(name: str, stage: str) -> ReadyStage:
+    """A stage beside gi at level high, with the shadow of the scene's lamp once that is made: for every run."""
     made = Raster(RasterParams(backend="rays")) if stage == "raster" else STAGES[stage]()
-    return made.prepare(traced(name).scene, level_named(made.levels, "high"))
+    return ReadyStage.of(made, traced(name).scene, level_named(made.levels, "high"))
 
 
 def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarray]:
@@ -107,8 +106,8 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     stages["composite"] = STAGES["composite"]()
     levels = {n: level_named(s.levels, level if n == "gi" else "high") for n, s in stages.items()}
     plan = plan_frame(list(stages.values()), levels, t.facts, t.scene, t.scene.camera.rect)
-    prepared = {n: s.prepare(t.scene, levels[n]) if n == "gi" else kept(name, n) for n, s in stages.items()}
-    made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, t.scene, stages, levels, prepared)
+    ready = {n: ReadyStage.of(s, t.scene, levels[n]) if n == "gi" else kept(name, n) for n, s in stages.items()}
+    made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, ready)
     out = t.plate.copy()
     out[plan.changed.slices] = made.image
     coverage = made.canvas.view(frozenset({Layer.COVERAGE}), t.scene.camera.rect)[Layer.COVERAGE]

@@ -15,7 +15,7 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
-from arfx.core.stage import Window, level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.stages.gi import Gi, GiParams
 from arfx.stages.triangles import Triangles
 from tests.scenes import box_model, facts
@@ -77,9 +77,8 @@ def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
 
 
 @cache
-def prepared(s: Scene, level: str, params: GiParams | None) -> Any:
-    stage = Gi(params)
-    return stage.prepare(s, level_named(stage.levels, level))
+def ready(s: Scene, level: str, params: GiParams | None) -> ReadyStage:
+    return ReadyStage.of(Gi(params), s, level_named(Gi.levels, level))
 
 
 def run_gi(
@@ -87,12 +86,9 @@ def run_gi(
     params: GiParams | None = None, **changes: Any,
 ) -> dict[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL (indirect light alone) and SHADOW (its ratio alone), with COVERAGE, over the whole picture."""
-    stage = Gi(params)
     f = facts(s, pose or from_above()).with_(**changes)
     layers = surface(s, f) | {Layer.PLATE: plain_plate(s.camera) if plate is None else plate}
-    window = Window((Layers(s.camera.rect).adding(layers),), (f,))
-    at = level_named(stage.levels, level)
-    made = stage.run(window, s, prepared(s, level, params), at, np.random.default_rng(0))
+    made = ready(s, level, params).run(Layers(s.camera.rect).adding(layers), f)
     return dict(made) | {Layer.COVERAGE: layers[Layer.COVERAGE], Layer.NORMAL: layers[Layer.NORMAL]}
 
 

@@ -15,7 +15,7 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
-from arfx.core.stage import Window, level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from tests.scenes import box_model, facts
 
@@ -57,16 +57,13 @@ def lamp(azimuth_deg: float, elevation_deg: float, size_deg: float, rgb: Any = (
 
 def run_stage(
     s: Scene, level: str = "standard", pose: Pose | None = None, params: LightmapParams | None = None,
-    layers: Layers | None = None, prepared: Any = None, **changes: Any,
+    layers: Layers | None = None, ready: ReadyStage | None = None, **changes: Any,
 ) -> dict[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL and SHADOW over the whole picture; without layers nothing virtual covers it."""
-    stage = Lightmap(params)
-    at: str = level_named(stage.levels, level)
     f: FrameFacts = facts(s, pose or from_above()).with_(**changes)
     if layers is None:
-        layers = Layers(s.camera.rect).adding({name: neutral(name, s.camera.rect) for name in stage.reads})
-    prepared = prepared or stage.prepare(s, at)
-    made = stage.run(Window((layers,), (f,)), s, prepared, at, np.random.default_rng(0))
+        layers = Layers(s.camera.rect).adding({name: neutral(name, s.camera.rect) for name in Lightmap.reads})
+    made = (ready or ReadyStage.of(Lightmap(params), s, level_named(Lightmap.levels, level))).run(layers, f)
     return {name: a.over(name, s.camera.rect) if isinstance(a, Patch) else a for name, a in made.items()}
 
 

@@ -11,7 +11,7 @@ from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Window, level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.stages.raster import Raster, RasterParams
 from tests.scenes import facts
 
@@ -60,8 +60,6 @@ def in_front(distance_m: float = 1.0, tilt_deg: float = 0.0, turn_deg: float = 0
 def render(
     scene: Scene, pose: Pose, backend: str, level: str = "standard", samples: int = 0, rect: Rect | None = None
 ) -> dict[Layer, np.ndarray]:
-    stage = Raster(RasterParams(backend, samples))
-    at = level_named(stage.levels, level)
-    rect = rect or scene.camera.rect
+    ready = ReadyStage.of(Raster(RasterParams(backend, samples)), scene, level_named(Raster.levels, level))
     f = facts(scene, pose).with_(model_box=scene.camera.rect)
-    return dict(stage.run(Window((Layers(rect),), (f,)), scene, stage.prepare(scene, at), at, np.random.default_rng(0)))
+    return dict(ready.run(Layers(rect or scene.camera.rect), f))

@@ -11,9 +11,8 @@ from arfx.core.colour import SRGB
 from arfx.core.layers import Layer, Spans
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
-from arfx.core.stage import Window, level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.errors import InputError
-from arfx.run.frame import rng_for
 from arfx.stages.dof import Dof
 from arfx.stages.dof.params import DofParams
 from tests.contract import stage_laws as laws
@@ -137,11 +136,11 @@ def test_a_crop_gives_the_same_bits(level: str) -> None:
     at = shot(width=320, height=240)
     params = DofParams(aperture_px=10.0, focus="45cm", plane_extent_m=0.3, background_m=2.0)
     stage, le = Dof(params), level_named(Dof.levels, level)
-    prepared = stage.prepare(at.scene, le)
+    ready = ReadyStage.of(stage, at.scene, le)
     out = Rect(150, 130, 201, 171)
     need = stage.needs(out, at.facts, at.scene, le)
-    whole = laws.run(stage, at.layers, at.facts, at.scene, prepared, le)[Layer.IMAGE]
-    part = laws.run(stage, at.layers.crop(need), at.facts, at.scene, prepared, le)[Layer.IMAGE]
+    whole = laws.run(ready, at.layers, at.facts)[Layer.IMAGE]
+    part = laws.run(ready, at.layers.crop(need), at.facts)[Layer.IMAGE]
     assert need.area < at.scene.camera.rect.area
     np.testing.assert_allclose(part[out.slices_in(need)], whole[out.slices], rtol=0, atol=2e-6)
 
@@ -155,10 +154,9 @@ def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(params: dict)
     at = shot()
     stage = Dof(DofParams(**params))
     le = level_named(Dof.levels, "standard")
-    prepared, rng = stage.prepare(at.scene, le), rng_for(0, 0, "dof")
     out = Rect(101, 67, 230, 187)
     need = stage.needs(out, at.facts, at.scene, le).union(out)
-    made = stage.run(Window((at.layers.crop(need),), (at.facts,), out), at.scene, prepared, le, rng)[Layer.IMAGE]
+    made = ReadyStage.of(stage, at.scene, le).run(at.layers.crop(need), at.facts, out)[Layer.IMAGE]
     assert isinstance(made, Spans) and made.rect.contains(out)
     assert all(out.y0 <= part.y0 and part.y1 <= out.y1 for part in made.parts()), "no other rows"
     whole = blurred(at, "standard", **params)
@@ -238,7 +236,7 @@ def test_a_part_narrower_than_a_cell_of_the_ladder() -> None:
     )
     for x in (61, 63, 126):
         part = at.layers.crop(Rect(x, 0, x + 2, 120))
-        out = laws.run(stage, part, at.facts, at.scene, stage.prepare(at.scene, le), le)[Layer.IMAGE]
+        out = laws.run(ReadyStage.of(stage, at.scene, le), part, at.facts)[Layer.IMAGE]
         np.testing.assert_allclose(out, 0.3, atol=2e-3)  # little light is rounded to 2^-17
 
 

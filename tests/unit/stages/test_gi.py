@@ -245,20 +245,18 @@ def test_environment_of_the_facts_is_seen_from_the_right_side() -> None:
 
 def test_kept_light_is_used_again_and_another_is_not() -> None:
     s = on(box, MATT_RED)
-    at = Gi().levels[1]
-    prepared = Gi().prepare(s, at)
-    f = facts(s, from_above())
     from arfx.core.layers import Layers
-    from arfx.core.stage import Window
+    from arfx.core.stage import ReadyStage
     from tests.unit.stages.gi_scenes import surface
 
+    ready, f = ReadyStage.of(Gi(), s, "standard"), facts(s, from_above())
     layers = Layers(CAMERA.rect).adding(surface(s, f) | {Layer.PLATE: plain_plate()})
     out = []
     for light in (LAMP, LAMP, EVEN, LAMP):
-        out.append(Gi().run(Window((layers,), (f.with_(light=light),)), s, prepared, at, np.random.default_rng(0)))
+        out.append(ready.run(layers, f.with_(light=light)))
     assert np.array_equal(out[0][Layer.VIRTUAL], out[3][Layer.VIRTUAL])
     assert np.abs(out[0][Layer.VIRTUAL] - out[2][Layer.VIRTUAL]).max() > 0.1
-    assert prepared.kept.made == 3  # two fields, one environment: they differ by a factor
+    assert ready.memo.of_light.made == 3  # two fields, one environment: they differ by a factor
 
 
 def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:

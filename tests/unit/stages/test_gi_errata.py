@@ -13,7 +13,6 @@ from arfx.stages.gi import GiParams
 from arfx.stages.gi.cones import START, six_cones, steps_of, trace_many, turned
 from arfx.stages.gi.frame_light import environment_cube
 from arfx.stages.gi.pyramid import Atlas, atlas_of, levels_of, structure_of
-from arfx.stages.gi.stage import source_light
 from arfx.stages.gi.surroundings import irradiance
 from arfx.stages.gi.voxelise import voxelise
 from tests.scenes import facts
@@ -151,4 +150,4 @@ def test_the_lamps_are_no_part_of_the_environment() -> None:
 def test_the_light_is_the_frames_own() -> None:
     s = on_plane(box(MATT_RED), NIGHT, CAMERA)
     own = Light((0.2, 0.1, 0.1), ())
-    assert source_light(facts(s).with_(light=own), s) is own and source_light(facts(s), s) is NIGHT
+    assert s.light_of(facts(s).with_(light=own)) is own and s.light_of(facts(s)) is NIGHT

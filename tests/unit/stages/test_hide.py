@@ -8,6 +8,7 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.real_depth import KEY, RealDepth, tile_ranges
 from arfx.core.rect import Rect
+from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
 from arfx.stages.guided import refined
 from arfx.stages.hide import Hide, HideParams
@@ -33,7 +34,7 @@ def hidden(at: Shot, rect: Rect | None = None, **params: float) -> tuple[np.ndar
     """COVERAGE and VIRTUAL of the frame, or of a part."""
     stage = Hide(HideParams(**params))
     layers = at.layers if rect is None else at.layers.crop(rect)
-    made = laws.run(stage, layers, at.facts, at.scene, None, stage.levels[0])
+    made = laws.run(ReadyStage.of(stage, at.scene, "standard"), layers, at.facts)
     return made[Layer.COVERAGE], made[Layer.VIRTUAL]
 
 

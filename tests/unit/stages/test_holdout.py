@@ -8,7 +8,7 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.real_depth import KEY, RealDepth, tile_ranges
 from arfx.core.rect import Rect
-from arfx.core.stage import Window
+from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
 from arfx.stages import stages_with
 from arfx.stages.holdout import Holdout, HoldoutParams, plane_dioptres
@@ -52,7 +52,7 @@ def left(at: Shot, rect: Rect | None = None, **params: float) -> np.ndarray:
     """(h, w) SHADOW of the frame or of a part."""
     stage = Holdout(HoldoutParams(**params))
     layers = at.layers if rect is None else at.layers.crop(rect)
-    made = laws.run(stage, layers, at.facts, at.scene, stage.prepare(at.scene, stage.levels[0]), stage.levels[0])
+    made = laws.run(ReadyStage.of(stage, at.scene, "standard"), layers, at.facts)
     return made[Layer.SHADOW][..., 0]
 
 
@@ -103,10 +103,7 @@ def test_a_part_gives_what_the_whole_gives_and_one_channel_stays_one() -> None:
     need = stage.needs(out, at.facts, at.scene, stage.levels[0])
     assert need.area < at.scene.camera.rect.area / 4
     np.testing.assert_allclose(left(at, need)[out.slices_in(need)], left(at)[out.slices], rtol=0, atol=1e-5)
-    prepared = stage.prepare(at.scene, stage.levels[0])
-    patch = stage.run(Window((at.layers,), (at.facts,)), at.scene, prepared, stage.levels[0], np.random.default_rng(0))[
-        Layer.SHADOW
-    ]
+    patch = ReadyStage.of(stage, at.scene, "standard").run(at.layers, at.facts)[Layer.SHADOW]
     assert patch.rect == at.scene.camera.rect and patch.array.strides[-1] == 0
 
 

@@ -13,7 +13,7 @@ from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
-from arfx.core.stage import level_named
+from arfx.core.stage import ReadyStage
 from arfx.errors import RenderError
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.lightmap import stage as stage_module
@@ -107,8 +107,8 @@ def test_half_the_light_makes_146_of_200() -> None:
     at = s.camera.project(from_above(60, 2.0).apply(np.array([0, -(0.5 + RADIUS_M) / np.tan(np.radians(40)), 0])))
     x, y = np.round(at).astype(int)
     assert shadow[y, x] == pytest.approx(0.5, abs=0.012)  # a box half a metre up takes 0.6 % of the sky
-    composite = STAGES["composite"]()
-    layers = random_layers(s.camera.rect, 0, composite.reads)
+    composite = ReadyStage.of(STAGES["composite"](), s, "standard")
+    layers = random_layers(s.camera.rect, 0, composite.stage.reads)
     ones = np.ones_like(shadow)
     plate = (SRGB.decode(np.array(200 / 255)) * ones).astype(np.float32)
     layers = layers.adding(
@@ -120,11 +120,11 @@ def test_half_the_light_makes_146_of_200() -> None:
             Layer.SHADOW: 0.5 * ones,
         }
     )
-    made = run_law(composite, layers, facts(s), s, None, composite.levels[0])[Layer.IMAGE]
+    made = run_law(composite, layers, facts(s))[Layer.IMAGE]
     assert np.round(255 * SRGB.encode(made[y, x])).tolist() == [146] * 3
     # the camera's bias stays: b + (200 - b) x 0.5
     bias = (0.02, 0.01, 0.0)
-    made = run_law(composite, layers, facts(s).with_(bias_rgb=bias), s, None, composite.levels[0])[Layer.IMAGE]
+    made = run_law(composite, layers, facts(s).with_(bias_rgb=bias))[Layer.IMAGE]
     np.testing.assert_allclose(made[y, x], np.array(bias) + (plate[y, x] - np.array(bias)) / 2, atol=1e-6)
 
 
@@ -251,8 +251,8 @@ def test_a_still_light_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> Non
         monkeypatch.setattr(stage_module, name, lambda *a, name=name, real=real: (made.append(name), real(*a))[1])
     light = lamp(30, 45, 5.0)
     s = on_plane(ball_model(2), light)
-    prepared = Lightmap().prepare(s, level_named(Lightmap.levels, "standard"))
-    go = lambda li, **k: run_stage(s, prepared=prepared, light=li, **k)[Layer.SHADOW]  # noqa: E731
+    ready = ReadyStage.of(Lightmap(), s, "standard")
+    go = lambda li, **k: run_stage(s, ready=ready, light=li, **k)[Layer.SHADOW]  # noqa: E731
     first = go(light)
     assert sorted(made) == ["beam_texture", "depth_map"]
     d = np.array(towards(30, 45))
@@ -265,7 +265,7 @@ def test_a_still_light_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> Non
     assert len(made) == 4
     for k in range(12):
         go(lamp(40 + 3 * k, 45, 5.0))
-    assert len(prepared.kept._things) <= stage_module._KEPT, "memory is bounded"
+    assert len(ready.memo.of_light._kinds[""]) <= 8, "memory is bounded"
     np.testing.assert_array_equal(go(light), first)
 
 

@@ -16,7 +16,7 @@ from arfx.core.model import Model
 from arfx.core.pose import rotation_from_euler_deg
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.errors import RenderError
 from arfx.stages import STAGES
 from arfx.stages.lightmap import Lightmap, LightmapParams
@@ -64,8 +64,8 @@ def surface(
 def shaded(s: Scene, layers: Layers, params: LightmapParams = BARE, level: str = "standard", **changes: object) -> np.ndarray:
     """VIRTUAL. The plane's shadow, which is not looked at, is a draft and left out: the reference's takes seconds."""
     params = replace(params, shadow_strength=0.0)
-    draft = Lightmap(params).prepare(s, level_named(Lightmap.levels, "draft"))
-    return run_stage(s, level, None, params, layers, draft, model_box=s.camera.rect, **changes)[Layer.VIRTUAL]
+    draft = replace(ReadyStage.of(Lightmap(params), s, "draft"), level=level_named(Lightmap.levels, level))
+    return run_stage(s, layers=layers, ready=draft, model_box=s.camera.rect, **changes)[Layer.VIRTUAL]
 
 
 def any_normals(s: Scene) -> np.ndarray:
@@ -241,7 +241,7 @@ def test_outside_the_demand_nothing_changes(light: Light) -> None:
     layers = Layers(s.camera.rect).adding({**none, Layer.PLATE: plate, Layer.IMAGE: plate, Layer.SHADOW: made[Layer.SHADOW]})
     composite = STAGES["composite"]()
     f = facts(s).with_(bias_rgb=(0.1, 0.05, 0.02))
-    image = run_law(composite, layers, f, s, None, composite.levels[0])[Layer.IMAGE]
+    image = run_law(ReadyStage.of(composite, s, "standard"), layers, f)[Layer.IMAGE]
     untouched = (made[Layer.SHADOW] == 1).all(-1)
     assert untouched.mean() > 0.2 and (image[untouched] == plate[untouched]).all()
 
@@ -257,11 +257,9 @@ def test_no_light_makes_anything_that_is_not_finite(level: str) -> None:
     ]  # fmt: skip
     s = on_plane(box_model(), DARK)
     layers = surface(s, any_normals(s), far(s) * 0, material=(0.5, 0.0, 1.0)).crop(Rect(100, 80, 140, 110))
-    stage = Lightmap()
-    at = level
-    prepared = stage.prepare(s, at)
+    at = ReadyStage.of(Lightmap(), s, level)
     for light in odd:
         f = facts(s, from_above()).with_(light=Light((0.0, 0.0, 0.0), (light,)))
-        assert stage.demand(f, s, s.camera.rect).reason
-        made = run_law(stage, layers, f, s, prepared, at)
+        assert at.stage.demand(f, s, s.camera.rect).reason
+        made = run_law(at, layers, f)
         assert all(np.isfinite(a).all() for a in made.values()), light

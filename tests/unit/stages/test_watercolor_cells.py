@@ -111,8 +111,7 @@ def test_no_sites() -> None:
 
 
 def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None:
-    g = np.random.default_rng(4)
-    sites = jittered_sites(FRAME, 10, g)
+    sites = jittered_sites(FRAME, 10, 4)
     found = label(sites, FRAME).first
     x, y = np.round(sites.x / STEPS).astype(int), np.round(sites.y / STEPS).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < 200) & (y < 150)
@@ -131,7 +130,7 @@ def test_a_cell_has_the_exact_mean_of_its_pixels() -> None:
 
 
 def test_integer_labels_keep_cells_apart_that_colour_merges() -> None:
-    sites = jittered_sites(FRAME, 20, np.random.default_rng(1))
+    sites = jittered_sites(FRAME, 20, 1)
     found = label(sites, FRAME).first
     assert len(np.unique(found)) == len(sites)
     _, count = merged_by_colour(np.full((150, 200, 3), 0.5, np.float32), found, sites, FRAME)
@@ -194,7 +193,7 @@ def test_more_cells_than_pixels_and_one_cell() -> None:
     assert 0 < len(tiny) <= 500
     found = label(tiny, Rect.of(12, 9))
     assert np.array_equal(found.first, brute(tiny, Rect.of(12, 9), None)[0])
-    one = jittered_sites(Rect.of(30, 20), 4000, np.random.default_rng(0))
+    one = jittered_sites(Rect.of(30, 20), 4000, 0)
     assert len(one) == 1 and not label(one, Rect.of(30, 20)).first.any()
 
 

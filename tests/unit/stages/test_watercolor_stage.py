@@ -20,7 +20,7 @@ from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
-from arfx.core.stage import Window
+from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
@@ -43,13 +43,10 @@ def layers(image: np.ndarray, rect: Rect | None = None, **more: np.ndarray) -> L
 
 def painted(
     image: np.ndarray, params: WatercolorParams | None = None, f: FrameFacts = ABSENT, level: str = "standard",
-    prepared: Any = None, seed: int = 0, s: Any = SCENE, **more: np.ndarray,
+    ready: ReadyStage | None = None, s: Any = SCENE, **more: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    stage = Watercolor(params)
-    at = level
-    prepared = prepared or stage.prepare(s, at)
-    window = Window((layers(image, **more),), (f,))
-    return stage.run(window, s, prepared, at, np.random.default_rng(seed))[Layer.IMAGE]
+    ready = ready or ReadyStage.of(Watercolor(params), s, level)
+    return ready.run(layers(image, **more), f)[Layer.IMAGE]
 
 
 def picture(h: int = 120, w: int = 160) -> np.ndarray:
@@ -102,24 +99,23 @@ def test_the_paper_flickers_and_the_correction_does_not() -> None:
     frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1) ** 2 for _ in range(3)]
     error = {}
     for name, params in (("paper", WatercolorParams(formula="paper", line_threshold=2)), ("ours", PLAIN), ("all", None)):
-        out = [np.sqrt(painted(f, params, seed=k)) for k, f in enumerate(frames)]
+        out = [np.sqrt(painted(f, params, FrameFacts(k, k / 30))) for k, f in enumerate(frames)]
         error[name] = np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(out)])
     assert error["ours"] < error["paper"] / 100 and error["all"] < error["paper"] / 10
 
 
 def test_nothing_is_painted_twice_and_what_is_kept_gives_the_same_bits() -> None:
-    stage = Watercolor()
-    prepared = stage.prepare(SCENE, stage.levels[1])
-    image = picture()
-    first = painted(image, prepared=prepared, f=SEEN)
-    assert (prepared.pictures.made, prepared.cells.made) == (1, 1)
-    assert painted(image.copy(), prepared=prepared, f=SEEN) is first
+    ready = ReadyStage.of(Watercolor(), SCENE, "standard")
+    image, memo = picture(), ready.memo.of_frame
+    first = painted(image, ready=ready, f=SEEN)
+    assert memo.made == 3, "a picture, its cells, where they come from"
+    assert painted(image.copy(), ready=ready, f=SEEN) is first
     other = image.copy()
     other[60, 80, 1] += 1e-6  # the least change is a new picture, of the same cells
-    second = painted(other, prepared=prepared, f=SEEN)
-    assert second is not first and (prepared.pictures.made, prepared.cells.made) == (2, 1)
-    prepared.forget()
-    assert np.array_equal(painted(image, prepared=prepared, f=SEEN), first)
+    second = painted(other, ready=ready, f=SEEN)
+    assert second is not first and memo.made == 4
+    memo.clear()
+    assert np.array_equal(painted(image, ready=ready, f=SEEN), first)
     assert np.array_equal(painted(image, f=SEEN), first)
 
 
@@ -143,9 +139,8 @@ def test_a_picture_too_large_to_keep_is_the_same_picture(monkeypatch: pytest.Mon
     """As from 16 Mpx on (8K)."""
     kept = painted(picture(), f=SEEN)
     monkeypatch.setattr("arfx.stages.watercolor.stage._LARGEST_KEPT_PX", 1000)
-    stage = Watercolor()
-    prepared = stage.prepare(SCENE, stage.levels[1])
-    assert np.array_equal(painted(picture(), f=SEEN, prepared=prepared), kept) and prepared.pictures.made == 0
+    ready = ReadyStage.of(Watercolor(), SCENE, "standard")
+    assert np.array_equal(painted(picture(), f=SEEN, ready=ready), kept) and ready.memo.of_frame.made == 2, "no picture"
 
 
 @pytest.mark.parametrize("hold", [False, True])
@@ -153,7 +148,7 @@ def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
     """Beyond the layers that are read (68 bytes a pixel): 29 to 44 measured from 8K down. Eight frames keep no more than five."""
     size = (800, 600)
     s, stage = scene(camera(*size)), Watercolor(WatercolorParams(line_hold=hold))
-    prepared, nodes = stage.prepare(s, stage.levels[1]), still_field(*size, 8, 96)
+    ready, nodes = ReadyStage.of(stage, s, "standard"), still_field(*size, 8, 96)
     image = picture(600, 800)
     held: list[int] = []
     for k in range(9):
@@ -161,13 +156,13 @@ def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
         fact = {**fact_of(nodes, nodes.u + 3 * k, nodes.v), "detail": most}  # as many cells as can be asked for
         frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.history)]
         seen = [FrameFacts(j, j / 30, extra={"watercolor": fact}) for j in range(len(frames))]
-        window = Window(tuple(frames), tuple(seen))
+        *past, view = [ready.view(*at) for at in zip(frames, seen, strict=True)]
         if k == 1:
             tracemalloc.start()  # what was compiled or loaded is not counted
         before, _ = tracemalloc.get_traced_memory()
         tracemalloc.reset_peak()
-        stage.run(window, s, prepared, stage.levels[1], np.random.default_rng(0))
-        del frames, window
+        stage.run(dataclasses.replace(view, before=tuple(past)), ready.prepared)
+        del frames, past, view
         now, peak = tracemalloc.get_traced_memory()
         held.append(now)
         assert peak - before < 50 * 800 * 600
@@ -254,10 +249,9 @@ def test_a_draft_is_less_work_than_the_standard() -> None:
     """Fewer cells, and of each pixel one label of four bytes in place of two and a share of nine: never the dearer one."""
     cells, bytes_read = {}, {}
     for level in Watercolor.levels[:2]:
-        stage = Watercolor()
-        prepared = stage.prepare(SCENE, level)
-        painted(picture(), f=SEEN, level=level, prepared=prepared)
-        made = [c.labels for c in prepared.cells._things.values()]
+        ready = ReadyStage.of(Watercolor(), SCENE, level)
+        painted(picture(), f=SEEN, ready=ready)
+        made = [c.labels for c in ready.memo.of_frame._kinds["cells"].values()]
         cells[level] = sum(len(np.unique(c.first)) for c in made)
         bytes_read[level] = sum(c.first.nbytes + c.second.nbytes + c.inside.nbytes for c in made)
     assert cells["draft"] < 0.65 * cells["standard"] and bytes_read["draft"] * 9 == bytes_read["standard"] * 4
@@ -311,12 +305,8 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
     measured = with_anchors([FrameFacts(k, k / 30) for k in range(4)], motion.steps, camera(*size), Pose.identity(), 0.0)
     ours, error = WatercolorParams(grain=0, dry_brush=0), []
     for params, seen in ((WatercolorParams(formula="paper"), given), (ours, given), (ours, measured)):
-        stage = Watercolor(params)
-        prepared = stage.prepare(SCENE, stage.levels[1])
-        out = [
-            np.sqrt(painted(np.clip(frame, 0, 1) ** 2, params, f, prepared=prepared, seed=k))
-            for k, (frame, f) in enumerate(zip(frames, seen, strict=True))
-        ]
+        ready = ReadyStage.of(Watercolor(params), SCENE, "standard")
+        out = [np.sqrt(painted(np.clip(a, 0, 1) ** 2, f=f, ready=ready)) for a, f in zip(frames, seen, strict=True)]
         pairs = [(a[16:-16, 16 + step : -16], b[16:-16, 16 : -16 - step]) for a, b in itertools.pairwise(out)]
         error.append(np.mean([np.mean((a - b) ** 2) for a, b in pairs]))
     # 1/113 and 1/48 measured; small as the picture is, much of it is near a border
@@ -336,26 +326,24 @@ def test_held_lines_change_less_and_are_the_same_whoever_painted_the_frame_befor
     changed, bare = {}, [painted(f, PLAIN, at) for f, at in zip(frames, seen, strict=True)]
     for hold in (False, True):
         stage = Watercolor(dataclasses.replace(PLAIN, lines=1.0, line_hold=hold))
-        level, out = stage.levels[1], []
-        prepared = stage.prepare(SCENE, level)
+        ready, out = ReadyStage.of(stage, SCENE, "standard"), []
 
-        def run(at: slice, prepared: Any, stage: Watercolor = stage, level: Any = level) -> np.ndarray:
-            window = Window(tuple(layers(f) for f in frames[at]), tuple(seen[at]))
-            return stage.run(window, SCENE, prepared, level, g)[Layer.IMAGE]
+        def run(k: int, ready: ReadyStage) -> np.ndarray:
+            before = [ready.view(layers(frames[j]), seen[j]) for j in range(k - ready.stage.history, k)]
+            return ready.stage.run(ready.view(layers(frames[k]), seen[k], before=tuple(before)), ready.prepared)[Layer.IMAGE]
 
         for k in range(1, 6):
-            out.append(run(slice(k - stage.history, k + 1), prepared))
+            out.append(run(k, ready))
             if k == 3:
-                assert np.array_equal(out[-1], run(slice(k - stage.history, k + 1), stage.prepare(SCENE, level)))
+                assert np.array_equal(out[-1], run(k, ReadyStage.of(stage, SCENE, "standard")))
         lines = [(b - o)[..., 0] / (b - stage.params.ink_rgb[0])[..., 0] for b, o in zip(bare[1:], out, strict=True)]
         pairs = [(a[8:-8, 10:-8], b[8:-8, 8:-10]) for a, b in itertools.pairwise(lines)]
         changed[hold] = float(np.mean([np.mean((a - b) ** 2) for a, b in pairs]))
     assert 0 < changed[True] < 0.8 * changed[False]
     cut = dataclasses.replace(seen[1], shot=seen[0].shot + 1)
-    alone = Window((layers(frames[1]),), (cut,))
-    after = Window((layers(frames[0]), layers(frames[1])), (seen[0], cut))
-    one, other = (stage.run(w, SCENE, stage.prepare(SCENE, level), level, g)[Layer.IMAGE] for w in (alone, after))
-    assert np.array_equal(one, other)
+    at = ReadyStage.of(stage, SCENE, "standard")
+    after = at.view(layers(frames[1]), cut, before=(at.view(layers(frames[0]), seen[0]),))
+    assert np.array_equal(at.run(layers(frames[1]), cut)[Layer.IMAGE], stage.run(after, at.prepared)[Layer.IMAGE])
 
 
 def test_high_fades_from_the_pattern_carried_forward_to_the_one_carried_back() -> None:
@@ -379,8 +367,7 @@ def test_nothing_pops_in_a_zoom() -> None:
     world = sum(cv2.GaussianBlur(g.standard_normal((700, 700, 3)), (0, 0), s) * s for s in (6, 16, 40))
     world = np.clip(0.5 + 0.17 * world / world.std(), 0, 1)
     nodes, params = still_field(160, 120, 8, 96), WatercolorParams(grain=0, dry_brush=0)
-    stage = Watercolor(params)
-    prepared = stage.prepare(SCENE, stage.levels[1])
+    ready = ReadyStage.of(Watercolor(params), SCENE, "standard")
     for start in (40, 75, 108, 258):
         before: tuple[np.ndarray, np.ndarray] | None = None
         for k in range(start, start + 4):
@@ -388,7 +375,7 @@ def test_nothing_pops_in_a_zoom() -> None:
             m = np.array([[z, 0, 350 - 80 * z], [0, z, 350 - 60 * z], [0, 0, 1]])
             frame = cv2.warpAffine(world, m[:2], (160, 120), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
             f = FrameFacts(k, k / 30, extra={"watercolor": fact_of(nodes, z * nodes.u + m[0, 2], z * nodes.v + m[1, 2])})
-            now = np.sqrt(painted(frame**2, params, f, prepared=prepared))
+            now = np.sqrt(painted(frame**2, f=f, ready=ready))
             if before is not None:
                 step = (np.linalg.inv(before[1]) @ m)[:2]
                 moved = cv2.warpAffine(before[0], step, (160, 120), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)

@@ -1,0 +1,96 @@
+"""The table of stages takes in those of other distributions, in their places, and says what is wrong with one."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from arfx.errors import ConfigError
+from arfx.run.folder import code_digest
+from arfx.stages import Table
+
+BUILT_IN = {
+    "raster": "arfx.stages.raster.Raster", "composite": "arfx.stages.composite.Composite", "dof": "arfx.stages.dof.Dof",
+}  # fmt: skip
+STAGE = """
+from arfx.core.layers import Layer
+from arfx.core.stage import Stage
+
+class Effect(Stage):
+    name, after = "{name}", "{after}"
+    reads, writes = frozenset({{Layer.{reads}}}), frozenset({{Layer.IMAGE}})
+
+    def run(self, view, prepared):
+        return {{}}
+"""
+Install = Callable[..., Path]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Puts a distribution on the path whose module holds a stage."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def run(dist: str, name: str, after: str = "", reads: str = "IMAGE", source: str = STAGE, cls: str = "Effect") -> Path:
+        module = tmp_path / f"{dist.replace('-', '_')}_of_{name}.py"
+        monkeypatch.delitem(sys.modules, module.stem, raising=False)
+        module.write_text(source.format(name=name, after=after, reads=reads))
+        info = tmp_path / f"{dist.replace('-', '_')}-1.2.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {dist}\nVersion: 1.2\n")
+        (info / "entry_points.txt").write_text(f"[arfx.stages]\n{name} = {module.stem}:{cls}\n")
+        return module
+
+    return run
+
+
+def test_each_is_put_in_its_place(install: Install) -> None:
+    install("one", "mist", after="raster")
+    install("two", "haze", after="mist")
+    install("three", "tint", reads="COVERAGE")
+    module = install("four", "last")
+    table = Table(BUILT_IN)
+    assert list(table) == ["raster", "tint", "mist", "haze", "composite", "dof", "last"] and len(table) == 7
+    assert "haze" in table and "fog" not in table and table["tint"].name == "tint"
+    assert table.source("last") == (module, "1.2")
+
+
+def test_source_and_version_tell_one_state_of_it_from_another(install: Install) -> None:
+    module = install("one", "mist")
+    first = code_digest(module, "1.2")
+    code_digest.cache_clear()
+    assert code_digest(module, "1.2") == first != code_digest(module, "1.3")
+    module.write_text(module.read_text() + "\n")
+    code_digest.cache_clear()
+    assert code_digest(module, "1.2") != first
+
+
+def test_a_name_is_taken_once(install: Install) -> None:
+    install("one", "mist")
+    install("two", "mist")
+    with pytest.raises(ConfigError, match=r"'mist' is in (one|two) 1\.2 and in (two|one) 1\.2"):
+        list(Table(BUILT_IN))
+
+
+def test_a_built_in_name_is_taken(install: Install) -> None:
+    install("one", "dof")
+    with pytest.raises(ConfigError, match=r"'dof' is in arfx itself and in one 1\.2"):
+        list(Table(BUILT_IN))
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ({"source": "import a_module_that_is_not_there"}, r"'mist' of one 1\.2 cannot be loaded: ModuleNotFoundError"),
+        ({"source": "class Effect: pass"}, r"one_of_mist:Effect of one 1\.2 is not a Stage named 'mist'"),
+        ({"cls": "Other"}, r"'mist' of one 1\.2 cannot be loaded: AttributeError"),
+        ({"after": "fog"}, r"'mist' of one 1\.2 is to run after 'fog', which there is not"),
+    ],
+)
+def test_what_is_wrong_with_one_is_said_in_one_message(install: Install, what: dict[str, str], said: str) -> None:
+    install("one", "mist", **what)
+    with pytest.raises(ConfigError, match=said):
+        list(Table(BUILT_IN))
