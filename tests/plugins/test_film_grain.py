@@ -56,7 +56,7 @@ def environment(site: Path, folder: Path) -> dict[str, str]:
 def arfx(site: Path, folder: Path) -> Run:
     def run(command: str, *more: str, at: Path = site) -> Result:
         job = ["clip.mp4", "--camera", "camera.yaml", "--marker", str(MARKER), "--model", "model.glb", "--fit", "8cm"]
-        given = [*job, *more] if command != "bench" else more
+        given = [*job, *more] if command in ("plan", "process", "tradeoff") else more
         p = subprocess.run(
             [sys.executable, "-m", "arfx_cli", command, *given], cwd=folder, env=environment(at, folder), capture_output=True,
             text=True, check=False, timeout=300,
@@ -117,6 +117,8 @@ def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_meas
     planned = arfx("plan", "--pipeline", "film_grain")
     assert planned.code == 0 and f"unknown: film_grain has no price here; `{MEASURE}` measures it" in planned.err + planned.out
     refused = arfx("plan", "--pipeline", "film_grain", "--budget", "60s")
+    listed = arfx("stages", "film_grain")
+    assert "film_grain.strength = 0.02" in listed.out and "price unknown" in listed.out
     assert refused.code == 2 and "film_grain has no price here" in refused.err and MEASURE in refused.err
     r = arfx("bench", "--calibrate", "--stage", "film_grain", "--json")
     assert r.code == 0, r.err

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -106,7 +106,9 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     stages["composite"] = STAGES["composite"]()
     levels = {n: level_named(s.levels, level if n == "gi" else "high") for n, s in stages.items()}
     plan = plan_frame(list(stages.values()), levels, t.facts, t.scene, t.scene.camera.rect)
-    ready = {n: ReadyStage.of(s, t.scene, levels[n]) if n == "gi" else kept(name, n) for n, s in stages.items()}
+    ready = {n: replace(kept(name, n), stage=s) for n, s in stages.items() if n != "gi"}
+    if gi:
+        ready["gi"] = ReadyStage.of(stages["gi"], t.scene, levels["gi"])
     made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, ready)
     out = t.plate.copy()
     out[plan.changed.slices] = made.image
