@@ -226,7 +226,7 @@ def code_digest() -> str:
     """Digest of arfx's own source: a chunk made by other code is made again."""
     h = hashlib.blake2b(arfx.__version__.encode(), digest_size=8)
     root = Path(arfx.__file__).parent
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".vert", ".frag")):
         h.update(str(path.relative_to(root)).encode())
         h.update(path.read_bytes())
     return h.hexdigest()
