@@ -12,7 +12,6 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.errors import RenderError
-from arfx.measure.report_page import PAGE
 
 _JPEG_QUALITY = 88  # the pictures are for looking at; the output file is the result
 
@@ -40,7 +39,13 @@ def page(
         _section("Light", _facts_table(report.get("light") or {})),
         _section("Input and output", ends),
     ]
-    return PAGE.replace("@TITLE@", _e(f"{clip} – arfx report")).replace("@BODY@", "\n".join(s for s in sections if s))
+    return whole_page(f"{clip} – arfx report", sections)
+
+
+def whole_page(title: str, sections: Sequence[str]) -> str:
+    """page.html (style, and the slider before and after) with a title and these sections of HTML, empty ones left out."""
+    frame = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+    return frame.replace("@TITLE@", _e(title)).replace("@BODY@", "\n".join(s for s in sections if s))
 
 
 def _e(value: Any) -> str:

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from arfx.errors import RenderError
-from arfx.measure.report_html import _image, _section, _table, _uri, number
-from arfx.measure.report_page import PAGE
+from arfx.measure.report_html import _image, _section, _table, _uri, number, whole_page
 from arfx.measure.tradeoff import Found, Row
 from arfx.measure.tradeoff_plots import effect_plot, pipeline_plot
 from arfx.run.folder import write_text
@@ -54,7 +53,7 @@ def page(found: Found, document: Mapping[str, Any], quality: int = 90) -> str:
     heads = [k.replace("_", " ") for k in document["frames"][0]]
     parts.append(_section("Frames that stand for the clip", _table(heads, frames)))
     parts.append(_section("How it was measured", f"<p>{escape(METHOD)}</p>"))
-    return PAGE.replace("@TITLE@", escape(f"{clip} – arfx tradeoff")).replace("@BODY@", "\n".join(parts))
+    return whole_page(f"{clip} – arfx tradeoff", parts)
 
 
 METHOD = (
