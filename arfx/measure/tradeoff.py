@@ -64,7 +64,7 @@ class Row:
         """Over all touched pixels of all frames; frames in which the effect touches nothing do not count."""
         weights = [d.pixels for d in self.by_frame.values()]
         if not sum(weights):
-            return 0.0
+            return float(getattr(Difference(), what))
         return float(np.average([getattr(d, what) for d in self.by_frame.values()], weights=weights))
 
     def worst_frame(self) -> int | None:

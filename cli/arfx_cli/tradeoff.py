@@ -35,7 +35,7 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
     import json
 
     from arfx.core.guard import Guard
-    from arfx.measure.report import finite
+    from arfx.core.numerics import finite
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_document import document
     from arfx.measure.tradeoff_html import write_tradeoff
@@ -67,7 +67,7 @@ def _show(told: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table(title=f"error against reference, grey levels; {len(told['frames'])} frames", title_justify="left")
-    for name in ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "flicker", "worst frame"):
+    for name in ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "ΔE2000", "SSIM", "unrest", "worst frame"):
         table.add_column(name, justify="left" if name in ("effect", "level") else "right")
     last = ""
     for r in [*told["effects"], *told["pipelines"]]:
@@ -77,7 +77,10 @@ def _show(told: dict[str, Any]) -> None:
         if r["level"] == "mixed":
             level = "mixed: " + ", ".join(f"{k} {v}" for k, v in r["levels"].items() if v != "standard")
         calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.2f} / {r['unrest']['reference']:.2f}"
-        numbers = (_duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}", f"{r['p99']:.1f}", f"{r['flip']:.4f}")
+        numbers = (
+            _duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}", f"{r['p99']:.1f}", f"{r['flip']:.4f}",
+            f"{r['delta_e']:.2f}", f"{r['ssim']:.4f}",
+        )  # fmt: skip
         table.add_row("" if r["name"] == last else r["name"], level, *numbers, calm, str(r["worst_frame"]))
         last = r["name"]
     Console(highlight=False).print(table)
