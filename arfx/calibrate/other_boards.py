@@ -17,11 +17,6 @@ TELLING = {"36h11", "6X6_1000", "7X7_1000"}  # ... but not with these: codes thi
 SMALL_CHESSBOARD = (4, 3)  # the sector-based finder grows from this to the whole board
 
 
-def other_pattern(spec: BoardSpec) -> BoardSpec:
-    """The same ChArUco board with the other (legacy or new) pattern."""
-    return spec.with_legacy(not spec.legacy)
-
-
 def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     """In words what a picture (h, w) uint8 shows in place of the board, as a spec where it can be told; "" for nothing.
 

@@ -7,7 +7,6 @@ Left out: XML, and lens models that OpenCV's polynomials cannot express (field-o
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ import yaml
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import aside
 from arfx.core.opener import DEEPEST, bounded, parse_json, read_text
-from arfx.errors import ArfxError, InputError
+from arfx.errors import InputError
 from arfx.media.camera_checks import check_camera, check_matrix
 
 SUPPORTED = (
@@ -267,33 +266,20 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
     d = camera.distortion if camera.distortion.size else np.zeros(4 if fisheye else 5)
     if not fisheye and d.size == 4:
         d = np.append(d, 0.0)  # ROS's plumb_bob has five
-    lens = "equidistant" if fisheye else "plumb_bob" if d.size <= 5 else "rational_polynomial"
-    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
-    lines = ["%YAML 1.0", "---", f"image_width: {camera.width}", f"image_height: {camera.height}", 'camera_name: "camera"']
-    lines += [*_matrix_lines("camera_matrix", camera.matrix), f"distortion_model: {lens}"]
-    lines += _matrix_lines("distortion_coefficients", d.reshape(1, -1))
-    lines += _matrix_lines("rectification_matrix", np.eye(3)) + _matrix_lines("projection_matrix", projection)
-    lines += ["fisheye_model: 1"] if fisheye else []
-    for key, value in extras.items():
-        lines += _extra_lines(key, value, "", path)
+    document = {
+        "image_width": camera.width, "image_height": camera.height, "camera_name": "camera",
+        "camera_matrix": _stored_matrix(camera.matrix),
+        "distortion_model": "equidistant" if fisheye else "plumb_bob" if d.size <= 5 else "rational_polynomial",
+        "distortion_coefficients": _stored_matrix(d[None]),
+        "rectification_matrix": _stored_matrix(np.eye(3)),
+        "projection_matrix": _stored_matrix(np.hstack([camera.matrix, np.zeros((3, 1))])),
+        **({"fisheye_model": 1} if fisheye else {}),
+        **extras,
+    }  # fmt: skip
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=1 << 30, allow_unicode=True)
     with aside(path) as part:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        part.write_text(f"%YAML 1.0\n---\n{text}", encoding="utf-8")
 
 
-def _matrix_lines(key: str, m: np.ndarray) -> list[str]:
-    data = ", ".join(repr(float(v)) for v in m.ravel())
-    return [f"{key}:", f"  rows: {m.shape[0]}", f"  cols: {m.shape[1]}", "  dt: d", f"  data: [{data}]"]
-
-
-def _extra_lines(key: str, value: Any, indent: str, path: Path) -> list[str]:
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        inner = [line for k, v in value.items() for line in _extra_lines(str(k), v, indent + "  ", path)]
-        return [f"{indent}{key}:", *inner] if inner else []
-    if value is None:
-        return []
-    try:
-        return [f"{indent}{key}: {json.dumps(value, allow_nan=False, ensure_ascii=False)}"]
-    except (TypeError, ValueError):
-        raise ArfxError(f"{path}: cannot write {key} = {value!r}", "finite numbers, text, lists and mappings of them") from None
+def _stored_matrix(m: np.ndarray) -> dict[str, Any]:
+    return {"rows": m.shape[0], "cols": m.shape[1], "dt": "d", "data": m.ravel().tolist()}

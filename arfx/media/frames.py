@@ -137,7 +137,6 @@ class ClipReader:
     def _raw(self, stream: Any) -> Iterator[av.VideoFrame]:
         ended = False
         packets = self._container.demux(stream)
-        failures = 0
         while not ended:
             try:
                 packet = next(packets, None)
@@ -155,11 +154,9 @@ class ClipReader:
                     self._end = max(self._end, packet.pts + (packet.duration or 0))
             try:
                 yield from stream.codec_context.decode(None if ended else packet)
-                failures = 0
             except av.error.EOFError:
                 return
             except (av.error.FFmpegError, OSError) as e:
-                failures += 1
                 self.damaged += 1
                 if ended:
                     self._stopped = self._stopped or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
