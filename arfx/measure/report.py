@@ -6,7 +6,6 @@ Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 
 from __future__ import annotations
 
 import json
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from arfx.analyse.facts_file import read_facts
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
+from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
@@ -119,16 +119,3 @@ def _what_stands(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, n
             base = spec.corners_m
             cubes.append(places[spec.key].apply(np.concatenate([base, base + np.array([0.0, 0.0, spec.size_m])])))
     return camera, np.concatenate(cubes) if cubes else None
-
-
-def finite(value: Any) -> Any:
-    """The same document in plain types, with non-finite numbers as null: JSON has no NaN."""
-    if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(v) for v in value]
-    if hasattr(value, "tolist"):
-        return finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

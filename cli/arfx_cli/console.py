@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -71,21 +70,10 @@ def detail(message: str) -> None:
         click.echo(f"  {message}", err=True)
 
 
-def strict_json(value: Any) -> Any:
-    """The same document with non-finite numbers as null: JSON has no NaN."""
-    if isinstance(value, dict):
-        return {str(k): strict_json(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [strict_json(v) for v in value]
-    if hasattr(value, "tolist"):
-        return strict_json(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def emit_json(document: Any) -> None:
-    json.dump(strict_json(document), sys.stdout, indent=1)
+    from arfx.core.numerics import finite
+
+    json.dump(finite(document), sys.stdout, indent=1)
     sys.stdout.write("\n")
 
 
