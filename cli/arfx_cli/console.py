@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import click
@@ -75,6 +75,20 @@ def emit_json(document: Any) -> None:
 
     json.dump(finite(document), sys.stdout, indent=1)
     sys.stdout.write("\n")
+
+
+def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> None:
+    """On standard output. words : how many of the first columns hold words, left-justified; a row () is a line"""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="left" if k < words else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row) if row else table.add_section()
+    Console(highlight=False).print(table)
 
 
 class Progress:
