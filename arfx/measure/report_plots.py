@@ -46,7 +46,7 @@ def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.n
         strip.pcolormesh(np.append(times, end), [0, 1], codes, cmap=colours, vmin=-0.5, vmax=2.5)
     strip.set_yticks([])
     strip.set_xlabel("time, s", fontsize=8)
-    return _png(fig)
+    return png(fig)
 
 
 def timing_plot(report: Mapping[str, Any]) -> bytes:
@@ -72,10 +72,10 @@ def timing_plot(report: Mapping[str, Any]) -> bytes:
     right.set_title("Phases, s", fontsize=9, loc="left", color=INK)
     for axis in (left, right):
         axis.invert_yaxis()
-    return _png(fig)
+    return png(fig)
 
 
-def _png(fig: Any) -> bytes:
+def png(fig: Any) -> bytes:
     for axis in fig.axes:
         axis.set_facecolor("none")
         axis.tick_params(colors=INK, labelsize=8)
