@@ -23,7 +23,12 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     Cost: about 1 s at 1920x1080; meant for a few pictures.
     """
     chess = _largest_chessboard(gray)
-    families = {f: ids for f in SEARCHED if len(ids := _marker_ids(gray, f)) >= (1 if f in TELLING else LEAST_MARKERS)}
+    families = {}
+    for f in SEARCHED:
+        found = cv2.aruco.ArucoDetector(opencv_dictionary(f)).detectMarkers(gray)[1]
+        ids = set() if found is None else {int(i) for i in np.ravel(found)}
+        if len(ids) >= (1 if f in TELLING else LEAST_MARKERS):
+            families[f] = ids
     if families:
         family = max(families, key=lambda f: len(families[f]))
         ids = families[family]
@@ -50,11 +55,6 @@ def _working_spec(gray: np.ndarray, spec: BoardSpec, family: str, highest: int) 
             if trial != spec and find_view(gray, trial, "") is not None:
                 return trial
     return None
-
-
-def _marker_ids(gray: np.ndarray, family: str) -> list[int]:
-    _, ids, _ = cv2.aruco.ArucoDetector(opencv_dictionary(family)).detectMarkers(gray)
-    return [] if ids is None else sorted({int(i) for i in np.ravel(ids)})
 
 
 def _largest_chessboard(gray: np.ndarray) -> tuple[int, int] | None:

@@ -24,7 +24,7 @@ def page(
     clip = Path(str(report["input"]["path"])).name
     pose = plot_image(plots["pose"], "Trembling before and after smoothing, reprojection, status") + _legend()
     time = plot_image(plots["timing"], "Predicted and measured seconds") + _predicted(report)
-    time += _timing_table(report["timing"])
+    time += _facts_table(report["timing"])
     ends = f'<div class="two">{_facts_table(report["input"])}{_facts_table(report["output"])}</div>'
     sections = [
         _tiles(report),
@@ -189,10 +189,6 @@ def _predicted(report: Mapping[str, Any]) -> str:
     ends = f"{number(wall['low_s'])} to {number(wall['high_s'])} s nine times in ten"
     prices = "" if predicted.get("calibrated") else "; with shipped prices: <code>arfx bench --calibrate</code> narrows them"
     return f"<p>The plan said {number(wall['s'])} s ({ends}{prices}); the job took {number(timing['wall_s'])} s.</p>"
-
-
-def _timing_table(timing: Mapping[str, Any]) -> str:
-    return html_table(("", ""), [(_e(k.replace("_", " ")), _e(number(v))) for k, v in timing.items()], frozenset({1}))
 
 
 def _health_table(health: Sequence[Mapping[str, Any]]) -> str:

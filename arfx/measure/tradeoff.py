@@ -120,8 +120,8 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     if not samples:
         raise NothingToDoError("no frame of the clip shows the object: there is nothing to measure", "see `arfx plan`")
     first = samples[0].index
-    following = first + 1 if first + 1 in plans and _same_steps(plans, first) else None
     names = [s.stage for s in plans[first].steps]
+    following = first + 1 if first + 1 in plans and [s.stage for s in plans[first + 1].steps] == names else None
     slow = frozenset((n, s.levels[-1]) for n, s in stages.items() if s.levels[-1] == "reference" and _slow(n, job.prices))
     quality = job.inputs.config.pipeline.quality
     usual = {n: level_named(stages[n].levels, quality) for n in names}
@@ -155,10 +155,6 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     }
     progress("pipelines", total, total)
     return found
-
-
-def _same_steps(plans: Mapping[int, FramePlan], index: int) -> bool:
-    return [s.stage for s in plans[index].steps] == [s.stage for s in plans[index + 1].steps]
 
 
 def _slow(stage: str, prices: Prices) -> bool:

@@ -71,12 +71,8 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict:
-    return loader.construct_mapping(node, deep=True)
-
-
 for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _opencv_matrix)
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
 
 
 def load_camera(path: str | Path) -> Camera:

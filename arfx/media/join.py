@@ -115,6 +115,7 @@ def _video_packets(
     chunks: Sequence[Path], pts: Sequence[int], order: _Order, time_base: Fraction, stream: Any
 ) -> Iterator[tuple[Fraction, Any]]:
     i, d = 0, order.depth
+    last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
         with _packets_of(chunk) as c:
             for p in c.demux(c.streams.video[0]):
@@ -124,14 +125,10 @@ def _video_packets(
                 decoded = pts[i - d] if i >= d else pts[0] - (d - i)
                 p.time_base = time_base
                 p.pts, p.dts = pts[shown], decoded
-                p.duration = pts[shown + 1] - pts[shown] if shown + 1 < len(pts) else _last_duration(pts)
+                p.duration = pts[shown + 1] - pts[shown] if shown + 1 < len(pts) else last
                 p.stream = stream
                 yield decoded * time_base, p
                 i += 1
-
-
-def _last_duration(pts: Sequence[int]) -> int:
-    return pts[-1] - pts[-2] if len(pts) > 1 else 0
 
 
 def _remux(
