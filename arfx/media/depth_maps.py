@@ -18,9 +18,8 @@ import numpy as np
 from arfx.core.opener import is_folder, read_bytes
 from arfx.errors import InputError
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
-from arfx.media.images import read_exr
+from arfx.media.images import decode_picture, read_exr
 from arfx.media.pairing import by_time, in_order
-from arfx.media.pictures import decode_picture
 
 SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"

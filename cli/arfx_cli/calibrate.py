@@ -108,7 +108,7 @@ def _still(path: Path) -> np.ndarray:
     """Grey picture, turned upright as EXIF says."""
     import cv2
 
-    from arfx.media.pictures import decode_picture
+    from arfx.media.images import decode_picture
 
     return decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)
 
