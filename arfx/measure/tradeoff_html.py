@@ -133,7 +133,7 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
         if r is not reference:
             pair = reference.pictures[frame], r.pictures[frame]
             figures.append(_figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality))
-            figures.append(_figure(delta_e_map(*pair), f"{r.level}: ΔE2000, black 0, white {MOST_DELTA_E} or more", quality))
+            figures.append(_figure(delta_e_map(*pair), f"{r.level}: ΔE2000, 0 to {MOST_DELTA_E}", quality))
     return section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
 
 

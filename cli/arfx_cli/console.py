@@ -78,15 +78,17 @@ def emit_json(document: Any) -> None:
 
 
 def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> None:
-    """On standard output. words : how many of the first columns hold words, left-justified; a row () is a line"""
+    """On standard output; cells wrap between words alone. words : how many of the first columns are left-justified; a row () is
+    a line"""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    for k, head in enumerate(heads):
-        table.add_column(head, justify="left" if k < words else "right", overflow="fold")
-    for row in rows:
+    table, lines = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False), [*rows]
+    for k, column in enumerate(zip(heads, *filter(None, lines), strict=True)):
+        longest = max(len(word) for cell in column for word in [*cell.split(), ""])
+        table.add_column(column[0], justify="left" if k < words else "right", min_width=longest)
+    for row in lines:
         table.add_row(*row) if row else table.add_section()
     Console(highlight=False).print(table)
 

@@ -71,7 +71,7 @@ def _show(told: dict[str, Any]) -> None:
         level = r["level"] + (f" ({r['formula']})" if r["formula"] == "paper" else "")
         if r["level"] == "mixed":
             level = "mixed: " + ", ".join(f"{k} {v}" for k, v in r["levels"].items() if v != "standard")
-        calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.2f}/{r['unrest']['reference']:.2f}"
+        calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.1f}/{r['unrest']['reference']:.1f}"
         rows.append((
             "" if r["name"] == last else r["name"], level, _duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}",
             f"{r['p99']:.1f}", f"{r['flip']:.3f}", f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", calm, str(r["worst_frame"]),
