@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 COMPILING = "compiling kernels for this processor, once"
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 

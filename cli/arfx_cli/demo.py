@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option
+from arfx_cli.console import FOLDER, Progress, emit_json, message_options, note, overwrite_option
 from arfx_cli.job_summary import say_job
 
 EFFECTS = ("dof",)  # of the demo's job
@@ -15,7 +15,7 @@ EFFECTS = ("dof",)  # of the demo's job
 
 @click.command()
 @click.option(
-    "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"), show_default=True,
+    "-o", "--output", "folder", type=FOLDER, default=Path("demo"), show_default=True,
     help="Folder for all that is made.",
 )  # fmt: skip
 @overwrite_option

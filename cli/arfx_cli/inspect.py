@@ -7,9 +7,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import detail, emit_json, message_options, print_table
-
-FILE = click.Path(path_type=Path, dir_okay=False)
+from arfx_cli.console import FILE, detail, emit_json, message_options, print_table
 
 
 @click.command()
