@@ -62,8 +62,9 @@ METHOD = (
     "just visible) and SSIM (1 is alike) are means over the same pixels. An effect is compared with its own reference while all "
     "others stay at the job's quality; a pipeline with all at reference. Pictures are rendered in a window around the object, so "
     "that the references take a minute together; errors are those of that window. Times are of whole frames: fast levels were "
-    "run over all that the plan asks of them, references on tiles spread over it, with the interval that their spread gives. "
-    "Unrest: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
+    "run over all that the plan asks of them, references on tiles spread over it, and their time is given for the whole, with "
+    "the interval that the tiles' spread gives. "
+    "Flicker: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
     "Times are of the processor, all threads together, without what is prepared once per clip."
 )
 
@@ -83,18 +84,9 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
     if not any(row[-1] for row in body):
         body = [row[:-1] for row in body]
     head = (
-        "level",
-        "ms a frame",
-        "mean",
-        "mean, worst frame",
-        "99 %",
-        "FLIP",
-        "ΔE2000",
-        "SSIM",
-        "unrest / reference's",
-        "worst frame",
-        "levels",
-    )
+        "level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "ΔE2000", "SSIM", "flicker / reference's",
+        "worst frame", "levels",
+    )  # fmt: skip
     return html_table(head[: len(body[0]) if body else None], body, frozenset(range(1, 9)))
 
 

@@ -61,7 +61,7 @@ def check_camera(camera: Camera) -> None:
     if camera.distortion.size and np.abs(camera.distortion).max() > _COEFFICIENT:
         raise wrong(where, f"a distortion coefficient is {np.abs(camera.distortion).max():g}", "calibrate again")
     if _seen(camera) < _LEAST_SEEN:
-        raise wrong(where, "with its distortion hardly a pixel has a viewing direction", "calibrate again")
+        raise wrong(where, "with its distortion almost no pixel has a viewing direction", "calibrate again")
 
 
 def camera_doubts(camera: Camera) -> list[str]:

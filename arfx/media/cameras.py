@@ -160,7 +160,7 @@ def _colmap_rows(text: str) -> list[list[str]] | None:
 def _from_colmap(rows: list[list[str]], chosen: str, where: str) -> Camera:
     row = _choose({r[0]: r for r in rows}, chosen, where)
     if row[1] not in COLMAP_MODELS:
-        raise wrong(where, f"COLMAP model {row[1]} has no equal among OpenCV's lens models", ", ".join(COLMAP_MODELS))
+        raise wrong(where, f"COLMAP model {row[1]} has no OpenCV equivalent", ", ".join(COLMAP_MODELS))
     names, model = COLMAP_MODELS[row[1]][0].split(), COLMAP_MODELS[row[1]][1]
     values = _numbers(row[2:], where, f"camera {row[0]}")
     if values is None or values.size != 2 + len(names):

@@ -92,9 +92,7 @@ def _write(path: Path, data: bytes) -> None:
     try:
         path.write_bytes(data)
     except OSError as e:
-        raise RenderError(
-            f"{path} cannot be written: {e.strerror or e}", "is there room, and may this folder be written to?"
-        ) from e
+        raise RenderError(f"{path} cannot be written: {e.strerror or e}", "is the disk full, or the folder read-only?") from e
 
 
 def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
@@ -108,7 +106,7 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     except cv2.error:
         raw = None
     if raw is None:
-        raise InputError(f"{kind} {path} cannot be read: it is damaged, or of a variant that is not known", "save it anew")
+        raise InputError(f"{kind} {path} cannot be read: it is damaged, or of a variant that is not known", "save it again")
     return raw
 
 

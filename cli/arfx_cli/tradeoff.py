@@ -77,7 +77,7 @@ def _show(told: dict[str, Any]) -> None:
             f"{r['p99']:.1f}", f"{r['flip']:.3f}", f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", calm, str(r["worst_frame"]),
         ))  # fmt: skip
         last = r["name"]
-    heads = ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "ΔE", "SSIM", "unrest", "frame")
+    heads = ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "ΔE", "SSIM", "flicker", "frame")
     print_table(f"error against reference, grey levels; {len(told['frames'])} frames", heads, rows, words=2)
     click.echo(told["recommendation"])
 
