@@ -9,7 +9,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from arfx.core.marker import FAMILIES, canonical_family
+from arfx.core.marker import FAMILIES, canonical_family, opencv_name
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
 
@@ -58,8 +58,9 @@ class BoardSpec:
         """Whether the board turned by half a turn looks the same (a chessboard with both counts odd, or both even)."""
         return self.kind == CHESSBOARD and self.columns % 2 == self.rows % 2
 
-    def with_legacy(self, legacy: bool) -> BoardSpec:
-        return replace(self, legacy=legacy)
+    def other_pattern(self) -> BoardSpec:
+        """The same ChArUco board with the other (legacy or new) pattern."""
+        return replace(self, legacy=not self.legacy)
 
     def __str__(self) -> str:
         size = f"{self.kind}:{self.columns}x{self.rows}:{self.square_m * 1e3:.12g}mm"
@@ -81,8 +82,7 @@ class BoardSpec:
         if not counts:
             raise ConfigError(f"board {text!r}: {parts[0]!r} is not COLUMNSxROWS", EXAMPLES)
         columns, rows = int(counts[1]), int(counts[2])
-        least = 3
-        if not (least <= columns <= 100 and least <= rows <= 100):
+        if not (3 <= columns <= 100 and 3 <= rows <= 100):
             raise ConfigError(f"board {text!r}: {columns}x{rows} is too small or too large", "3 to 100 each way")
         square = length_m(parts[1], what=f"square of board {text!r}")
         if square <= 0:
@@ -100,9 +100,7 @@ class BoardSpec:
 @lru_cache(maxsize=64)
 def opencv_dictionary(family: str) -> cv2.aruco.Dictionary:
     """OpenCV's predefined dictionary of a FAMILIES name."""
-    name = {"ORIGINAL": "DICT_ARUCO_ORIGINAL", "MIP_36h12": "DICT_ARUCO_MIP_36h12"}.get(family, f"DICT_{family}")
-    name = f"DICT_APRILTAG_{family}" if re.fullmatch(r"(16h5|25h9|36h10|36h11)", family) else name
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, opencv_name(family)))
 
 
 def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:

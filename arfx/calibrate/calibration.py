@@ -12,7 +12,7 @@ from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec
 from arfx.calibrate.corners import View, find_view
 from arfx.calibrate.coverage import Coverage, coverage, projection_uncertainty_px
 from arfx.calibrate.evidence import Evidence, choose_model
-from arfx.calibrate.other_boards import other_pattern, seen_instead
+from arfx.calibrate.other_boards import seen_instead
 from arfx.calibrate.screen import Rejected, drop_copies, drop_corners, reject_views
 from arfx.calibrate.select import varied
 from arfx.calibrate.solve import Fit, Uncertainty, fit, uncertainty
@@ -89,9 +89,9 @@ def find_board(
         searched += 1
         view = find_view(gray, spec, name, second_opinion=searched <= SECOND_OPINIONS)
         if view is None and spec.kind == CHARUCO and not views:
-            view = find_view(gray, other_pattern(spec), name)
+            view = find_view(gray, spec.other_pattern(), name)
             if view is not None:
-                was, spec = spec, other_pattern(spec)
+                was, spec = spec, spec.other_pattern()
                 notices.append(f"the board has the {'legacy' if spec.legacy else 'new'} pattern: {spec}, not {was}")
         if view is None:
             empty.append(name)

@@ -59,7 +59,7 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool
     """
     if spec.kind == CHESSBOARD:
         return _chessboard(gray, spec, name, second_opinion)
-    corners, ids, _, _ = _charuco_detector(spec).detectBoard(gray)
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(spec)).detectBoard(gray)
     if ids is None or len(ids) < LEAST_CHARUCO_CORNERS:
         return None
     ids = np.asarray(ids).ravel()
@@ -70,10 +70,6 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool
     rough = np.asarray(corners, np.float32).reshape(-1, 1, 2)
     pixels = cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).reshape(-1, 2).astype(float)
     return _view(gray, spec, name, ids, pixels, "charuco", None)
-
-
-def _charuco_detector(spec: BoardSpec) -> cv2.aruco.CharucoDetector:
-    return cv2.aruco.CharucoDetector(charuco_board(spec))
 
 
 def _clear_half_window_px(pixels: np.ndarray, ids: np.ndarray, spec: BoardSpec) -> int:
@@ -119,15 +115,11 @@ def _view(
     gray: np.ndarray, spec: BoardSpec, name: str, ids: np.ndarray, pixels: np.ndarray, finder: str, other: np.ndarray | None
 ) -> View:
     board = spec.corners_m[ids]
-    upside_down = None if spec.turn_is_ambiguous else _points_up(board, pixels)
+    # least squares slope of pixel y on board y: does the board's y, down its rows, run upwards in the picture?
+    rise = ((board[:, 1] - board[:, 1].mean()) * (pixels[:, 1] - pixels[:, 1].mean())).sum()
+    upside_down = None if spec.turn_is_ambiguous else bool(rise < 0)
     height, width = gray.shape
     return View(name, (width, height), ids, board, pixels, finder, corner_sharpness(gray, pixels), upside_down, other)
-
-
-def _points_up(board_m: np.ndarray, pixels: np.ndarray) -> bool:
-    """Whether the board's y (down its rows) runs upwards in the picture: least squares slope of pixel y on board y."""
-    y = board_m[:, 1] - board_m[:, 1].mean()
-    return bool((y * (pixels[:, 1] - pixels[:, 1].mean())).sum() < 0)
 
 
 def nearest_corner_px(pixels: np.ndarray, inner: tuple[int, int]) -> float:

@@ -24,7 +24,7 @@ class Coverage:
     radius : farthest corner from the picture's centre over half the diagonal; tilt_deg, azimuth_deg : (V,) of each view,
     the board's normal against the optical axis, and where its near edge points in the picture (0 right, 90 down);
     span_deg : largest angle between the normals of two views; directions : how many of the four quarter turns of azimuth
-    hold a tilt above TILTED_DEG; width_share : (V,) the board's extent over the picture's width"""
+    hold a tilt above TILTED_DEG"""
 
     counts: np.ndarray
     cells: float
@@ -33,7 +33,6 @@ class Coverage:
     azimuth_deg: np.ndarray
     span_deg: float
     directions: int
-    width_share: np.ndarray
 
 
 def coverage(fitted: Fit) -> Coverage:
@@ -49,8 +48,7 @@ def coverage(fitted: Fit) -> Coverage:
     quarters = {int(((a + 45) % 360) // 90) for a, t in zip(azimuth, tilt, strict=True) if t > TILTED_DEG}
     centre = np.array([(w - 1) / 2, (h - 1) / 2])
     radius = float(np.linalg.norm(points - centre, axis=1).max() / np.hypot(w / 2, h / 2))
-    share = np.array([float(np.ptp(v.pixels, axis=0).max()) / w for v in fitted.views])
-    return Coverage(counts.astype(int), float((counts > 0).mean()), radius, tilt, azimuth, span, len(quarters), share)
+    return Coverage(counts.astype(int), float((counts > 0).mean()), radius, tilt, azimuth, span, len(quarters))
 
 
 def board_normal(rvec: np.ndarray) -> np.ndarray:

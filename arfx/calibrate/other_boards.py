@@ -17,18 +17,18 @@ TELLING = {"36h11", "6X6_1000", "7X7_1000"}  # ... but not with these: codes thi
 SMALL_CHESSBOARD = (4, 3)  # the sector-based finder grows from this to the whole board
 
 
-def other_pattern(spec: BoardSpec) -> BoardSpec:
-    """The same ChArUco board with the other (legacy or new) pattern."""
-    return spec.with_legacy(not spec.legacy)
-
-
 def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     """In words what a picture (h, w) uint8 shows in place of the board, as a spec where it can be told; "" for nothing.
 
     Cost: about 1 s at 1920x1080; meant for a few pictures.
     """
     chess = _largest_chessboard(gray)
-    families = {f: ids for f in SEARCHED if len(ids := _marker_ids(gray, f)) >= (1 if f in TELLING else LEAST_MARKERS)}
+    families = {}
+    for f in SEARCHED:
+        found = cv2.aruco.ArucoDetector(opencv_dictionary(f)).detectMarkers(gray)[1]
+        ids = set() if found is None else {int(i) for i in np.ravel(found)}
+        if len(ids) >= (1 if f in TELLING else LEAST_MARKERS):
+            families[f] = ids
     if families:
         family = max(families, key=lambda f: len(families[f]))
         ids = families[family]
@@ -55,11 +55,6 @@ def _working_spec(gray: np.ndarray, spec: BoardSpec, family: str, highest: int) 
             if trial != spec and find_view(gray, trial, "") is not None:
                 return trial
     return None
-
-
-def _marker_ids(gray: np.ndarray, family: str) -> list[int]:
-    _, ids, _ = cv2.aruco.ArucoDetector(opencv_dictionary(family)).detectMarkers(gray)
-    return [] if ids is None else sorted({int(i) for i in np.ravel(ids)})
 
 
 def _largest_chessboard(gray: np.ndarray) -> tuple[int, int] | None:

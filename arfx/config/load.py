@@ -111,7 +111,8 @@ def _params(name: str, kind: type, table: dict[str, Any], problem: Any) -> Any:
     good = {}
     for key, value in table.items():
         if key not in fields:
-            problem((name, key), f"{_noun(name)} has no setting {key!r}", near(key, fields))
+            owner = "section 'analyse'" if name == "analyse" else f"stage {name!r}"
+            problem((name, key), f"{owner} has no setting {key!r}", near(key, fields))
         elif (bad := _absurd(value)) is not None:
             problem((name, key), f"{name}.{key}: {bad:g} is out of range", f"between -{_LARGEST:g} and {_LARGEST:g}")
         else:
@@ -136,10 +137,6 @@ def _absurd(value: Any) -> float | None:
     if isinstance(value, (int, float)) and not abs(value) <= _LARGEST:
         return float(value)
     return None
-
-
-def _noun(name: str) -> str:
-    return "section 'analyse'" if name == "analyse" else f"stage {name!r}"
 
 
 def _plain(message: str) -> str:

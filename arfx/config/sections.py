@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError
@@ -46,19 +45,14 @@ Turn = Annotated[float, Field(ge=-1e6, le=1e6)]
 Time = Annotated[float, _via(lambda t: _TimeValue(time_s(t)), _TimeValue)]
 
 
-def _marker(value: Any) -> Any:
-    return value if isinstance(value, MarkerSpec) else _parse_marker(value)
+def _transfer(value: Any) -> str:
+    from arfx.core.colour import Transfer
 
-
-def _parse_marker(value: Any) -> MarkerSpec:
-    try:
-        return MarkerSpec.parse(str(value))
-    except ConfigError as e:
-        raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+    return Transfer(str(value)).name
 
 
 class Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False, defer_build=True)
 
 
 def _field(default: Any, text: str, option: str = "", help: str = "", **limits: Any) -> Any:
@@ -91,13 +85,13 @@ class InputSection(Section):
     )
     start: Time | None = _field(None, "First moment to process, from the clip's first frame: 1.5s, 0:10.", "--start T")
     end: Time | None = _field(None, "Last moment to process.", "--end T")
-    transfer: Annotated[str, BeforeValidator(lambda v: Transfer(str(v)).name)] = _field(
+    transfer: Annotated[str, BeforeValidator(_transfer)] = _field(
         "srgb", "How coded values become light: srgb, bt709, bt1886, gamma:X."
     )
 
 
 class MarkerSection(Section):
-    spec: Annotated[MarkerSpec, BeforeValidator(_marker)] = _field(
+    spec: Annotated[MarkerSpec, _via(MarkerSpec.parse, MarkerSpec)] = _field(
         ..., "FAMILY:ID:SIZE, such as 36h11:3:165mm.", "--marker FAMILY:ID:SIZE", "Repeatable: 36h11:3:165mm."
     )
 
@@ -152,11 +146,11 @@ class JobConfig(Section):
     """A whole job: what `arfx process` needs to know. `params` holds one frozen dataclass per stage and `analyse`;
     `sources` are the job files that it was read from."""
 
-    input: InputSection = InputSection()
+    input: InputSection = Field(default_factory=InputSection)
     marker: tuple[MarkerSection, ...] = ()
-    model: ModelSection = ModelSection()
-    pipeline: PipelineSection = PipelineSection()
-    output: OutputSection = OutputSection()
+    model: ModelSection = Field(default_factory=ModelSection)
+    pipeline: PipelineSection = Field(default_factory=PipelineSection)
+    output: OutputSection = Field(default_factory=OutputSection)
     params: dict[str, Any] = Field(default_factory=dict)
     sources: tuple[Path, ...] = ()
 

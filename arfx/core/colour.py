@@ -82,8 +82,3 @@ def yuv_from_rgb(matrix: str) -> np.ndarray:
     cb = (np.array([0.0, 0.0, 1.0]) - y) / (2 * (1 - kb))
     cr = (np.array([1.0, 0.0, 0.0]) - y) / (2 * (1 - kr))
     return np.stack([y, cb, cr])
-
-
-def luminance(rgb: np.ndarray) -> np.ndarray:
-    """Linear luminance Y of linear BT.709/sRGB RGB (..., 3)."""
-    return rgb @ np.asarray([0.2126, 0.7152, 0.0722], rgb.dtype)

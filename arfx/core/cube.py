@@ -40,12 +40,6 @@ def solid_angles(size: int) -> np.ndarray:
     return out
 
 
-def mip_level(half_angle_rad: float, size: int) -> float:
-    """Level of a cube's mip chain whose texels are as large as a cone: half log2 of the ratio of solid angles, >= 0."""
-    cone = 2 * np.pi * (1 - np.cos(half_angle_rad))
-    return float(max(0.5 * np.log2(max(cone / (4 * np.pi / (6 * size * size)), 1e-12)), 0.0))
-
-
 def packed(faces: np.ndarray) -> dict[str, Any]:
     """A cube (6, n, n, 3) as facts hold it: {"size": n, "faces": base64 of float16}, values within +-_MOST."""
     half = np.clip(faces, -_MOST, _MOST).astype("<f2")

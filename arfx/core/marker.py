@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 SMALLEST_M, LARGEST_M = 1e-4, 1e3  # of a marker: a tenth of a millimetre is the nearest that anything is projected
 
@@ -30,6 +32,8 @@ class MarkerSpec:
     @property
     def corners_m(self) -> np.ndarray:
         """(4, 3) top left, top right, bottom right, bottom left; x right, y up, z out of the print."""
+        import numpy as np  # here: `process --help` needs the names of markers, and no numbers
+
         h = self.size_m / 2
         return np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0.0]])
 
@@ -61,6 +65,12 @@ FAMILIES: dict[str, int] = {
     **{f"{n}X{n}_{k}": k for n in (4, 5, 6, 7) for k in (50, 100, 250, 1000)},
     "ORIGINAL": 1024, "16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587, "MIP_36h12": 250,
 }  # fmt: skip
+
+
+def opencv_name(family: str) -> str:
+    """What OpenCV calls the dictionary of a FAMILIES key: DICT_4X4_50, DICT_APRILTAG_36h11, DICT_ARUCO_ORIGINAL."""
+    maker = "ARUCO_" if family.startswith(("ORIGINAL", "MIP")) else "APRILTAG_" if "h" in family else ""
+    return f"DICT_{maker}{family}"
 
 
 def canonical_family(name: str) -> str:

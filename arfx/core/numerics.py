@@ -5,6 +5,10 @@ No other module divides by data, takes an arccos of data or normalises data with
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 # Smallest length that is told apart from zero when a direction is taken: float64 rounding (2.2e-16) of
@@ -53,6 +57,17 @@ def condition(matrix: np.ndarray) -> float:
         return float("inf")
     s = np.linalg.svd(m, compute_uv=False)
     return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
+
+
+def finite(value: Any) -> Any:
+    """A document in plain types, with non-finite numbers as None: JSON has no NaN."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(v) for v in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def count_non_finite(array: np.ndarray) -> int:

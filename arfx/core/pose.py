@@ -78,6 +78,17 @@ def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
     return normalise(np.take_along_axis(every, pick[..., None, None], -2)[..., 0, :])
 
 
+def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarray:
+    """(3, 3) of a unit quaternion."""
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
 def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
     """Rotation about x, then y, then z (fixed axes), degrees."""
     rx, ry, rz = (rotation_from_rotvec(np.radians(a) * np.eye(3)[i]) for i, a in enumerate((x, y, z)))
@@ -122,11 +133,6 @@ class Pose:
     @staticmethod
     def from_rotvec(rotvec: np.ndarray, translation_m: np.ndarray) -> Pose:
         return Pose(rotation_from_rotvec(np.asarray(rotvec, float).reshape(3)), np.asarray(translation_m, float).reshape(3))
-
-    @staticmethod
-    def from_matrix(m: np.ndarray) -> Pose:
-        m = np.asarray(m, float)
-        return Pose(m[:3, :3].copy(), m[:3, 3].copy())
 
     def to_json(self) -> list[float]:
         """[rx, ry, rz, tx, ty, tz]: rotation vector in radians, metres. Exact to float64 round trip of the log."""

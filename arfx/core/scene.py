@@ -23,6 +23,8 @@ _UPRIGHT = {
     "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
     "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
 }
+# A model this large beside a hand-held marker is a file in millimetres read as metres.
+MAX_EXTENT_M = 100.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,15 @@ class Scene:
     def model_points_m(self) -> np.ndarray:
         """(n, 3) all vertices in world coordinates, metres."""
         return self.model.vertices @ self.world_from_model[:3, :3].T + self.world_from_model[:3, 3]
+
+    def check_extent(self) -> None:
+        """Raises InputError where the model is larger than MAX_EXTENT_M."""
+        extent = float(np.ptp(self.model_corners_m, axis=0).max())
+        if not extent <= MAX_EXTENT_M:
+            raise InputError(
+                f"model {self.model.source} is {extent:.6g} m large in the scene, more than {MAX_EXTENT_M:g} m",
+                "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit",
+            )
 
     @cached_property
     def model_corners_m(self) -> np.ndarray:

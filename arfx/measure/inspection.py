@@ -14,19 +14,22 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import SURVEY_FAMILIES, Candidate, MarkerDetector
+from arfx.analyse.lens import side_blurs
+from arfx.analyse.markers.detect import SURVEY_FAMILIES, Candidate, MarkerDetector, cells_per_side
 from arfx.analyse.pose.presence import CutSignal, find_cuts
 from arfx.core.camera import Camera
-from arfx.core.marker import FAMILIES
-from arfx.core.numerics import divide
-from arfx.measure.sharpness import edge_blur_px, tilt_deg
+from arfx.core.colour import SRGB
+from arfx.core.marker import FAMILIES, MarkerSpec
+from arfx.core.numerics import angle_between, divide
 from arfx.media.clip import ClipInfo
 from arfx.media.containers import open_video
 from arfx.media.frames import ClipReader, Frame
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
+_LIGHT = 255 * SRGB.decode(np.arange(256) / 255)
 READ_WHOLE = 900  # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
 # Codes of few cells turn up in texture: such a marker must be in this many samples. AprilTag 36h11 and the like need one.
 _WEAK = {"16h5": 4, "4X4_1000": 3, "ORIGINAL": 3, "25h9": 2, "5X5_1000": 2}
@@ -69,7 +72,7 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
     lowest, highest = (0, 255) if info.full_range else (16, 235)
     looked, read = [], 0
     with ClipReader(info) as reader:
-        for frame in _all(reader) if whole else _some(reader, pts, at):
+        for frame in reader.frames() if whole else _some(reader, pts, at):
             read += 1
             luma = frame.luma()
             if whole:
@@ -124,10 +127,6 @@ def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:
             "longest_gap_s": float(steps.max()) if gaps else 0.0}  # fmt: skip
 
 
-def _all(reader: ClipReader) -> Iterator[Frame]:
-    yield from reader.frames()
-
-
 def _some(reader: ClipReader, pts: Sequence[int], at: Sequence[int]) -> Iterator[Frame]:
     for i in at:
         for frame in reader.frames(pts[i], pts[i], first_index=i):
@@ -144,12 +143,25 @@ def _note(found: dict[str, Found], seen: list[Candidate], index: int, luma: np.n
         m.frames.append(index)
         m.quads[index] = c.quad_px
         m.sides_px.append(c.side_px)
-        blur = edge_blur_px(luma, c.quad_px)
-        if blur is not None:
-            m.blurs_px.append(blur)
+        blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), _LIGHT)
+        if np.isfinite(blurs).any():
+            m.blurs_px.append(float(np.nanmedian(blurs)))
         tilt = None if camera is None else tilt_deg(c.quad_px, camera)
         if tilt is not None:
             m.tilts_deg.append(tilt)
+
+
+def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
+    """Angle in degrees between the marker's normal and the line of sight, of the better planar pose; None without one."""
+    rays = camera.normalised(quad_px)
+    if not np.isfinite(rays).all():
+        return None
+    square = MarkerSpec("", 0, 1.0).corners_m
+    count, rotations, shifts, _ = cv2.solvePnPGeneric(square, rays[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    if not count:
+        return None
+    normal = cv2.Rodrigues(rotations[0])[0][:, 2]
+    return float(np.degrees(angle_between(normal, -shifts[0].ravel())))
 
 
 def settle(found: dict[str, Found], looked: int) -> list[Found]:

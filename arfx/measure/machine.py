@@ -67,25 +67,21 @@ def _python() -> list[Check]:
 
 
 def _packages() -> list[Check]:
+    def version(name: str) -> str:
+        try:
+            return metadata.version(name)
+        except metadata.PackageNotFoundError:
+            return ""
+
     out = []
     for name in PACKAGES:
-        try:
-            out.append(Check("package", name, True, metadata.version(name), essential=True))
-        except metadata.PackageNotFoundError:
-            out.append(Check("package", name, False, "not installed", f"pip install {name}", essential=True))
-    rivals = [n for n in ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender") if _installed(n)]
-    for name in rivals:
+        found = version(name)
+        fix = "" if found else f"pip install {name}"
+        out.append(Check("package", name, bool(found), found or "not installed", fix, essential=True))
+    for name in filter(version, ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender")):
         fix = f"pip uninstall {name}, then install its counterpart above again"
         out.append(Check("package", name, False, "installs over the same folder as a package that arfx needs", fix))
     return out
-
-
-def _installed(name: str) -> bool:
-    try:
-        metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return False
-    return True
 
 
 def _renderers() -> list[Check]:

@@ -6,7 +6,6 @@ Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 
 from __future__ import annotations
 
 import json
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from arfx.analyse.facts_file import read_facts
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
+from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
@@ -28,41 +28,26 @@ Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
 
 
 def write_report(
-    folder: Path,
-    report: Mapping[str, Any],
-    facts: Sequence[FrameFacts],
-    before_after: Pictures,
-    camera: Camera | None = None,
+    folder: Path, report: Mapping[str, Any], facts: Sequence[FrameFacts], before_after: Pictures, camera: Camera | None = None,
     points_m: np.ndarray | None = None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Write report.json and report.html into `folder`, which is made; both appear whole or not at all.
 
     before_after : (frame number, input, output), RGB uint8 (h, w, 3), in order of frames
     camera, points_m : with both, (n, 3) world points whose place in the picture is plotted before and after smoothing
-
     Returns the path of report.html. Raises RenderError where the folder cannot be written.
     """
-    return _write(folder, *_pages(report, facts, before_after, camera, points_m))
-
-
-def _pages(
-    report: Mapping[str, Any], facts: Sequence[FrameFacts], before_after: Pictures, camera: Camera | None,
-    points_m: np.ndarray | None,
-) -> tuple[str, str]:  # fmt: skip
     from arfx.measure.report_html import page
     from arfx.measure.report_plots import pose_plot, timing_plot
 
     document = finite(report)
     plots = {"pose": pose_plot(facts, camera, points_m), "timing": timing_plot(document)}
-    return json.dumps(document, indent=1, allow_nan=False) + "\n", page(document, facts, before_after, plots)
-
-
-def _write(folder: Path, document: str, html: str) -> Path:
+    html = page(document, facts, before_after, plots)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise RenderError(f"report folder {folder} cannot be made: {e.strerror}", "name another place") from None
-    write_text(folder / "report.json", document)
+    write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     write_text(folder / "report.html", html)
     return folder / "report.html"
 
@@ -76,14 +61,12 @@ def report_of_job(job: Path, folder: Path) -> Path:
     report = read_report(job)
     try:
         facts = list(read_facts(regular(files.facts, "report")))
-        camera, points_m = _what_stands(files, report)
         pictures = load_previews(files.previews) if files.previews.is_dir() else []
-        pages = _pages(report, facts, pictures, camera, points_m)
+        return write_report(folder, report, facts, pictures, *_what_stands(files, report))
     except InputError as e:
         raise InputError(f"job folder {job} is damaged: {e.message}", "process the clip again") from e
     except (OSError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as e:
         raise InputError(f"job folder {job} is damaged: {type(e).__name__}: {e}", "process the clip again") from e
-    return _write(folder, *pages)
 
 
 def read_report(job: Path) -> dict[str, Any]:
@@ -119,16 +102,3 @@ def _what_stands(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, n
             base = spec.corners_m
             cubes.append(places[spec.key].apply(np.concatenate([base, base + np.array([0.0, 0.0, spec.size_m])])))
     return camera, np.concatenate(cubes) if cubes else None
-
-
-def finite(value: Any) -> Any:
-    """The same document in plain types, with non-finite numbers as null: JSON has no NaN."""
-    if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(v) for v in value]
-    if hasattr(value, "tolist"):
-        return finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

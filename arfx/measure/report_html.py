@@ -12,9 +12,6 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.errors import RenderError
-from arfx.measure.report_page import PAGE
-
-_JPEG_QUALITY = 88  # the pictures are for looking at; the output file is the result
 
 
 def page(
@@ -25,22 +22,28 @@ def page(
 ) -> str:
     """The whole page. plots : "pose" and "timing", PNG bytes."""
     clip = Path(str(report["input"]["path"])).name
-    pose = _image(plots["pose"], "image/png", "Trembling before and after smoothing, reprojection, status") + _legend()
-    time = _image(plots["timing"], "image/png", "Predicted and measured seconds") + _predicted(report)
-    time += _timing_table(report["timing"])
+    pose = plot_image(plots["pose"], "Trembling before and after smoothing, reprojection, status") + _legend()
+    time = plot_image(plots["timing"], "Predicted and measured seconds") + _predicted(report)
+    time += _facts_table(report["timing"])
     ends = f'<div class="two">{_facts_table(report["input"])}{_facts_table(report["output"])}</div>'
     sections = [
         _tiles(report),
         _warnings(report),
         _pictures(facts, before_after),
-        _section("Pose", pose + _pose_table(report["pose"])),
-        _section("Effects: what ran, and why not elsewhere", _stage_table(report["stages"])),
-        _section("Time", time),
-        _section("Health of the estimates", _health_table(report.get("health", []))),
-        _section("Light", _facts_table(report.get("light") or {})),
-        _section("Input and output", ends),
+        section("Pose", pose + _pose_table(report["pose"])),
+        section("Effects: what ran, and why not elsewhere", _stage_table(report["stages"])),
+        section("Time", time),
+        section("Health of the estimates", _health_table(report.get("health", []))),
+        section("Light", _facts_table(report.get("light") or {})),
+        section("Input and output", ends),
     ]
-    return PAGE.replace("@TITLE@", _e(f"{clip} – arfx report")).replace("@BODY@", "\n".join(s for s in sections if s))
+    return whole_page(f"{clip} – arfx report", sections)
+
+
+def whole_page(title: str, sections: Sequence[str]) -> str:
+    """page.html (style, and the slider before and after) with a title and these sections of HTML, empty ones left out."""
+    frame = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+    return frame.replace("@TITLE@", _e(title)).replace("@BODY@", "\n".join(s for s in sections if s))
 
 
 def _e(value: Any) -> str:
@@ -62,24 +65,25 @@ def number(value: Any, digits: int = 3) -> str:
     return str(value)
 
 
-def _section(title: str, body: str) -> str:
+def section(title: str, body: str) -> str:
     return f"<section><h2>{_e(title)}</h2>{body}</section>"
 
 
-def _image(data: bytes, kind: str, alt: str, css: str = "plot") -> str:
-    return f'<img class="{css}" alt="{_e(alt)}" src="{_uri(data, kind)}">'
+def plot_image(png: bytes, alt: str) -> str:
+    return f'<img class="plot" alt="{_e(alt)}" src="{_uri(png, "image/png")}">'
 
 
 def _uri(data: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def _jpeg(rgb: np.ndarray) -> str:
+def jpeg(rgb: np.ndarray, quality: int = 88) -> str:
+    """An RGB uint8 picture as an address; quality : 0 to 100"""
     import cv2
 
-    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not ok:
-        raise RenderError(f"a preview picture of shape {rgb.shape} cannot be encoded")
+        raise RenderError(f"a picture of shape {rgb.shape} cannot be encoded")
     return _uri(data.tobytes(), "image/jpeg")
 
 
@@ -115,14 +119,14 @@ def _warnings(report: Mapping[str, Any]) -> str:
 
 def _pictures(facts: Sequence[FrameFacts], pairs: Sequence[tuple[int, np.ndarray, np.ndarray]]) -> str:
     if not pairs:
-        return _section("Before and after", "<p>The job kept no pictures.</p>")
+        return section("Before and after", "<p>The job kept no pictures.</p>")
     times = {f.index: f.time_s for f in facts}
     sheet = []
     for index, before, after in pairs:
         said = f"frame {index}" + (f", {times[index]:.2f} s" if index in times else "")
         sheet.append(
-            f'<figure tabindex="0" data-said="{_e(said)}"><img class="out" alt="{_e(said)}, output" src="{_jpeg(after)}">'
-            f'<img class="in" hidden alt="{_e(said)}, input" src="{_jpeg(before)}"><figcaption>{_e(said)}</figcaption></figure>'
+            f'<figure tabindex="0" data-said="{_e(said)}"><img class="out" alt="{_e(said)}, output" src="{jpeg(after)}">'
+            f'<img class="in" hidden alt="{_e(said)}, input" src="{jpeg(before)}"><figcaption>{_e(said)}</figcaption></figure>'
         )
     slider = (
         '<div class="slider" hidden><div class="stack"><img class="below" alt="input"><img class="above" alt="output">'
@@ -130,7 +134,7 @@ def _pictures(facts: Sequence[FrameFacts], pairs: Sequence[tuple[int, np.ndarray
         '<input type="range" min="0" max="100" step="0.1" value="50" aria-label="input on the left, output on the right"></div>'
         '<p class="said"></p></div>'
     )
-    return _section("Before and after", slider + f'<div class="sheet">{"".join(sheet)}</div>')
+    return section("Before and after", slider + f'<div class="sheet">{"".join(sheet)}</div>')
 
 
 def _legend() -> str:
@@ -139,7 +143,7 @@ def _legend() -> str:
     return '<p class="legend">' + " ".join(f'<i style="background:{c}"></i>{_e(s)}' for s, c in STATUS_COLOUR.items()) + "</p>"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], right: frozenset[int] = frozenset()) -> str:
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], right: frozenset[int] = frozenset()) -> str:
     """rows hold HTML; a column in `right` is right-aligned."""
 
     def cells(row: Sequence[str], tag: str) -> str:
@@ -152,7 +156,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], right: frozenset[
 
 def _facts_table(values: Mapping[str, Any]) -> str:
     rows = [(_e(k.replace("_", " ")), _e(number(v))) for k, v in values.items() if k != "stream"]
-    return _table(("", ""), rows)
+    return html_table(("", ""), rows)
 
 
 def _pose_table(pose: Mapping[str, Any]) -> str:
@@ -171,7 +175,7 @@ def _stage_table(stages: Sequence[Mapping[str, Any]]) -> str:
         rows.append((_e(s["name"]), levels, _e(s["frames_run"]), _e(s["frames_skipped"]), f"{100 * s['area_fraction']:.1f} %",
                      _e(number(predicted)), _e(number(measured)), why))  # fmt: skip
     head = ("stage", "level: frames", "ran", "left out", "area", "predicted, s", "measured, s", "why left out")
-    return _table(head, rows, frozenset({2, 3, 4, 5, 6}))
+    return html_table(head, rows, frozenset({2, 3, 4, 5, 6}))
 
 
 def _predicted(report: Mapping[str, Any]) -> str:
@@ -187,13 +191,9 @@ def _predicted(report: Mapping[str, Any]) -> str:
     return f"<p>The plan said {number(wall['s'])} s ({ends}{prices}); the job took {number(timing['wall_s'])} s.</p>"
 
 
-def _timing_table(timing: Mapping[str, Any]) -> str:
-    return _table(("", ""), [(_e(k.replace("_", " ")), _e(number(v))) for k, v in timing.items()], frozenset({1}))
-
-
 def _health_table(health: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for h in health:
         mark = f'<b class="{"ok" if h["verdict"] == "ok" else "bad"}">{_e(h["verdict"])}</b>'
         rows.append((_e(h["check"]), _e(number(h["value"])), _e(number(h["limit"])), mark, _e(h["action"])))
-    return _table(("check", "value", "limit", "verdict", "action"), rows)
+    return html_table(("check", "value", "limit", "verdict", "action"), rows)

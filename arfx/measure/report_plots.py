@@ -8,40 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from arfx.analyse.pose.visibility import trembling_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
-from arfx.core.pose import Pose
 
 INK = "#7d8590"  # readable on white and on nearly black
 RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
 STATUS_COLOUR = {MEASURED: "#2da44e", INTERPOLATED: "#d4a72c", ABSENT: "#cf5b56"}
-
-
-def trembling_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> np.ndarray:
-    """(frames,) rms over the points of the second difference over three frames of their place in the picture, px.
-
-    points_m : (n, 3) world;  raw : of the poses before smoothing
-    The place is relative to the centre of the markers as measured: the footage's own motion, which the object has to
-    follow, is taken out. NaN where one of the three frames has no pose, no common marker, or a cut lies between them.
-    """
-    poses = [f.raw_camera_from_world if raw else f.camera_from_world for f in facts]
-    out = np.full(len(facts), np.nan)
-    places = [None if p is None else _project(p, points_m, camera) for p in poses]
-    for i in range(1, len(facts) - 1):
-        three, (a, b, c) = facts[i - 1 : i + 2], places[i - 1 : i + 2]
-        keys = set.intersection(*({m.key for m in f.markers} for f in three))
-        if a is None or b is None or c is None or three[0].shot != three[2].shot or not keys:
-            continue
-        p, q, r = (np.mean([m.corners_px for m in f.markers if m.key in keys], axis=(0, 1)) for f in three)
-        d = np.linalg.norm(a - 2 * b + c - (p - 2 * q + r), axis=-1)
-        d = d[np.isfinite(d)]
-        if d.size:
-            out[i] = np.sqrt((d * d).mean())
-    return out
-
-
-def _project(pose: Pose, points_m: np.ndarray, camera: Camera) -> np.ndarray:
-    return np.asarray(camera.project(pose.apply(points_m)), float)
 
 
 def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.ndarray | None) -> bytes:
@@ -54,7 +27,7 @@ def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.n
     trembling, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
     if camera is not None and points_m is not None and len(facts) > 2:
         for raw, colour, label in ((True, RAW, "before smoothing"), (False, SMOOTH, "after smoothing")):
-            d = trembling_px(facts, points_m, camera, raw)
+            _, d = trembling_px(facts, points_m, camera, raw)
             label += f", median {np.nanmedian(d):.3g} px" if np.isfinite(d).any() else ", no three frames in a row"
             trembling.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
         trembling.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
@@ -73,7 +46,7 @@ def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.n
         strip.pcolormesh(np.append(times, end), [0, 1], codes, cmap=colours, vmin=-0.5, vmax=2.5)
     strip.set_yticks([])
     strip.set_xlabel("time, s", fontsize=8)
-    return _png(fig)
+    return png(fig)
 
 
 def timing_plot(report: Mapping[str, Any]) -> bytes:
@@ -99,10 +72,10 @@ def timing_plot(report: Mapping[str, Any]) -> bytes:
     right.set_title("Phases, s", fontsize=9, loc="left", color=INK)
     for axis in (left, right):
         axis.invert_yaxis()
-    return _png(fig)
+    return png(fig)
 
 
-def _png(fig: Any) -> bytes:
+def png(fig: Any) -> bytes:
     for axis in fig.axes:
         axis.set_facecolor("none")
         axis.tick_params(colors=INK, labelsize=8)

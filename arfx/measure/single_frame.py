@@ -10,7 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from arfx.core.camera import BROWN, Camera
+from arfx.analyse.markers.detect import dictionary
+from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from arfx.media.clip import probe
@@ -25,13 +26,9 @@ def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[P
 
 
 def _detector(family: str) -> cv2.aruco.ArucoDetector:
-    if family == "ORIGINAL" or family.startswith("MIP"):
-        name = f"DICT_ARUCO_{family}"
-    else:
-        name = f"DICT_APRILTAG_{family}" if "h" in family else f"DICT_{family}"
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
+    return cv2.aruco.ArucoDetector(dictionary(family), parameters)
 
 
 def _pose(detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec) -> Pose | None:
@@ -40,13 +37,8 @@ def _pose(detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, m
         if number != marker.id:
             continue
         points = np.asarray(found, float).reshape(4, 2)
-        if camera.model == BROWN:
-            coefficients = camera.distortion if camera.distortion.size else np.zeros(4)
-            matrix = camera.matrix
-        else:
-            points, matrix, coefficients = camera.normalised(points), np.eye(3), np.zeros(4)
         ok, rotations, translations, _ = cv2.solvePnPGeneric(
-            marker.corners_m, points, matrix, coefficients, flags=cv2.SOLVEPNP_IPPE_SQUARE
+            marker.corners_m, camera.normalised(points), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
         if ok:
             return Pose.from_rotvec(np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel())

@@ -64,8 +64,12 @@ class Row:
         """Over all touched pixels of all frames; frames in which the effect touches nothing do not count."""
         weights = [d.pixels for d in self.by_frame.values()]
         if not sum(weights):
-            return 0.0
+            return float(getattr(Difference(), what))
         return float(np.average([getattr(d, what) for d in self.by_frame.values()], weights=weights))
+
+    def note(self, frame: int, reference: np.ndarray, picture: np.ndarray, where: np.ndarray) -> None:
+        self.by_frame[frame] = difference(reference, picture, where)
+        self.pictures[frame] = picture
 
     def worst_frame(self) -> int | None:
         return max(self.by_frame, key=lambda i: self.by_frame[i].p99, default=None)
@@ -120,8 +124,8 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     if not samples:
         raise NothingToDoError("no frame of the clip shows the object: there is nothing to measure", "see `arfx plan`")
     first = samples[0].index
-    following = first + 1 if first + 1 in plans and _same_steps(plans, first) else None
     names = [s.stage for s in plans[first].steps]
+    following = first + 1 if first + 1 in plans and [s.stage for s in plans[first + 1].steps] == names else None
     slow = frozenset((n, s.levels[-1]) for n, s in stages.items() if s.levels[-1] == "reference" and _slow(n, job.prices))
     quality = job.inputs.config.pipeline.quality
     usual = {n: level_named(stages[n].levels, quality) for n in names}
@@ -155,10 +159,6 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     }
     progress("pipelines", total, total)
     return found
-
-
-def _same_steps(plans: Mapping[int, FramePlan], index: int) -> bool:
-    return [s.stage for s in plans[index].steps] == [s.stage for s in plans[index + 1].steps]
 
 
 def _slow(stage: str, prices: Prices) -> bool:
@@ -232,8 +232,7 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
         without = b.image(chain_of(b.plan, usual, (name,)))
         where = touched((images[best], without), *((images[best], images[le]) for le in images))
         for r in rows:
-            r.by_frame[sample.index] = difference(images[best], images[r.level], where)
-            r.pictures[sample.index] = images[r.level]
+            r.note(sample.index, images[best], images[r.level], where)
         worst = max((r for r in rows if r.level != best), key=lambda r: r.by_frame[sample.index].p99, default=None)
         if worst is not None:
             found.places.setdefault((name, worst.level), _place(worst.by_frame[sample.index], b.coverage(chains[best])))
@@ -287,8 +286,7 @@ def _of_other_formula(work: _Work, name: str, changed: Any) -> list[Row]:
         _time(work, times, sample, shop, [(name, usual[name])])
         reference, image = b.image(chain_of(b.plan, {**usual, name: best})), b.under(shop).image(chain_of(b.plan, usual))
         where = touched((reference, b.image(chain_of(b.plan, usual, (name,)))), (reference, image))
-        row.by_frame[sample.index] = difference(reference, image, where)
-        row.pictures[sample.index] = image
+        row.note(sample.index, reference, image, where)
     row.time = times.of((name, usual[name])) or exactly(0.0)
     for told, s in times.spent_s.items():
         work.times.spent_s[told] = work.times.spent_s.get(told, 0.0) + s
@@ -311,8 +309,7 @@ def _whole(work: _Work) -> list[Row]:
         reference = b.image(chain_of(b.plan, work.best))
         where = touched((reference, b.original()), *((reference, i) for i in images.values()))
         for r in rows:
-            r.by_frame[sample.index] = difference(reference, images[id(r)], where)
-            r.pictures[sample.index] = images[id(r)]
+            r.note(sample.index, reference, images[id(r)], where)
     for r in rows:
         r.time = work.times.of_chain(r.levels.items())
     return rows
@@ -348,8 +345,7 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     for sample in work.samples:
         b = work.benches[sample.index]
         image, reference = b.under(there).image(chain_of(b.plan, work.usual)), b.image(chain_of(b.plan, work.best))
-        row.by_frame[sample.index] = difference(reference, image, touched((reference, b.original()), (reference, image)))
-        row.pictures[sample.index] = image
+        row.note(sample.index, reference, image, touched((reference, b.original()), (reference, image)))
     timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
     row.time = together(p for p in timed if p is not None)
     return [row]

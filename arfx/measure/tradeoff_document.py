@@ -11,6 +11,7 @@ from arfx.measure.tradeoff import QUALITIES, Found, Row, facts_of
 from arfx.run.planned import Job
 
 FEW_PX = 1500
+PER_FRAME = ("mean", "p99", "flip", "delta_e", "ssim")
 SEEN_MEAN, SEEN_P99 = 1.0, 12.0  # grey levels: more than either is taken for visible
 
 
@@ -38,10 +39,10 @@ def _row(r: Row, found: Found) -> dict[str, Any]:
         "name": r.name, "level": r.level, "formula": r.formula, "levels": dict(r.levels) if r.name == "pipeline" else None,
         "seconds_per_frame": r.seconds, "between_s": [r.time.low_s, r.time.high_s],
         "prepare_s": found.prepare_s.get((r.name, r.level)),
-        "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
+        **{what: r.average(what) for what in PER_FRAME}, "mean_worst": r.worst("mean"), "p99": r.worst("p99"),
         "worst_frame": r.worst_frame(), "touched_px": sum(d.pixels for d in r.by_frame.values()),
         "unrest": None if r.unrest is None else {"level": r.unrest[0], "reference": r.unrest[1]},
-        "by_frame": {str(i): {"mean": d.mean, "p99": d.p99, "flip": d.flip} for i, d in r.by_frame.items()},
+        "by_frame": {str(i): {k: getattr(d, k) for k in PER_FRAME} for i, d in r.by_frame.items()},
     }  # fmt: skip
 
 

@@ -7,17 +7,16 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from arfx.errors import RenderError
-from arfx.measure.report_html import _image, _section, _table, _uri, number
-from arfx.measure.report_page import PAGE
+from arfx.measure.difference import delta_e
+from arfx.measure.report_html import html_table, jpeg, number, plot_image, section, whole_page
 from arfx.measure.tradeoff import Found, Row
 from arfx.measure.tradeoff_plots import effect_plot, pipeline_plot
 from arfx.run.folder import write_text
 
-TIMES = 8
+TIMES, MOST_DELTA_E = 8, 10
 MOST_BYTES = 5_000_000
 _STYLE = """<style>.side { display: grid; grid-template-columns: repeat(auto-fill, minmax(220px, 1fr)); gap: 10px; }
 .side figure { cursor: default; } .side img { image-rendering: pixelated; } .say { font-size: 16px; }</style>"""
@@ -40,29 +39,31 @@ def page(found: Found, document: Mapping[str, Any], quality: int = 90) -> str:
     clip = Path(str(document["clip"])).name
     head = f'<header><h1>{escape(clip)}: what accuracy costs</h1><p class="say">{escape(document["recommendation"])}</p></header>'
     names = list(dict.fromkeys(r.name for r in found.effects))
+    front = pipeline_plot(found.pipelines)
     parts = [
         _STYLE, head,
-        _section("Whole pipelines", _plot(pipeline_plot(found.pipelines), "Pareto front") + rows_table(document["pipelines"])),
+        section("Whole pipelines", plot_image(front, "Pareto front") + rows_table(document["pipelines"])),
         _pictures("The pipelines' pictures", [r for r in found.pipelines if r.level != "mixed"], "reference", quality),
     ]  # fmt: skip
     for name in names:
         rows = [r for r in found.effects if r.name == name]
         table = rows_table([d for d in document["effects"] if d["name"] == name])
-        parts.append(_section(name, _plot(effect_plot(rows), f"{name}: error and time") + table))
+        parts.append(section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table))
         parts.append(_pictures(f"{name}: pictures", rows, rows[-1].level if not rows[-1].formula else "reference", quality))
     frames = [[escape(number(v)) for v in f.values()] for f in document["frames"]]
     heads = [k.replace("_", " ") for k in document["frames"][0]]
-    parts.append(_section("Frames that stand for the clip", _table(heads, frames)))
-    parts.append(_section("How it was measured", f"<p>{escape(METHOD)}</p>"))
-    return PAGE.replace("@TITLE@", escape(f"{clip} – arfx tradeoff")).replace("@BODY@", "\n".join(parts))
+    parts.append(section("Frames that stand for the clip", html_table(heads, frames)))
+    parts.append(section("How it was measured", f"<p>{escape(METHOD)}</p>"))
+    return whole_page(f"{clip} – arfx tradeoff", parts)
 
 
 METHOD = (
-    "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP is the mean over the "
-    "same pixels. An effect is compared with its own reference while all others stay at the job's quality; a pipeline with all "
-    "at reference. Pictures are rendered in a window around the object, so that the references take a minute together; errors "
-    "are those of that window. Times are of whole frames: fast levels were run over all that the plan asks of them, references "
-    "on tiles spread over it, and their time is given for the whole, with the interval that the tiles' spread gives. "
+    "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP (0 to 1), ΔE2000 (1 is "
+    "just visible) and SSIM (1 is alike) are means over the same pixels. An effect is compared with its own reference while all "
+    "others stay at the job's quality; a pipeline with all at reference. Pictures are rendered in a window around the object, so "
+    "that the references take a minute together; errors are those of that window. Times are of whole frames: fast levels were "
+    "run over all that the plan asks of them, references on tiles spread over it, and their time is given for the whole, with "
+    "the interval that the tiles' spread gives. "
     "Flicker: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
     "Times are of the processor, all threads together, without what is prepared once per clip."
 )
@@ -76,13 +77,17 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
         levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items() if v != "standard") if r["level"] == "mixed" else ""
         body.append([
             escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), _milliseconds(r),
-            number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]), escape(calm),
+            number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]),
+            number(r["delta_e"]), f"{r['ssim']:.4f}", escape(calm),
             escape(number(r["worst_frame"])), escape(levels),
         ])  # fmt: skip
     if not any(row[-1] for row in body):
         body = [row[:-1] for row in body]
-    head = ("level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "flicker / reference's", "worst frame", "levels")
-    return _table(head[: len(body[0]) if body else None], body, frozenset(range(1, 7)))
+    head = (
+        "level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "ΔE2000", "SSIM", "flicker / reference's",
+        "worst frame", "levels",
+    )  # fmt: skip
+    return html_table(head[: len(body[0]) if body else None], body, frozenset(range(1, 9)))
 
 
 def _milliseconds(row: Mapping[str, Any]) -> str:
@@ -95,6 +100,13 @@ def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """(h, w, 3) uint8: grey is no difference, eight times the difference about it."""
     apart = picture.astype(np.int16) - reference.astype(np.int16)
     return np.asarray(np.clip(128 + TIMES * apart, 0, 255), np.uint8)
+
+
+def delta_e_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8: how visible the difference is, from black to white at MOST_DELTA_E."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps["inferno"](delta_e(reference, picture) / MOST_DELTA_E, bytes=True)[..., :3])
 
 
 def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
@@ -111,19 +123,12 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
         said = f"{r.level} {r.formula if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
         figures.append(_figure(r.pictures[frame], said, quality))
         if r is not reference:
-            figures.append(
-                _figure(error_map(reference.pictures[frame], r.pictures[frame]), f"{r.level}: error × {TIMES}", quality)
-            )
-    return _section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
+            pair = reference.pictures[frame], r.pictures[frame]
+            figures.append(_figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality))
+            figures.append(_figure(delta_e_map(*pair), f"{r.level}: ΔE2000, 0 to {MOST_DELTA_E}", quality))
+    return section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
 
 
 def _figure(rgb: np.ndarray, said: str, quality: int) -> str:
-    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not ok:
-        raise RenderError(f"a picture of shape {rgb.shape} cannot be encoded")
     text = escape(said)
-    return f'<figure><img alt="{text}" src="{_uri(data.tobytes(), "image/jpeg")}"><figcaption>{text}</figcaption></figure>'
-
-
-def _plot(data: bytes, alt: str) -> str:
-    return str(_image(data, "image/png", alt))
+    return f'<figure><img alt="{text}" src="{jpeg(rgb, quality)}"><figcaption>{text}</figcaption></figure>'

@@ -17,6 +17,10 @@ _COEFFICIENT = 1e6
 _SEEN, _LEAST_SEEN = 0.5, 0.05  # share of the picture with a viewing direction: a full circle of a fisheye lens has 0.55
 
 
+def wrong(where: str, what: str, hint: str) -> InputError:
+    return InputError(f"camera file {where}: {what}", hint)
+
+
 def check_matrix(m: np.ndarray, where: str) -> None:
     """m : (3, 3). Raises InputError where its zeros and ones are not in their places; values are not looked at."""
     if not np.isfinite(m).all():
@@ -25,41 +29,39 @@ def check_matrix(m: np.ndarray, where: str) -> None:
     last = m[2]
     if abs(last[2] - 1) > 1e-6 or np.abs(last[:2]).max() > 1e-6:
         if np.abs(m[:2, 2]).max() <= 1e-6 and abs(last[2] - 1) <= 1e-6:
-            raise InputError(
-                f"camera file {where}: the camera matrix is transposed, its last row is {_row(last)}", f"as rows: {_SHAPE}"
-            )
-        raise InputError(f"camera file {where}: the camera matrix's last row is {_row(last)}, not 0 0 1", _SHAPE)
+            raise wrong(where, f"the camera matrix is transposed, its last row is {_row(last)}", f"as rows: {_SHAPE}")
+        raise wrong(where, f"the camera matrix's last row is {_row(last)}, not 0 0 1", _SHAPE)
     if abs(m[0, 1]) > 1e-6 * size:
-        raise InputError(f"camera file {where}: the camera matrix has skew {m[0, 1]:g}", "calibrate without skew")
+        raise wrong(where, f"the camera matrix has skew {m[0, 1]:g}", "calibrate without skew")
     if abs(m[1, 0]) > 1e-6 * size:
-        raise InputError(f"camera file {where}: the camera matrix holds {m[1, 0]:g} where 0 belongs", _SHAPE)
+        raise wrong(where, f"the camera matrix holds {m[1, 0]:g} where 0 belongs", _SHAPE)
 
 
 def check_camera(camera: Camera) -> None:
     """Raises InputError: numbers that no camera has."""
     where, side = camera.source, max(camera.width, camera.height)
     if side > _LARGEST_PX:
-        raise InputError(f"camera file {where}: a picture of {camera.width}x{camera.height}", f"at most {_LARGEST_PX} px a side")
+        raise wrong(where, f"a picture of {camera.width}x{camera.height}", f"at most {_LARGEST_PX} px a side")
     for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
         if not _FOCAL[0] * side <= focal <= _FOCAL[1] * side:
-            raise InputError(
-                f"camera file {where}: {name} is {focal:g} px for a picture of {camera.width}x{camera.height}",
+            raise wrong(
+                where,
+                f"{name} is {focal:g} px for a picture of {camera.width}x{camera.height}",
                 f"a focal length in pixels, {_FOCAL[0] * side:g} to {_FOCAL[1] * side:g} here; often about {side}",
             )
     if not 1 / _ASPECT <= camera.fx / camera.fy <= _ASPECT:
-        raise InputError(f"camera file {where}: fx {camera.fx:g} and fy {camera.fy:g} are far apart", "pixels are nearly square")
+        raise wrong(where, f"fx {camera.fx:g} and fy {camera.fy:g} are far apart", "pixels are nearly square")
     for name, at, length in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
         if not -_CENTRE * length <= at <= (1 + _CENTRE) * length:
-            raise InputError(
-                f"camera file {where}: the principal point's {name} is {at:g} px, far outside the picture",
+            raise wrong(
+                where,
+                f"the principal point's {name} is {at:g} px, far outside the picture",
                 f"near the middle: {length / 2:g}",
             )
     if camera.distortion.size and np.abs(camera.distortion).max() > _COEFFICIENT:
-        raise InputError(
-            f"camera file {where}: a distortion coefficient is {np.abs(camera.distortion).max():g}", "calibrate again"
-        )
+        raise wrong(where, f"a distortion coefficient is {np.abs(camera.distortion).max():g}", "calibrate again")
     if _seen(camera) < _LEAST_SEEN:
-        raise InputError(f"camera file {where}: with its distortion almost no pixel has a viewing direction", "calibrate again")
+        raise wrong(where, "with its distortion almost no pixel has a viewing direction", "calibrate again")
 
 
 def camera_doubts(camera: Camera) -> list[str]:

@@ -7,7 +7,6 @@ Left out: XML, and lens models that OpenCV's polynomials cannot express (field-o
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -20,8 +19,8 @@ import yaml
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import aside
 from arfx.core.opener import DEEPEST, bounded, parse_json, read_text
-from arfx.errors import ArfxError, InputError
-from arfx.media.camera_checks import check_camera, check_matrix
+from arfx.errors import InputError
+from arfx.media.camera_checks import check_camera, check_matrix, wrong
 
 SUPPORTED = (
     "OpenCV YAML or JSON (camera_matrix, distortion_coefficients, image_width, image_height), ROS camera_info YAML, "
@@ -72,22 +71,17 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict:
-    return loader.construct_mapping(node, deep=True)
-
-
 for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _opencv_matrix)
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
 
 
-def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> Camera:
+def load_camera(path: str | Path) -> Camera:
     """The camera in a calibration file; the format is told from the content.
 
     path : the file; where it holds several cameras, `FILE#NAME` (camchain.yaml#cam1, cameras.txt#2) chooses one
-    size : (width, height) px, taken only where the file does not state the picture size
 
-    Raises InputError if the file cannot be read, is of no known format, does not state the picture size (and `size` is not
-    given), holds several cameras, has skew, or a lens model that OpenCV's polynomials cannot express.
+    Raises InputError if the file cannot be read, is of no known format, does not state the picture size, holds several
+    cameras, has skew, or a lens model that OpenCV's polynomials cannot express.
     """
     file, chosen = Path(path), ""
     if "#" in file.name and not os.path.exists(file):  # noqa: PTH110 - False where it cannot be told, too
@@ -100,10 +94,10 @@ def load_camera(path: str | Path, size: tuple[int, int] | None = None) -> Camera
     document = _parse(text, where)
     camchain = {k: v for k, v in document.items() if isinstance(v, Mapping) and "intrinsics" in v}
     if camchain:
-        return _from_kalibr(_choose(camchain, chosen, where), size, where)
+        return _from_kalibr(_choose(camchain, chosen, where), where)
     if "intrinsics" in document and "distortion_coeffs" in document:
-        return _from_kalibr(document, size, where)
-    return _from_names(document, size, where)
+        return _from_kalibr(document, where)
+    return _from_names(document, where)
 
 
 def _parse(text: str, where: str) -> Mapping[str, Any]:
@@ -122,7 +116,7 @@ def _parse(text: str, where: str) -> Mapping[str, Any]:
     return document
 
 
-def _from_names(document: Mapping[str, Any], size: tuple[int, int] | None, where: str) -> Camera:
+def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     """OpenCV, ROS, WPILib, PhotonVision: the same things under different names."""
     flat = {str(k).lower().replace("_", ""): v for k, v in document.items()}
     matrix = _numbers(_first(flat, MATRIX_NAMES), where, "the camera matrix")
@@ -130,33 +124,29 @@ def _from_names(document: Mapping[str, Any], size: tuple[int, int] | None, where
         keys = ", ".join(map(str, list(document)[:8])) or "nothing"
         raise InputError(f"camera file {where} holds no camera matrix (its keys: {keys})", f"supported: {SUPPORTED}")
     if matrix.size != 9:
-        raise InputError(f"camera file {where}: the camera matrix has {matrix.size} numbers", "9, row by row")
+        raise wrong(where, f"the camera matrix has {matrix.size} numbers", "9, row by row")
     found = _numbers(_first(flat, DISTORTION_NAMES), where, "the distortion coefficients")
     distortion = np.zeros(0) if found is None else found
     word = str(_first(flat, MODEL_NAMES) or "").lower()
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
     fisheye = word in FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
     if not fisheye and word not in BROWN_WORDS:
-        raise InputError(
-            f"camera file {where}: lens model {word!r} is not supported", "plumb_bob, rational_polynomial, equidistant"
-        )
-    return _camera(matrix.reshape(3, 3), distortion, _size(flat, size, where), FISHEYE if fisheye else BROWN, where)
+        raise wrong(where, f"lens model {word!r} is not supported", "plumb_bob, rational_polynomial, equidistant")
+    return _camera(matrix.reshape(3, 3), distortion, _size(flat, where), FISHEYE if fisheye else BROWN, where)
 
 
-def _from_kalibr(entry: Mapping[str, Any], size: tuple[int, int] | None, where: str) -> Camera:
+def _from_kalibr(entry: Mapping[str, Any], where: str) -> Camera:
     """Source: Kalibr wiki, "Yaml formats" and "Supported models"."""
     projection, lens = str(entry.get("camera_model", "pinhole")), str(entry.get("distortion_model", "none"))
     models = {"radtan": BROWN, "none": BROWN, "equidistant": FISHEYE}
     if projection != "pinhole" or lens not in models:
-        raise InputError(
-            f"camera file {where}: Kalibr model {projection}-{lens} is not supported", "pinhole with radtan, equidistant or none"
-        )
+        raise wrong(where, f"Kalibr model {projection}-{lens} is not supported", "pinhole with radtan, equidistant or none")
     k = _numbers(entry["intrinsics"], where, "intrinsics")
     d = _numbers(entry.get("distortion_coeffs", []), where, "distortion_coeffs")
     if k is None or k.size != 4:
-        raise InputError(f"camera file {where}: pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
+        raise wrong(where, "pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
     flat = {"resolution": entry.get("resolution")}
-    return _camera(_matrix(*k), np.zeros(0) if d is None else d, _size(flat, size, where), models[lens], where)
+    return _camera(_matrix(*k), np.zeros(0) if d is None else d, _size(flat, where), models[lens], where)
 
 
 def _colmap_rows(text: str) -> list[list[str]] | None:
@@ -170,17 +160,17 @@ def _colmap_rows(text: str) -> list[list[str]] | None:
 def _from_colmap(rows: list[list[str]], chosen: str, where: str) -> Camera:
     row = _choose({r[0]: r for r in rows}, chosen, where)
     if row[1] not in COLMAP_MODELS:
-        raise InputError(f"camera file {where}: COLMAP model {row[1]} has no OpenCV equivalent", ", ".join(COLMAP_MODELS))
+        raise wrong(where, f"COLMAP model {row[1]} has no OpenCV equivalent", ", ".join(COLMAP_MODELS))
     names, model = COLMAP_MODELS[row[1]][0].split(), COLMAP_MODELS[row[1]][1]
     values = _numbers(row[2:], where, f"camera {row[0]}")
     if values is None or values.size != 2 + len(names):
-        raise InputError(f"camera file {where}: {row[1]} has {len(row) - 4} parameters", f"{len(names)}: {' '.join(names)}")
+        raise wrong(where, f"{row[1]} has {len(row) - 4} parameters", f"{len(names)}: {' '.join(names)}")
     p = dict(zip(names, values[2:], strict=True))
     matrix = _matrix(p.get("fx", p.get("f")), p.get("fy", p.get("f")), p["cx"] - COLMAP_CENTRE_PX, p["cy"] - COLMAP_CENTRE_PX)
     order = ("k1", "k2", "k3", "k4") if model == FISHEYE else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     last = 8 if "k6" in p else 4
     distortion = np.array([p.get(n, 0.0) for n in order[:last]])
-    return _camera(matrix, distortion, _size({"size": row[2:4]}, None, where), model, where)
+    return _camera(matrix, distortion, _size({"size": row[2:4]}, where), model, where)
 
 
 def _camera(matrix: np.ndarray, distortion: np.ndarray, size: tuple[int, int], model: str, where: str) -> Camera:
@@ -196,7 +186,7 @@ def _camera(matrix: np.ndarray, distortion: np.ndarray, size: tuple[int, int], m
 
 def _choose(cameras: Mapping[str, Any], chosen: str, where: str) -> Any:
     if chosen and chosen not in cameras:
-        raise InputError(f"camera file {where}: no camera {chosen!r}", "it holds " + ", ".join(cameras))
+        raise wrong(where, f"no camera {chosen!r}", "it holds " + ", ".join(cameras))
     if not chosen and len(cameras) > 1:
         first = next(iter(cameras))
         raise InputError(
@@ -205,8 +195,7 @@ def _choose(cameras: Mapping[str, Any], chosen: str, where: str) -> Any:
     return cameras[chosen or next(iter(cameras))]
 
 
-def _size(flat: Mapping[str, Any], size: tuple[int, int] | None, where: str) -> tuple[int, int]:
-    """Picture size stated in the file, else `size`."""
+def _size(flat: Mapping[str, Any], where: str) -> tuple[int, int]:
     stated = _first(flat, SIZE_NAMES)
     width, height = _first(flat, WIDTH_NAMES), _first(flat, HEIGHT_NAMES)
     if isinstance(stated, Mapping):
@@ -214,15 +203,13 @@ def _size(flat: Mapping[str, Any], size: tuple[int, int] | None, where: str) -> 
     elif isinstance(stated, Sequence) and not isinstance(stated, str) and len(stated) == 2:
         width, height = stated
     if width is None or height is None:
-        if size is not None:
-            return size
         raise InputError(
             f"camera file {where} does not state the picture size that it was made for",
             'add it: "image_width": 1920, "image_height": 1080 (YAML: without the quotation marks)',
         )
     values = _numbers([width, height], where, "the picture size")
     if values is None or not np.isfinite(values).all() or np.any(values != np.round(values)):
-        raise InputError(f"camera file {where}: picture size {width} x {height}", "two whole numbers of pixels")
+        raise wrong(where, f"picture size {width} x {height}", "two whole numbers of pixels")
     return int(values[0]), int(values[1])
 
 
@@ -239,7 +226,7 @@ def _numbers(value: Any, where: str, what: str) -> np.ndarray | None:
     try:
         flat = [_number(v) for v in np.asarray(value, object).ravel()]
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"camera file {where}: {what} is not a list of numbers", "numbers, row by row") from None
+        raise wrong(where, f"{what} is not a list of numbers", "numbers, row by row") from None
     return np.array(flat, float)
 
 
@@ -267,33 +254,20 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
     d = camera.distortion if camera.distortion.size else np.zeros(4 if fisheye else 5)
     if not fisheye and d.size == 4:
         d = np.append(d, 0.0)  # ROS's plumb_bob has five
-    lens = "equidistant" if fisheye else "plumb_bob" if d.size <= 5 else "rational_polynomial"
-    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
-    lines = ["%YAML 1.0", "---", f"image_width: {camera.width}", f"image_height: {camera.height}", 'camera_name: "camera"']
-    lines += [*_matrix_lines("camera_matrix", camera.matrix), f"distortion_model: {lens}"]
-    lines += _matrix_lines("distortion_coefficients", d.reshape(1, -1))
-    lines += _matrix_lines("rectification_matrix", np.eye(3)) + _matrix_lines("projection_matrix", projection)
-    lines += ["fisheye_model: 1"] if fisheye else []
-    for key, value in extras.items():
-        lines += _extra_lines(key, value, "", path)
+    document = {
+        "image_width": camera.width, "image_height": camera.height, "camera_name": "camera",
+        "camera_matrix": _stored_matrix(camera.matrix),
+        "distortion_model": "equidistant" if fisheye else "plumb_bob" if d.size <= 5 else "rational_polynomial",
+        "distortion_coefficients": _stored_matrix(d[None]),
+        "rectification_matrix": _stored_matrix(np.eye(3)),
+        "projection_matrix": _stored_matrix(np.hstack([camera.matrix, np.zeros((3, 1))])),
+        **({"fisheye_model": 1} if fisheye else {}),
+        **extras,
+    }  # fmt: skip
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=1 << 30, allow_unicode=True)
     with aside(path) as part:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        part.write_text(f"%YAML 1.0\n---\n{text}", encoding="utf-8")
 
 
-def _matrix_lines(key: str, m: np.ndarray) -> list[str]:
-    data = ", ".join(repr(float(v)) for v in m.ravel())
-    return [f"{key}:", f"  rows: {m.shape[0]}", f"  cols: {m.shape[1]}", "  dt: d", f"  data: [{data}]"]
-
-
-def _extra_lines(key: str, value: Any, indent: str, path: Path) -> list[str]:
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        inner = [line for k, v in value.items() for line in _extra_lines(str(k), v, indent + "  ", path)]
-        return [f"{indent}{key}:", *inner] if inner else []
-    if value is None:
-        return []
-    try:
-        return [f"{indent}{key}: {json.dumps(value, allow_nan=False, ensure_ascii=False)}"]
-    except (TypeError, ValueError):
-        raise ArfxError(f"{path}: cannot write {key} = {value!r}", "finite numbers, text, lists and mappings of them") from None
+def _stored_matrix(m: np.ndarray) -> dict[str, Any]:
+    return {"rows": m.shape[0], "cols": m.shape[1], "dt": "d", "data": m.ravel().tolist()}

@@ -112,17 +112,6 @@ class ClipInfo:
         )  # fmt: skip
         return d
 
-    @staticmethod
-    def from_json(d: dict[str, Any]) -> ClipInfo:
-        d = dict(d)
-        d.update(
-            path=Path(d["path"]), time_base=Fraction(d["time_base"]), transfer=Transfer(d["transfer"]),
-            sample_aspect=None if d["sample_aspect"] is None else Fraction(d["sample_aspect"]),
-            display_matrix=None if d["display_matrix"] is None else tuple(d["display_matrix"]),
-            streams=tuple(StreamInfo(**s) for s in d["streams"]), notices=tuple(d["notices"]),
-        )  # fmt: skip
-        return ClipInfo(**d)
-
 
 def video_stream(container: Any, path: Path) -> Any:
     """The first video stream that is not a cover picture. Raises InputError if there is none."""

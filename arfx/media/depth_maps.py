@@ -18,14 +18,13 @@ import numpy as np
 from arfx.core.opener import is_folder, read_bytes
 from arfx.errors import InputError
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
-from arfx.media.images import read_exr
-from arfx.media.pictures import decode_picture
+from arfx.media.images import decode_picture, read_exr
+from arfx.media.pairing import by_time, in_order
 
 SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"
 _STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
 _ASPECT = 0.005
-_NEAR_SHARE = 0.75  # a frame takes a map that is at most this share of the maps' usual distance in time away
 
 
 @dataclass(frozen=True)
@@ -59,27 +58,14 @@ class DepthMaps:
     def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[int | None]:
         """Number of each frame's map, None where none was taken near its time.
 
-        times_s : after the clip's first frame;  before : frames of the clip before the first of these
-        whole : these reach to the clip's end
-        Raises InputError where maps are ordered and their number is not the clip's.
+        times_s : after the clip's first frame;  before, whole : as of `in_order`, which raises InputError
         """
         if self.still:
             return [0] * len(times_s)
-        if self.times_s is None:
-            wanted, held = before + len(times_s), self.count
-            if held < wanted or (whole and held > wanted):
-                count = f"{wanted} frames" if whole else f"at least {wanted} frames"
-                raise InputError(
-                    f"depth {self.path} holds {held} maps, the clip has {count}",
-                    "one map for each frame, or times in their names (1305031102.160407.png), or a single map",
-                )
-            return list(range(before, wanted))
-        taken = np.array(self.times_s) + self.start_s
-        reach = _NEAR_SHARE * float(np.median(np.diff(taken)))
-        times = np.asarray(times_s, float)
-        after = np.clip(np.searchsorted(taken, times), 1, len(taken) - 1)
-        nearest = after - (times - taken[after - 1] <= taken[after] - times)
-        return [int(k) if abs(taken[k] - t) <= reach else None for k, t in zip(nearest, times, strict=True)]
+        if self.times_s is not None:
+            return by_time(np.array(self.times_s) + self.start_s, times_s)
+        hint = "one map for each frame, or times in their names (1305031102.160407.png), or a single map"
+        return in_order(f"depth {self.path} holds {self.count} maps", self.count, len(times_s), before, whole, hint)
 
     def load(self, number: int, width: int, height: int) -> np.ndarray:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.

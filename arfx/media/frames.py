@@ -22,8 +22,6 @@ class ClipReader:
     """Context manager over one clip.
 
     truncated : after iterating to the end, a message when the file ends in damage, else None
-    damaged : frames that the decoder had to conceal in the middle of the clip
-    exact_seek : after a partial read, whether it started at a key frame (else everything before was decoded)
     """
 
     def __init__(self, info: ClipInfo, threads: int = 0) -> None:
@@ -32,8 +30,6 @@ class ClipReader:
         self._threads = threads
         self._container: Any = None
         self.truncated: str | None = None
-        self.damaged = 0
-        self.exact_seek = True
         self._stopped = ""
         self._packets = 0
         self._end = info.start_pts
@@ -79,7 +75,6 @@ class ClipReader:
                 yield item
             if started:
                 return
-        self.exact_seek = first_pts is None or first_pts <= self.info.start_pts
         for picture, pts in self._timed(self._decode(self._open())):
             if last_pts is not None and pts > last_pts:
                 return
@@ -127,7 +122,6 @@ class ClipReader:
             if picture.is_corrupt:
                 held.append(picture)
                 continue
-            self.damaged += len(held)
             yield from held
             held.clear()
             yield picture
@@ -137,7 +131,6 @@ class ClipReader:
     def _raw(self, stream: Any) -> Iterator[av.VideoFrame]:
         ended = False
         packets = self._container.demux(stream)
-        failures = 0
         while not ended:
             try:
                 packet = next(packets, None)
@@ -155,12 +148,9 @@ class ClipReader:
                     self._end = max(self._end, packet.pts + (packet.duration or 0))
             try:
                 yield from stream.codec_context.decode(None if ended else packet)
-                failures = 0
             except av.error.EOFError:
                 return
             except (av.error.FFmpegError, OSError) as e:
-                failures += 1
-                self.damaged += 1
                 if ended:
                     self._stopped = self._stopped or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
 

@@ -1,13 +1,20 @@
-"""Single images: PNG with 8 or 16 bits, EXR with 32-bit floats.
+"""Single pictures: PNG with 8 or 16 bits, EXR with 32-bit floats; and pictures from outside, decoded by OpenCV.
 
-OpenCV's wheels carry no OpenEXR, so EXR goes through FFmpeg's encoder and decoder, whose samples are exact.
+OpenCV's wheels carry no OpenEXR, so EXR goes through FFmpeg's encoder and decoder, whose samples are exact. From outside only
+formats are read that are listed here, told from the content, and of a bounded size. The size is read from the header before
+anything is decoded: a few kilobytes can state gigabytes.
 """
 
 from __future__ import annotations
 
 import io
+import re
+import struct
+import threading
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -15,7 +22,17 @@ import numpy as np
 from arfx.core.colour import SRGB, Transfer
 from arfx.core.opener import read_bytes
 from arfx.errors import InputError, RenderError
-from arfx.media.pictures import check_pixels, decode_picture
+
+# kind of picture, as in opener.LIMITS -> (largest number of pixels, why this many)
+MOST_PIXELS: dict[str, tuple[int, str]] = {
+    "image": (1 << 25, "8192 x 4096, 400 MB in linear light"),
+    "depth map": (1 << 25, "8192 x 4096, four times the largest video"),
+    "picture": (1 << 28, "a telephone's 200 megapixels, decoded grey"),
+}
+_PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_looking = threading.Lock()
+_HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
 
 def write_png(path: Path, rgb: np.ndarray) -> None:
@@ -76,3 +93,83 @@ def _write(path: Path, data: bytes) -> None:
         path.write_bytes(data)
     except OSError as e:
         raise RenderError(f"{path} cannot be written: {e.strerror or e}", "is the disk full, or the folder read-only?") from e
+
+
+def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
+    """As cv2.imdecode. Raises InputError: not a file of that kind, too large, damaged."""
+    import cv2
+
+    data = read_bytes(path, kind)
+    check_pixels(data, path, kind)
+    try:
+        raw: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        raw = None
+    if raw is None:
+        raise InputError(f"{kind} {path} cannot be read: it is damaged, or of a variant that is not known", "save it again")
+    return raw
+
+
+def check_pixels(data: bytes, path: Path, kind: str) -> None:
+    """Raises InputError: of no known format, or with more pixels than MOST_PIXELS[kind]."""
+    _within(lambda: _sizes(data), path, kind)
+
+
+def check_tiff(path: Path, kind: str) -> None:
+    """The same of every page of a TIFF that is too large to be read whole."""
+    import tifffile
+
+    def sizes() -> list[tuple[int, int]]:
+        with tifffile.TiffFile(path) as file:  # its pages alone: what its metadata names is not opened
+            return _pages(file)
+
+    _within(sizes, path, kind)
+
+
+def _pages(file: Any) -> list[tuple[int, int]]:
+    sizes: dict[int, tuple[int, int]] = {}
+    for page in file.pages:
+        if page.offset in sizes:
+            raise ValueError("a page comes after itself")  # tifffile would go round for ever
+        sizes[page.offset] = (page.imagewidth, page.imagelength)
+    return list(sizes.values())
+
+
+def _within(sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str) -> None:
+    try:
+        pages = sizes()
+    except Exception as e:  # whatever the readers of headers stumble over
+        raise InputError(f"{kind} {path} cannot be read: {str(e)[:200] or type(e).__name__}", "is it damaged?") from e
+    if not pages:
+        raise InputError(f"{kind} {path} is not a picture that can be read", f"{', '.join(_PILLOW)}, TIFF, HDR or EXR")
+    most, _ = MOST_PIXELS[kind]
+    for width, height in pages:
+        if not 0 < width * height <= most:
+            raise InputError(f"{kind} {path} is {width}x{height}", f"at most {most / 1e6:.0f} megapixels: scale it down")
+
+
+def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
+    """(width, height) of every page as the header states it; none where the format is not known."""
+    if data.startswith(_TIFF):
+        import tifffile
+
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            return _pages(file)
+    if data.startswith(b"#?"):
+        found = _HDR.search(data[:65536])
+        return [(int(found[2]), int(found[1]))] if found else []
+    if data.startswith(b"v/1\x01"):
+        at = data.index(b"dataWindow\0box2i\0") + 21
+        left, top, right, bottom = struct.unpack("<4i", data[at : at + 16])
+        return [(right - left + 1, bottom - top + 1)]
+    from PIL import Image
+
+    with _looking:
+        given, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # it would warn of what is allowed here
+        try:
+            with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
+                return [picture.size]
+        except Image.UnidentifiedImageError:
+            return []
+        finally:
+            Image.MAX_IMAGE_PIXELS = given

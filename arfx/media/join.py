@@ -65,26 +65,28 @@ def join_chunks(
         _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent), made)
         return 0
     part = part or part_name(out)
-    try:
-        remove_output(part)
+    with _made_aside(part, out):
         order = _order_of(chunks, len(pts))
         left_out = _remux(chunks, pts, order, plan, info, part, start_s, end_s)
         if made is not None:
             made()
         with interrupt.completing():
             part.replace(out)
-        return left_out
-    except (av.error.FFmpegError, OSError, ValueError) as e:
-        _forget(part)
-        raise write_failed(out, e) from e
-    except BaseException:
-        _forget(part)
-        raise
+    return left_out
 
 
-def _forget(part: Path) -> None:
-    with contextlib.suppress(OSError):  # what went wrong first is what the user must hear
+@contextlib.contextmanager
+def _made_aside(part: Path, out: Path) -> Iterator[None]:
+    """Nothing is at `part` before the body, nor after it has failed. Raises RenderError where `out` cannot be written."""
+    try:
         remove_output(part)
+        yield
+    except BaseException as e:
+        with contextlib.suppress(OSError):  # what went wrong first is what the user must hear
+            remove_output(part)
+        if isinstance(e, (av.error.FFmpegError, OSError, ValueError)):
+            raise write_failed(out, e) from e
+        raise
 
 
 def _packets_of(chunk: Path) -> Any:
@@ -115,6 +117,7 @@ def _video_packets(
     chunks: Sequence[Path], pts: Sequence[int], order: _Order, time_base: Fraction, stream: Any
 ) -> Iterator[tuple[Fraction, Any]]:
     i, d = 0, order.depth
+    last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
         with _packets_of(chunk) as c:
             for p in c.demux(c.streams.video[0]):
@@ -124,14 +127,10 @@ def _video_packets(
                 decoded = pts[i - d] if i >= d else pts[0] - (d - i)
                 p.time_base = time_base
                 p.pts, p.dts = pts[shown], decoded
-                p.duration = pts[shown + 1] - pts[shown] if shown + 1 < len(pts) else _last_duration(pts)
+                p.duration = pts[shown + 1] - pts[shown] if shown + 1 < len(pts) else last
                 p.stream = stream
                 yield decoded * time_base, p
                 i += 1
-
-
-def _last_duration(pts: Sequence[int]) -> int:
-    return pts[-1] - pts[-2] if len(pts) > 1 else 0
 
 
 def _remux(
@@ -225,8 +224,7 @@ def _join_folders(
 ) -> None:  # fmt: skip
     """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
     folder = out.absolute().parent
-    try:
-        remove_output(part)
+    with _made_aside(part, out):
         part.mkdir(parents=True)
         times = []
         for chunk in chunks:
@@ -254,9 +252,3 @@ def _join_folders(
                 part.rmdir()
             else:
                 part.replace(folder)
-    except OSError as e:
-        _forget(part)
-        raise write_failed(out, e) from e
-    except BaseException:
-        _forget(part)
-        raise

@@ -108,10 +108,8 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
         range_tag = 2
     if codec.name == "prores" and matrix_tag == UNSPECIFIED:
         matrix_tag = {"bt709": 1, "bt601": 6}[matrix]  # its bitstream always names one: then the one that was used
-    if container == "matroska":
-        notices.append("Matroska counts time in milliseconds: frame times are rounded to 1 ms")
-    elif container == "webm":
-        notices.append("WebM counts time in milliseconds: frame times are rounded to 1 ms")
+    if counts := {"matroska": "Matroska", "webm": "WebM"}.get(container):
+        notices.append(f"{counts} counts time in milliseconds: frame times are rounded to 1 ms")
     return OutputPlan(
         path, codec.name, container, fmt, _options(codec, settings), codec.threads, matrix, full, matrix_tag, range_tag,
         info.transfer_tag, info.primaries_tag, streams, tuple(notices),
@@ -166,9 +164,8 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
         if default is None and asked is not None:
             raise ConfigError(f"codec {codec.name} has no setting {what!r}", "leave it out")
         if default is not None:
-            options[what] = (
-                f"{default if asked is None else asked:g}" if what == "crf" else str(default if asked is None else asked)
-            )
+            value = default if asked is None else asked
+            options[what] = f"{value:g}" if what == "crf" else str(value)
     if crf is not None and not 0 <= crf <= 63:
         raise ConfigError(f"crf must be within 0 and 63, is {crf:g}", "18 is nearly transparent, 28 is small")
     if preset is not None:
@@ -242,7 +239,8 @@ def _further_streams(info: ClipInfo, container: str, codec: Codec, path: Path, n
         elif s.codec in holdable(container) and s.kind in ("audio", "video", "subtitle") and not s.picture:
             kept.append(s.index)
         elif s.kind == "audio":
-            able = [CONTAINER_SUFFIX[c] for c in codec.containers if _all_audio(info, c)]
+            sound = {a.codec for a in info.audio if not a.broken}
+            able = [CONTAINER_SUFFIX[c] for c in codec.containers if sound <= holdable(c)]
             raise ConfigError(
                 f"{path}: a {path.suffix} file cannot hold the clip's audio ({s.codec})",
                 f"use {' or '.join(able)}" if able else f"no container of {codec.name} can; use another codec, or .mkv",
@@ -252,21 +250,13 @@ def _further_streams(info: ClipInfo, container: str, codec: Codec, path: Path, n
     return tuple(kept)
 
 
-def _all_audio(info: ClipInfo, container: str) -> bool:
-    return all(s.codec in holdable(container) for s in info.audio if not s.broken)
-
-
 def _plan_sequence(info: ClipInfo, path: Path, codec: Codec, settings: OutputSettings) -> OutputPlan:
     if settings.crf is not None or settings.preset is not None or settings.pixel_format is not None:
         raise ConfigError(f"{codec.name} images take no crf, preset or pixel format", "leave them out")
     deep = info.bit_depth > 8
     fmt = "gbrpf32le" if codec.name == "exr" else ("rgb48be" if deep else "rgb24")
     notices = ["frame times are written to times.txt beside the images"]
-    others = [str(s) for s in _others(info.streams)]
+    others = [str(s) for s in info.streams if not s.used]
     if others:
         notices.append(f"images hold no further streams; left out: {', '.join(others)}")
     return OutputPlan(path, codec.name, "", fmt, (), 1, info.matrix, True, notices=tuple(notices))
-
-
-def _others(streams: Sequence[Any]) -> list[Any]:
-    return [s for s in streams if not s.used]

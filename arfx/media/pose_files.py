@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from arfx.core.opener import read_text
-from arfx.core.pose import Pose
+from arfx.core.pose import Pose, rotation_from_quaternion
 from arfx.errors import InputError
+from arfx.media.pairing import by_time, in_order
 
-_NEAR_SHARE = 0.75  # a frame takes a pose that is at most this share of the poses' usual distance in time away
 _FARTHEST = 1e12  # metres or seconds: times count from 1970, nothing is farther than that in metres
 _UNIT = 1e-2  # from 1, of a quaternion's length
 
@@ -32,24 +32,14 @@ class CameraPath:
     def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[Pose | None]:
         """Each frame's pose, None where none was taken near its time.
 
-        times_s : after the clip's first frame;  before : frames of the clip before the first of these;  whole : to its end
-        Raises InputError where poses are ordered and their number is not the clip's.
+        times_s : after the clip's first frame;  before, whole : as of `in_order`, which raises InputError
         """
-        if self.times_s is None:
-            wanted, held = before + len(times_s), len(self.camera_from_given)
-            if held < wanted or (whole and held > wanted):
-                raise InputError(
-                    f"poses {self.path} hold {held} lines, the clip has {'' if whole else 'at least '}{wanted} frames",
-                    "one line for each frame, or the time in seconds before each pose",
-                )
-            return list(self.camera_from_given[before:wanted])
-        taken = np.array(self.times_s)
-        reach = _NEAR_SHARE * float(np.median(np.diff(taken))) if len(taken) > 1 else np.inf
-        out: list[Pose | None] = []
-        for t in times_s:
-            k = int(np.abs(taken - t).argmin())
-            out.append(self.camera_from_given[k] if abs(taken[k] - t) <= reach else None)
-        return out
+        if self.times_s is not None:
+            found = by_time(np.array(self.times_s), times_s)
+        else:
+            held, hint = len(self.camera_from_given), "one line for each frame, or the time in seconds before each pose"
+            found = in_order(f"poses {self.path} hold {held} lines", held, len(times_s), before, whole, hint)
+        return [None if k is None else self.camera_from_given[k] for k in found]
 
 
 def load_poses(path: Path) -> CameraPath:
@@ -80,22 +70,13 @@ def load_poses(path: Path) -> CameraPath:
     if not rows:
         raise InputError(f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw")
     table = np.array(rows)
-    poses = tuple(Pose(_rotation(q), t).inverse() for t, q in zip(table[:, -7:-4], table[:, -4:], strict=True))
+    turns = [q / np.linalg.norm(q) for q in table[:, -4:]]
+    poses = tuple(
+        Pose(rotation_from_quaternion(*q[[3, 0, 1, 2]]), t).inverse() for t, q in zip(table[:, -7:-4], turns, strict=True)
+    )
     if columns == 7:
         return CameraPath(path, poses, None)
     times = table[:, 0] - table[0, 0]
     if (np.diff(times) <= 0).any():
         raise InputError(f"poses {path}: the times do not rise")
     return CameraPath(path, poses, tuple(times.tolist()))
-
-
-def _rotation(q: np.ndarray) -> np.ndarray:
-    """(3, 3) of a quaternion x, y, z, w."""
-    x, y, z, w = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -100,13 +100,12 @@ def _start(counter: Any) -> None:
     cv2.setNumThreads(1)
 
 
-def _tick() -> None:
-    with _counter.get_lock():
-        _counter.value += 1
-
-
 def _render(task: Task) -> dict[str, Any]:
-    return render_chunk(*task, _tick)
+    def tick() -> None:
+        with _counter.get_lock():
+            _counter.value += 1
+
+    return render_chunk(*task, tick)
 
 
 def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Results:

@@ -34,6 +34,7 @@ _MARKED = re.compile(
     rf"|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
 )
 _SEALED = ("frames.json", "facts.jsonl", "plan.jsonl", "plan_summary.json")
+_SOURCE = (".py", ".vert", ".frag")
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,7 @@ def content_digest(path: Path) -> str:
 def code_digest(root: Path = Path(arfx.__file__).parent, version: str = arfx.__version__) -> str:
     """Digest of the source of a package (arfx's own) or module: a chunk made by other code is made again."""
     h = hashlib.blake2b(version.encode(), digest_size=8)
-    for path in [root] if root.is_file() else sorted(root.rglob("*.py")):
+    for path in [root] if root.is_file() else sorted(p for p in root.rglob("*") if p.suffix in _SOURCE):
         h.update(str(path.relative_to(root)).encode())
         h.update(path.read_bytes())
     return h.hexdigest()

@@ -16,7 +16,7 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.opener import parse_json, parse_toml, read_text, regular
-from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.pose import Pose, rotation_from_euler_deg, rotation_from_quaternion
 from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Placement, Scene
 from arfx.core.units import LONGEST_M, length_m
@@ -31,7 +31,6 @@ from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.pose_files import CameraPath, load_poses
 from arfx.run.depth import job_depth
 from arfx.run.parameters import on_this_machine
-from arfx.stages.raster.mesh import check_extent
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
 
@@ -60,7 +59,7 @@ def open_inputs(config: JobConfig) -> Inputs:
     settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
     output = plan_output(clip, config.output.path, settings)
     model = job_model(config)
-    check_extent(model, Scene(camera, model, placement(config).world_from_model(model, config.model.up)).model_corners_m)
+    Scene(camera, model, placement(config).world_from_model(model, config.model.up)).check_extent()
     return Inputs(
         on_this_machine(config), clip, camera, model, marker_map(config), output,
         (*notices, *model.notices, *output.notices), panorama(config), open_maps(config, clip),
@@ -214,15 +213,7 @@ def _wpilib_layout(document: dict) -> dict[str, Pose]:
     out = {}
     for tag in document["tags"]:
         t, q = tag["pose"]["translation"], tag["pose"]["rotation"]["quaternion"]
-        w, x, y, z = (float(q[k]) for k in "WXYZ")
-        r = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
         with np.errstate(invalid="ignore"):  # what is not finite is refused with the other poses
-            r = r @ swap
+            r = rotation_from_quaternion(*(float(q[k]) for k in "WXYZ")) @ swap
         out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([float(t["x"]), float(t["y"]), float(t["z"])]))
     return out

@@ -53,10 +53,6 @@ SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to s
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
 
 
-def _silent(phase: str, done: int, total: int | None) -> None:
-    return None
-
-
 @dataclass
 class Options:
     """How a job is run; none of it changes a pixel.
@@ -74,7 +70,7 @@ class Options:
     workers: int | None = 1
     report: Path | None = None
     finish: Callable[[Path], object] | None = None
-    progress: Callable[[str, int, int | None], None] = _silent
+    progress: Callable[[str, int, int | None], None] = lambda phase, done, total: None
     notice: Callable[[str], None] = print
 
 

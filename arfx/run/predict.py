@@ -67,7 +67,8 @@ def predict(
 ) -> JobPrediction:
     """work : of all stages;  prepared : what they prepare is in it"""
     changed = [p for p in plans if p.steps]
-    edit = prices.predict("edit", _edited(changed)) if changed else exactly(0.0)
+    edited = {"frames": float(len(changed)), "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6}
+    edit = prices.predict("edit", edited) if changed else exactly(0.0)
     whole = {"frames": float(terms.frames), "mpx": terms.frames * terms.frame_mpx}
     encode = prices.predict(f"encode {terms.codec}", whole)
     share, lead = _shared(plans, work, terms, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
@@ -82,10 +83,6 @@ def predict(
         "report": prepare({at for at in levels_of(plans) if at[0] in terms.checked}, terms, prices),
     }
     return JobPrediction(phases, share, terms.workers)
-
-
-def _edited(plans: Sequence[FramePlan]) -> dict[str, float]:
-    return {"frames": float(len(plans)), "mpx": sum(p.rect.area + p.changed.area for p in plans) / 1e6}
 
 
 def _shared(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.pose.visibility import corner_jitter_px
+from arfx.analyse.pose.visibility import trembling_px
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
 from arfx.run.chunks import Chunk
@@ -78,15 +78,18 @@ def _pose(job: Job) -> dict[str, Any]:
     facts, summary = job.facts, job.analysed.summary
     count = {k: sum(f.status == k for f in facts) for k in (MEASURED, INTERPOLATED, ABSENT)}
     corners, camera = job.scene.model_corners_m, job.inputs.camera
-    raw, smooth = (corner_jitter_px(facts, corners, camera, raw=r) for r in (True, False))
+    before, after = (
+        [float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in trembling_px(facts, corners, camera, raw)]
+        for raw in (True, False)
+    )
     return {
         **summary,
         "reprojection_px": {**summary["reprojection_px"]["smoothed"], "before_smoothing": summary["reprojection_px"]["raw"]},
         # trembling of the object against its marker; the camera's own shake moves both and is meant to stay
-        "jitter_px": smooth["relative_median"],
-        "jitter_before_smoothing_px": raw["relative_median"],
-        "jitter_with_camera_px": smooth["median"],
-        "jitter_with_camera_before_smoothing_px": raw["median"],
+        "jitter_px": after[1],
+        "jitter_before_smoothing_px": before[1],
+        "jitter_with_camera_px": after[0],
+        "jitter_with_camera_before_smoothing_px": before[0],
         "frames_measured": count[MEASURED],
         "frames_interpolated": count[INTERPOLATED],
         "frames_absent": count[ABSENT],

@@ -151,7 +151,7 @@ def frame_truth(world: World, picture: Picture, n: int) -> FrameTruth:
         inside = (pixels >= -0.5).all(-1) & (pixels < [world.camera.width - 0.5, world.camera.height - 0.5]).all(-1)
         towards = -camera_from_marker.translation_m / max(float(np.linalg.norm(camera_from_marker.translation_m)), 1e-9)
         facing = float(camera_from_marker.rotation[:, 2] @ towards)
-        seen = inside & picture.unhidden(n, points, moment, room_from_camera) if facing > 0 else np.zeros(len(points), bool)
+        seen = inside & picture.unhidden(points, moment, room_from_camera) if facing > 0 else np.zeros(len(points), bool)
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
         key = placed.spec.key
         if key in markers:  # two prints of one marker: the truth is the first one's

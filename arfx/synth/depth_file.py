@@ -70,14 +70,12 @@ class DepthFile:
             return
         picture = av.VideoFrame.from_ndarray(steps, format="gray16le")
         picture.pts, picture.time_base = round(time_s * CLOCK_HZ), Fraction(1, CLOCK_HZ)
-        for packet in self._stream.encode(picture):
-            self._out.mux(packet)
+        self._out.mux(self._stream.encode(picture))
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._out is not None:
             if kind is None:
-                for packet in self._stream.encode(None):
-                    self._out.mux(packet)
+                self._out.mux(self._stream.encode(None))
             self._out.close()
         elif kind is None and not cv2.imwritemulti(str(self._path), self._pages):
             raise RenderError(f"cannot write {self._path}")

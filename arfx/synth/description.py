@@ -43,6 +43,8 @@ def _transfer(value: Any) -> Any:
         raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
 
 
+DEMO_SCENE = Path(__file__).with_name("demo.toml")  # a desk with an AprilTag and a cube of markers, filmed hand-held on an orbit
+
 Length = Annotated[float, BeforeValidator(_length)]
 Vector = tuple[Length, Length, Length]
 Angles = tuple[float, float, float]

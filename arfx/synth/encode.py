@@ -61,8 +61,7 @@ class ClipFile:
             coded = np.ascontiguousarray(np.rot90(coded, -self._scene.clip.rotation_deg // 90))
         frame = self._frame(coded)
         frame.pts, frame.time_base = round((self._scene.clip.start_s + time_s) * CLOCK_HZ), Fraction(1, CLOCK_HZ)
-        for packet in self._stream.encode(frame):
-            self._out.mux(packet)
+        self._out.mux(self._stream.encode(frame))
 
     def _frame(self, coded: np.ndarray) -> av.VideoFrame:
         yuv = cv2.transform(coded, yuv_from_rgb("bt709").astype(np.float32))
@@ -98,14 +97,11 @@ class ClipFile:
             frame.time_base = Fraction(1, 48_000)
             resampled = [frame] if kind == "fltp" else av.AudioResampler(kind, "mono", 48_000).resample(frame)
             for piece in resampled:
-                for packet in self._tone.encode(piece):
-                    self._out.mux(packet)
-        for packet in self._tone.encode(None):
-            self._out.mux(packet)
+                self._out.mux(self._tone.encode(piece))
+        self._out.mux(self._tone.encode(None))
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if kind is None:
-            for packet in self._stream.encode(None):
-                self._out.mux(packet)
+            self._out.mux(self._stream.encode(None))
             self._write_tone()
         self._out.close()

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from arfx.errors import InputError
-from arfx.media.pictures import decode_picture
+from arfx.media.images import decode_picture
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:

@@ -110,7 +110,7 @@ class Picture:
             out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
 
-    def unhidden(self, frame: int, points_room: np.ndarray, moment: Moment, room_from_camera: Pose) -> np.ndarray:
+    def unhidden(self, points_room: np.ndarray, moment: Moment, room_from_camera: Pose) -> np.ndarray:
         """(n,) bool: nothing stands between the camera and each room point."""
         out = np.zeros(len(points_room), bool)
         unhidden(np.ascontiguousarray(points_room), room_from_camera.translation_m, moment.rects, moment.spheres, out)

@@ -5,18 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import MarkerSpec, opencv_name
 
 
 def marker_cells(spec: MarkerSpec) -> np.ndarray:
     """(n, n) bool, True = paper, of a marker with its one-cell black border; row 0 is the print's top."""
-    if spec.family == "ORIGINAL" or spec.family.startswith("MIP"):
-        name = f"DICT_ARUCO_{spec.family}"
-    elif spec.family[0].isdigit() and "h" in spec.family:
-        name = f"DICT_APRILTAG_{spec.family}"
-    else:
-        name = f"DICT_{spec.family}"
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, opencv_name(spec.family)))
     side = dictionary.markerSize + 2
     return np.asarray(cv2.aruco.generateImageMarker(dictionary, spec.id, side, borderBits=1)) > 127
 

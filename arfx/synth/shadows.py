@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numba import njit
 
-_FAR = 1e30
 _DISC_SAMPLES = 16
 _GOLDEN_ANGLE = 2.399963229728653
 
@@ -129,22 +128,20 @@ def _blocked(px, py, pz, lx, ly, lz, rows, k, first, used, spheres):
         qv -= rise * (rows[k, i, 11] - (px * rows[k, i, 8] + py * rows[k, i, 9] + pz * rows[k, i, 10]))
         if abs(qv) <= rise * rows[k, i, 13] and rise > 0.0:
             return True
-    return meets_a_sphere(px, py, pz, lx, ly, lz, _FAR, spheres)
+    return _meets_a_sphere(px, py, pz, lx, ly, lz, spheres)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def meets_a_sphere(ox, oy, oz, dx, dy, dz, limit, spheres):
-    """True if any sphere lies on the ray before `limit`."""
+def _meets_a_sphere(ox, oy, oz, dx, dy, dz, spheres):
+    """Whether a ray meets any sphere."""
     for i in range(spheres.shape[0]):
         px, py, pz = spheres[i, 0] - ox, spheres[i, 1] - oy, spheres[i, 2] - oz
         a = dx * dx + dy * dy + dz * dz
         b = (px * dx + py * dy + pz * dz) / a
         cx, cy, cz = px - b * dx, py - b * dy, pz - b * dz
         h = spheres[i, 3] * spheres[i, 3] - (cx * cx + cy * cy + cz * cz)
-        if h > 0.0:
-            half = math.sqrt(h / a)
-            if b + half > 1e-9 and b - half < limit:
-                return True
+        if h > 0.0 and b + math.sqrt(h / a) > 1e-9:
+            return True
     return False
 
 

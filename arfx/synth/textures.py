@@ -10,7 +10,7 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.errors import InputError
-from arfx.media.pictures import decode_picture
+from arfx.media.images import decode_picture
 from arfx.synth.description import Texture
 
 _LIMIT = 1024  # texels along the longer side

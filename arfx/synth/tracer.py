@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numba import njit
 
-from arfx.synth.shadows import blockers, meets_a_sphere, visible
+from arfx.synth.shadows import blockers, visible
 
 _FAR = 1e30
 _LIFT_M = 2e-5  # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie 2e-4 m apart
@@ -77,24 +77,6 @@ def _nearest(origin, ex, ey, ez, dx, dy, dz, rects, views, spheres):
         if 1e-9 < t < best:
             best, kind, index = t, 2, i
     return best, kind, index
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _hidden_by(ox, oy, oz, dx, dy, dz, limit, rects, spheres):
-    """True if any surface lies on the ray before `limit`."""
-    for i in range(rects.shape[0]):
-        dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
-        px, py, pz = rects[i, 0] - ox, rects[i, 1] - oy, rects[i, 2] - oz
-        t = (px * rects[i, 9] + py * rects[i, 10] + pz * rects[i, 11]) / dn if dn != 0.0 else limit
-        if t <= 1e-9 or t >= limit:
-            continue
-        qx, qy, qz = t * dx - px, t * dy - py, t * dz - pz
-        if (
-            abs(qx * rects[i, 3] + qy * rects[i, 4] + qz * rects[i, 5]) <= rects[i, 12]
-            and abs(qx * rects[i, 6] + qy * rects[i, 7] + qz * rects[i, 8]) <= rects[i, 13]
-        ):
-            return True
-    return meets_a_sphere(ox, oy, oz, dx, dy, dz, limit, spheres)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -290,7 +272,8 @@ def probe(rays, rotation, origin, rects, spheres, depth, owner):
 @njit(cache=True, nogil=True, error_model="numpy")
 def unhidden(points, origin, rects, spheres, out):
     """out[i] = nothing stands between the origin and room point i (n, 3)."""
+    views = _views(origin, rects, np.zeros((0, 4)))
     for i in range(points.shape[0]):
         dx, dy, dz = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
         size = math.sqrt(dx * dx + dy * dy + dz * dz)
-        out[i] = not _hidden_by(origin[0], origin[1], origin[2], dx, dy, dz, 1.0 - _LIFT_M / size, rects, spheres)
+        out[i] = _nearest(origin, 0.0, 0.0, 0.0, dx, dy, dz, rects, views, spheres)[0] >= 1.0 - _LIFT_M / size

@@ -19,7 +19,6 @@ import numpy as np
 from arfx.core.opener import read_text
 from arfx.core.pose import Pose
 from arfx.errors import InputError
-from arfx.media.pictures import decode_picture
 
 DEPTH_UNIT_M = 2e-4  # 16 bits reach 13 m in steps of a fifth of a millimetre
 FLOW_UNIT_PX = 1 / 64
@@ -131,11 +130,6 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
     cv2.imwrite(str(path), np.where(steps <= 65535, steps, 0).astype(np.uint16))
 
 
-def read_depth(path: Path) -> np.ndarray:
-    """(h, w) float64 metres, 0 = nothing."""
-    return _read(path).astype(float) * DEPTH_UNIT_M
-
-
 def write_flow(path: Path, flow_px: np.ndarray) -> None:
     """(h, w, 2) px, NaN = unknown; beyond ±511 px counts as unknown."""
     steps = np.rint(np.nan_to_num(flow_px, nan=1e9) / FLOW_UNIT_PX) + 2**15  # 1e9 px is out of range below: unknown
@@ -143,15 +137,3 @@ def write_flow(path: Path, flow_px: np.ndarray) -> None:
     rgb = np.zeros((*flow_px.shape[:2], 3), np.uint16)
     rgb[known, 2], rgb[known, 1], rgb[..., 0] = steps[known, 0], steps[known, 1], known
     cv2.imwrite(str(path), rgb)
-
-
-def read_flow(path: Path) -> np.ndarray:
-    """(h, w, 2) float64 px, NaN = unknown."""
-    raw = _read(path).astype(float)
-    flow = (raw[..., [2, 1]] - 2**15) * FLOW_UNIT_PX
-    flow[raw[..., 0] == 0] = np.nan
-    return flow
-
-
-def _read(path: Path) -> np.ndarray:
-    return decode_picture(path, "image", cv2.IMREAD_UNCHANGED)

@@ -64,7 +64,8 @@ class World:
             phase = np.sin(2 * np.pi * time_s / li.period_s)
             row = lamp_row(li.azimuth_deg + li.swing_deg[0] * phase, li.elevation_deg + li.swing_deg[1] * phase, li.rgb,
                            li.angular_size_deg)  # fmt: skip
-            row[3:6] *= _factor(li.brightness, time_s)
+            if li.brightness:  # of two keys at one time the later holds from then on
+                row[3:6] *= np.interp(time_s, *np.array(li.brightness).T)
             rows.append(row)
         return np.array(rows).reshape(-1, 7)
 
@@ -144,19 +145,6 @@ def lamp_row(azimuth_deg: float, elevation_deg: float, rgb: Iterable[float], ang
     a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
     towards = [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]
     return np.array([*towards, *rgb, np.tan(np.radians(angular_size_deg) / 2)])
-
-
-def _factor(keys: tuple[tuple[float, float], ...], time_s: float) -> float:
-    """Piecewise linear; of two keys at one time the later holds from then on."""
-    if not keys:
-        return 1.0
-    after = next((i for i, (t, _) in enumerate(keys) if t > time_s), len(keys))
-    if after == 0:
-        return keys[0][1]
-    if after == len(keys):
-        return keys[-1][1]
-    (t0, a), (t1, b) = keys[after - 1], keys[after]
-    return a + (b - a) * (time_s - t0) / (t1 - t0)
 
 
 def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:

@@ -6,7 +6,7 @@ import re
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, note, say
+from arfx_cli.console import Progress, detail, emit_json, message_options, note, print_table, say
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -59,16 +59,12 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
     if as_json:
         emit_json(rows)
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title="cost on this machine (medians; yardstick = one Gaussian blur of the picture)", title_justify="left")
-    for name in ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "runs"):
-        table.add_column(name, justify="left" if name in ("stage", "level", "size") else "right")
-    for r in rows:
-        numbers = (f"{r['ms']:.2f}", f"{r['yardstick_ms']:.2f}", f"{r['ratio']:.2f}", str(r["runs"]))
-        table.add_row(r["stage"], r["level"], r["size"], *numbers)
-    Console(highlight=False).print(table)
+    title = "cost on this machine (medians; yardstick = one Gaussian blur of the picture)"
+    lines = (
+        (r["stage"], r["level"], r["size"], f"{r['ms']:.2f}", f"{r['yardstick_ms']:.2f}", f"{r['ratio']:.2f}", str(r["runs"]))
+        for r in rows
+    )
+    print_table(title, ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "runs"), lines, words=3)
 
 
 def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
@@ -89,17 +85,12 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
     if as_json:
         emit_json({"file": str(path), "source": prices.source, "threads": prices.threads, "prices": rows})
         return
-    from rich.console import Console
-    from rich.table import Table
-
     from arfx.core.cost import TERMS
 
     title = f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per unit"
-    table = Table(title=title, title_justify="left")
-    for name in ("entry", *TERMS, "± %", "runs"):
-        table.add_column(name, justify="left" if name == "entry" else "right")
-    for r in rows:
-        numbers = (f"{1e3 * r[t]:.3g}" if t in r else "" for t in TERMS)
-        table.add_row(r["entry"], *numbers, f"{100 * r['spread']:.0f}", str(r["runs"]))
-    Console(highlight=False).print(table)
+    lines = (
+        (r["entry"], *(f"{1e3 * r[t]:.3g}" if t in r else "" for t in TERMS), f"{100 * r['spread']:.0f}", str(r["runs"]))
+        for r in rows
+    )
+    print_table(title, ("entry", *TERMS, "± %", "runs"), lines)
     say(f"kept in {path}")

@@ -10,7 +10,7 @@ import click
 
 from arfx.core.guard import Guard
 from arfx.errors import InputError
-from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, quiet, say
+from arfx_cli.console import FILE, FOLDER, Progress, detail, emit_json, message_options, note, overwrite_option, quiet, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,12 +27,10 @@ VIDEO_SEARCHED = 120  # frames of a video that are searched for the board; the s
     metavar="SPEC",
     help="chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100[:legacy].",
 )
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Camera file to write (YAML)."
-)
+@click.option("-o", "--output", required=True, type=FILE, help="Camera file to write (YAML).")
 @click.option(
     "--report",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     help="Folder for residuals.png and coverage.png; default: beside -o.",
 )
 @overwrite_option
@@ -108,7 +106,7 @@ def _still(path: Path) -> np.ndarray:
     """Grey picture, turned upright as EXIF says."""
     import cv2
 
-    from arfx.media.pictures import decode_picture
+    from arfx.media.images import decode_picture
 
     return decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 COMPILING = "compiling kernels for this processor, once"
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
@@ -71,22 +73,27 @@ def detail(message: str) -> None:
         click.echo(f"  {message}", err=True)
 
 
-def strict_json(value: Any) -> Any:
-    """The same document with non-finite numbers as null: JSON has no NaN."""
-    if isinstance(value, dict):
-        return {str(k): strict_json(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [strict_json(v) for v in value]
-    if hasattr(value, "tolist"):
-        return strict_json(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def emit_json(document: Any) -> None:
-    json.dump(strict_json(document), sys.stdout, indent=1)
+    from arfx.core.numerics import finite
+
+    json.dump(finite(document), sys.stdout, indent=1)
     sys.stdout.write("\n")
+
+
+def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> None:
+    """On standard output; cells wrap between words alone. words : how many of the first columns are left-justified; a row () is
+    a line"""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table, lines = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False), [*rows]
+    for k, column in enumerate(zip(heads, *filter(None, lines), strict=True)):
+        longest = max(len(word) for cell in column for word in [*cell.split(), ""])
+        table.add_column(column[0], justify="left" if k < words else "right", min_width=longest)
+    for row in lines:
+        table.add_row(*row) if row else table.add_section()
+    Console(highlight=False).print(table)
 
 
 class Progress:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option
+from arfx_cli.console import FOLDER, Progress, emit_json, message_options, note, overwrite_option
 from arfx_cli.job_summary import say_job
 
 EFFECTS = ("dof",)  # of the demo's job
@@ -15,7 +15,7 @@ EFFECTS = ("dof",)  # of the demo's job
 
 @click.command()
 @click.option(
-    "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"), show_default=True,
+    "-o", "--output", "folder", type=FOLDER, default=Path("demo"), show_default=True,
     help="Folder for all that is made.",
 )  # fmt: skip
 @overwrite_option
@@ -39,7 +39,8 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from arfx.run.place import REPORT_FILES
     from arfx.run.preview import load_previews
     from arfx.stages import stages_with
-    from arfx.synth.demo import make_demo_clip
+    from arfx.synth.clip import make_clip
+    from arfx.synth.description import DEMO_SCENE, load_scene
 
     out, picture, report_dir = folder / "out.mp4", folder / "picture.png", folder / "report"
     if any(os.path.lexists(path) for path in (folder / "clip", out, picture, report_dir)) and not overwrite:
@@ -56,7 +57,7 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
 
     with locked(folder, "-o"), Progress() as progress:
         with compiling(listed((SYNTH,)), listed((JOB, *stages_with(EFFECTS))), progress, note):
-            make_demo_clip(folder / "clip", progress, overwrite)
+            make_clip(load_scene(DEMO_SCENE), folder / "clip", progress=progress, overwrite=overwrite)
         config = load(folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters())
         options = Options(overwrite=overwrite, report=report_dir, finish=finish, progress=progress, notice=note)
         report = process(config, options)

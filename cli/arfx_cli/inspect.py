@@ -7,9 +7,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import detail, emit_json, message_options
-
-FILE = click.Path(path_type=Path, dir_okay=False)
+from arfx_cli.console import FILE, detail, emit_json, message_options, print_table
 
 
 @click.command()
@@ -92,13 +90,12 @@ def _print(document: dict[str, Any]) -> None:
         help_text = "a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames"
         click.echo(f"help: {help_text}", err=True)
         return
-    table = Table(title=f"\nmarkers in {looked} sampled frames", title_justify="left")
-    for name in ("marker", "seen", "side, px", "edge blur, px", "tilt, °"):
-        table.add_column(name, justify="left" if name == "marker" else "right")
-    for m in document["markers"]:
-        twice = " (twice in a frame)" if m["twice_in_a_frame"] else ""
-        table.add_row(m["marker"] + twice, f"{m['frames']}", *(_range(m[k]) for k in ("side_px", "blur_px", "tilt_deg")))
-    console.print(table)
+    rows = [
+        (m["marker"] + (" (twice in a frame)" if m["twice_in_a_frame"] else ""), f"{m['frames']}",
+         *(_range(m[k]) for k in ("side_px", "blur_px", "tilt_deg")))
+        for m in document["markers"]
+    ]  # fmt: skip
+    print_table(f"\nmarkers in {looked} sampled frames", ("marker", "seen", "side, px", "edge blur, px", "tilt, °"), rows)
     console.print(f"A marker is in {document['marker_coverage']:.0%} of the sampled frames.")
     if document["camera"] is None:
         console.print("Calibrate the camera with `arfx calibrate`; without --camera the field of view is guessed.")

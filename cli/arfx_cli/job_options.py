@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 from arfx.config.sections import Setting, settings
+from arfx_cli.console import FILE, FOLDER
 
 if TYPE_CHECKING:
     from arfx.config.given import Given
 
-FILE = click.Path(path_type=Path, dir_okay=False)
-FOLDER = click.Path(path_type=Path, file_okay=False)
 
 _OTHERS = [
     click.Option(["--config"], type=FILE, multiple=True,

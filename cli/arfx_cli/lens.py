@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import click
 
-from arfx_cli.console import emit_json, message_options
+from arfx_cli.console import emit_json, message_options, print_table
 
 _ROWS = (
     ("front_mm", "sharp before the focus"),
@@ -49,15 +49,8 @@ def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) 
         beyond = {"back_is_infinite": limits[CORRECTED]["back_mm"] == float("inf")}
         emit_json({**given, PAPER: limits[PAPER], CORRECTED: {**limits[CORRECTED], **beyond}})
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=f"{focal} f/{fnumber:g} focused at {distance}, circle {coc}", title_justify="left")
-    for name in ("mm", PAPER, CORRECTED):
-        table.add_column(name, justify="left" if name == "mm" else "right")
-    for key, words in _ROWS:
-        table.add_row(words, *(_shown(limits[name][key]) for name in (PAPER, CORRECTED)))
-    Console(highlight=False).print(table)
+    rows = [(words, *(_shown(limits[name][key]) for name in (PAPER, CORRECTED))) for key, words in _ROWS]
+    print_table(f"{focal} f/{fnumber:g} focused at {distance}, circle {coc}", ("mm", PAPER, CORRECTED), rows)
 
 
 def _shown(value: float | None) -> str:

@@ -6,15 +6,13 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import emit_json, message_options, overwrite_option, say
+from arfx_cli.console import FOLDER, emit_json, message_options, overwrite_option, say
 from arfx_cli.job_summary import detail_job
 
 
 @click.command()
 @click.argument("job_dir", metavar="JOBDIR", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), help="Folder of the report; default: beside JOBDIR."
-)
+@click.option("-o", "--output", type=FOLDER, help="Folder of the report; default: beside JOBDIR.")
 @overwrite_option
 @message_options
 def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) -> None:

@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, note, overwrite_option, say
+from arfx_cli.console import FOLDER, Progress, detail, emit_json, message_options, note, overwrite_option, say
 
 
 @click.command()
 @click.argument("scene", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "folder", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to make.")
+@click.option("-o", "--output", "folder", required=True, type=FOLDER, help="Folder to make.")
 @click.option("--truth", "kinds", help="Pictures of truth to write: depth,mask,flow or none; default as the scene says.")
 @overwrite_option
 @message_options

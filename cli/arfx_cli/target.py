@@ -7,14 +7,12 @@ from pathlib import Path
 import click
 
 from arfx.core.guard import Guard
-from arfx_cli.console import detail, emit_json, message_options, overwrite_option, say
+from arfx_cli.console import FILE, detail, emit_json, message_options, overwrite_option, say
 
 
 @click.command()
 @click.argument("specs", metavar="SPEC...", nargs=-1, required=True)
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="File to write: .pdf, .svg or .png."
-)
+@click.option("-o", "--output", required=True, type=FILE, help="File to write: .pdf, .svg or .png.")
 @click.option("--page", default="a4", show_default=True, help="a0 to a5, letter, legal, tabloid, or a size such as 300mmx400mm.")
 @click.option("--dpi", default=300.0, show_default=True, help="Resolution of a PNG.")
 @overwrite_option

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, say
+from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, print_table, say
 from arfx_cli.job_options import job_options
 from arfx_cli.planned import planned_aside
 
@@ -35,7 +35,7 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
     import json
 
     from arfx.core.guard import Guard
-    from arfx.measure.report import finite
+    from arfx.core.numerics import finite
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_document import document
     from arfx.measure.tradeoff_html import write_tradeoff
@@ -63,24 +63,22 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
 
 
 def _show(told: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=f"error against reference, grey levels; {len(told['frames'])} frames", title_justify="left")
-    for name in ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "flicker", "worst frame"):
-        table.add_column(name, justify="left" if name in ("effect", "level") else "right")
+    rows: list[tuple[str, ...]] = []
     last = ""
     for r in [*told["effects"], *told["pipelines"]]:
         if last and r["name"] != last:
-            table.add_section()
+            rows.append(())
         level = r["level"] + (f" ({r['formula']})" if r["formula"] == "paper" else "")
         if r["level"] == "mixed":
             level = "mixed: " + ", ".join(f"{k} {v}" for k, v in r["levels"].items() if v != "standard")
-        calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.2f} / {r['unrest']['reference']:.2f}"
-        numbers = (_duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}", f"{r['p99']:.1f}", f"{r['flip']:.4f}")
-        table.add_row("" if r["name"] == last else r["name"], level, *numbers, calm, str(r["worst_frame"]))
+        calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.1f}/{r['unrest']['reference']:.1f}"
+        rows.append((
+            "" if r["name"] == last else r["name"], level, _duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}",
+            f"{r['p99']:.1f}", f"{r['flip']:.3f}", f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", calm, str(r["worst_frame"]),
+        ))  # fmt: skip
         last = r["name"]
-    Console(highlight=False).print(table)
+    heads = ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "ΔE", "SSIM", "flicker", "frame")
+    print_table(f"error against reference, grey levels; {len(told['frames'])} frames", heads, rows, words=2)
     click.echo(told["recommendation"])
 
 

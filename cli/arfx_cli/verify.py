@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, note
+from arfx_cli.console import FOLDER, Progress, detail, emit_json, message_options, note
 from arfx_cli.job_summary import detail_job
 
 
@@ -17,7 +17,7 @@ from arfx_cli.job_summary import detail_job
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @click.option(
     "--keep",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=FOLDER,
     help="Folder for the clip, the output and the job; default temporary.",
 )
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")

@@ -19,7 +19,7 @@ from arfx.run import chunks
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
 from arfx.stages.raster import backends, gl_context, gl_draw
-from arfx.synth import demo
+from arfx.synth import description
 from arfx_cli.main import main
 
 SCENES = FIRST, *OTHERS = "0001-orbit", "0006-wide-lens-upright", "0003-several-tilted-markers"
@@ -56,8 +56,9 @@ def jobs(folder: Path) -> Iterator[tuple[str, list[str]]]:
     # now `auto`, as where a graphics card runs OpenGL
     backends._graphics_card = lambda: True
     gl_context.open_context().software = False
-    shorter = demo.DEMO_SCENE.replace("frames = 72", f"frames = {FRAMES}")
-    demo.DEMO_SCENE = shorter.replace("width = 640\nheight = 360", "width = 384\nheight = 216")
+    shorter = description.DEMO_SCENE.read_text().replace("frames = 72", f"frames = {FRAMES}")
+    description.DEMO_SCENE = folder / "demo.toml"
+    description.DEMO_SCENE.write_text(shorter.replace("width = 640\nheight = 360", "width = 384\nheight = 216"))
     yield "demo", ["demo", "-o", str(folder / "demo")]
 
 

@@ -104,10 +104,11 @@ def test_process_and_report(arfx: Run, place: Path, material: Material) -> None:
 
 def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """With a shorter and smaller clip than its own, which takes minutes to make."""
-    from arfx.synth import demo
+    from arfx.synth import description
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(demo, "DEMO_SCENE", SCENE)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    monkeypatch.setattr(description, "DEMO_SCENE", tmp_path / "scene.toml")
     with pytest.raises(SystemExit) as e:
         main(["demo", "--json", "-v"])
     out, err = capsys.readouterr()

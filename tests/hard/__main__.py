@@ -18,9 +18,9 @@ import xml.etree.ElementTree as ElementTree
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from arfx.measure.sweeps import SWEEPS, Result, plot, run
 from tests.hard.cases import CASES
 from tests.hard.scenes import Row, scene_row
+from tests.hard.sweeps import SWEEPS, Result, plot, run
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arfx.measure.sweeps import DELTAS, SWEEPS, run
 from tests.hard.cases import CASES
+from tests.hard.sweeps import DELTAS, SWEEPS, run
 
 ROOT = Path(__file__).parents[2]
 FEW = DELTAS[::3]

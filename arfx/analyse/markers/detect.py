@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from arfx.analyse.fold import Fold
+from arfx.core.marker import opencv_name
 from arfx.core.rect import Rect
 
 # Families whose dictionary is a superset of others of the same size: enough to look for these.
@@ -47,14 +48,7 @@ class Candidate:
 
 
 def dictionary(family: str) -> cv2.aruco.Dictionary:
-    """OpenCV's predefined dictionary for a FAMILIES key."""
-    if family in ("16h5", "25h9", "36h10", "36h11"):
-        name = f"DICT_APRILTAG_{family}"
-    elif family in ("ORIGINAL", "MIP_36h12"):
-        name = f"DICT_ARUCO_{family}"
-    else:
-        name = f"DICT_{family}"
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, opencv_name(family)))
 
 
 def cells_per_side(family: str) -> int:

@@ -17,20 +17,18 @@ _AT_ONCE = 1 << 13  # points that are projected at a time: they stay in the cach
 _HULL_POINTS = 400  # above this many vertices their convex hull is taken once: it projects to the same box
 
 
-def with_model(facts: Sequence[FrameFacts], scene: Scene, camera: Camera | None = None) -> tuple[FrameFacts, ...]:
+def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, ...]:
     """The facts with `model_box` and `depth_range_m` filled in.
 
-    scene : holds the model and its place;  camera : in place of the scene's, if given
     model_box covers the projection of every vertex with a pixel to spare, clipped to the frame; EMPTY where the model is
     out of view. A model that reaches behind the camera may cover the whole frame.
     """
-    camera = camera or scene.camera
     points = _outline(scene.model_points_m)
     seen = [f for f in facts if f.camera_from_world is not None]
     places: list[tuple[Rect, tuple[float, float]]] = []
     step = max(_AT_ONCE // len(points), 1)
     for start in range(0, len(seen), step):
-        places += _seen_boxes(_seen_from([f.camera_from_world for f in seen[start : start + step]], points), camera)
+        places += _seen_boxes(_seen_from([f.camera_from_world for f in seen[start : start + step]], points), scene.camera)
     found = iter(places)
     nowhere = (EMPTY, (0.0, 0.0))
     out = []
@@ -40,20 +38,20 @@ def with_model(facts: Sequence[FrameFacts], scene: Scene, camera: Camera | None 
     return tuple(out)
 
 
-def corner_jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> dict[str, float]:
-    """Trembling of projected points: length of the second difference over three successive frames, px.
+def trembling_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(frames,) root mean square, px, of the second difference over three successive frames of points' place in the picture,
+    and the same of their place relative to the centre of the markers as measured: there the footage's own motion, which the
+    object has to follow, is taken out.
 
     points_m : (n, 3) world, for instance scene.model_corners_m;  raw : of the poses before smoothing
-    "relative" figures are of the place relative to the centre of the markers as they were measured: what is left of the
-    trembling once the footage's own motion, which the object has to follow, is taken out.
-    Only unbroken triples of one shot in which raw and smoothed poses both exist and the frames are evenly spaced (to 20 %).
-    Returns {"median", "p95", "rms", "relative_median", "relative_rms", "triples"}; zeros without a triple.
+    NaN but for the middle of unbroken triples of one shot in which raw and smoothed poses both exist, with a marker that is in
+    all three, and evenly spaced (to 20 %).
     """
     posed = [f for f in facts if f.camera_from_world is not None and f.raw_camera_from_world is not None]
     projected = camera.project(_seen_from([f.raw_camera_from_world if raw else f.camera_from_world for f in posed], points_m))
     place = dict(zip((f.index for f in posed), projected, strict=True))
-    rows, relative = [], []
-    for three in zip(facts, facts[1:], facts[2:], strict=False):
+    moved, relative = np.full((2, len(facts)), np.nan)
+    for k, three in enumerate(zip(facts, facts[1:], facts[2:], strict=False), 1):
         a, b, c = three
         if any(f.index not in place or f.shot != a.shot for f in three):
             continue
@@ -64,16 +62,9 @@ def corner_jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: 
         keys = set.intersection(*({m.key for m in f.markers} for f in three))
         if not np.isfinite(bend).any() or not keys:
             continue
-        rows.append(_rms(bend))
         centre = [_centre(f, keys) for f in three]
-        relative.append(_rms(bend - (centre[0] - 2 * centre[1] + centre[2])))
-    if not rows:
-        return {"median": 0.0, "p95": 0.0, "rms": 0.0, "relative_median": 0.0, "relative_rms": 0.0, "triples": 0}
-    r, s = np.array(rows), np.array(relative)
-    return {
-        "median": float(np.median(r)), "p95": float(np.quantile(r, 0.95)), "rms": float(np.sqrt((r * r).mean())),
-        "relative_median": float(np.median(s)), "relative_rms": float(np.sqrt((s * s).mean())), "triples": len(r),
-    }  # fmt: skip
+        moved[k], relative[k] = _rms(bend), _rms(bend - (centre[0] - 2 * centre[1] + centre[2]))
+    return moved, relative
 
 
 def _rms(offsets_px: np.ndarray) -> float:

@@ -6,6 +6,7 @@ Meshes, textures and shader programs are pyrender's; the framebuffer is ours, as
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ import numpy as np
 from arfx.errors import RenderError
 from arfx.stages.raster import mesh as columns
 from arfx.stages.raster.gl_context import GlContext
-from arfx.stages.raster.gl_shaders import shader_folder
 from arfx.stages.raster.mesh import Mesh
+
+_SHADERS = str(Path(__file__).with_name("shaders"))  # of the geometry buffer
 
 
 class Drawing:
@@ -32,7 +34,7 @@ class Drawing:
             self.textures[t]._add_to_context()
         self.parts = [_Part(context.pyrender, mesh, part, self.textures) for part in range(len(mesh.ints))]
         self.buffer = _Buffer(4 if glows else 3)
-        self.programs = ShaderProgramCache(shader_dir=shader_folder())
+        self.programs = ShaderProgramCache(shader_dir=_SHADERS)
 
     def __call__(
         self, view: np.ndarray, projection: np.ndarray, width: int, height: int, peel: np.ndarray | None

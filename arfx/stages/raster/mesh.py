@@ -10,7 +10,6 @@ import numpy as np
 from arfx.core.model import BLEND, MASK, OPAQUE, Model
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
-from arfx.errors import InputError
 from arfx.stages.raster.arrays import Surfaces
 from arfx.stages.raster.textures import StackBuilder, TextureStack
 
@@ -18,8 +17,6 @@ from arfx.stages.raster.textures import StackBuilder, TextureStack
 RED, GREEN, BLUE, ALPHA, METALLIC, ROUGHNESS, SPECULAR, EMIT_R, EMIT_G, EMIT_B, CUTOFF = range(11)
 BASE_TEXTURE, MR_TEXTURE, EMISSIVE_TEXTURE, MODE, TWO_SIDED = range(5)
 MODES = {OPAQUE: 0, MASK: 1, BLEND: 2}
-# A model this large beside a hand-held marker is a file in millimetres read as metres.
-MAX_EXTENT_M = 100.0
 _CREASE_COS = np.cos(np.radians(20.0))  # edges sharper than this are visible inside the silhouette
 
 
@@ -77,22 +74,12 @@ class Mesh:
         return self.ints[self.part, TWO_SIDED] == 0
 
 
-def check_extent(model: Model, corners_m: np.ndarray) -> None:
-    """Raises InputError where the model's corners (8, 3), metres, span more than MAX_EXTENT_M."""
-    extent = float(np.ptp(corners_m, axis=0).max())
-    if not extent <= MAX_EXTENT_M:
-        raise InputError(
-            f"model {model.source} is {extent:.6g} m large in the scene, more than {MAX_EXTENT_M:g} m",
-            "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit",
-        )
-
-
 def build_mesh(scene: Scene) -> Mesh:
-    """Raises InputError where the model is larger than MAX_EXTENT_M in the scene."""
+    """Raises InputError where the model is too large in the scene."""
     model: Model = scene.model
     m = scene.world_from_model
+    scene.check_extent()
     corners = scene.model_corners_m
-    check_extent(model, corners)
     centre = corners.mean(0)
     rotation = m[:3, :3] / np.cbrt(abs(np.linalg.det(m[:3, :3])))
     textures = StackBuilder()

@@ -15,8 +15,6 @@ import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.core.parallel import BANDS, parallel_rows
-from arfx.stages.watercolor.measure import measured
-from arfx.stages.watercolor.rows import Picture
 
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -47,24 +45,16 @@ def _difference(a: np.ndarray) -> np.ndarray:
     return out
 
 
-def line_strength(
-    picture: Picture, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
-    virtual: np.ndarray | None = None, matrix: str = "bt601", at: tuple[int, int] = (0, 0),
-) -> np.ndarray:  # fmt: skip
-    """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1.
-
-    low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches
-    high fades out;  width_px, smooth_px : of the full picture;  virtual : of `virtual_edges`, on the same grid, its
-    first pixel at (row, column) `at`
-    """
-    made = measured(picture, yuv_matrix(matrix), alpha, beta, smooth_px)
-    return lines_of(made, low, high, width_px, virtual, at)
-
-
 def lines_of(
     made: np.ndarray, low: float, high: float, width_px: float, virtual: np.ndarray | None = None, at: tuple[int, int] = (0, 0)
 ) -> np.ndarray:
-    """`line_strength` of what was `measured`, which is changed where the object's own edges are."""
+    """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1, of what was `measured`, which is changed where the object's
+    own edges are.
+
+    low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches
+    high fades out;  width_px : of the full picture;  virtual : of `virtual_edges`, on the same grid, its first pixel at
+    (row, column) `at`
+    """
     measure, dx, dy = made
     h, w = measure.shape
     if virtual is not None and virtual.size:

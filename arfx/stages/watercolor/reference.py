@@ -73,12 +73,3 @@ def _by_tree(x: np.ndarray, y: np.ndarray, weight: np.ndarray, px: np.ndarray, p
     d[rows, best] = np.inf
     other = d.argmin(1) if k > 1 else best
     return near[rows, best].astype(np.int32), near[rows, other].astype(np.int32)
-
-
-def cell_means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) float64 mean colour of each label's pixels; zero where it has none. image : (h, w, 3)."""
-    flat = labels.ravel()
-    number = np.bincount(flat, minlength=count)
-    sums = np.stack([np.bincount(flat, image[..., c].ravel().astype(np.float64), count) for c in range(3)], -1)
-    means: np.ndarray = sums / np.maximum(number, 1)[:, None]
-    return means

@@ -190,7 +190,7 @@ def test_no_board_says_what_is_there_instead() -> None:
 
 def test_the_other_charuco_pattern_is_tried_and_told() -> None:
     old = BoardSpec.parse("charuco:9x6:25mm:18mm:5X5_100:legacy")
-    got = find_board([("a", flat(old)), ("b", flat(old))], old.with_legacy(False))
+    got = find_board([("a", flat(old)), ("b", flat(old))], old.other_pattern())
     assert got.spec == old
     assert len(got.views) == 2
     assert "legacy pattern" in got.notices[0]

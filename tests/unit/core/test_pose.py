@@ -44,4 +44,3 @@ def test_pose_composition_inverse_and_json() -> None:
     np.testing.assert_allclose((a @ b).apply(p), a.apply(b.apply(p)), atol=1e-14)
     np.testing.assert_allclose(a.inverse().apply(a.apply(p)), p, atol=1e-14)
     np.testing.assert_allclose(Pose.from_json(a.to_json()).matrix, a.matrix, atol=1e-14)
-    np.testing.assert_allclose(Pose.from_matrix(a.matrix).matrix, a.matrix)

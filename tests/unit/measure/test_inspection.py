@@ -1,4 +1,4 @@
-"""Which markers are believed, how they are named, and the sharpness and tilt that are told."""
+"""Which markers are believed, how they are named, and their tilt."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import pytest
 from arfx.core.camera import Camera
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.measure.inspection import Found, settle, smallest_family, suggestion
-from arfx.measure.sharpness import edge_blur_px, tilt_deg
+from arfx.measure.inspection import Found, settle, smallest_family, suggestion, tilt_deg
 
 QUAD = np.array([[100.0, 100], [180, 100], [180, 180], [100, 180]])
 
@@ -60,25 +59,6 @@ def test_one_print_read_by_two_dictionaries_is_one_marker() -> None:
     assert names(settle(twice, 10)) == ["36h11:3"]
     apart = found("36h11", 3, 10) | found("5X5_1000", 812, 4, QUAD + 150)
     assert len(settle(apart, 10)) == 2
-
-
-@pytest.mark.parametrize("sigma", [0.8, 1.5, 2.5])
-def test_edge_blur_is_the_deviation_of_the_blur(sigma: float) -> None:
-    """Area-sampled edges add a box of one pixel, bilinear sampling a little more; a wide blur does not level out
-    within the marker's border. Together within .1 px and 3 % of the true deviation."""
-    big = np.full((1120, 1120), 220, np.float32)
-    big[400:720, 400:720] = 30
-    image = cv2.resize(cv2.GaussianBlur(big, (0, 0), 4 * sigma), (280, 280), interpolation=cv2.INTER_AREA).astype(np.uint8)
-    quad = np.array([[99.5, 99.5], [179.5, 99.5], [179.5, 179.5], [99.5, 179.5]])
-    rough = quad + np.array([[0.7, -0.4], [-0.5, 0.6], [0.3, 0.8], [-0.6, -0.2]])
-    for q in (quad, rough, np.roll(quad, 1, 0), quad[::-1]):
-        assert edge_blur_px(image, q) == pytest.approx(sigma, abs=0.1 + 0.03 * sigma)
-
-
-def test_edge_blur_is_refused_where_it_cannot_be_known() -> None:
-    assert edge_blur_px(np.full((280, 280), 128, np.uint8), QUAD) is None, "no contrast"
-    assert edge_blur_px(np.zeros((280, 280), np.uint8), QUAD / 10) is None, "too small"
-    assert edge_blur_px(np.zeros((100, 100), np.uint8), QUAD) is None, "outside the picture"
 
 
 @pytest.mark.parametrize("tilt", [20.0, 45.0, 70.0])

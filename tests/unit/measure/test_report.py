@@ -20,7 +20,6 @@ from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
 from arfx.measure.report import finite, read_report, write_report
 from arfx.measure.report_html import number
-from arfx.measure.report_plots import trembling_px
 
 REPORT = {
     "input": {"path": "/clips/a<b>&.mp4", "frames": 6, "seconds": 0.2, "width": 64, "height": 48, "fps": 30.0, "vfr": False,
@@ -124,19 +123,6 @@ def test_the_document_is_written_strictly_and_unchanged(tmp_path: Path) -> None:
 )
 def test_short_and_empty_clips_get_a_report(tmp_path: Path, facts: list[FrameFacts]) -> None:
     assert "kept no pictures" in write_report(tmp_path, REPORT, facts, [], camera(), np.zeros((1, 3))).read_text()
-
-
-def test_trembling_is_the_second_difference_against_the_markers() -> None:
-    """x = t^2 millimetres at 1 m and f = 500 px moves by .5 t^2 px: second difference 1 px, in every frame but the ends."""
-    still = [frame_facts(0.001 * i * i, i) for i in range(6)]
-    d = trembling_px(still, np.zeros((1, 3)), camera(), raw=False)
-    assert np.isnan(d[[0, -1]]).all() and np.allclose(d[1:-1], 1.0, atol=1e-9)
-    along = [frame_facts(0.001 * i * i, i, marker_px=0.5 * i * i) for i in range(6)]
-    assert np.allclose(trembling_px(along, np.zeros((1, 3)), camera(), raw=True)[1:-1], 0.0, atol=1e-9)
-    broken = [*still[:2], frame_facts(0, 2, ABSENT), *still[3:]]
-    assert np.isfinite(trembling_px(broken, np.zeros((1, 3)), camera(), raw=False)).sum() == 1
-    cut = [f.with_(shot=int(f.index > 2)) for f in still]
-    assert np.isnan(trembling_px(cut, np.zeros((1, 3)), camera(), raw=False)[[2, 3]]).all()
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path: Path) -> None:

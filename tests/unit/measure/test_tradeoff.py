@@ -26,7 +26,7 @@ NOISE = np.random.default_rng(0)
 
 def row(name: str, level: str, seconds: float, mean: float, p99: float, formula: str = "", frame: int = 3) -> Row:
     r = Row(name, level, formula, exactly(seconds), levels={"dof": level})
-    r.by_frame[frame] = Difference(mean, p99, mean / 100, (4, 5), 900)
+    r.by_frame[frame] = Difference(mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900)
     r.pictures[frame] = NOISE.integers(0, 255, (40, 50, 3)).astype(np.uint8)
     return r
 
@@ -46,6 +46,7 @@ def told(f: Found) -> dict[str, Any]:
         return {"name": r.name, "level": r.level, "formula": r.formula, "levels": None, "seconds_per_frame": r.seconds,
                 "between_s": [r.seconds, 2 * r.seconds],
                 "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
+                "delta_e": r.average("delta_e"), "ssim": r.average("ssim"),
                 "worst_frame": 3, "unrest": {"level": 1.0, "reference": 0.9}}  # fmt: skip
 
     return {"clip": "a<b>.mp4", "recommendation": recommendation(f), "effects": [line(r) for r in f.effects],
@@ -70,9 +71,10 @@ def test_errors_are_of_the_touched_pixels_alone() -> None:
     b[20:30, 30:50] += 6
     where = touched((a, b))
     d = difference(a, b, where)
-    assert where.sum() == 200 and d.mean == 6 and d.p99 == 6 and d.flip > 0 and d.pixels == 200
+    assert where.sum() == 200 and d.mean == 6 and d.p99 == 6 and d.pixels == 200
+    assert 0.01 < d.flip < 0.2 and 1 < d.delta_e < 6 and 0.5 < d.ssim < 1
     assert 20 <= d.worst_px[1] < 30 and 30 <= d.worst_px[0] < 50
-    assert difference(a, a, np.zeros_like(where)) == Difference(0.0, 0.0, 0.0, (0, 0), 0)
+    assert difference(a, a, np.zeros_like(where)) == Difference()
 
 
 def test_a_picture_that_moves_with_its_footage_is_at_rest_and_one_that_flickers_is_not() -> None:

@@ -14,8 +14,7 @@ from PIL import Image
 
 from arfx.errors import InputError
 from arfx.media.depth_maps import open_depth
-from arfx.media.images import load_image, write_exr
-from arfx.media.pictures import decode_picture
+from arfx.media.images import decode_picture, load_image, write_exr
 
 RGB = np.kron(np.arange(3 * 4 * 6, dtype=np.uint8).reshape(4, 6, 3) * 3, np.ones((32, 32, 1), np.uint8))
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.core.cube import mip_level, solid_angles
+from arfx.core.cube import solid_angles
 from arfx.core.model import Model, Part
 from arfx.stages.gi.cones import even_cones, six_cones, steps_of, trace_many
 from arfx.stages.gi.pyramid import Atlas, atlas_of, levels_of, structure_of
@@ -129,9 +129,7 @@ def test_cone_weights_sum_to_one() -> None:
     assert (directions**2).sum(1) == pytest.approx(np.ones(6), abs=1e-6) and np.abs(directions).sum(1).max() > 1.3
 
 
-@pytest.mark.parametrize(("half_deg", "level"), [(1, 1.45), (5, 3.77), (15, 5.36), (30, 6.34)])
-def test_mip_level_of_a_cone(half_deg: float, level: float) -> None:
-    assert mip_level(np.radians(half_deg), 128) == pytest.approx(level, abs=0.01)
+def test_texels_fill_the_sphere() -> None:
     assert 6 * solid_angles(8).sum() == pytest.approx(4 * np.pi)
 
 

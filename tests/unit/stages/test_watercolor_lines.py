@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from arfx.core.light import DirectionalLight, Light
-from arfx.stages.watercolor import edges
-from arfx.stages.watercolor.edges import printed_edges, virtual_edges, yuv_matrix
+from arfx.stages.watercolor.edges import lines_of, printed_edges, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.hold import held, steps_back
 from arfx.stages.watercolor.labels import STILL, Wobble
+from arfx.stages.watercolor.measure import measured
 from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
 from arfx.stages.watercolor.rows import Picture
 from arfx.stages.watercolor.sites import STEPS, Field, still_field
@@ -24,8 +24,12 @@ from tests.scenes import camera, facts, scene
 BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
 
 
-def line_strength(image: np.ndarray, *args: object) -> np.ndarray:
-    return edges.line_strength(Picture(image.astype(np.float32)), *args)  # type: ignore[arg-type]
+def line_strength(
+    image: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
+    virtual: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
+    made = measured(Picture(image.astype(np.float32)), yuv_matrix(), alpha, beta, smooth_px)
+    return lines_of(made, low, high, width_px, virtual)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from arfx.errors import InputError
 from arfx.synth.clip import frame_truth
-from arfx.synth.truth import Truth, read_depth, read_flow, read_truth, write_depth, write_flow, write_truth
+from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, Truth, read_truth, write_depth, write_flow, write_truth
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 
 GREY = {"kind": "plain", "colour": [0.5, 0.5, 0.5]}
@@ -72,13 +72,14 @@ def test_depth_and_flow_files_keep_their_steps(tmp_path: Path) -> None:
     depth = rng.uniform(0.1, 12, (20, 30))
     depth[0, 0], depth[0, 1] = 0, 50
     write_depth(tmp_path / "d.png", depth)
-    back = read_depth(tmp_path / "d.png")
+    back = cv2.imread(str(tmp_path / "d.png"), cv2.IMREAD_UNCHANGED) * DEPTH_UNIT_M
     assert back[0, 0] == back[0, 1] == 0
     assert np.abs((back - depth).ravel()[2:]).max() <= 1.0001e-4
     flow = rng.uniform(-500, 500, (20, 30, 2))
     flow[3, 4], flow[5, 6] = np.nan, 600
     write_flow(tmp_path / "f.png", flow)
-    again = read_flow(tmp_path / "f.png")
+    raw = cv2.imread(str(tmp_path / "f.png"), cv2.IMREAD_UNCHANGED).astype(float)
+    again = np.where(raw[..., :1] == 0, np.nan, (raw[..., [2, 1]] - 2**15) * FLOW_UNIT_PX)
     lost = np.isnan(again).any(-1)
     assert np.argwhere(lost).tolist() == [[3, 4], [5, 6]]
     assert np.abs((again - flow)[~lost]).max() <= 1 / 128 + 1e-9

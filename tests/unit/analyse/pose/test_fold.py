@@ -15,7 +15,7 @@ from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_di
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.presence import CutSignal, find_cuts, lasting, opacities, stretches, unlikeness
-from arfx.analyse.pose.visibility import corner_jitter_px, with_model
+from arfx.analyse.pose.visibility import trembling_px, with_model
 from arfx.analyse.records import Record, Seen
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
@@ -225,11 +225,11 @@ def test_jitter_is_the_second_difference_and_skips_breaks() -> None:
     facts = [FrameFacts(k, k / 30, 0, "measured", p, p) for k, p in enumerate(place)]
     rec = records(CAM, place, T[:5], {A: Pose.identity()}, 0.0)
     facts = [f.with_(markers=solve(rec, [A], CAM, PARAMS, None, []).facts[k].markers) for k, f in enumerate(facts)]
-    out = corner_jitter_px(facts, np.zeros((1, 3)), CAM, raw=True)
-    assert out["triples"] == 3
-    assert out["median"] == pytest.approx(0.02 * 800) and out["relative_median"] < 1e-6
+    moved, relative = trembling_px(facts, np.zeros((1, 3)), CAM, raw=True)
+    assert np.isnan(moved[[0, -1]]).all() and np.isfinite(moved[1:-1]).all(), "the ends have no second difference"
+    assert np.median(moved[1:-1]) == pytest.approx(0.02 * 800) and np.median(relative[1:-1]) < 1e-6
     broken = [f.with_(shot=int(k > 1)) for k, f in enumerate(facts)]
-    assert corner_jitter_px(broken, np.zeros((1, 3)), CAM, raw=True)["triples"] == 1
+    assert np.isfinite(trembling_px(broken, np.zeros((1, 3)), CAM, raw=True)[0]).sum() == 1
 
 
 def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
