@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from arfx.analyse.fold import Fold
-from arfx.analyse.lens import EdgeBlur, footage_lens, to_json, with_lens
+from arfx.analyse.lens import EdgeBlur, footage_lens
 from arfx.analyse.light.fold import LightMeter, Picture, lighted
 from arfx.analyse.markers.corners import EdgeRefiner
 from arfx.analyse.markers.detect import Candidate, Survey
@@ -42,9 +42,9 @@ class Analyser(Fold):
 
     markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
     marker_map : world_from_marker of a known layout; None = mapped from the clip
-    folds : what else is wanted: "flow" follows the background, for what is anchored to it (FrameFacts.extra["watercolor"]),
-        "environment" keeps the surroundings' picture, with the light (extra["environment"]), "lens" measures the footage's
-        blur and the lens behind it (extra["footage_lens"])
+    folds : what else is wanted: "flow" follows the background, for what is anchored to it (FrameFacts.advection),
+        "environment" keeps the surroundings' picture, with the light, "lens" measures the footage's
+        blur and the lens behind it
     light : read the light too, from the pictures that `step` then needs;  panorama : of LightParams.environment
     Raises ConfigError for no marker, the same one twice, or a map that lacks one.
     """
@@ -162,8 +162,8 @@ class Analyser(Fold):
         notices = (
             analysis.notices if fit.known else (*analysis.notices, f"the lens cannot be measured from the footage: {fit.reason}")
         )
-        summary = {**analysis.summary, "footage_lens": to_json(fit)}
-        return replace(analysis, facts=with_lens(analysis.facts, fit), summary=summary, notices=notices)
+        summary = {**analysis.summary, "footage_lens": fit.to_json()}
+        return replace(analysis, facts=tuple(f.with_(lens=fit) for f in analysis.facts), summary=summary, notices=notices)
 
     def _anchored(self, analysis: Analysis, motion: BackgroundMotion) -> tuple[FrameFacts, ...]:
         anchor = anchor_marker(self.markers, analysis.world_from_marker)

@@ -11,8 +11,7 @@ pulled is refused: both halves of the clip have to tell the same lens.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -35,7 +34,6 @@ _LARGEST = 0.22  # of the half width: a disc beyond it is measured too small, by
 _FAINT = 20.0  # light (of 255) across an edge
 _STRAY = 0.25  # share of the gradient's size that lies outside of the edge
 _ROUNDS = 10
-KEY = "footage_lens"  # in FrameFacts.extra: the fields of LensFit
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
 _SIGMA_PX, _SIGMA_SHARE = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
 
@@ -140,16 +138,6 @@ def footage_lens(
             words = f"the focus moves: {a.focus:.3g} and {b.focus:.3g} dioptres in the two halves of the clip"
             return replace(fit, known=False, reason=words)
     return fit
-
-
-def with_lens(facts: Sequence[FrameFacts], fit: LensFit) -> tuple[FrameFacts, ...]:
-    told = to_json(fit)
-    return tuple(f.with_(extra={**f.extra, KEY: told}) for f in facts)
-
-
-def to_json(fit: LensFit) -> dict[str, Any]:
-    """JSON has no infinity: intervals that are not known become null."""
-    return {k: v if not isinstance(v, float) or np.isfinite(v) else None for k, v in asdict(fit).items()}
 
 
 def _samples(

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from arfx.core.codec import stored
+from arfx.core.codec import Document, stored
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.errors import InputError
@@ -21,7 +21,7 @@ FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant"
 
 @stored
 @dataclass(frozen=True, eq=False)
-class Camera:
+class Camera(Document):
     """Intrinsics of one picture size.
 
     width, height : px
@@ -200,18 +200,6 @@ class Camera:
     def ideal(self) -> Camera:
         """The same camera without lens distortion."""
         return Camera(self.width, self.height, self.matrix, np.zeros(0), BROWN, self.source, self.guessed)
-
-    def to_json(self) -> dict:
-        return {
-            "width": self.width, "height": self.height, "matrix": self.matrix.tolist(),
-            "distortion": self.distortion.tolist(), "model": self.model, "source": self.source, "guessed": self.guessed,
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict) -> Camera:
-        return Camera(
-            d["width"], d["height"], np.array(d["matrix"]), np.array(d["distortion"]), d["model"], d["source"], d["guessed"]
-        )
 
     @staticmethod
     def guess(width: int, height: int, horizontal_fov_deg: float = 65.0) -> Camera:

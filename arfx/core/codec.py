@@ -1,21 +1,27 @@
-"""Plain values as bytes and back, exactly: type, bits, order. What state is kept in, from one process to the next.
+"""What is written down and read again: state as bytes, exactly (`dumps`), and dataclasses as JSON (`Document`).
 
-Taken: None, bool, int, float, str, list, tuple, dict, Counter, numpy arrays and scalars of numbers, dataclasses marked `stored`.
-Anything else is refused when it is written, subclasses too. What is read can only be of these types: no file names code to run.
-A file begins with its format and a digest of the rest: one of another version, or a damaged one, is refused as a whole.
+State, from one process to the next, keeps type, bits and order. Taken: None, bool, int, float, str, list, tuple, dict, Counter,
+numpy arrays and scalars of numbers, dataclasses marked `stored`. Anything else is refused when it is written, subclasses too.
+What is read can only be of these types: no file names code to run. A file begins with its format and a digest of the rest: one
+of another version, or a damaged one, is refused as a whole.
 """
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import math
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import fields
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -113,3 +119,115 @@ def _read(node: Any, take: Callable[[int], bytes]) -> Any:
     if tag in _STORED:
         return _STORED[tag](*values)
     raise ValueError(f"unknown type {tag!r}")
+
+
+Convert = Callable[[Any], Any]
+
+
+class Document:
+    """Base of dataclasses that JSON files hold: written and read by the types of their fields, through one pair of functions
+    for each class. A field that the JSON lacks has its default.
+
+    Types: what JSON holds itself, Any, Path, Fraction; arrays (lists of numbers, float64 when read; or `Packed`); `Unbounded`;
+    Documents, and classes with a `to_json` and `from_json` of their own; tuples, sequences, mappings and optionals of these.
+    """
+
+    __slots__ = ()
+
+    def to_json(self) -> dict[str, Any]:
+        kind: Any = type(self)
+        out: dict[str, Any] = _of_class(kind)[0](self)
+        return out
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """Raises TypeError, ValueError, KeyError or AttributeError for what is not of this class."""
+        kind: Any = cls
+        out: Self = _of_class(kind)[1](document)
+        return out
+
+
+@dataclass(frozen=True)
+class Packed:
+    """Annotation of an array that is written as text. dtype : for instance "<f2";  held : of what is read, None = the same"""
+
+    dtype: str
+    held: str | None = None
+
+    def write(self, a: np.ndarray) -> dict[str, Any]:
+        return {"shape": list(a.shape), "data": base64.b64encode(a.astype(self.dtype).tobytes()).decode()}
+
+    def read(self, v: Mapping[str, Any]) -> np.ndarray:
+        a = np.frombuffer(base64.b64decode(v["data"]), self.dtype).reshape(v["shape"])
+        return a if self.held is None else a.astype(self.held)
+
+
+class _Infinite:
+    write = staticmethod(lambda v: v if math.isfinite(v) else None)
+    read = staticmethod(lambda v: math.inf if v is None else v)
+
+
+Unbounded = Annotated[float, _Infinite]  # a float that may be infinite, which JSON cannot say: null
+
+
+@cache
+def _of_type(hint: Any) -> tuple[Convert | None, Convert | None]:
+    """(writes, reads) a value of this type; None = it is JSON already."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return parts[1].write, parts[1].read
+    if origin in (Union, UnionType):
+        every = [_of_type(p) for p in parts if p is not type(None)]
+        write, read = every[0] if len(every) == 1 else (None, None)
+        return write and _unless_none(write), read and _unless_none(read)
+    if origin in (tuple, Sequence):
+        write, read = _of_type(parts[0])
+        made: Convert = tuple if origin is tuple else list
+        return write and _each(write, list), _each(read, made) if read else made
+    if origin in (dict, Mapping):
+        write, read = _of_type(parts[1])
+        return write and _each_value(write), read and _each_value(read)
+    if hint is np.ndarray:
+        return (lambda a: np.asarray(a).tolist()), (lambda v: np.array(v, float))
+    if hint in (Path, Fraction):
+        return str, hint
+    if not isinstance(hint, type) or not hasattr(hint, "from_json"):
+        return None, None
+    own = "from_json" in vars(hint) or not issubclass(hint, Document)
+    return (hint.to_json, hint.from_json) if own else _of_class(hint)  # type: ignore[attr-defined]
+
+
+def _unless_none(f: Convert) -> Convert:
+    return lambda v: None if v is None else f(v)
+
+
+def _each(f: Convert, made: Convert) -> Convert:
+    return lambda v: made(map(f, v))
+
+
+def _each_value(f: Convert) -> Convert:
+    return lambda v: {k: f(x) for k, x in v.items()}
+
+
+@cache
+def _of_class(kind: type) -> tuple[Convert, Convert]:
+    """(writes, reads) an object of this dataclass."""
+    hints = get_type_hints(kind, include_extras=True)
+    names = [f.name for f in fields(kind)]
+    of = {name: _of_type(hints[name]) for name in names}
+    writers, readers = ([(name, pair[k]) for name, pair in of.items() if pair[k] is not None] for k in (0, 1))
+
+    def write(v: Any) -> dict[str, Any]:
+        out = {name: getattr(v, name) for name in names}
+        for name, convert in writers:
+            out[name] = convert(out[name])  # type: ignore[misc]
+        return out
+
+    def read(d: Mapping[str, Any]) -> Any:
+        out = dict(d)
+        for name, convert in readers:
+            if name in out:
+                out[name] = convert(out[name])  # type: ignore[misc]
+        return kind(**out)
+
+    return write, read

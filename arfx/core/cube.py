@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
+from arfx.core.codec import Document
 from arfx.core.numerics import normalise
 
 _MOST = 6e4  # float16 ends at 65504
@@ -40,13 +41,26 @@ def solid_angles(size: int) -> np.ndarray:
     return out
 
 
-def packed(faces: np.ndarray) -> dict[str, Any]:
-    """A cube (6, n, n, 3) as facts hold it: {"size": n, "faces": base64 of float16}, values within +-_MOST."""
-    half = np.clip(faces, -_MOST, _MOST).astype("<f2")
-    return {"size": int(faces.shape[1]), "faces": base64.b64encode(half.tobytes()).decode("ascii")}
+@dataclass(frozen=True)
+class CubeMap(Document):
+    """A cube of radiance, as facts hold one. size : texels along a face's side;  data : text of float16, see `faces`
 
+    axes : nine numbers, row by row, of the rotation to the cube's axes from the world's; None = they are the world's
+    plane_rgb : radiance of the anchor's plane as seen, where the cube is a guess: what is next to its horizon agrees with it
+    """
 
-def unpacked(told: dict[str, Any]) -> np.ndarray:
-    """(6, n, n, 3) float16. Raises KeyError, TypeError or ValueError for anything that `packed` does not make."""
-    n = int(told["size"])
-    return np.frombuffer(base64.b64decode(told["faces"]), "<f2").reshape(6, n, n, 3)
+    size: int
+    data: str
+    axes: tuple[float, ...] | None = None
+    plane_rgb: tuple[float, ...] | None = None
+
+    @staticmethod
+    def of(faces: np.ndarray, axes: np.ndarray | None = None, plane_rgb: np.ndarray | None = None) -> CubeMap:
+        """faces : (6, n, n, 3), cut to +-_MOST;  axes : (3, 3);  plane_rgb : (3,)"""
+        data = base64.b64encode(np.clip(faces, -_MOST, _MOST).astype("<f2").tobytes()).decode()
+        rows = (None if a is None else tuple(np.asarray(a, float).ravel().tolist()) for a in (axes, plane_rgb))
+        return CubeMap(faces.shape[1], data, *rows)
+
+    def faces(self) -> np.ndarray:
+        """(6, n, n, 3) float16"""
+        return np.frombuffer(base64.b64decode(self.data), "<f2").reshape(6, self.size, self.size, 3)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from arfx.core.advection import AdvectionField
+from arfx.core.codec import Document
+from arfx.core.cube import CubeMap
+from arfx.core.lens_fit import LensFit
 from arfx.core.light import Light
 from arfx.core.pose import Pose
+from arfx.core.real_depth import RealDepth
 from arfx.core.rect import EMPTY, Rect
 
 MEASURED, INTERPOLATED, ABSENT = "measured", "interpolated", "absent"
@@ -18,22 +23,15 @@ _AROUND_PX = 2
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Hypothesis(Document):
     """One planar pose solution of one marker. reprojection_px : rms over its four corners."""
 
     camera_from_marker: Pose
     reprojection_px: float
 
-    def to_json(self) -> dict:
-        return {"pose": self.camera_from_marker.to_json(), "px": self.reprojection_px}
-
-    @staticmethod
-    def from_json(d: dict) -> Hypothesis:
-        return Hypothesis(Pose.from_json(d["pose"]), d["px"])
-
 
 @dataclass(frozen=True)
-class MarkerSighting:
+class MarkerSighting(Document):
     """One configured marker seen in one frame.
 
     key : "36h11:3";  corners_px : (4, 2) refined, order of MarkerSpec.corners_m
@@ -56,23 +54,23 @@ class MarkerSighting:
         a, b = (h.reprojection_px for h in self.hypotheses[:2])
         return b / a if a > 0 else float("inf")
 
-    def to_json(self) -> dict:
-        return {
-            "key": self.key, "corners_px": np.asarray(self.corners_px).tolist(), "sigma_px": self.sigma_px,
-            "hypotheses": [h.to_json() for h in self.hypotheses], "chosen": self.chosen, "inverted": self.inverted,
-        }  # fmt: skip
 
-    @staticmethod
-    def from_json(d: dict) -> MarkerSighting:
-        return MarkerSighting(
-            d["key"], np.array(d["corners_px"], float), d["sigma_px"],
-            tuple(Hypothesis.from_json(h) for h in d["hypotheses"]), d["chosen"], d["inverted"],
-        )  # fmt: skip
+@dataclass(frozen=True)
+class PlaneShadow(Document):
+    """Where a real shadow lies on the anchor's plane already, as seen where the surface is known (the white of the marker).
+
+    box_m : (x0, y0, x1, y1), anchor axes;  ratio : rows from y0 up, columns from x0: plate over what the frame's light gives
+    the same surface without anything in the way, both without the camera's bias. 1 = lit; the ambient share of the light = all
+    directional light blocked. Outside the box nothing is known: lit.
+    """
+
+    box_m: tuple[float, float, float, float]
+    ratio: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
-class FrameFacts:
-    """One frame. JSON-able; everything a stage may know about the clip beside the pixels.
+class FrameFacts(Document):
+    """One frame: everything a stage may know about the clip beside the pixels. What was not measured is None.
 
     index : number in decoding order of presentation, from 0 at the clip's first frame
     time_s : presentation time;  shot : number of the cut-free segment
@@ -82,6 +80,9 @@ class FrameFacts:
     opacity : 0..1, fades the object over a few frames at the ends of its presence
     light : of this frame, WORLD frame, None = the scene's;  bias_rgb : linear light that the camera adds where none falls
     model_box : pixels the object can touch, EMPTY when out of view;  depth_range_m : nearest, farthest point of it
+    real_depth : measured;  lens : of the footage;  environment : radiance of the surroundings, WORLD axes
+    light_map : the printed method's, without its lights' own cosine lobes;  plane_shadow : real, on the anchor's plane
+    advection : how the background moved since the clip's first frame
     """
 
     index: int
@@ -100,7 +101,12 @@ class FrameFacts:
     light: Light | None = None
     bias_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
     blur_px: float | None = None
-    extra: dict[str, Any] = field(default_factory=dict)
+    real_depth: RealDepth | None = None
+    lens: LensFit | None = None
+    environment: CubeMap | None = None
+    light_map: CubeMap | None = None
+    plane_shadow: PlaneShadow | None = None
+    advection: AdvectionField | None = None
 
     @property
     def drawn_box(self) -> Rect:
@@ -128,36 +134,8 @@ class FrameFacts:
         """Every pose in these facts."""
         yield from (p for p in (self.camera_from_world, self.raw_camera_from_world) if p is not None)
         yield from (h.camera_from_marker for m in self.markers for h in m.hypotheses)
-
-    def to_json(self) -> dict:
-        def pose(p: Pose | None) -> list[float] | None:
-            return None if p is None else p.to_json()
-
-        return {
-            "index": self.index, "time_s": self.time_s, "shot": self.shot, "status": self.status,
-            "camera_from_world": pose(self.camera_from_world), "raw_camera_from_world": pose(self.raw_camera_from_world),
-            "pose_covariance": None if self.pose_covariance is None else np.asarray(self.pose_covariance).tolist(),
-            "reprojection_px": self.reprojection_px, "opacity": self.opacity,
-            "markers": [m.to_json() for m in self.markers], "whole_frame_search": self.whole_frame_search,
-            "model_box": self.model_box.to_json(), "depth_range_m": list(self.depth_range_m),
-            "light": None if self.light is None else self.light.to_json(),
-            "bias_rgb": list(self.bias_rgb), "blur_px": self.blur_px, "extra": self.extra,
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict) -> FrameFacts:
-        def pose(v: list[float] | None) -> Pose | None:
-            return None if v is None else Pose.from_json(v)
-
-        cov = d["pose_covariance"]
-        return FrameFacts(
-            d["index"], d["time_s"], d["shot"], d["status"], pose(d["camera_from_world"]), pose(d["raw_camera_from_world"]),
-            None if cov is None else np.array(cov), d["reprojection_px"], d["opacity"],
-            tuple(MarkerSighting.from_json(m) for m in d["markers"]), d["whole_frame_search"],
-            Rect.from_json(d["model_box"]), (d["depth_range_m"][0], d["depth_range_m"][1]),
-            None if d["light"] is None else Light.from_json(d["light"]), tuple(d.get("bias_rgb", (0.0, 0.0, 0.0))),
-            d["blur_px"], d["extra"],
-        )  # fmt: skip
+        if self.advection is not None and self.advection.pose is not None:
+            yield self.advection.pose
 
     def with_(self, **changes: Any) -> FrameFacts:
         return replace(self, **changes)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import condition, divide
 
 FEWEST = 8
@@ -22,7 +23,7 @@ _ROUNDS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class LensFit:
+class LensFit(Document):
     """known : whether the footage tells;  reason : why not, or how well
 
     px_per_dioptre : radius of the blur circle by the distance from the focus, 1/m;  focus : dioptre, 1/m
@@ -35,8 +36,8 @@ class LensFit:
     px_per_dioptre: float = 0.0
     focus: float = 0.0
     sharp_px: float = 0.0
-    px_per_dioptre_ci95: float = float("inf")
-    focus_ci95: float = float("inf")
+    px_per_dioptre_ci95: Unbounded = float("inf")
+    focus_ci95: Unbounded = float("inf")
 
 
 def lens_from_blur(dioptre: np.ndarray, blur_px: np.ndarray, sigma_px: np.ndarray | float = 0.1) -> LensFit:

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
 
 # Share of each degree of a radiance distribution that is left in the radiance of a white diffuse surface over its normal
@@ -15,7 +16,7 @@ DIFFUSE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
 
 
 @dataclass(frozen=True)
-class DirectionalLight:
+class DirectionalLight(Document):
     """direction : unit, WORLD frame, towards the light;  rgb : irradiance on a surface that faces it, such that a
     white diffuse surface shows radiance rgb (the factor pi is folded in);  angular_size_deg : full angle of its disc;
     confidence_deg : half-angle of its confidence cone, inf = not measured."""
@@ -23,7 +24,7 @@ class DirectionalLight:
     direction: tuple[float, float, float]
     rgb: tuple[float, float, float]
     angular_size_deg: float = 0.5
-    confidence_deg: float = float("inf")
+    confidence_deg: Unbounded = float("inf")
 
     @property
     def unit(self) -> np.ndarray:
@@ -31,7 +32,7 @@ class DirectionalLight:
 
 
 @dataclass(frozen=True)
-class Light:
+class Light(Document):
     """ambient_rgb : radiance of a white diffuse surface without any directional light, mean over its normals
 
     soft : (9, 3) real spherical harmonics, WORLD frame, of that radiance over the normal (`soft_radiance`); empty = the
@@ -79,31 +80,6 @@ class Light:
         return Light(
             triple(soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]), lights, source, tuple(triple(row) for row in soft)
         )
-
-    def to_json(self) -> dict:
-        return {
-            "source": self.source,
-            "ambient_rgb": list(self.ambient_rgb),
-            "soft": [list(row) for row in self.soft],
-            "lights": [
-                {
-                    "direction": list(li.direction), "rgb": list(li.rgb), "angular_size_deg": li.angular_size_deg,
-                    "confidence_deg": li.confidence_deg if np.isfinite(li.confidence_deg) else None,
-                }
-                for li in self.lights
-            ],
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict) -> Light:
-        lights = tuple(
-            DirectionalLight(
-                tuple(x["direction"]), tuple(x["rgb"]), x["angular_size_deg"],
-                float("inf") if x["confidence_deg"] is None else x["confidence_deg"],
-            )
-            for x in d["lights"]
-        )  # fmt: skip
-        return Light(tuple(d["ambient_rgb"]), lights, d["source"], tuple(tuple(row) for row in d.get("soft", ())))
 
 
 def harmonics(n: np.ndarray) -> np.ndarray:

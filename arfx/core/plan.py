@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from arfx.core.codec import Document
 from arfx.core.rect import Rect
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Step(Document):
     """One stage run.
 
     out : pixels it must deliver; need : pixels it is given; seconds : predicted, None = unknown; between : its interval
@@ -23,32 +24,15 @@ class Step:
     seconds: float | None
     between: tuple[float, float] | None = None
 
-    def to_json(self) -> dict:
-        return {
-            "stage": self.stage, "level": self.level, "out": self.out.to_json(), "need": self.need.to_json(),
-            "reason": self.reason, "seconds": self.seconds, "between": self.between,
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict) -> Step:
-        between = d.get("between")
-        return Step(
-            d["stage"], d["level"], Rect.from_json(d["out"]), Rect.from_json(d["need"]), d["reason"], d["seconds"],
-            None if between is None else (between[0], between[1]),
-        )  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
-class Skip:
+class Skip(Document):
     stage: str
     reason: str
 
-    def to_json(self) -> dict:
-        return {"stage": self.stage, "reason": self.reason}
-
 
 @dataclass(frozen=True, slots=True)
-class FramePlan:
+class FramePlan(Document):
     """rect : all pixels that are read or changed; changed : pixels that are written back to the frame."""
 
     index: int
@@ -61,19 +45,6 @@ class FramePlan:
     def seconds(self) -> float | None:
         parts = [s.seconds for s in self.steps]
         return None if any(p is None for p in parts) else float(sum(p for p in parts if p is not None))
-
-    def to_json(self) -> dict:
-        return {
-            "index": self.index, "rect": self.rect.to_json(), "changed": self.changed.to_json(),
-            "steps": [s.to_json() for s in self.steps], "skipped": [s.to_json() for s in self.skipped],
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict) -> FramePlan:
-        return FramePlan(
-            d["index"], Rect.from_json(d["rect"]), Rect.from_json(d["changed"]),
-            tuple(Step.from_json(s) for s in d["steps"]), tuple(Skip(s["stage"], s["reason"]) for s in d["skipped"]),
-        )  # fmt: skip
 
 
 def levels_of(plans: Iterable[FramePlan]) -> set[tuple[str, str]]:

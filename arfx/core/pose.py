@@ -140,7 +140,7 @@ class Pose:
 
     @staticmethod
     def from_json(v: list[float]) -> Pose:
-        return Pose.from_rotvec(np.asarray(v[:3]), np.asarray(v[3:6]))
+        return Pose(_one_rotation(*v[:3]), np.array(v[3:6], float))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pose) and bool(

@@ -5,56 +5,42 @@ The pixels are `Layer.REAL_DEPTH`; what the planner needs to know of them before
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
-from arfx.core.facts import FrameFacts
+from arfx.core.codec import Document, Packed
 
-KEY = "real_depth"  # in FrameFacts.extra; absent or None = the frame has no depth
 TILE_PX = 64
 USUAL_NOISE = 0.007  # of depth cameras, share of the distance
 
 
 @dataclass(frozen=True, eq=False)
-class RealDepth:
+class RealDepth(Document):
     """map : number of the depth map;  scale : metres of it to true ones;  digest : of the map's file
 
-    tiles : (2, th, tw) float32, least and greatest dioptre, 1/m, in every TILE_PX-th tile of the frame; wider by rounding
+    tiles : (2, th, tw) float32, least and greatest dioptre, 1/m, in every TILE_PX-th tile of the frame
     noise : standard deviation of a pixel on the prints, share of its distance; what is usual where no print told
     """
 
     map: int
     scale: float
     digest: str
-    tiles: np.ndarray
+    tiles: Annotated[np.ndarray, Packed("<f2", "f4")]
     noise: float = USUAL_NOISE
+
+    @staticmethod
+    def of(map: int, scale: float, digest: str, tiles: np.ndarray, noise: float = USUAL_NOISE) -> RealDepth:
+        """tiles : of `tile_ranges`, which are made a little wider, to what float16 can hold"""
+        low = np.nextafter(tiles[0].astype(np.float16), np.float16(0))
+        high = np.nextafter(tiles[1].astype(np.float16), np.float16(np.inf))
+        wider = np.stack([low, np.minimum(high, np.finfo(np.float16).max)]).astype(np.float32)
+        return RealDepth(map, scale, digest, wider, noise)
 
     @property
     def dioptre_range(self) -> tuple[float, float]:
         return float(self.tiles[0].min()), float(self.tiles[1].max())
-
-    def to_json(self) -> dict[str, Any]:
-        low = np.nextafter(self.tiles[0].astype(np.float16), np.float16(0))
-        high = np.nextafter(self.tiles[1].astype(np.float16), np.float16(np.inf))
-        packed = np.stack([low, np.minimum(high, np.finfo(np.float16).max)])
-        return {
-            "map": self.map, "scale": self.scale, "digest": self.digest, "noise": self.noise, "shape": list(self.tiles.shape[1:]),
-            "tiles": base64.b64encode(packed.astype("<f2").tobytes()).decode(),
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict[str, Any]) -> RealDepth:
-        tiles = np.frombuffer(base64.b64decode(d["tiles"]), "<f2").reshape(2, *d["shape"])
-        return RealDepth(d["map"], d["scale"], d["digest"], tiles.astype(np.float32), d["noise"])
-
-
-def real_depth_of(facts: FrameFacts) -> RealDepth | None:
-    """The frame's, None where it has none."""
-    told = facts.extra.get(KEY)
-    return None if told is None else RealDepth.from_json(told)
 
 
 def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:

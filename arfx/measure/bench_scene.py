@@ -13,7 +13,7 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.model import Material, Model, Part
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.core.real_depth import KEY, RealDepth, tile_ranges
+from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.core.scene import Placement, Scene
 
@@ -68,8 +68,8 @@ class BenchScene:
         box = self.facts.model_box
         half = Rect(box.x0, box.y0, (box.x0 + box.x1) // 2, box.y1).clip(camera.rect)
         depth_m[half.slices] = 0.8 * self.facts.depth_range_m[0]
-        measured = RealDepth(0, 1.0, "", tile_ranges(depth_m, (camera.width, camera.height)))
-        facts = self.facts.with_(extra={**self.facts.extra, KEY: measured.to_json()})
+        measured = RealDepth.of(0, 1.0, "", tile_ranges(depth_m, (camera.width, camera.height)))
+        facts = self.facts.with_(real_depth=measured)
         return BenchScene(self.scene, facts, self.plate, depth_m.astype(np.float32))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from arfx.core.cost import Price, Prices, prices_file
-from arfx.core.cube import face_directions, packed
+from arfx.core.cube import CubeMap, face_directions
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
@@ -34,8 +34,6 @@ from arfx.measure.timed_runs import WALL, Runs, Watch
 from arfx.run.folder import write_text
 from arfx.run.job import MOST_THREADS, default_workers
 from arfx.stages import STAGES
-from arfx.stages.gi.frame_light import KEY as ENVIRONMENT
-from arfx.stages.gi.frame_light import PLANE
 
 Progress = Callable[[str, int, int], None]
 # width, height, share of the picture under the ball, (longitudes, latitudes): 720 to 24,000 triangles
@@ -208,13 +206,13 @@ def _shimmering(at: BenchScene) -> Callable[[], FrameFacts]:
     """The scene's facts, with surroundings as an analysis tells them and a light that is never quite the same, as a measured
     one: what is kept for a light in steps is kept, what is made for the very light is made anew."""
     sky = face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0) * np.array([0.5, 0.55, 0.6]) + 0.2
-    around = {**packed(sky), PLANE: [0.3, 0.3, 0.3]}
+    around = CubeMap.of(sky, None, np.full(3, 0.3))
     light, count = at.scene.light, itertools.count()  # threads ask for the next at once
 
     def seen() -> FrameFacts:
         red, green, blue = light.ambient_rgb
         shimmer = replace(light, ambient_rgb=(red * (1 + 1e-6 * next(count)), green, blue))
-        return at.facts.with_(light=shimmer, extra={**at.facts.extra, ENVIRONMENT: around})
+        return at.facts.with_(light=shimmer, environment=around)
 
     return seen
 

@@ -7,7 +7,6 @@ import numpy as np
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import Rect
 from arfx.errors import InputError
 from arfx.media.depth_fill import filled
@@ -29,7 +28,7 @@ def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: C
     The whole map is filled whatever the rectangle, so that a pixel gets the same from any.
     Raises InputError where the map is not the one that was analysed.
     """
-    told = real_depth_of(facts)
+    told = facts.real_depth
     if told is None:
         return None
     depth = maps.load(told.map, camera.width, camera.height)

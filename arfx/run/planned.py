@@ -9,6 +9,7 @@ from typing import Any
 
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
+from arfx.core.codec import Document
 from arfx.core.cost import Prices
 from arfx.core.facts import FrameFacts
 from arfx.core.model import Model
@@ -23,7 +24,7 @@ from arfx.run.times import WorkLog
 
 
 @dataclass(frozen=True)
-class Analysed:
+class Analysed(Document):
     """What the analysis says of the whole clip; of each frame it says `FrameFacts`.
 
     pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
@@ -48,19 +49,11 @@ class Analysed:
         return make_scene(config, camera, model, self.world_from_marker, self.anchor, self.static, self.real_planes)
 
     def write(self, folder: JobFolder) -> None:
-        document = {
-            **vars(self),
-            "world_from_marker": {k: p.to_json() for k, p in self.world_from_marker.items()},
-            "real_planes": [p.to_json() for p in self.real_planes],
-        }
-        write_text(folder.frames, json.dumps(document, default=float))
+        write_text(folder.frames, json.dumps(self.to_json(), default=float))
 
     @staticmethod
     def read(folder: JobFolder) -> Analysed:
-        document = json.loads(folder.frames.read_text(encoding="utf-8"))
-        document["world_from_marker"] = {k: Pose.from_json(v) for k, v in document["world_from_marker"].items()}
-        document["real_planes"] = [RealPlane.from_json(p) for p in document["real_planes"]]
-        return Analysed(**document)
+        return Analysed.from_json(json.loads(folder.frames.read_text(encoding="utf-8")))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.real_depth import TILE_PX, real_depth_of
+from arfx.core.real_depth import TILE_PX
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -47,7 +47,7 @@ class Hide(Stage):
     always, requires = True, frozenset({"depth"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        told = real_depth_of(facts)
+        told = facts.real_depth
         if told is None:
             return Demand(EMPTY, "the real scene's depth is not known")
         if facts.model_box.empty:

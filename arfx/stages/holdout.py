@@ -21,7 +21,6 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Patch
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -55,7 +54,7 @@ class Holdout(Stage):
     always, requires = True, frozenset({"depth"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        if real_depth_of(facts) is None:
+        if facts.real_depth is None:
             return Demand(EMPTY, "the real scene's depth is not known")
         return Demand(frame, "measured depth shows which pixels are the plane", within_earlier=True)
 
@@ -71,7 +70,7 @@ class Holdout(Stage):
         if inside.empty:
             return {Layer.SHADOW: Patch(inside, np.empty((0, 0, 3), np.float32))}
         around = inside.pad(reach_px(scene)).clip(now.rect)
-        part, told = now.crop(around), real_depth_of(view.facts)
+        part, told = now.crop(around), view.facts.real_depth
         tolerance = max(self.params.tolerance, 0.0 if told is None else _SIGMAS * told.noise)
         share = on_plane(part[Layer.REAL_DEPTH], plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around), tolerance)
         if (share < 1).any():

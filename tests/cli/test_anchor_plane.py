@@ -99,7 +99,7 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
                 raise KeyboardInterrupt
 
         done = analyse_plane(inputs, (None, None), progress, light, frozenset({"environment"}), JobFolder(job), "key")
-        write_facts(tmp_path / "facts.jsonl", done.analysis.facts, done.analysis)
+        write_facts(tmp_path / "facts.jsonl", done.analysis.facts)
         return (tmp_path / "facts.jsonl").read_bytes(), done.span.pts
 
     whole = analysed(tmp_path, None)

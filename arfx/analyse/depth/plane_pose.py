@@ -13,7 +13,6 @@ from arfx.analyse.depth.scene_planes import ScenePlane, facing_up, scene_planes
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.pose import Pose
-from arfx.core.real_depth import real_depth_of
 from arfx.core.real_plane import RealPlane
 from arfx.errors import NothingToDoError
 
@@ -22,11 +21,11 @@ MAPS = 4  # that planes are looked for in, over the clip
 
 def measured_planes(maps: Maps, facts: Sequence[FrameFacts], camera: Camera) -> list[RealPlane]:
     """The real scene's planes in the world of facts that have poses and depth; those seen most first."""
-    with_both = [f for f in facts if f.camera_from_world is not None and real_depth_of(f) is not None]
+    with_both = [f for f in facts if f.camera_from_world is not None and f.real_depth is not None]
     some: list[tuple[np.ndarray, Pose]] = []
     used: set[int] = set()
     for f in spread(with_both):
-        depth, pose = real_depth_of(f), f.camera_from_world
+        depth, pose = f.real_depth, f.camera_from_world
         assert depth is not None and pose is not None
         if maps.still and depth.map in used and f.camera_from_world == some[0][1]:
             continue

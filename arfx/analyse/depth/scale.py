@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,11 +18,12 @@ import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.codec import Document
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.machine import usable_cores
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.real_depth import KEY, USUAL_NOISE, RealDepth, tile_ranges
+from arfx.core.real_depth import USUAL_NOISE, RealDepth, tile_ranges
 from arfx.errors import InputError
 
 FEWEST_PX = 24  # measured pixels on a print
@@ -54,7 +55,7 @@ class Maps(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class DepthScale:
+class DepthScale(Document):
     """known : whether the markers tell;  scale : metres of a map to true ones, 1 where not known;  reason : in words
 
     spread : robust standard deviation of a frame's factor, relative;  residual : median over the prints' pixels of how
@@ -72,9 +73,6 @@ class DepthScale:
     def noise(self) -> float:
         """Standard deviation of a pixel, share of its distance."""
         return USUAL_NOISE if self.residual is None else _SIGMA * self.residual
-
-    def to_json(self) -> dict[str, Any]:
-        return {k: getattr(self, k) for k in self.__slots__}
 
 
 def print_ratios(depth_m: np.ndarray, facts: FrameFacts, world_from_marker: Mapping[str, Pose], camera: Camera) -> np.ndarray:
@@ -146,7 +144,7 @@ def with_depth(
     align: bool,
     progress: Progress,
 ) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
-    """The facts with `extra["real_depth"]`, and a summary for the report.
+    """The facts with `real_depth`, and a summary for the report.
 
     of_frames : number of each frame's map;  align : scale the maps to the markers' planes, else take them at their word
     Raises InputError for a map that cannot be read, and where no map holds a valid pixel.
@@ -182,8 +180,8 @@ def with_depth(
         for n, k in enumerate(of_frames):
             if k is None or (tiles := told[k].tiles) is None:
                 continue
-            depth = RealDepth(k, scale.scale, told[k].digest, (tiles / scale.scale).astype(np.float32), scale.noise)
-            out[n] = replace(out[n], extra={**out[n].extra, KEY: depth.to_json()})
+            tiles = (tiles / scale.scale).astype(np.float32)
+            out[n] = out[n].with_(real_depth=RealDepth.of(k, scale.scale, told[k].digest, tiles, scale.noise))
             got += 1
     summary = {
         "path": str(maps.path), "maps": maps.count, "paired_by": _paired(maps), "frames_with": got,

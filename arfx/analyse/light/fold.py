@@ -22,17 +22,15 @@ from arfx.analyse.fold import Fold
 from arfx.analyse.light import given as given_light
 from arfx.analyse.light.fit import MEASURED as LIT
 from arfx.analyse.light.fit import REFUSED
-from arfx.analyse.light.lighting_paper import KEY as MAP
-from arfx.analyse.light.lighting_paper import told
 from arfx.analyse.light.patches import (
     WHITE,
     Patches,
-    already_blocked,
     cells,
     clearly_blocked,
     comparable,
     place,
     quarters,
+    real_shadow,
     reduced,
     stack,
 )
@@ -42,6 +40,7 @@ from arfx.analyse.light.static_frame import Readings, RoomLight, Told
 from arfx.analyse.light.surroundings import Look, look, with_environment
 from arfx.analyse.params import LightParams
 from arfx.analyse.records import Analysis, Seen
+from arfx.core.cube import CubeMap
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec, anchor_marker
@@ -141,10 +140,10 @@ def lighted(
         for frame, key, patches in meter.readings
         if frame in known
         and key == anchor
-        and (found := already_blocked(quarters(patches.mean, patches.count, bias), stands_on.size_m))
+        and (found := real_shadow(quarters(patches.mean, patches.count, bias), stands_on.size_m))
     }
-    lit = tuple(f.with_(extra={**f.extra, "already_blocked": shaded[k]}) if k in shaded else f for k, f in enumerate(lit))
-    lit = tuple(f.with_(extra={**f.extra, MAP: told(maps[k], room[k])}) if k in maps else f for k, f in enumerate(lit))
+    lit = tuple(f.with_(plane_shadow=shaded[k]) if k in shaded else f for k, f in enumerate(lit))
+    lit = tuple(f.with_(light_map=CubeMap.of(maps[k], room[k])) if k in maps else f for k, f in enumerate(lit))
     marker = analysis.world_from_marker.get(anchor)
     upright = np.eye(3) if marker is None else marker.rotation
     if environment:

@@ -18,11 +18,10 @@ from arfx.analyse.light import light_map
 from arfx.analyse.light.fit import paper_lights
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.params import LightParams
-from arfx.core.cube import face_directions, packed
+from arfx.core.cube import face_directions
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import normalise
 
-KEY = "light_map"  # in FrameFacts.extra, see stages/lightmap/printed_map.py
 CUBE = {2: 8, 3: 16, 4: 32, 5: 48}  # side of a face by the map's level
 _SEEN = 1e4  # a vertex's variance over the least, up to which it was faced: weight 1 %
 _RIDGE = 1e-3  # of the harmonics' own weight: directions that no marker faced say nothing
@@ -65,11 +64,6 @@ def paper_lights_of(
         light = Light.of_soft(soft, (), "marker").turned(turn.T)
         out.append(replace(light, lights=tuple(lamps)))
     return out, cubes
-
-
-def told(cube: np.ndarray, map_from_world: np.ndarray) -> dict:
-    """What FrameFacts.extra[KEY] holds."""
-    return {**packed(cube), "map_from_world": np.asarray(map_from_world, float).ravel().tolist()}
 
 
 def _upright(up: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ from arfx.analyse.light import patch_kernels as kernels
 from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.markers.detect import cells_per_side, dictionary
 from arfx.core.codec import stored
+from arfx.core.facts import PlaneShadow
 from arfx.core.numerics import HALF_GREY, divide
 
 # black top left, top right, bottom left, bottom right, then white in the same order
@@ -212,8 +213,8 @@ def clearly_blocked(light: np.ndarray) -> np.ndarray:
     return np.isfinite(light).all(-1) & (high > 0) & (low <= LEAST_LEFT * high)
 
 
-def already_blocked(light: np.ndarray, size_m: float) -> dict | None:
-    """The anchor's `already_blocked` (stages/lightmap/blocked.py), or None where no quarter is clearly darker.
+def real_shadow(light: np.ndarray, size_m: float) -> PlaneShadow | None:
+    """The real shadow on the anchor's print, None where no quarter is clearly darker.
 
     light : (4,) of `quarters`;  size_m : side of the print. Anchor axes: x right, y up.
     """
@@ -222,4 +223,4 @@ def already_blocked(light: np.ndarray, size_m: float) -> dict | None:
     ratio = divide(light, light.max())
     top_left, top_right, bottom_left, bottom_right = (float(r) for r in np.clip(ratio, 0, 1))
     half = size_m / 2
-    return {"box_m": [-half, -half, half, half], "ratio": [[bottom_left, bottom_right], [top_left, top_right]]}
+    return PlaneShadow((-half, -half, half, half), ((bottom_left, bottom_right), (top_left, top_right)))

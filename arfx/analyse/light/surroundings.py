@@ -29,7 +29,7 @@ import numpy as np
 
 from arfx.analyse.light.icosphere import icosphere
 from arfx.core.codec import stored
-from arfx.core.cube import face_directions, packed, solid_angles
+from arfx.core.cube import CubeMap, face_directions, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, Light, harmonics
 from arfx.core.numerics import divide, normalise
@@ -39,8 +39,6 @@ FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
 RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 % of the light is left to noise
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
-KEY = "environment"
-PLANE = "plane"  # beside a folded cube: radiance of the plane as seen, with which what is next to its horizon agrees
 PANORAMA_PX = 16  # side of a face
 
 
@@ -142,11 +140,6 @@ def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
     return look_up(faces, d.reshape(-1, 3) @ np.asarray(source_from_dest, float).T).reshape(faces.shape)
 
 
-def told(faces: np.ndarray) -> dict:
-    """What FrameFacts.extra["environment"] holds; WORLD axes."""
-    return packed(np.maximum(faces, 0))
-
-
 def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
     """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its normal (core.light.Light.soft).
 
@@ -245,7 +238,7 @@ def with_environment(
     facts: Sequence[FrameFacts], looks: Sequence[Look], still_camera: bool, panorama: np.ndarray | None,
     world_from_anchor: np.ndarray, bias: np.ndarray,
 ) -> tuple[FrameFacts, ...]:  # fmt: skip
-    """The facts with `extra["environment"]` in every frame that has a pose and a look in its shot.
+    """The facts with `environment` in every frame that has a pose and a look in its shot.
 
     still_camera : the room is the camera's, else the world's;  world_from_anchor : (3, 3);  bias (3,) : not light
     """
@@ -261,17 +254,21 @@ def with_environment(
     plane = {
         shot: np.clip(np.mean([s.plane for s in looks if facts[s.frame].shot == shot], 0) - bias, 0, None) for shot in by_shot
     }
-    beside = {shot: {PLANE: [float(v) for v in colour]} for shot, colour in plane.items()}
-    whole = {shot: told(cube) | beside[shot] for shot, cube in mean.items()}
+
+    def cube_map(faces: np.ndarray, plane_rgb: np.ndarray | None = None) -> CubeMap:
+        return CubeMap.of(np.maximum(faces, 0), None, plane_rgb)
+
+    whole = {shot: cube_map(cube, plane[shot]) for shot, cube in mean.items()}
+    always = None if given is None else cube_map(given)
     out = []
     for f in facts:
         pose = f.camera_from_world
-        if pose is None or (given is None and f.shot not in mean):
+        if pose is None or (always is None and f.shot not in mean):
             out.append(f)
-        elif given is not None:
-            out.append(f.with_(extra={**f.extra, KEY: told(given)}))
+        elif always is not None:
+            out.append(f.with_(environment=always))
         elif still_camera:
-            out.append(f.with_(extra={**f.extra, KEY: told(turned(mean[f.shot], pose.rotation)) | beside[f.shot]}))
+            out.append(f.with_(environment=cube_map(turned(mean[f.shot], pose.rotation), plane[f.shot])))
         else:
-            out.append(f.with_(extra={**f.extra, KEY: whole[f.shot]}))
+            out.append(f.with_(environment=whole[f.shot]))
     return tuple(out)

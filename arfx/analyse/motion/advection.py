@@ -8,28 +8,24 @@ stretch and is carried back (`both_ways`); whoever paints both (`high` does), th
 sees one that is little bent, and sees the same in a clip that is run backwards (Bousseau et al. 2007). Stretches end where a
 shot does, and in a long one at a key frame every PERIOD sets. The fade goes by sets, not by time: nothing fades where nothing
 moves.
-Written into FrameFacts.extra["watercolor"]; read by stages.watercolor.field.
 Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per set.
 """
 
 from __future__ import annotations
 
-import base64
-import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from arfx.analyse.motion.flow import GRID_PX, STEPS, MotionStep, node_places
+from arfx.analyse.motion.flow import GRID_PX, MotionStep, node_places
+from arfx.core.advection import AdvectionField, packed_detail, packed_places
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 
-FACT = "watercolor"
 _NEW_DETAIL = 0.1  # share of what is seen now in the detail of a set; the rest is what was there before
 _RELAX = 0.02  # share of the field's bend that is taken out per set
 _LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
@@ -44,7 +40,7 @@ Sampled = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (values 
 def with_anchors(
     facts: Sequence[FrameFacts], steps: Sequence[MotionStep], camera: Camera, world_from_anchor: Pose, reach_m: float
 ) -> tuple[FrameFacts, ...]:
-    """The facts with extra["watercolor"] filled in.
+    """The facts with `advection`.
 
     steps : of BackgroundMotion, of the same frames;  reach_m : around the anchor's origin on its plane the poses are
     believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
@@ -56,8 +52,8 @@ def with_anchors(
     last: FrameFacts | None = None
     key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
     detail, last_back = np.zeros(gx.shape), np.zeros((*gx.shape, 2))
-    document: Mapping[str, Any] = {}
-    out, sets, of_frame = [], [], []
+    made: list[AdvectionField] = []
+    sets, of_frame = [], []
     for f in facts:
         step = by_index.get(f.index)
         cut = last is not None and f.shot != last.shot
@@ -88,18 +84,21 @@ def with_anchors(
                     _sampled(u, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy),
                     _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
                 )  # fmt: skip
-            document = _document(number, gx, gy, u, v, detail, f.camera_from_world)
+            origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
+            made.append(
+                AdvectionField(number, GRID_PX, origin, shape, packed_places(u, v), packed_detail(detail), f.camera_from_world)
+            )
             begins = back is None
             kept = back if back is not None else None if step is None or step.back is None else step.back.astype(float)
             sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
         last = f
-        out.append(f.with_(extra={**f.extra, FACT: document}))
         of_frame.append(len(sets) - 1)
     other = both_ways(sets, gx, gy, lambda a, x, y: _sampled(a, x, y, gx, gy), relaxed)
-    documents = [
-        {"share": round(o.share, 4), "forward": _nodes(*o.forward), "backward": _nodes(*o.backward)} for o in other
-    ]  # fmt: skip
-    return tuple(f.with_(extra={**f.extra, FACT: {**f.extra[FACT], **documents[k]}}) for f, k in zip(out, of_frame, strict=True))
+    made = [
+        replace(m, share=round(o.share, 4), forward=packed_places(*o.forward), backward=packed_places(*o.backward))
+        for m, o in zip(made, other, strict=True)
+    ]
+    return tuple(f.with_(advection=made[k]) for f, k in zip(facts, of_frame, strict=True))
 
 
 def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
@@ -167,26 +166,6 @@ def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     a = (u[:-1, 1:] - u[:-1, :-1]) * (v[1:, :-1] - v[:-1, :-1]) - (v[:-1, 1:] - v[:-1, :-1]) * (u[1:, :-1] - u[:-1, :-1])
     b = (u[1:, 1:] - u[1:, :-1]) * (v[1:, 1:] - v[:-1, 1:]) - (v[1:, 1:] - v[1:, :-1]) * (u[1:, 1:] - u[:-1, 1:])
     return a / GRID_PX**2, b / GRID_PX**2
-
-
-def _document(
-    number: int, gx: np.ndarray, gy: np.ndarray, u: np.ndarray, v: np.ndarray, detail: np.ndarray, pose: Pose | None
-) -> Mapping[str, Any]:
-    return {
-        "set": number, "pitch": GRID_PX, "origin": [int(gx[0, 0]), int(gy[0, 0])], "shape": list(u.shape),
-        "nodes": _nodes(u, v), "detail": _text(np.round(detail * 16).astype("<u2")),
-        "pose": None if pose is None else pose.to_json(),
-    }  # fmt: skip
-
-
-def _nodes(u: np.ndarray, v: np.ndarray) -> str:
-    whole = np.round(np.stack([u, v]) * STEPS).astype(np.int64)
-    steps = np.diff(whole, axis=2, prepend=0).astype("<i4")
-    return _text(steps)
-
-
-def _text(a: np.ndarray) -> str:
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(a).tobytes(), 6)).decode()
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,11 +24,11 @@ import numba
 import numpy as np
 
 from arfx.analyse.fold import Fold
+from arfx.core.advection import STEPS
 from arfx.core.codec import stored
 from arfx.core.numerics import divide
 
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
-STEPS = 16  # to a px: places of nodes are whole numbers of them
 BORDER = 3  # nodes outside the picture on each side
 WIDTH_PX = 256  # of the small frame
 # A set of sites is kept while no more than a tenth of the nodes has moved by this much. Half a cell (the figure)

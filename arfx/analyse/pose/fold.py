@@ -195,7 +195,6 @@ def _facts(
             r.index, r.time_s, int(shot[k]), status[k], pose, raw, covariance[k] if here else None,
             float(smooth_px[k]) if on[k] else None, float(opacity[k]), markers, r.whole,
             blur_px=float(np.median(blur)) if blur else None,
-            extra={"raw_reprojection_px": float(raw_px[k])} if on[k] else {},
         ))  # fmt: skip
     ratios = [m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)]
     info = information(path.rotation[on], path.translation[on], seen.take(np.flatnonzero(on)))

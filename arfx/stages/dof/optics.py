@@ -14,8 +14,6 @@ from arfx.core.scene import Scene
 from arfx.errors import ConfigError
 from arfx.stages.dof.params import MARKER, OBJECT, DofParams, between, fnumber_keys, focus_keys
 
-# In the facts' extra: the fields of core.lens_fit.LensFit.
-FOOTAGE_LENS = "footage_lens"
 _BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is set
 
 
@@ -39,10 +37,9 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
     """Why the footage's lens cannot be used, None where it can or none is asked for."""
     if params.lens != "footage":
         return None
-    fit = facts.extra.get(FOOTAGE_LENS)
-    if fit is None:
+    if facts.lens is None:
         return "the lens of the footage was not measured"
-    return None if fit["known"] else f"the lens cannot be measured from the footage: {fit['reason']}"
+    return None if facts.lens.known else f"the lens cannot be measured from the footage: {facts.lens.reason}"
 
 
 def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:
@@ -54,8 +51,8 @@ def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:
     limit = params.max_radius_px or _BOUND_SHARE * width
     fade, mm_per_px = min(facts.opacity, 1.0), 2 * params.sensor_width_mm / width
     if params.lens == "footage":
-        fit = facts.extra[FOOTAGE_LENS]
-        return Circles(float(fit["px_per_dioptre"]) * fade, float(fit["focus"]), limit, mm_per_px)
+        assert facts.lens is not None
+        return Circles(facts.lens.px_per_dioptre * fade, facts.lens.focus, limit, mm_per_px)
     focus = focus_dioptre(params, facts, scene)
     focal_mm = params.focal_mm or scene.camera.fx * params.sensor_width_mm / width
     if params.aperture_px > 0:

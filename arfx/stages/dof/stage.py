@@ -20,7 +20,6 @@ from arfx.core.facts import FrameFacts
 from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Patch
 from arfx.core.numerics import divide
-from arfx.core.real_depth import real_depth_of
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -28,7 +27,7 @@ from arfx.stages.dof import demand as called
 from arfx.stages.dof import paper
 from arfx.stages.dof.corrected import render
 from arfx.stages.dof.ladder import LADDERS
-from arfx.stages.dof.optics import FOOTAGE_LENS, Circles, circles, unknown_lens
+from arfx.stages.dof.optics import Circles, circles, unknown_lens
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
 
@@ -76,12 +75,12 @@ class Dof(Stage):
         if self.params.lens != "footage":
             yield Check(name, "given", "given or measured", True, "")
             return
-        fits = [f.extra[FOOTAGE_LENS] for f in job.facts if f.extra.get(FOOTAGE_LENS)]
-        known = [f for f in fits if f["known"]]
-        reason = fits[0]["reason"] if fits else "not measured"
+        fits = [f.lens for f in job.facts if f.lens is not None]
+        known = [f for f in fits if f.known]
+        reason = fits[0].reason if fits else "not measured"
         yield Check(name, "measured" if known else "refused", "measured", bool(known), f"object stays sharp: {reason}")
         if known:
-            share = max(float(divide(f["px_per_dioptre_ci95"], f["px_per_dioptre"])) for f in known)
+            share = max(float(divide(f.px_per_dioptre_ci95, f.px_per_dioptre)) for f in known)
             yield Check(f"{name}, half width of its interval", share, 0.5, share <= 0.5, "blur is a rough guess")
 
     def prepare(self, scene: Scene, level: str) -> Any:
@@ -113,7 +112,7 @@ class Dof(Stage):
         return self.params.formula == "paper"
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
-        p, measured = self.params, real_depth_of(facts)
+        p, measured = self.params, facts.real_depth
         if measured is not None:
             return circles(p, facts, scene), Real(None, (), 0.0, measured.tiles)
         return circles(p, facts, scene), real_scene(scene, facts.pose, p.plane_extent_m, p.background_m)

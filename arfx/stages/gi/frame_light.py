@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.cube import face_directions, unpacked
+from arfx.core.cube import CubeMap, face_directions
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import Light
@@ -22,8 +22,6 @@ from arfx.stages.gi.pyramid import Atlas
 from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
 
-KEY = "environment"  # in FrameFacts.extra: a cube as core.cube packs it, WORLD axes
-PLANE = "plane"  # in that: radiance of the plane, where the cube is a guess
 SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03
 _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %: of the planes' change that is 1 %
@@ -86,12 +84,12 @@ class Around:
 def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
     """((6, n, n, 3) radiance, WORLD axes, (3,) factor): the facts' environment, to be multiplied so that its irradiance on the
     anchor's plane is what the light has without its directional lights; the light's own soft part where there is none."""
-    told = facts.extra.get(KEY)
+    seen = facts.environment
     up = scene.world_from_anchor.rotation[:, 2]
     want = light.soft_radiance(up)
-    if told is not None:
-        cube = decoded(told)
-        softened = at_horizon(cube, up, told.get(PLANE), want)
+    if seen is not None:
+        cube = checked(seen)
+        softened = None if seen.plane_rgb is None else at_horizon(cube, up, np.array(seen.plane_rgb), want)
         if softened is not None:
             return softened
         factor = divide(want, irradiance(cube, up), where_zero=-1.0)
@@ -102,17 +100,13 @@ def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.
     return cube, divide(want, irradiance(cube, up))
 
 
-def at_horizon(cube: np.ndarray, up: np.ndarray, plane: Any, want: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def at_horizon(cube: np.ndarray, up: np.ndarray, colour: np.ndarray, want: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """(cube, factor) of a guessed environment that begins at the plane's horizon with the plane's own radiance.
 
     A mirror would show a hard ring there, between a picture and a guess; so the lowest SOFT_DEG go over from one to the other,
-    and the rest is scaled so that the light on the plane stays. None where that cannot be, or nothing is guessed.
-    up (3,), cube : WORLD axes;  plane (3,) or None;  want (3,) : radiance of a white surface in the plane
+    and the rest is scaled so that the light on the plane stays. None where that cannot be.
+    up (3,), cube : WORLD axes;  colour (3,) of the plane;  want (3,) : radiance of a white surface in the plane
     """
-    try:
-        colour = np.asarray(plane, float).reshape(3)
-    except (TypeError, ValueError):
-        return None
     if not np.isfinite(colour).all():
         return None
     t = np.clip((face_directions(cube.shape[1]) @ up) / np.sin(np.radians(SOFT_DEG)), 0, 1)
@@ -147,14 +141,11 @@ def rounded(light: Light) -> Light:
     return replace(light, ambient_rgb=steps(light.ambient_rgb), lights=lights, soft=soft)
 
 
-def decoded(told: dict[str, Any]) -> np.ndarray:
-    """(6, n, n, 3) float64, finite and >= 0. Raises RenderError for anything else."""
-    try:
-        cube = unpacked(told).astype(float)
-    except (KeyError, TypeError, ValueError) as e:
-        raise RenderError(f"facts: extra.{KEY} is not understood: {e!r}") from None
+def checked(environment: CubeMap) -> np.ndarray:
+    """(6, n, n, 3) float64. Raises RenderError for values that are not finite and >= 0."""
+    cube = environment.faces().astype(float)
     if not np.isfinite(cube).all() or (cube < 0).any():
-        raise RenderError(f"facts: extra.{KEY} holds values that are not finite and >= 0")
+        raise RenderError("facts: the environment holds values that are not finite and >= 0")
     return cube
 
 

@@ -16,7 +16,7 @@ from arfx.core.light import Light
 from arfx.core.model import Material
 from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.stages.gi.frame_light import KEY, decoded
+from arfx.stages.gi.frame_light import checked
 
 SIZE = (96, 72)
 LIMIT = 0.05  # of the mean: thin parts and corners darken a little, as each sees the other darkened once more
@@ -25,9 +25,9 @@ _LOOKS = 5  # environments that are looked at, evenly over the clip
 
 def seams(job: JobView) -> Iterator[Check]:
     """Steps of the environment map across the edges of its cube beside those between texels within a face."""
-    maps = [f.extra[KEY] for f in job.facts if f.extra.get(KEY)]
+    maps = [f.environment for f in job.facts if f.environment is not None]
     if maps:
-        worst = max(seam_ratio(np.asarray(decoded(maps[i]), float)) for i in np.linspace(0, len(maps) - 1, _LOOKS).astype(int))
+        worst = max(seam_ratio(checked(maps[i])) for i in np.linspace(0, len(maps) - 1, _LOOKS).astype(int))
         name = "environment: steps across cube edges / within faces"
         yield Check(name, worst, 3.0, worst <= 3.0, "seam may show in reflections")
 

@@ -29,7 +29,7 @@ from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, make_body
-from arfx.stages.gi.frame_light import KEY, Around, LevelSettings, around, frame_field, rounded
+from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field, rounded
 from arfx.stages.gi.health import furnace, seams
 from arfx.stages.gi.pixels import LOBES, chosen, light_points, reflected, spread
 from arfx.stages.gi.plane_gloss import SHARPEST, mirror_in_planes, mirror_rect
@@ -126,7 +126,7 @@ class Gi(Stage):
         """The voxels' light is made for each light and its surroundings, both rounded."""
         if facts.light is None:
             return {"new_lights": None}
-        return {"new_lights": (repr(rounded(facts.light)), str(facts.extra.get(KEY)))}
+        return {"new_lights": (repr(rounded(facts.light)), facts.environment)}
 
     def health(self, job: JobView) -> Iterator[Check]:
         yield from seams(job)

@@ -1,38 +1,29 @@
 """The paper's light map M(n) itself, per pixel: I(v) = g rho_v M(n_v) + b, eq. (3), where the analysis wrote one.
 
-`FrameFacts.extra["light_map"]` holds what M has beside its lights' own cosine lobes, as a cube:
-    {**cube.packed, "map_from_world": nine numbers, row by row}
-so that lights which the object takes from itself can be left out of M. Faces as in core.cube, axes of the map.
+`FrameFacts.light_map` holds what M has beside its lights' own cosine lobes, so that lights which the object takes from itself
+can be left out of M.
 Source: Tan, Chen, Sun 2009, eq. (3), (7); docs/methods/light.md#idea.
 """
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 
-from arfx.core.cube import unpacked
+from arfx.core.cube import CubeMap
 from arfx.errors import RenderError
 
-KEY = "light_map"
 _NONE = np.zeros((6, 0, 0, 3), np.float32), np.eye(3, dtype=np.float32)
 
 
-def printed_map(extra: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+def printed_map(found: CubeMap | None) -> tuple[np.ndarray, np.ndarray]:
     """(cube (6, n, n, 3) float32, map_from_world (3, 3)); n is 0 where no map was written."""
-    told = extra.get(KEY)
-    if told is None:
+    if found is None:
         return _NONE
-    try:
-        faces = unpacked(told)
-        axes = np.array(told["map_from_world"], float).reshape(3, 3)
-    except (KeyError, TypeError, ValueError) as e:
-        raise RenderError(f"facts: extra.{KEY} is not understood: {e!r}") from None
+    faces, axes = found.faces(), np.eye(3) if found.axes is None else np.array(found.axes).reshape(3, 3)
     if faces.shape[1] < 2 or not np.isfinite(faces).all() or not np.isfinite(axes).all():
-        raise RenderError(f"facts: extra.{KEY} needs faces of finite numbers, 2 x 2 or more")
+        raise RenderError("facts: the light map needs faces of finite numbers, 2 x 2 or more")
     return faces.astype(np.float32), axes.astype(np.float32)
 
 

@@ -145,7 +145,7 @@ class Lightmap(Stage):
             eye.astype(f32), light.towards[reaching].astype(f32),
             (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
             self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32),
-            self._paper, *printed_map(facts.extra if self._paper and self.params.ambient else {}),
+            self._paper, *printed_map(facts.light_map if self._paper and self.params.ambient else None),
         )  # fmt: skip
         return virtual
 
@@ -163,7 +163,8 @@ class Lightmap(Stage):
                 )
                 textures.append(view.memo.of_light.get(("plane", beam), make))
                 shares.append(share)
-        blocked = blocked_texture(view.facts.extra, light.ambient_share)
+        real = view.facts.plane_shadow
+        blocked = None if real is None else blocked_texture(real, light.ambient_share)
         return light_left(
             view.rect, prepared.grid, anchor_from_camera, textures, np.array(shares), blocked, self.params.faint, strength
         )

@@ -1,16 +1,7 @@
-"""Where the sites of a frame come from: the field of its facts, or a still one whose cells are finer where the plane is near.
-
-The facts hold it as {"set", "pitch", "origin", "shape", "nodes", "pose"} (by arfx.analyse.motion.advection): nodes is base64 of
-zlib of int32 [u, v] in 1/16 px, each the difference to the node before it in its row; pose is camera_from_world of the
-frame for which the set was made, null where there is none. {"forward", "backward"} are nodes of two more patterns that begin
-unbent at both ends of a stretch of the clip, "share" is that of the second in this frame. "detail" is base64 of zlib of uint16,
-how much there is to see around each node, 255 * 16 = all.
-"""
+"""Where the sites of a frame come from: the field of its facts, or a still one whose cells are finer where the plane is near."""
 
 from __future__ import annotations
 
-import base64
-import zlib
 from functools import lru_cache
 
 import numpy as np
@@ -22,7 +13,6 @@ from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import GRID_PX, Field, still_field
 
-FACT = "watercolor"
 _MUCH = 0.35  # detail that counts as all
 _EVEN_LEVELS, _DETAIL_LEVELS = 0.3, 0.9  # by how many doublings cells grow and shrink with it
 _FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may give
@@ -35,10 +25,10 @@ def pad_px(cell_px: float) -> int:
 
 def ways(facts: FrameFacts, anchored: bool, both: bool) -> tuple[tuple[str, float], ...]:
     """(name of the field in the facts, its share) of those to paint: one, or the two carried forward and backward."""
-    found = facts.extra.get(FACT) if anchored and both else None
-    if found is None or "backward" not in found:
+    found = facts.advection if anchored and both else None
+    if found is None or not found.backward:
         return (("nodes", 1.0),)
-    pairs = ("forward", 1 - found["share"]), ("backward", found["share"])
+    pairs = ("forward", 1 - found.share), ("backward", found.share)
     return tuple((name, share) for name, share in pairs if share > 0)
 
 
@@ -53,18 +43,15 @@ def frame_field(
 ) -> tuple[Field, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the set of sites is. way : of `ways`"""
     camera, pose = scene.camera, facts.camera_from_world
-    found = facts.extra.get(FACT) if anchored else None
-    if found is None or found["pitch"] != GRID_PX:
+    found = facts.advection if anchored else None
+    if found is None or found.pitch != GRID_PX:
         field = _still(camera.width, camera.height, cell_px, pad_px(cell_px))
     else:
-        x0, y0 = found["origin"]
-        gh, gw = found["shape"]
-        u, v = decoded(found[way], gh, gw)
-        size = np.full((gh, gw), float(cell_px))
-        if detail > 0 and "detail" in found:
-            size *= detail_factor(decoded_detail(found["detail"], gh, gw), detail)
-        field = Field(x0, y0, u, v, size)
-        pose = None if found["pose"] is None else Pose.from_json(found["pose"])
+        size = np.full(found.shape, float(cell_px))
+        if detail > 0 and found.detail:
+            size *= detail_factor(found.detail_at_nodes(), detail)
+        field = Field(*found.origin, *found.places(way), size)
+        pose = found.pose
     if pose is not None and nearer_finer > 0:
         field = Field(field.x0, field.y0, field.u, field.v, field.size * depth_factor(field, camera, pose, scene, nearer_finer))
     return field, pose
@@ -73,19 +60,6 @@ def frame_field(
 @lru_cache(maxsize=4)
 def _still(width: int, height: int, cell_px: float, pad: int) -> Field:
     return still_field(width, height, cell_px, pad)
-
-
-def decoded(text: str, gh: int, gw: int) -> tuple[np.ndarray, np.ndarray]:
-    """(u, v) (gh, gw) float64, px."""
-    steps = np.frombuffer(zlib.decompress(base64.b64decode(text)), "<i4").reshape(2, gh, gw)
-    u, v = np.cumsum(steps.astype(np.int64), axis=2) / 16.0
-    return u, v
-
-
-def decoded_detail(text: str, gh: int, gw: int) -> np.ndarray:
-    """(gh, gw) float64, 0..255."""
-    out: np.ndarray = np.frombuffer(zlib.decompress(base64.b64decode(text)), "<u2").reshape(gh, gw) / 16.0
-    return out
 
 
 def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:

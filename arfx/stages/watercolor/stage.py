@@ -35,7 +35,7 @@ from arfx.core.stage import Demand, Stage, View
 from arfx.stages.watercolor.cells import cell_colours, neighbours, toned, washed
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
-from arfx.stages.watercolor.field import FACT, frame_field, ways
+from arfx.stages.watercolor.field import frame_field, ways
 from arfx.stages.watercolor.hold import held, steps_back
 from arfx.stages.watercolor.labels import Labels, Wobble, in_order, label
 from arfx.stages.watercolor.measure import measured
@@ -144,8 +144,11 @@ class Watercolor(Stage):
             where, pose = frame_field(facts, view.scene, cell_px, p.nearer_finer, p.anchored, way, p.detail)
             return where, pose, _field_key(where)
 
-        found, pose = facts.extra.get(FACT, {}), facts.camera_from_world
-        key = (found.get(way), found.get("detail"), repr(found.get("pose")), None if found else _pose_key(pose))
+        found = facts.advection
+        if found is None:
+            key: tuple[Any, ...] = (_pose_key(facts.camera_from_world),)
+        else:
+            key = (getattr(found, way), found.detail, _pose_key(found.pose))
         made: tuple[Field, Any, bytes] = view.memo.of_frame.get(key, make, "field", _KEPT_SETS)
         return made
 

@@ -47,10 +47,10 @@ DISTANCES = 1 / np.linspace(1 / 0.3, 1 / 0.8, 28)
 
 def test_a_shallow_focus_is_found_and_every_frame_is_told() -> None:
     found = analysed(3.2, [0.45] * 28, DISTANCES)
-    fit = found.facts[3].extra["footage_lens"]
-    assert fit["known"] and fit == found.facts[20].extra["footage_lens"] == found.summary["footage_lens"]
-    assert fit["focus"] == pytest.approx(1 / 0.45, abs=0.12) and abs(fit["focus"] - 1 / 0.45) < 1.5 * fit["focus_ci95"]
-    assert fit["px_per_dioptre"] == pytest.approx(3.2, rel=0.12)
+    fit = found.facts[3].lens
+    assert fit is not None and fit.known and fit == found.facts[20].lens and fit.to_json() == found.summary["footage_lens"]
+    assert fit.focus == pytest.approx(1 / 0.45, abs=0.12) and abs(fit.focus - 1 / 0.45) < 1.5 * fit.focus_ci95
+    assert fit.px_per_dioptre == pytest.approx(3.2, rel=0.12)
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from arfx.core.facts import FrameFacts
+from arfx.core.lens_fit import LensFit
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.pose import Pose
-from arfx.core.real_depth import KEY, RealDepth, tile_ranges
+from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import level_named
@@ -53,13 +54,12 @@ def tiny() -> Scene:
 
 def in_depth(f: FrameFacts, depth_m: float) -> FrameFacts:
     """All of the real scene at one depth."""
-    told = RealDepth(0, 1.0, "", tile_ranges(np.full((240, 320), depth_m), (320, 240)))
-    return f.with_(extra={KEY: told.to_json()})
+    return f.with_(real_depth=RealDepth.of(0, 1.0, "", tile_ranges(np.full((240, 320), depth_m), (320, 240))))
 
 
 FAINT_LAMP = 0.7 * STAGES["lightmap"].Params().faint  # of the plane's light; two of them show, one alone does not
 FOOTAGE = {"dof": {"lens": "footage", "scope": "virtual"}}
-UNKNOWN = {"known": False, "reason": "3 edges of known distance", "px_per_dioptre": 0.0, "focus": 0.0}
+UNKNOWN = LensFit(False, "3 edges of known distance")
 OUT_OF_FOCUS = {"dof": {"scope": "virtual", "focus": "5m", "fnumber": 1.4}}
 CLOSED = {"dof": {"fnumber": float("inf")}}
 
@@ -89,7 +89,7 @@ GIVEN = {
     ("dof", "marker not visible"): (SCENE, ABSENT, {}),
     ("dof", "the lens of the footage was not measured"): (SCENE, SEEN, FOOTAGE),
     ("dof", "the lens cannot be measured from the footage: # edges of known distance"): (
-        SCENE, SEEN.with_(extra={"footage_lens": UNKNOWN}), FOOTAGE),
+        SCENE, SEEN.with_(lens=UNKNOWN), FOOTAGE),
     ("dof", "largest blur circle # px < # px"): (SCENE, SEEN, CLOSED),
     ("dof", "blur circles up to # px, but out of view"): (SCENE, SEEN.with_(model_box=Rect(4000, 0, 4100, 90)), OUT_OF_FOCUS),
 }  # fmt: skip

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from arfx.analyse.depth.scale import with_depth
-from arfx.core.real_depth import KEY, real_depth_of
 from arfx.errors import InputError
 from arfx.media.depth_maps import open_depth
 from tests.scenes import facts, scene
@@ -27,12 +26,12 @@ def test_facts_say_which_map_and_what_is_in_it(tmp_path: Path) -> None:
     frames = [facts(s, index=k) for k in range(4)]
     out, told = with_depth(frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, False, quiet)
     assert told["known"] and told["frames_with"] == 2 and told["frames_without"] == 2 and told["holes"] == pytest.approx(1 / 3)
-    second = real_depth_of(out[1])
+    second = out[1].real_depth
     assert second is not None and second.map == 1 and second.digest == maps.digest(1)
     assert second.dioptre_range == pytest.approx((0.5, 0.5), rel=2e-3)
-    assert KEY not in out[2].extra and KEY not in out[3].extra
+    assert out[2].real_depth is None and out[3].real_depth is None
     refused, told = with_depth(frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, True, quiet)
-    assert not told["known"] and all(KEY not in f.extra for f in refused)
+    assert not told["known"] and all(f.real_depth is None for f in refused)
 
 
 def test_depth_that_holds_nothing_is_an_error(tmp_path: Path) -> None:

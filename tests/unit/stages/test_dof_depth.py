@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.core.layers import Layer
-from arfx.core.real_depth import KEY, RealDepth, real_depth_of, tile_ranges
+from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.stages.dof import Dof
 from arfx.stages.dof.depth_layers import fill
@@ -23,8 +23,8 @@ def measured(depth: np.ndarray, plate: np.ndarray) -> Shot:
     none = np.zeros(depth.shape, np.float32)
     layers = {"plate": plate, "image": plate, "coverage": none, "virtual": np.zeros_like(plate), "shadow": np.ones_like(plate)}
     bare = with_layers(at, real_depth=depth.astype(np.float32), **layers)
-    told = RealDepth(0, 1.0, "", tile_ranges(depth, SIZE)).to_json()
-    return Shot(at.scene, at.facts.with_(model_box=Rect(0, 0, 0, 0), extra={KEY: told}), bare.layers)
+    known = RealDepth.of(0, 1.0, "", tile_ranges(depth, SIZE))
+    return Shot(at.scene, at.facts.with_(model_box=Rect(0, 0, 0, 0), real_depth=known), bare.layers)
 
 
 def two_walls(near_m: float, far_m: float) -> np.ndarray:
@@ -43,13 +43,14 @@ def test_tiles_hold_what_the_map_holds() -> None:
     g = np.random.default_rng(0)
     depth = g.uniform(0.5, 4, (180, 240))
     depth[150, 200] = 0
-    tiles = RealDepth.from_json(RealDepth(3, 0.5, "x", tile_ranges(depth, SIZE)).to_json()).tiles
+    known = RealDepth.of(3, 0.5, "x", tile_ranges(depth, SIZE))
+    tiles = RealDepth.from_json(known.to_json()).tiles
+    assert tiles.dtype == np.float32 and np.array_equal(tiles, known.tiles)
     assert tiles.shape == (2, 3, 4)
     assert tiles[0, 0, 0] <= 1 / depth[:64, :64].max() and tiles[1, 0, 0] >= 1 / depth[:64, :64].min()
     assert tiles[1, 2, 3] >= 1 / depth[depth > 0].min(), "a tile with a hole may be filled from anywhere"
     with pytest.raises(ValueError, match="no pixel"):
         tile_ranges(np.zeros((4, 4)), SIZE)
-    assert real_depth_of(shot().facts) is None
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])

@@ -8,6 +8,7 @@ import pytest
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.lens import Lens, circle_of_confusion_mm
+from arfx.core.lens_fit import LensFit
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
@@ -197,10 +198,10 @@ def test_the_footages_lens_is_used_where_it_is_known() -> None:
     stage, frame = Dof(DofParams(lens="footage", scope="virtual")), at.scene.camera.rect
     assert stage.demand(at.facts, at.scene, frame).reason == "the lens of the footage was not measured"
     np.testing.assert_array_equal(blurred(at, "standard", lens="footage", scope="virtual"), at.layers[Layer.IMAGE])
-    refused = at.facts.with_(extra={"footage_lens": {"known": False, "reason": "too few edges"}})
+    refused = at.facts.with_(lens=LensFit(False, "too few edges"))
     assert stage.demand(refused, at.scene, frame).reason.endswith("from the footage: too few edges")
-    fit = {"known": True, "reason": "", "px_per_dioptre": 9.0, "focus": 0.5}
-    known = Shot(at.scene, at.facts.with_(extra={"footage_lens": fit}), at.layers)
+    fit = LensFit(True, "", 9.0, 0.5)
+    known = Shot(at.scene, at.facts.with_(lens=fit), at.layers)
     assert not stage.demand(known.facts, at.scene, frame).rect.empty
     same = blurred(at, "standard", scope="virtual", aperture_px=9.0, focus="2m")  # 9 px a dioptre, radius
     np.testing.assert_allclose(blurred(known, "standard", lens="footage", scope="virtual"), same, atol=1e-6)

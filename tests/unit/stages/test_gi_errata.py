@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.core.cube import packed
+from arfx.core.cube import CubeMap
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
@@ -140,7 +140,7 @@ def test_the_lamps_are_no_part_of_the_environment() -> None:
     cube = np.full((6, 8, 8, 3), 0.3)
     cube[4, 3:5, 3:5] = 1.0  # clipped
     s = on_plane(box(MATT_RED), LAMP, CAMERA)
-    f = facts(s, from_above()).with_(extra={"environment": packed(cube)})
+    f = facts(s, from_above()).with_(environment=CubeMap.of(cube))
     got, factor = environment_cube(f, s, LAMP)
     up = np.array([0, 0, 1.0])
     np.testing.assert_allclose(irradiance(got * factor, up), LAMP.soft_radiance(up), rtol=1e-3)

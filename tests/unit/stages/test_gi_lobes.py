@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.core.cube import face_directions, packed
+from arfx.core.cube import CubeMap, face_directions
 from arfx.core.layers import Layer
 from arfx.core.light import DIFFUSE, Light
 from arfx.core.numerics import normalise
@@ -57,7 +57,7 @@ def test_levels_agree_with_the_reference_under_uneven_surroundings(level: str) -
     d = face_directions(8)
     cube = (0.1 + 1.9 * np.clip(d[..., 2:], 0, 1) ** 2 + 1.5 * np.clip(d[..., :1], 0, 1)) * np.ones(3)
     s = on_plane(ball(MATT_WHITE), Light((0.8, 0.8, 0.8), ()), CAMERA)
-    given = {"plate": plain_plate(rgb=(0.05, 0.05, 0.05)), "extra": {"environment": packed(cube)}}
+    given = {"plate": plain_plate(rgb=(0.05, 0.05, 0.05)), "environment": CubeMap.of(cube)}
     truth = run_gi(s, "reference", **given)
     core = inner(truth[Layer.COVERAGE])
     ratio = run_gi(s, level, **given)[Layer.VIRTUAL][core].mean() / truth[Layer.VIRTUAL][core].mean()

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from arfx.core.cube import packed
+from arfx.core.cube import CubeMap
 from arfx.core.layers import Layer
 from arfx.core.model import Material
 from arfx.core.pose import Pose
@@ -158,7 +158,7 @@ def test_a_table_ends_for_what_mirrors_it(level: str) -> None:
     table = RealPlane(Pose.identity(), (-1.0, -0.1, 1.0, 1.0), 2.0, 3.0, 900, 1, (False, True, False, False))
     blue = []
     for scene in (whole, replace(whole, real_planes=(table,))):
-        made = run_gi(scene, level, POSE, params=GiParams(samples=4), extra={"environment": packed(cube)})
+        made = run_gi(scene, level, POSE, params=GiParams(samples=4), environment=CubeMap.of(cube))
         low = (made[Layer.COVERAGE] > 0) & (made[Layer.NORMAL][..., 2] < 0.2)
         blue.append(made[Layer.VIRTUAL][low][:, 2] - made[Layer.VIRTUAL][low][:, 0])
     assert (blue[0] < 0.2).all() and (blue[1] > 0.5).mean() > 0.02

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from arfx.core.camera import Camera
-from arfx.core.cube import packed
+from arfx.core.cube import CubeMap
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
@@ -55,7 +55,7 @@ def test_a_bright_spot_of_the_environment_makes_no_specks(roughness: float) -> N
     metal = Material(base_colour=(0.9, 0.9, 0.9, 1.0), metallic=1.0, roughness=roughness)
     for material in (metal, MATT_WHITE):
         s = on_plane(ball(material), DIM, CAMERA)
-        made = [run_gi(s, "reference", params=GiParams(samples=n), extra={"environment": packed(cube)}) for n in (8, 9)]
+        made = [run_gi(s, "reference", params=GiParams(samples=n), environment=CubeMap.of(cube)) for n in (8, 9)]
         on = made[0][Layer.COVERAGE] > 0
         a, b = (m[Layer.VIRTUAL][on].max(-1) for m in made)
         # by chance alone 3 to 5 times the mean

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.core.layers import Layer
-from arfx.core.real_depth import KEY, RealDepth, tile_ranges
+from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
@@ -26,8 +26,8 @@ def scene_with_bar(bar_m: float, off_px: int = 0) -> Shot:
     plate[:, BAR] = 0.7
     real = np.full((SIZE[1], SIZE[0]), 1.0, np.float32)
     real[:, BAR.start + off_px : BAR.stop + off_px] = bar_m
-    told = RealDepth(0, 1.0, "", tile_ranges(real, SIZE)).to_json()
-    return Shot(at.scene, at.facts.with_(extra={KEY: told}), with_layers(at, plate=plate, real_depth=real).layers)
+    known = RealDepth.of(0, 1.0, "", tile_ranges(real, SIZE))
+    return Shot(at.scene, at.facts.with_(real_depth=known), with_layers(at, plate=plate, real_depth=real).layers)
 
 
 def hidden(at: Shot, rect: Rect | None = None, **params: float) -> tuple[np.ndarray, np.ndarray]:

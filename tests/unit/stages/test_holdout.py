@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.core.layers import Layer
-from arfx.core.real_depth import KEY, RealDepth, tile_ranges
+from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
@@ -40,10 +40,10 @@ def with_thing(thing_m: float | np.ndarray, noise: float = 0.0, told: float = 0.
     rows, columns = THING
     real[rows, columns.start + off_px : columns.stop + off_px] = thing_m
     real *= 1 + noise * np.random.default_rng(0).standard_normal(real.shape)
-    facts = RealDepth(0, 1.0, "", tile_ranges(real, SIZE), told).to_json()
+    known = RealDepth.of(0, 1.0, "", tile_ranges(real, SIZE), told)
     shadow = np.broadcast_to(np.float32(DARK), (SIZE[1], SIZE[0], 3))
     return Shot(
-        at.scene, at.facts.with_(extra={KEY: facts}),
+        at.scene, at.facts.with_(real_depth=known),
         with_layers(at, plate=plate, real_depth=real.astype(np.float32), shadow=shadow).layers,
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ import pytest
 
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
+from arfx.core.facts import PlaneShadow
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.stage import ReadyStage
@@ -229,9 +230,9 @@ def test_what_is_blocked_already_is_not_taken_twice() -> None:
     share = 0.2 / (0.2 + direct)
     grid = np.ones((20, 20))
     grid[:10] = share  # plate over lit: below y = 0 only the ambient light is left
-    told = {"already_blocked": {"box_m": [-0.5, -0.5, 0.5, 0.5], "ratio": grid.tolist()}}
+    shadow = PlaneShadow((-0.5, -0.5, 0.5, 0.5), tuple(map(tuple, grid.tolist())))
     pose = from_above()
-    free, known = (run_stage(s, pose=pose, params=PURE, extra=e)[Layer.SHADOW][..., 0] for e in ({}, told))
+    free, known = (run_stage(s, pose=pose, params=PURE, plane_shadow=p)[Layer.SHADOW][..., 0] for p in (None, shadow))
     sky = run_stage(on_plane(box_model(), Light((0.2, 0.2, 0.2), ())), pose=pose, params=PURE)[Layer.SHADOW][..., 0]
     points = ground_points(s, pose)
     shadowed, lit = points[..., 1] < -0.03, points[..., 1] > 0.03
@@ -240,8 +241,8 @@ def test_what_is_blocked_already_is_not_taken_twice() -> None:
     assert (free[shadowed] < 0.6 * sky[shadowed]).any(), "without the mask it would be darkened twice"
     # however dark the plate: the result is not under what the ambient light alone leaves
     assert (known[shadowed] * share >= share * sky[shadowed] - 1e-5).all()
-    with pytest.raises(RenderError, match="already_blocked"):
-        run_stage(s, extra={"already_blocked": {"box_m": [0, 0, 1], "ratio": [[1]]}})
+    with pytest.raises(RenderError, match="real shadow"):
+        run_stage(s, plane_shadow=PlaneShadow((0, 0, 0, 1), ((1.0,),)))
 
 
 def test_a_still_light_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.analyse.light.lighting_paper import told
 from arfx.core.camera import Camera
-from arfx.core.cube import face_directions
+from arfx.core.cube import CubeMap, face_directions
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
@@ -93,16 +92,16 @@ def test_the_papers_formula_shades_by_its_light_map() -> None:
     s, d = on_plane(box_model(), light), face_directions(24)
     cube = np.stack([0.5 + 0.2 * d[..., 0], 0.4 + 0.1 * d[..., 1] * d[..., 2], 0.6 - 0.3 * d[..., 2]], -1)
     n = any_normals(s)
-    extra = {"light_map": told(cube, turn)}
-    made = shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), extra=extra)
+    found = CubeMap.of(cube, turn)
+    made = shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), light_map=found)
     m = n @ turn.T
     of_map = np.stack([0.5 + 0.2 * m[..., 0], 0.4 + 0.1 * m[..., 1] * m[..., 2], 0.6 - 0.3 * m[..., 2]], -1)
     lamps = light.radiance(n) - light.soft_radiance(n)
     np.testing.assert_allclose(made, 0.87 * (of_map + lamps), atol=6e-3)  # float16 and texels of 4 degrees
-    same = shaded(s, surface(s, n, far(s)), BARE, extra=extra)  # the corrected formula knows lights alone
+    same = shaded(s, surface(s, n, far(s)), BARE, light_map=found)  # the corrected formula knows lights alone
     np.testing.assert_allclose(same, 0.87 * light.radiance(n), atol=2e-6)
-    with pytest.raises(RenderError, match="light_map"):
-        shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), extra={"light_map": {"size": 3, "faces": "AAAA"}})
+    with pytest.raises(RenderError, match="light map"):
+        shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), light_map=CubeMap.of(cube[:, :1, :1]))
 
 
 @pytest.mark.parametrize("exposure", [0.3, 1.0, 1.7])

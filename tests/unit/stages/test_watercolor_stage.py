@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import itertools
 import tracemalloc
-import zlib
 from typing import Any
 
 import cv2
@@ -15,6 +13,7 @@ import pytest
 
 from arfx.analyse.motion.advection import with_anchors
 from arfx.analyse.motion.flow import BackgroundMotion
+from arfx.core.advection import AdvectionField, packed_detail, packed_places
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
@@ -152,10 +151,10 @@ def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
     image = picture(600, 800)
     held: list[int] = []
     for k in range(9):
-        most = base64.b64encode(zlib.compress(np.full(nodes.u.shape, 255 * 16, np.uint16).tobytes())).decode()
-        fact = {**fact_of(nodes, nodes.u + 3 * k, nodes.v), "detail": most}  # as many cells as can be asked for
+        most = packed_detail(np.full(nodes.u.shape, 255.0))
+        fact = dataclasses.replace(fact_of(nodes, nodes.u + 3 * k, nodes.v), detail=most)  # as many cells as can be asked for
         frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.history)]
-        seen = [FrameFacts(j, j / 30, extra={"watercolor": fact}) for j in range(len(frames))]
+        seen = [FrameFacts(j, j / 30, advection=fact) for j in range(len(frames))]
         *past, view = [ready.view(*at) for at in zip(frames, seen, strict=True)]
         if k == 1:
             tracemalloc.start()  # what was compiled or loaded is not counted
@@ -279,11 +278,8 @@ def test_settings_are_checked() -> None:
             WatercolorParams(**wrong)
 
 
-def fact_of(nodes: Field, u: np.ndarray, v: np.ndarray) -> dict[str, Any]:
-    """As the analysis writes it (arfx.stages.watercolor.field)."""
-    steps = np.diff(np.round(np.stack([u, v]) * 16).astype(np.int64), axis=2, prepend=0).astype("<i4")
-    text = base64.b64encode(zlib.compress(steps.tobytes())).decode()
-    return {"set": 0, "pitch": 32, "origin": [nodes.x0, nodes.y0], "shape": list(u.shape), "nodes": text, "pose": None}
+def fact_of(nodes: Field, u: np.ndarray, v: np.ndarray) -> AdvectionField:
+    return AdvectionField(0, 32, (nodes.x0, nodes.y0), (u.shape[0], u.shape[1]), packed_places(u, v))
 
 
 def test_in_a_pan_the_picture_goes_with_the_things() -> None:
@@ -301,7 +297,7 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
     nodes, motion = still_field(*size, 8, 96), BackgroundMotion()
     for k, frame in enumerate(frames):
         motion.step(k, k / 30, np.clip(255 * frame.mean(-1), 0, 255).astype(np.uint8))
-    given = [FrameFacts(k, k / 30, extra={"watercolor": fact_of(nodes, nodes.u + step * k, nodes.v)}) for k in range(4)]
+    given = [FrameFacts(k, k / 30, advection=fact_of(nodes, nodes.u + step * k, nodes.v)) for k in range(4)]
     measured = with_anchors([FrameFacts(k, k / 30) for k in range(4)], motion.steps, camera(*size), Pose.identity(), 0.0)
     ours, error = WatercolorParams(grain=0, dry_brush=0), []
     for params, seen in ((WatercolorParams(formula="paper"), given), (ours, given), (ours, measured)):
@@ -322,7 +318,7 @@ def test_held_lines_change_less_and_are_the_same_whoever_painted_the_frame_befor
     frames = [cv2.GaussianBlur(world[:, 2 * k : 2 * k + 160], (0, 0), 0.8) for k in range(6)]
     frames = [np.clip(f + g.normal(0, 4 / 255, f.shape), 0, 1).astype(np.float32) ** 2 for f in frames]
     nodes = still_field(160, 120, 8, 96)
-    seen = [FrameFacts(k, k / 30, extra={"watercolor": fact_of(nodes, nodes.u + 2 * k, nodes.v)}) for k in range(6)]
+    seen = [FrameFacts(k, k / 30, advection=fact_of(nodes, nodes.u + 2 * k, nodes.v)) for k in range(6)]
     changed, bare = {}, [painted(f, PLAIN, at) for f, at in zip(frames, seen, strict=True)]
     for hold in (False, True):
         stage = Watercolor(dataclasses.replace(PLAIN, lines=1.0, line_hold=hold))
@@ -352,8 +348,8 @@ def test_high_fades_from_the_pattern_carried_forward_to_the_one_carried_back() -
     image = picture()
 
     def at(share: float, level: str) -> np.ndarray:
-        fact = {**one, "forward": one["nodes"], "backward": other["nodes"], "share": share}
-        return painted(image, f=FrameFacts(0, 0.0, extra={"watercolor": fact}), level=level)
+        fact = dataclasses.replace(one, forward=one.nodes, backward=other.nodes, share=share)
+        return painted(image, f=FrameFacts(0, 0.0, advection=fact), level=level)
 
     first, last, middle = (at(share, "high") for share in (0.0, 1.0, 0.25))
     assert np.array_equal(first, at(0.7, "standard")) and np.abs(first - last).mean() > 0.005
@@ -374,7 +370,7 @@ def test_nothing_pops_in_a_zoom() -> None:
             z = 4.0 ** -(0.5 - 0.5 * np.cos(2 * np.pi * k / 300))
             m = np.array([[z, 0, 350 - 80 * z], [0, z, 350 - 60 * z], [0, 0, 1]])
             frame = cv2.warpAffine(world, m[:2], (160, 120), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-            f = FrameFacts(k, k / 30, extra={"watercolor": fact_of(nodes, z * nodes.u + m[0, 2], z * nodes.v + m[1, 2])})
+            f = FrameFacts(k, k / 30, advection=fact_of(nodes, z * nodes.u + m[0, 2], z * nodes.v + m[1, 2]))
             now = np.sqrt(painted(frame**2, f=f, ready=ready))
             if before is not None:
                 step = (np.linalg.inv(before[1]) @ m)[:2]

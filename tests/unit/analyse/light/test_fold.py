@@ -131,11 +131,13 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
         assert key == KEY and k in range(10, 15)
     done = lighted(analysis, meter, (MARKER,), LightParams())
     assert done.summary["light"]["verdict"] == "measured" and done.summary["light"]["frames_shaded"] == 5
-    told = done.facts[12].extra["already_blocked"]
-    assert told["box_m"] == [-0.05, -0.05, 0.05, 0.05] and np.array(told["ratio"]) == pytest.approx(
-        np.array([[0.4, 1], [0.4, 1]]), abs=0.02
+    shadow = done.facts[12].plane_shadow
+    assert (
+        shadow is not None
+        and shadow.box_m == (-0.05, -0.05, 0.05, 0.05)
+        and np.array(shadow.ratio) == pytest.approx(np.array([[0.4, 1], [0.4, 1]]), abs=0.02)
     )
-    assert "already_blocked" not in done.facts[20].extra
+    assert done.facts[20].plane_shadow is None
 
 
 def test_nothing_that_rests_means_no_direction() -> None:
@@ -239,12 +241,12 @@ def test_the_papers_light_map_is_written_with_every_frame(level: int) -> None:
     turn = _upright(normalise(np.sum(normals, 0)))
     for f, n, x in zip(done.facts, normals, seen, strict=True):
         light.add((turn @ n)[None], x[None], np.full((1, 3), 1e-6))
-        cube, axes = printed_map(f.extra)
+        cube, axes = printed_map(f.light_map)
         lamps = f.light.radiance(UP) - f.light.soft_radiance(UP)  # type: ignore[union-attr]
         shown = look_up(cube, (axes @ UP)[None])[0] + lamps
         off.append(float(np.abs(shown / light.at((turn @ n)[None])[0][0] - 1).max()))
     assert np.median(off) < 0.15 and max(off) < 0.5, off  # (8) as printed has a cusp, texels and vertices cut it differently
-    assert "light_map" not in run(Clip(frames=4)).facts[0].extra
+    assert run(Clip(frames=4)).facts[0].light_map is None
 
 
 def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:

@@ -16,14 +16,13 @@ from arfx.analyse.light.surroundings import (
     mip_chain,
     soft_of,
     solid_angles,
-    told,
     turned,
     with_environment,
 )
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, harmonics
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.stages.gi.frame_light import decoded
+from arfx.stages.gi.frame_light import checked
 
 GREY = np.full((90, 120, 3), [0.2, 0.4, 0.6])
 
@@ -146,12 +145,11 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     room = np.stack([1 + d[..., 0], 1 + d[..., 1], 1 + 0 * d[..., 2]], -1)
     looks = [Look(k, turned(room, p.rotation.T), np.zeros(3)) for k, p in enumerate(poses)]
     made = with_environment(facts, looks, False, None, np.eye(3), np.zeros(3))
-    assert "environment" not in made[3].extra and made[0].extra == made[2].extra
-    np.testing.assert_allclose(decoded(made[0].extra["environment"]), room, atol=0.12)
+    assert made[3].environment is None and made[0].environment is made[2].environment is not None
+    np.testing.assert_allclose(checked(made[0].environment), room, atol=0.12)
     # a camera that stands still sees the same while the marker turns: other axes every frame, one room
     still = with_environment(facts, [Look(0, room, np.zeros(3))], True, None, np.eye(3), np.zeros(3))
-    back = turned(decoded(still[2].extra["environment"]), poses[2].rotation.T)
+    back = turned(checked(still[2].environment), poses[2].rotation.T)
     np.testing.assert_allclose(back, room, atol=0.25)
     given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3), np.zeros(3))
-    np.testing.assert_allclose(decoded(given[1].extra["environment"]), 0.3, rtol=2e-3)
-    assert told(room)["size"] == 8
+    np.testing.assert_allclose(checked(given[1].environment), 0.3, rtol=2e-3)
