@@ -1,12 +1,138 @@
-"""What is folded over the frames of a clip, one after the other, and can be stopped after any of them."""
+"""What is learned of a clip, each thing by a fold: it is fed the frames in order, can be stopped after any of them, and says
+what it learned when the whole clip is known.
+"""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from arfx.analyse.params import AnalyseParams, LightParams
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.health import Check
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+
+MARKER, PLANE = "marker", "plane"  # what the object stands on
+PLANE_MARKER = MarkerSpec(PLANE, 0, 0.1)  # in place of a marker; its square is that beside which the plane's radiance is read
 
 
-class Fold:
-    """All attributes are the state, which `core.codec` must be able to write; folds among them have their own.
+class Picture(Protocol):
+    """One frame's pixels, as the light is read from them (media.frame.Frame is one)."""
+
+    @property
+    def rect(self) -> Rect: ...
+
+    def linear_at(self, pixels: np.ndarray) -> np.ndarray: ...
+
+    def reduced(self, width: int) -> np.ndarray: ...
+
+
+@dataclass(frozen=True, eq=False)
+class AnalysisFrame:
+    """index : number of the frame, from 0;  luma : (h, w) uint8, upright;  picture : its colours, None = no light is read
+    following : luma of the frame after it; None = there is none, or it is not known"""
+
+    index: int
+    time_s: float
+    luma: np.ndarray
+    picture: Picture | None = None
+    following: Callable[[], np.ndarray] | None = None
+
+
+class OfFrames(Protocol):
+    """What was taken beside the clip, at times or one for each frame."""
+
+    def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[Any]: ...
+
+
+class Maps(OfFrames, Protocol):
+    """The clip's depth maps, as they are read here (media.depth_maps.DepthMaps is one)."""
+
+    @property
+    def path(self) -> Path: ...
+
+    @property
+    def count(self) -> int: ...
+
+    @property
+    def still(self) -> bool: ...
+
+    @property
+    def times_s(self) -> Sequence[float] | None: ...
+
+    def load(self, number: int, width: int, height: int) -> np.ndarray: ...
+
+    def digest(self, number: int) -> str: ...
+
+
+@dataclass(frozen=True, eq=False)
+class AnalysisJob:
+    """What a clip is analysed with.
+
+    markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
+    marker_map : world_from_marker of a known layout; None = mapped from the clip
+    panorama : of LightParams.environment;  anchor : MARKER or PLANE
+    depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of the camera, camera_from_given
+    scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
+    """
+
+    markers: tuple[MarkerSpec, ...]
+    camera: Camera
+    params: AnalyseParams = field(default_factory=AnalyseParams)
+    light: LightParams = field(default_factory=LightParams)
+    marker_map: Mapping[str, Pose] | None = None
+    panorama: np.ndarray | None = None
+    anchor: str = MARKER
+    depth: Maps | None = None
+    align: bool = True
+    poses: OfFrames | None = None
+    scene: Callable[[Analysis], Scene] | None = None
+    progress: Callable[[str, int, int | None], None] = lambda *_: None
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What is known of a clip.
+
+    facts : one per frame;  world_from_marker : by key, of markers that could be placed
+    anchor : what the object stands on;  static : "camera", "marker" or "both" (both move), see pose/at_rest.py
+    summary : figures for the report, JSON-able;  notices : sentences for the user;  real_planes : measured
+    taken : of the clip's frames these are some: seconds of each after the clip's first, how many lie before, whether the rest
+        was taken to the end
+    """
+
+    facts: tuple[FrameFacts, ...] = ()
+    world_from_marker: Mapping[str, Pose] = field(default_factory=dict)
+    static: str = "marker"
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
+    anchor: MarkerSpec = PLANE_MARKER
+    real_planes: tuple[RealPlane, ...] = ()
+    taken: tuple[list[float], int, bool] = ([], 0, True)
+
+    @property
+    def world_from_anchor(self) -> Pose:
+        return self.world_from_marker.get(self.anchor.key, Pose.identity())
+
+    def adding(self, facts: Iterable[FrameFacts] | None = None, notice: str | None = None, **summary: Any) -> Analysis:
+        """With these facts in place of its own, a sentence and figures more."""
+        return replace(
+            self, facts=self.facts if facts is None else tuple(facts), summary={**self.summary, **summary},
+            notices=self.notices if notice is None else (*self.notices, notice),
+        )  # fmt: skip
+
+
+class Stateful:
+    """All attributes are the state, which `core.codec` must be able to write; parts that are Stateful have their own.
 
     given : names of the attributes that the constructor's arguments make and no frame changes
     """
@@ -14,15 +140,42 @@ class Fold:
     given: ClassVar[frozenset[str]] = frozenset()
 
     def state(self) -> dict[str, Any]:
-        """By attribute. It is shared with the fold: to be written before the next frame."""
-        kept = {k: v for k, v in vars(self).items() if k not in self.given}
-        return {k: v.state() if isinstance(v, Fold) else v for k, v in kept.items()}
+        """By attribute. It is shared with the object: to be written before the next frame."""
+        kept = {k: v for k, v in vars(self).items() if k not in self.given and not isinstance(v, Fold)}
+        return {k: v.state() if isinstance(v, Stateful) else v for k, v in kept.items()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from `state` of a fold that was made with the same arguments: to the same bits."""
+        """Go on from `state` of an object that was made with the same arguments: to the same bits."""
         for k, v in state.items():
             mine = getattr(self, k)
-            if isinstance(mine, Fold):
+            if isinstance(mine, Stateful):
                 mine.restore(v)
             else:
                 setattr(self, k, v)
+
+
+class Fold(Stateful):
+    """One thing that is learned of a clip. An attribute that is another fold is no part of its state.
+
+    name : what stages (`Stage.facts`) and other folds ask for;  needs : the folds that its constructor is given; they have seen
+    a frame, and are finished, before it
+    """
+
+    name: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
+    given = frozenset({"job"})
+
+    def __init__(self, job: AnalysisJob, *needed: Fold) -> None:
+        self.job = job
+
+    def step(self, frame: AnalysisFrame) -> None:
+        """Take the next frame."""
+
+    def finish(self, clip: Analysis) -> Analysis:
+        """The clip with what was learned."""
+        return clip
+
+    @staticmethod
+    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterable[Check]:
+        """Its estimates, from what it left in the clip. Nothing where it was not asked for."""
+        return ()

@@ -1,6 +1,6 @@
 """The lens that a clip was filmed with, from the blur of its markers' sides against their distance (core/lens_fit.py).
 
-`EdgeBlur`, a fold, keeps how blurred each side of a marker's print is: four numbers per marker and frame. Across each side the
+`FootageLens` keeps how blurred each side of a marker's print is: four numbers per marker and frame. Across each side the
 light is sampled on normals, the normals are shifted onto their common edge (the side may bend), and averaged; of the mean
 profile's gradient the standard deviation is taken under a Gaussian window of about twice and a half its width, whose own
 narrowing is taken out. In linear light: a lens blurs light.
@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.detect import cells_per_side
-from arfx.analyse.records import Seen
+from arfx.analyse.markers.fold import Markers
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens_fit import LensFit, lens_from_blur
 from arfx.core.marker import MarkerSpec
@@ -35,6 +35,7 @@ _FAINT = 20.0  # light (of 255) across an edge
 _STRAY = 0.25  # share of the gradient's size that lies outside of the edge
 _ROUNDS = 10
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
+Readings = Sequence[tuple[int, str, np.ndarray, np.ndarray]]
 _SIGMA_PX, _SIGMA_SHARE = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
 
 
@@ -106,24 +107,34 @@ def _deviation(profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: fl
     return s if s <= _LARGEST * half and abs(mean.sum()) > _FAINT and stray < _STRAY else np.nan
 
 
-class EdgeBlur(Fold):
+class FootageLens(Fold):
     """readings : (frame, marker key, (4,) blur of its sides px, corners (4, 2) px) in order"""
 
-    def __init__(self) -> None:
+    name = "lens"
+    needs = ("markers", "pose")
+
+    def __init__(self, job: AnalysisJob, markers: Markers, pose: Fold) -> None:
+        super().__init__(job)
+        self._markers = markers
         self.readings: list[tuple[int, str, np.ndarray, np.ndarray]] = []
 
-    def step(self, frame: int, luma: np.ndarray, seen: Sequence[Seen], table: np.ndarray) -> None:
-        for s in seen:
+    def step(self, frame: AnalysisFrame) -> None:
+        for s in self._markers.seen:
             family = s.key.rpartition(":")[0]
-            blur = side_blurs(luma, s.corners_px, cells_per_side(family), table)
+            blur = side_blurs(frame.luma, s.corners_px, cells_per_side(family), self._markers.table)
             if np.isfinite(blur).any():
-                self.readings.append((frame, s.key, blur, s.corners_px))
+                self.readings.append((frame.index, s.key, blur, s.corners_px))
+
+    def finish(self, clip: Analysis) -> Analysis:
+        fit = footage_lens(clip.facts, self.readings, self.job.markers, clip.world_from_marker)
+        notice = None if fit.known else f"the footage does not tell its lens: {fit.reason}"
+        return clip.adding((f.with_(lens=fit) for f in clip.facts), notice, footage_lens=fit.to_json())
 
 
 def footage_lens(
-    facts: Sequence[FrameFacts], edges: EdgeBlur, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
+    facts: Sequence[FrameFacts], readings: Readings, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
 ) -> LensFit:
-    frame, dioptre, blur, moved = _samples(facts, edges, markers, world_from_marker)
+    frame, dioptre, blur, moved = _samples(facts, readings, markers, world_from_marker)
     # a shutter that is open for up to all of the time adds up to moved^2 / 12 to the variance
     sigma = _SIGMA_PX + _SIGMA_SHARE * blur + divide(moved**2, 24 * blur)
     fit = lens_from_blur(dioptre, blur, sigma)
@@ -141,13 +152,13 @@ def footage_lens(
 
 
 def _samples(
-    facts: Sequence[FrameFacts], edges: EdgeBlur, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
+    facts: Sequence[FrameFacts], readings: Readings, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(n,) frame number, dioptre, blur px and motion px of every side that tells."""
     corners_m = {m.key: m.corners_m for m in markers}
     before: dict[str, tuple[int, np.ndarray]] = {}
     rows = []
-    for frame, key, blur, corners in edges.readings:
+    for frame, key, blur, corners in readings:
         last, before[key] = before.get(key), (frame, corners)
         fact = facts[frame]
         if fact.status != MEASURED or fact.camera_from_world is None or key not in world_from_marker:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from arfx.analyse.folds import Analyser, Analysis, LightParams
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
+from arfx.analyse.folds import Analyser
 from arfx.core import codec
-from arfx.core.camera import Camera
-from arfx.core.pose import Pose
 from arfx.media.clip import ClipInfo
 from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
@@ -36,76 +35,41 @@ class Pass:
     analyse_s: float
 
 
-class FrameFold(Protocol):
-    """A fold (analyse.fold) over frames as they are decoded. following : luma of the next frame, None at the end"""
-
-    def step(
-        self, index: int, time_s: float, luma: np.ndarray, picture: Frame, following: Callable[[], np.ndarray] | None
-    ) -> None: ...
-
-    def state(self) -> dict[str, Any]: ...
-
-    def restore(self, state: dict[str, Any]) -> None: ...
-
-
 def analyse_clip(
-    info: ClipInfo,
-    camera: Camera,
-    markers: tuple[Any, ...],
-    params: Any,
-    marker_map: Mapping[str, Pose] | None,
-    span_s: tuple[float | None, float | None],
-    progress: Progress,
-    folder: JobFolder | None = None,
-    key: str = "",
-    light: LightParams | None = None,
-    panorama: np.ndarray | None = None,
-    folds: frozenset[str] = frozenset(),
-) -> Pass:
+    info: ClipInfo, job: AnalysisJob, wanted: Collection[str], span_s: tuple[float | None, float | None], progress: Progress,
+    folder: JobFolder | None = None, key: str = "",
+) -> Pass:  # fmt: skip
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
-    light, panorama, folds : as in Analyser
-    folder, key : where the state is checkpointed and what it must match to be taken up again
-    Raises NothingToDoError if the span holds no frame or no marker is seen.
-    """
-    analyser = Analyser(markers, camera, params, marker_map, light, panorama, folds)
-    span, truncated, decode_s, analyse_s = read_clip(info, span_s, analyser, progress, folder, key)
-    start = time.perf_counter()
-    analysis = analyser.finish()
-    analyse_s += time.perf_counter() - start
-    progress("analyse", len(span.pts), len(span.pts))
-    return Pass(analysis, span, truncated, decode_s, analyse_s)
-
-
-def read_clip(
-    info: ClipInfo, span_s: tuple[float | None, float | None], fold: FrameFold, progress: Progress,
-    folder: JobFolder | None, key: str,
-) -> tuple[Span, str | None, float, float]:  # fmt: skip
-    """Feed the frames of span_s to the fold. (span, Pass.truncated, seconds of decoding, seconds in the fold)
-
+    wanted : folds, by name;  folder, key : where the state is checkpointed and what it must match to be taken up again
     What was interrupted goes on from its checkpoint. All of the clip is decoded again even so: what a decoder makes of a
     frame, and when the frame is shown, may depend on any frame before it.
-    Raises NothingToDoError if the span holds no frame.
+    Raises NothingToDoError if the span holds no frame, or nothing is seen to stand on.
     """
-    span, fold_s, expected = Span(span_s, info.time_base), 0.0, info.frame_count_stated if span_s == (None, None) else None
-    kept = None if folder is None else Checkpoint(folder.checkpoint, [key, type(fold).__name__])
+    analyser = Analyser(job, wanted)
+    span, analyse_s, expected = Span(span_s, info.time_base), 0.0, info.frame_count_stated if span_s == (None, None) else None
+    kept = None if folder is None else Checkpoint(folder.checkpoint, [key, job.anchor, *analyser.folds])
     if kept is not None and (state := kept.read()) is not None:
         span.restore(state["span"])
-        fold.restore(state["fold"])
+        analyser.restore(state["folds"])
     with ClipReader(info) as reader, Ahead(reader.frames()) as frames:
         for frame, following in _with_next(span.inside(frames)):
             start = time.perf_counter()
-            after = None if following is None else following.luma
-            fold.step(len(span.pts), frame.time_s, frame.luma(), frame, after)
-            fold_s += time.perf_counter() - start
+            luma, after = np.ascontiguousarray(frame.luma()), None if following is None else following.luma
+            analyser.step(AnalysisFrame(len(span.pts), frame.time_s, luma, frame, after))
+            analyse_s += time.perf_counter() - start
             span.take(frame)
             progress("analyse", len(span.pts), expected)
             if kept is not None and kept.due():
-                kept.write({"span": span.state(), "fold": fold.state()})
+                kept.write({"span": span.state(), "folds": analyser.state()})
         truncated, decode_s = reader.truncated, frames.seconds
     span.whole &= not truncated
     span.require_any(info.path)
-    return span, truncated, decode_s, fold_s
+    start = time.perf_counter()
+    analysis = analyser.finish(Analysis(taken=(span.from_start_s(), span.before, span.whole)))
+    analyse_s += time.perf_counter() - start
+    progress("analyse", len(span.pts), len(span.pts))
+    return Pass(analysis, span, truncated, decode_s, analyse_s)
 
 
 class Checkpoint:

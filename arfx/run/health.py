@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from arfx.analyse.folds import FOLDS
 from arfx.analyse.pose.visibility import with_model
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
-from arfx.core.numerics import divide
 from arfx.core.opener import read_text
 from arfx.core.plan import levels_of
 from arfx.core.pose import find_rotvecs
@@ -33,8 +33,7 @@ def health(job: Job) -> list[dict[str, Any]]:
     """Rows of {check, value, limit, verdict "ok" or "warn", action}. A job that got here made no value that is not finite:
     one that does stops with an error that names stage, frame and pixel."""
     facts, summary, truncated = job.facts, job.analysed.summary, job.analysed.truncated
-    rows = [*_calibration(job), *_pose(facts, summary), *_light(summary.get("light"))]
-    rows += _depth(job.analysed.depth)
+    rows = [*_calibration(job), *(row for fold in FOLDS.values() for row in fold.health(facts, summary))]
     ran = levels_of(job.plan.frames)
     levels = {name: frozenset(level for stage, level in ran if stage == name) for name in job.stages}
     view = JobView(facts, job.scene, levels, picture)
@@ -90,79 +89,6 @@ def stated(path: Path) -> dict[str, Any]:
     if found := re.search(r"^\W*condition\W+(\d+(?:\.\d*)?(?:[eE][+-]?\d{1,3})?)(?:\s|,|$)", text, re.MULTILINE):
         out["condition"] = float(found[1])
     return out
-
-
-def _pose(facts: Sequence[FrameFacts], summary: dict[str, Any]) -> Rows:
-    rows: Rows = []
-    reprojection = summary["reprojection_px"]["smoothed"]["median"]
-    if reprojection is not None:
-        action = "check marker size, calibration and lens mode"
-        rows.append(Check("reprojection median (px)", reprojection, 1.0, reprojection <= 1.0, action))
-    ambiguous, sightings = summary["ambiguous_sightings"], sum(summary["markers_seen"].values())
-    action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
-    rows.append(Check("ambiguous sightings", ambiguous, sightings // 2, ambiguous <= sightings // 2, action))
-    ratios = [m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)]
-    if ratios:
-        low = float(np.percentile(ratios, 5))
-        rows.append(Check("pose hypotheses: second error / first, 5th percentile", low, 3.0, low >= 3.0, action))
-    condition = summary["pose_condition"]["median"]
-    if condition is not None:
-        weak = "pose is weak: larger or more tilted marker"
-        rows.append(Check("pose condition number", condition, 1e6, condition <= 1e6, weak))
-    spread = [s for s in map(_pose_deviation, facts) if s is not None]
-    if spread:
-        turn, shift = (float(np.percentile([s[k] for s in spread], 95)) for k in (0, 1))
-        rows.append(Check("pose standard deviation, 95th percentile (deg)", turn, 2.0, turn <= 2.0, "smoothed over more frames"))
-        rows.append(Check("pose standard deviation, 95th percentile (% of distance)", shift, 2.0, shift <= 2.0,
-                          "smoothed over more frames"))  # fmt: skip
-    if not summary["map"]["given"] and summary["map"].get("condition") is not None:
-        value = summary["map"]["condition"]
-        rows.append(Check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames"))
-    return rows
-
-
-def _pose_deviation(f: FrameFacts) -> tuple[float, float] | None:
-    """(degrees, percent of the distance), the largest axis of each; None without a pose or covariance."""
-    if f.pose_covariance is None or f.camera_from_world is None:
-        return None
-    c = np.asarray(f.pose_covariance, float)
-    if c.shape != (6, 6) or not np.isfinite(c).all():
-        return float("inf"), float("inf")
-    turn, shift = (float(np.sqrt(max(np.linalg.eigvalsh(c[s, s])[-1], 0.0))) for s in (slice(0, 3), slice(3, 6)))
-    away = float(np.linalg.norm(f.camera_from_world.translation_m))
-    return float(np.degrees(turn)), float(divide(100 * shift, away))
-
-
-def _light(light: dict[str, Any] | None) -> Rows:
-    if light is None:
-        return []
-    photometry = light["photometry"]
-    condition = max((c for c in photometry["condition"] if c is not None), default=None)
-    ok = photometry["verdict"] == "measured"
-    rows = [Check("photometry condition number", condition, 1e6, ok, f"bias taken for 0: {photometry['reason']}")]
-    if "verdict" not in light:  # no frame with a pose that lasts
-        return rows
-    # what the markers' normals say of a direction beside ambient light; a given light does not need it
-    known = light["verdict"] != "refused"
-    rows.append(Check("light direction", light["verdict"], "measured or given", known, light["reason"]))
-    if light["normals_seen"]:
-        rows.append(Check("light fit condition number", light["condition"], 1e3, known, "no direction claimed"))
-    rows.append(Check("clipped share of the markers", light["clipped_fraction"], 0.5, light["clipped_fraction"] <= 0.5,
-                      "clipped samples left out: brightness rests on the others"))  # fmt: skip
-    return rows
-
-
-def _depth(depth: dict[str, Any] | None) -> Rows:
-    """Of the depth input: how well its scale fits the markers' planes."""
-    if depth is None:
-        return []
-    told = "as stated" if depth["residual"] is None else depth["residual"]
-    rows = [Check("real depth: miss of the markers' planes", told if depth["known"] else depth["reason"], 0.1, depth["known"],
-                  "not used: the real scene is the markers' planes")]  # fmt: skip
-    if depth["known"]:
-        without = depth["frames_without"]
-        rows.append(Check("frames without real depth", without, 0, without == 0, "markers' planes there"))
-    return rows
 
 
 def non_finite(documents: Iterable[Any]) -> int:

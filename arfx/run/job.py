@@ -11,27 +11,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.depth.plane_pose import measured_planes
-from arfx.analyse.depth.scale import with_depth
 from arfx.analyse.facts_file import read_facts, write_facts
-from arfx.analyse.pose.visibility import with_model
+from arfx.analyse.fold import MARKER, AnalysisJob
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
 from arfx.core.cost import load_prices
-from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
-from arfx.core.marker import anchor_marker
 from arfx.core.plan import FramePlan
-from arfx.core.real_plane import RealPlane
 from arfx.core.stage import Stage
 from arfx.errors import JobInterruptedError
 from arfx.media.join import join_chunks
 from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
-from arfx.run.analysis import Pass, analyse_clip
+from arfx.run.analysis import analyse_clip
 from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
@@ -43,7 +37,6 @@ from arfx.run.place import Places
 from arfx.run.planned import Analysed, Job, JobPlan
 from arfx.run.predict import Terms
 from arfx.run.preview import pick
-from arfx.run.real_scene import ANCHOR, analyse_plane
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, Spent, WorkLog
 from arfx.run.worker import keep_memory, open_context
@@ -144,6 +137,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         tree["marker"],
         tree["analyse"],
         tree["light"],
+        config.model.anchor,
         sorted(folds_wanted(config)),
     ]
     if config.input.marker_map:
@@ -203,54 +197,34 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     config = inputs.config
     span = (config.input.start, config.input.end)
     clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
-    if config.model.anchor == "plane":
-        done = analyse_plane(inputs, span, clock, config.params["light"], folds_wanted(config), folder, analysis_key)
-    else:
-        done = analyse_clip(
-            inputs.info, inputs.camera, config.markers, config.params["analyse"], inputs.marker_map, span,
-            clock, folder, analysis_key, config.params["light"], inputs.panorama, folds_wanted(config),
-        )  # fmt: skip
+    anchor = config.model.anchor
+    job = AnalysisJob(
+        config.markers, inputs.camera, config.params["analyse"], config.params["light"], inputs.marker_map, inputs.panorama,
+        anchor, inputs.depth, config.input.depth_align == anchor == MARKER, inputs.poses,
+        lambda clip: make_scene(
+            config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static
+        ),
+        options.progress,
+    )  # fmt: skip
+    done = analyse_clip(inputs.info, job, folds_wanted(config), span, clock, folder, analysis_key)
+    clip = done.analysis
     check_times(inputs.output, done.span.pts, inputs.info.time_base)
-    world = done.analysis.world_from_marker
-    anchor = ANCHOR if config.model.anchor == "plane" else anchor_marker(config.markers, world).key
-    scene = make_scene(config, inputs.camera, inputs.model, world, anchor, done.analysis.static)
-    facts = with_model(done.analysis.facts, scene)
-    notices, depth = list(done.analysis.notices), None
-    planes: list[RealPlane] = []
-    if inputs.depth is not None:
-        facts, depth = _depth(inputs, done, facts, options)
-        if not depth["known"]:
-            notices.append(f"the real depth is not used: {depth['reason']}")
-        elif any(Layer.REAL_DEPTH in STAGES[name].reads for name in pipeline(config)):
-            planes = measured_planes(inputs.depth, facts, inputs.camera)
-    seen = done.analysis.summary["markers_seen"]
-    if config.model.anchor == "marker":
+    seen, notices = clip.summary["markers_seen"], list(clip.notices)
+    if anchor == MARKER:
         notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
     if done.truncated:
         notices.append(done.truncated)
     for notice in notices:
         options.notice(notice)
-    write_facts(folder.facts, facts)
+    write_facts(folder.facts, clip.facts)
     Analysed(
-        done.span.pts, done.span.keys, anchor, world, done.analysis.static, done.analysis.summary, done.truncated, pick(facts),
-        [*inputs.notices, *notices], depth, planes,
+        done.span.pts, done.span.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
+        pick(clip.facts), [*inputs.notices, *notices], clip.real_planes,
     ).write(folder)  # fmt: skip
     # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
     part = clock.before_s / max(done.decode_s + done.analyse_s, 1e-9)
     seconds = {"decode": done.decode_s * (1 + part), "analyse": done.analyse_s * (1 + part)}
     log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.span.pts))
-
-
-def _depth(
-    inputs: Inputs, done: Pass, facts: Sequence[FrameFacts], options: Options
-) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
-    """The facts with each frame's real depth, and a summary."""
-    assert inputs.depth is not None
-    of_frames = inputs.depth.of_frames(done.span.from_start_s(), done.span.before, done.span.whole)
-    align = inputs.config.input.depth_align == "marker" and inputs.config.model.anchor == "marker"
-    return with_depth(
-        facts, inputs.depth, of_frames, done.analysis.world_from_marker, inputs.camera, align, options.progress
-    )  # fmt: skip
 
 
 def _chunks(job: Job) -> list[Chunk]:

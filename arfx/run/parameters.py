@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from arfx.analyse.folds import AnalyseParams, LightParams
+from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.config.load import near
 from arfx.config.sections import JobConfig
+from arfx.core.layers import Layer
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
 from arfx.stages import STAGES, stages_with
@@ -66,5 +67,8 @@ def on_this_machine(config: JobConfig) -> JobConfig:
 
 
 def folds_wanted(config: JobConfig) -> frozenset[str]:
-    """What the stages of the job need of the analysis, by name."""
-    return frozenset().union(*(stage.facts for stage in make_stages(config).values()))
+    """What the job needs of the analysis, by name: what its stages read, and what every job has."""
+    stages = make_stages(config).values()
+    deep = {"depth"} if config.input.depth is not None else set()
+    deep |= {"planes"} if deep and any(Layer.REAL_DEPTH in stage.reads for stage in stages) else set()
+    return frozenset({"pose", "light", "object"}.union(deep, *(stage.facts for stage in stages)))

@@ -30,7 +30,7 @@ class Analysed(Document):
     pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
     anchor : key of the marker, or of the plane, on which the object stands;  static : what is at rest
     truncated : why the clip ends early, or None;  previews : frames of which the report shows a picture
-    depth : how the measured depth was taken up, None without;  summary : for the report
+    summary : for the report
     """
 
     pts: list[int]
@@ -38,11 +38,10 @@ class Analysed(Document):
     anchor: str
     world_from_marker: Mapping[str, Pose]
     static: str
-    summary: dict[str, Any]
+    summary: Mapping[str, Any]
     truncated: str | None
     previews: Sequence[int]
     notices: Sequence[str]
-    depth: dict[str, Any] | None
     real_planes: Sequence[RealPlane]
 
     def scene(self, config: JobConfig, camera: Camera, model: Model) -> Scene:

@@ -6,14 +6,14 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Stateful
 from arfx.errors import NothingToDoError
 from arfx.media.frame import Frame
 
 _ROUNDING_S = 1e-9
 
 
-class Span(Fold):
+class Span(Stateful):
     """Seconds from the clip's first frame, ends included; None = no end.
 
     pts : presentation times of the frames that were taken, in the clip's time base: who takes a frame calls `take`

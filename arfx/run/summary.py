@@ -44,7 +44,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
         },
         "pose": _pose(job),
         "light": dict(job.analysed.summary["light"]),
-        "depth": done.depth,
+        "depth": done.summary.get("depth"),
         "lens": done.summary.get("footage_lens"),
         "stages": rows,
         "levels": job.plan.levels,
@@ -83,7 +83,7 @@ def _pose(job: Job) -> dict[str, Any]:
         for raw in (True, False)
     )
     return {
-        **summary,
+        **{k: v for k, v in summary.items() if k != "depth"},
         "reprojection_px": {**summary["reprojection_px"]["smoothed"], "before_smoothing": summary["reprojection_px"]["raw"]},
         # trembling of the object against its marker; the camera's own shake moves both and is meant to stay
         "jitter_px": after[1],

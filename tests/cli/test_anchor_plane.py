@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.facts_file import write_facts
-from arfx.analyse.params import LightParams
+from arfx.analyse.fold import PLANE, AnalysisJob
 from arfx.config.load import load
 from arfx.core import codec
 from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg
@@ -17,7 +17,6 @@ from arfx.run import analysis
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.parameters import parameters
-from arfx.run.real_scene import analyse_plane
 from tests.cli.conftest import Material, Run
 from tests.cli.test_process import frames
 from tests.clips import SIZE, clip_camera, write_clip
@@ -91,14 +90,14 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
         "model": {"file": str(material.model), "fit": "8cm", "anchor": "plane"}, "output": {"path": str(tmp_path / "out.mp4")},
     }  # fmt: skip
     inputs = open_inputs(load(None, document, parameters()))
-    light = LightParams()
+    of_plane = AnalysisJob((), inputs.camera, anchor=PLANE, depth=inputs.depth)
 
     def analysed(job: Path, stop: int | None) -> tuple[bytes, list[int]]:
         def progress(phase: str, done: int, total: int | None) -> None:
             if done == stop:
                 raise KeyboardInterrupt
 
-        done = analyse_plane(inputs, (None, None), progress, light, frozenset({"environment"}), JobFolder(job), "key")
+        done = analysis.analyse_clip(inputs.info, of_plane, {"environment"}, (None, None), progress, JobFolder(job), "key")
         write_facts(tmp_path / "facts.jsonl", done.analysis.facts)
         return (tmp_path / "facts.jsonl").read_bytes(), done.span.pts
 
@@ -108,7 +107,7 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
         with pytest.raises(KeyboardInterrupt):
             analysed(tmp_path, stop)
         saved = codec.loads((tmp_path / "analysis.checkpoint").read_bytes())
-        assert len(saved["state"]["fold"]["times"]) == stop - 1
+        assert len(saved["state"]["folds"]["pose"]["times_s"]) == stop - 1
     assert analysed(tmp_path, None) == whole
 
 

@@ -21,14 +21,14 @@ import pytest
 
 import arfx.analyse
 import arfx.run
-from arfx.analyse.fold import Fold
-from arfx.analyse.folds import AnalyseParams, Analyser, LightParams
+from arfx.analyse.fold import PLANE, AnalysisFrame, AnalysisJob, Fold, Stateful
+from arfx.analyse.folds import FOLDS, ON_PLANE, Analyser
 from arfx.analyse.light import fold as light_fold
+from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose import at_rest
 from arfx.core import codec
 from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
-from arfx.run.real_scene import PlaneFold
 from arfx.run.span import Span
 from tests.exact import identical
 from tests.unit.analyse.synthetic import background, camera, picture, tilted
@@ -89,14 +89,14 @@ def made() -> dict[str, Any]:
     params = AnalyseParams(reduced_px=50_000, search_interval_s=0.6, loss_search_frames=2)
     double = CAM.scaled_to(960, 540)
     return {
-        "analyser": Analyser((M,), double, params, None, LightParams(), None, frozenset({"flow", "environment", "lens"})),
-        "plane": PlaneFold(watch=True, look=True),
+        "markers": Analyser(AnalysisJob((M,), double, params), FOLDS),
+        "plane": Analyser(AnalysisJob((), CAM, params, anchor=PLANE), ON_PLANE),
         "span": Span((2 * STEP_S, (FRAMES - 3) * STEP_S), Fraction(1, 100)),
     }
 
 
 def frames(span: Span) -> Iterator[tuple[Shown, Shown | None]]:
-    """As run.analysis.read_clip feeds them."""
+    """As run.analysis feeds them."""
     inside = span.inside(CLIP)  # type: ignore[arg-type]
     frame = next(inside, None)
     while frame is not None:
@@ -107,8 +107,8 @@ def frames(span: Span) -> Iterator[tuple[Shown, Shown | None]]:
 
 def step(folds: dict[str, Any], frame: Shown, following: Shown | None) -> None:
     after = None if following is None else following.luma
-    for name in ("analyser", "plane"):
-        folds[name].step(len(folds["span"].pts), frame.time_s, frame.luma(), frame, after)
+    for name in ("markers", "plane"):
+        folds[name].step(AnalysisFrame(len(folds["span"].pts), frame.time_s, frame.luma(), frame, after))
     folds["span"].take(frame)
 
 
@@ -122,20 +122,24 @@ def modules() -> Iterator[ModuleType]:
             yield importlib.import_module(m.name)
 
 
-def every_fold() -> set[type]:
+def every_kind() -> set[type]:
     list(modules())
-    out, left = set(), [Fold]
+    out, left = set(), [Stateful]
     while left:
         for kind in left.pop().__subclasses__():
             out.add(kind)
             left.append(kind)
-    return {kind for kind in out if kind.__module__.startswith("arfx.")}
+    return {kind for kind in out if kind.__module__.startswith("arfx.")} - {Fold}
 
 
-def within(fold: Fold) -> Iterator[Fold]:
-    yield fold
-    for v in vars(fold).values():
-        if isinstance(v, Fold):
+def within(top: Any) -> Iterator[Stateful]:
+    if isinstance(top, Analyser):
+        for fold in top.folds.values():
+            yield from within(fold)
+        return
+    yield top
+    for v in vars(top).values():
+        if isinstance(v, Stateful) and not isinstance(v, Fold):
             yield from within(v)
 
 
@@ -150,15 +154,15 @@ def test_whatever_is_fed_frame_by_frame_is_a_fold() -> None:
     for module in modules():
         for _, kind in inspect.getmembers(module, inspect.isclass):
             fed = "step" in vars(kind) and kind.__module__ == module.__name__ and not getattr(kind, "_is_protocol", False)
-            assert not fed or issubclass(kind, Fold), f"{kind.__module__}.{kind.__name__} has a step, but is no Fold"
+            assert not fed or kind is Analyser or issubclass(kind, Stateful), f"{kind.__module__}.{kind.__name__} has a step"
 
 
 def test_a_fold_goes_on_from_any_frame_to_the_same_bits(soon_thinned: None) -> None:
     whole, stopped = made(), made()
     folds = [f for top in whole.values() for f in within(top)]
-    assert {type(f) for f in folds} == every_fold(), "the test does not make every fold, or not with all that it can do"
+    assert {type(f) for f in folds} == every_kind(), "the test does not make every fold, or not with all that it can do"
     constant = {(type(f).__name__, name) for f in folds for name in vars(f) if name not in f.given}
-    constant -= {(type(f).__name__, name) for f in folds for name, v in vars(f).items() if isinstance(v, Fold)}
+    constant -= {(type(f).__name__, name) for f in folds for name, v in vars(f).items() if isinstance(v, Stateful)}
     fixed = [(f, name, getattr(f, name)) for f in folds for name in f.given]
     before = [dict(f.state()) for f in folds]
     before = codec.loads(codec.dumps(before))
@@ -176,11 +180,12 @@ def test_a_fold_goes_on_from_any_frame_to_the_same_bits(soon_thinned: None) -> N
             (type(f).__name__, name)
             for f, first in zip(folds, before, strict=True)
             for name, v in f.state().items()
-            if not isinstance(getattr(f, name), Fold) and not identical(v, first[name])
+            if not isinstance(getattr(f, name), Stateful) and not identical(v, first[name])
         }
         count += 1
     assert count == len(whole["span"].pts) == FRAMES - 4
     assert constant == WITHIN_A_STEP, "state that nothing in the clip changes: what is given, or what the clip lacks?"
     assert all(getattr(f, name) is value for f, name, value in fixed), "a given attribute changed"
-    assert len(whole["analyser"]._meter.readings) > 20 and whole["analyser"]._edges.readings
-    assert identical(stopped["analyser"].finish(), whole["analyser"].finish())
+    light, lens = (whole["markers"].folds[name] for name in ("light", "lens"))
+    assert len(light.readings) > 20 and lens.readings
+    assert identical(stopped["markers"].finish(), whole["markers"].finish())

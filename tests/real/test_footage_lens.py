@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.core.marker import MarkerSpec
 from arfx.media.cameras import load_camera
@@ -23,11 +24,11 @@ def test_a_deep_focus_tells_no_lens() -> None:
     """Its print lies at 1.4 m, tilted; all its sides are as sharp as one another."""
     info = probe(CLIPS / "fieldvideo_long.mp4")
     camera = load_camera(CLIPS / "camera.json").scaled_to(info.width, info.height)
-    analyser = Analyser((MarkerSpec.parse("36h11:3:165.1mm"),), camera, folds=frozenset({"lens"}))
+    analyser = Analyser(AnalysisJob((MarkerSpec.parse("36h11:3:165.1mm"),), camera), {"lens"})
     with ClipReader(info) as reader:
         for frame in reader.frames():
             if frame.index == 40:
                 break
-            analyser.step(frame.index, frame.time_s, frame.luma())
+            analyser.step(AnalysisFrame(frame.index, frame.time_s, frame.luma()))
     fit = analyser.finish().summary["footage_lens"]
     assert not fit["known"] and "does not grow" in fit["reason"]

@@ -10,7 +10,8 @@ import av
 import numpy as np
 import pytest
 
-from arfx.analyse.folds import Analyser, Analysis
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
+from arfx.analyse.folds import Analyser
 from arfx.analyse.markers.detect import MarkerDetector
 from arfx.analyse.pose.visibility import trembling_px
 from arfx.core.camera import Camera
@@ -36,14 +37,15 @@ def frames(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
 def compared(path: Path, markers: tuple[MarkerSpec, ...], cam: Camera, every: int) -> tuple[Analyser, set, set, float]:
     """(analyser after the clip, sightings missed, sightings more, largest corner difference px), against a search of the
     whole of every n-th frame."""
-    analyser, detector = Analyser(markers, cam), MarkerDetector([markers[0].family])
+    analyser, detector = Analyser(AnalysisJob(markers, cam)), MarkerDetector([markers[0].family])
+    found = analyser.folds["markers"]._tracker  # type: ignore[attr-defined]
     missed, more, worst = set(), set(), 0.0
     for k, t, luma in frames(path):
-        analyser.step(k, t, luma)
+        analyser.step(AnalysisFrame(k, t, luma))
         if k % every:
             continue
         whole = {c.key: c.quad_px for c in detector.search(luma) if c.key in {m.key for m in markers}}
-        got = {key: track.quad_px for key, track in analyser._tracker.tracks.items() if track.time_s == t}
+        got = {key: track.quad_px for key, track in found.tracks.items() if track.time_s == t}
         missed |= {(k, key) for key in whole.keys() - got.keys()}
         more |= {(k, key) for key in got.keys() - whole.keys()}
         worst = max([worst, *(float(np.abs(whole[key] - got[key]).max()) for key in whole.keys() & got.keys())])
@@ -76,7 +78,7 @@ def test_object_trembles_less_against_the_picture_and_stays_on_the_marker(wall: 
     must take away is the trembling relative to the picture."""
     analyser, analysis = wall[0], wall[1]
     box = np.array([[x, y, z] for x in (-0.075, 0.075) for y in (-0.05, 0.05) for z in (0.0, 0.15)])
-    raw, smooth = (trembling_px(analysis.facts, box, analyser.camera, r)[1] for r in (True, False))
+    raw, smooth = (trembling_px(analysis.facts, box, analyser.folds["markers"].camera, r)[1] for r in (True, False))
     assert np.nanmedian(smooth) < np.nanmedian(raw) / 3 and np.nanmean(smooth**2) < np.nanmean(raw**2) / 9
     r = analysis.summary["reprojection_px"]
     assert r["smoothed"]["median"] < 1.1 * r["raw"]["median"] < 0.35

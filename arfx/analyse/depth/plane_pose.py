@@ -3,20 +3,79 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from arfx.analyse.depth.scale import Maps
 from arfx.analyse.depth.scene_planes import ScenePlane, facing_up, scene_planes
+from arfx.analyse.fold import PLANE, PLANE_MARKER, Analysis, AnalysisFrame, AnalysisJob, Fold, Maps
+from arfx.analyse.pose.at_rest import RestCheck
+from arfx.analyse.pose.fold import figures
 from arfx.core.camera import Camera
-from arfx.core.facts import FrameFacts
+from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
 from arfx.errors import NothingToDoError
 
 MAPS = 4  # that planes are looked for in, over the clip
+
+
+class PlanePose(Fold):
+    """Every frame's pose over the dominant plane, whose middle is the world's origin: of a camera at rest, or of given poses.
+
+    times_s : of the frames;  rest : whether the camera stands still
+    """
+
+    name = "pose"
+
+    def __init__(self, job: AnalysisJob) -> None:
+        super().__init__(job)
+        self.times_s: list[float] = []
+        self.rest = RestCheck()
+
+    def step(self, frame: AnalysisFrame) -> None:
+        if self.job.poses is None:
+            self.rest.step(frame.time_s, frame.luma)
+        self.times_s.append(frame.time_s)
+
+    def finish(self, clip: Analysis) -> Analysis:
+        """Raises NothingToDoError: no plane, or a camera that moves and no poses."""
+        maps, camera, given = self.job.depth, self.job.camera, self.job.poses
+        assert maps is not None
+        if given is None and not self.rest.rests:
+            raise NothingToDoError(
+                f"--anchor plane: the camera moves ({self.rest.moved_px:.1f} px), and no poses are given",
+                "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
+            )
+        poses: list[Pose | None] = [Pose.identity()] * len(self.times_s) if given is None else given.of_frames(*clip.taken)
+        numbers = maps.of_frames(*clip.taken)
+        both = [(k, p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
+        if maps.still and given is None:
+            both = both[:1]
+        planes = scene_planes([(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)], camera)
+        plane = stand_on(planes, [p for p in poses if p is not None])
+        facts = [FrameFacts(k, t) for k, t in enumerate(self.times_s)]
+        for k, pose in enumerate(poses):
+            if pose is not None:
+                stands = pose @ plane.world_from_plane
+                facts[k] = facts[k].with_(status=MEASURED, camera_from_world=stands, raw_camera_from_world=stands, opacity=1.0)
+        evidence = {"moved_px": self.rest.moved_px} if given is None else {}
+        about = {"kind": PLANE, "poses": "a camera at rest" if given is None else "given", **plane.to_json()}
+        return replace(clip, anchor=PLANE_MARKER).adding(facts, **figures(facts, (), static_evidence=evidence, anchor=about))
+
+
+class RealPlanes(Fold):
+    """The planes of the real scene, where its depth is known."""
+
+    name = "planes"
+    needs = ("depth",)
+
+    def finish(self, clip: Analysis) -> Analysis:
+        maps = self.job.depth
+        if maps is None or not clip.summary["depth"]["known"]:
+            return clip
+        return replace(clip, real_planes=tuple(measured_planes(maps, clip.facts, self.job.camera)))
 
 
 def measured_planes(maps: Maps, facts: Sequence[FrameFacts], camera: Camera) -> list[RealPlane]:
@@ -41,16 +100,8 @@ def spread(items: Sequence[Any]) -> list[Any]:
     return [items[k] for k in np.linspace(0, len(items) - 1, MAPS).astype(int)]
 
 
-@dataclass(frozen=True, eq=False)
-class Stand:
-    """given_from_plane : where the object stands;  plane : as found"""
-
-    given_from_plane: Pose
-    plane: RealPlane
-
-
-def stand_on(planes: Sequence[ScenePlane], poses: Sequence[Pose]) -> Stand:
-    """The dominant plane that faces up. Raises NothingToDoError where there is none."""
+def stand_on(planes: Sequence[ScenePlane], poses: Sequence[Pose]) -> RealPlane:
+    """The dominant plane that faces up, in the poses' world. Raises NothingToDoError where there is none."""
     level = facing_up(planes, poses)
     if not level:
         found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
@@ -58,5 +109,4 @@ def stand_on(planes: Sequence[ScenePlane], poses: Sequence[Pose]) -> Stand:
             f"--anchor plane: the depth shows {found}",
             "a table or floor has to be seen from above, by a camera held upright; or use a marker",
         )
-    plane = level[0].meshed()[0]
-    return Stand(plane.world_from_plane, plane)
+    return level[0].meshed()[0]

@@ -8,18 +8,19 @@ refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 
+from arfx.analyse.fold import Analysis, Fold, Maps
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.health import Check
 from arfx.core.machine import usable_cores
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
@@ -32,26 +33,6 @@ MOST_SPREAD = 0.1  # robust standard deviation of a frame's factor, relative
 _INNER = 0.9  # of the print's square, so that no pixel of its edge counts
 _SIGMA = 1.4826  # of a normal distribution, by its median absolute deviation
 Progress = Callable[[str, int, int | None], None]
-
-
-class Maps(Protocol):
-    """The clip's depth maps, as they are read here (media.depth_maps.DepthMaps is one)."""
-
-    @property
-    def path(self) -> Path: ...
-
-    @property
-    def count(self) -> int: ...
-
-    @property
-    def still(self) -> bool: ...
-
-    @property
-    def times_s(self) -> Sequence[float] | None: ...
-
-    def load(self, number: int, width: int, height: int) -> np.ndarray: ...
-
-    def digest(self, number: int) -> str: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +54,35 @@ class DepthScale(Document):
     def noise(self) -> float:
         """Standard deviation of a pixel, share of its distance."""
         return USUAL_NOISE if self.residual is None else _SIGMA * self.residual
+
+
+class Depth(Fold):
+    """Real depth: which map is of which frame, and its scale. Figures in summary["depth"]."""
+
+    name = "depth"
+    needs = ("pose",)
+
+    def finish(self, clip: Analysis) -> Analysis:
+        job = self.job
+        if job.depth is None:
+            return clip
+        facts, about = with_depth(
+            clip.facts, job.depth, job.depth.of_frames(*clip.taken), clip.world_from_marker, job.camera, job.align, job.progress
+        )  # fmt: skip
+        return clip.adding(facts, None if about["known"] else f"the real depth is not used: {about['reason']}", depth=about)
+
+    @staticmethod
+    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+        """How well its scale fits the markers' planes."""
+        depth = summary.get("depth")
+        if depth is None:
+            return
+        missed = "as stated" if depth["residual"] is None else depth["residual"]
+        yield Check("real depth: miss of the markers' planes", missed if depth["known"] else depth["reason"], 0.1, depth["known"],
+                    "not used: the real scene is the markers' planes")  # fmt: skip
+        if depth["known"]:
+            without = depth["frames_without"]
+            yield Check("frames without real depth", without, 0, without == 0, "markers' planes there")
 
 
 def print_ratios(depth_m: np.ndarray, facts: FrameFacts, world_from_marker: Mapping[str, Pose], camera: Camera) -> np.ndarray:

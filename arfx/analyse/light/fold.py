@@ -1,6 +1,6 @@
 """The light of every frame: from the markers in the picture if they tell it, else the next best cue, out loud.
 
-`LightMeter`, a fold, keeps what each frame tells: patches of the markers' cells, and now and then a small picture of the
+`LightOfMarkers` keeps what each frame tells: patches of the markers' cells, and now and then a small picture of the
 surroundings; some hundred numbers per marker and frame, and no pixels. `lighted` makes the light of it.
 Cues in order: a light that is given (`assumed`); a direction that the markers' normals tell (`measured`); else `refused`:
 the surroundings folded from the picture, as soft light without a direction; ambient light alone. Whatever the cue,
@@ -12,13 +12,12 @@ Source: docs/methods/light.md#cues.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, Picture, Stateful
 from arfx.analyse.light import given as given_light
 from arfx.analyse.light.fit import MEASURED as LIT
 from arfx.analyse.light.fit import REFUSED
@@ -38,14 +37,16 @@ from arfx.analyse.light.photometry import Photometry, solve
 from arfx.analyse.light.photometry_paper import solve_paper
 from arfx.analyse.light.static_frame import Readings, RoomLight, Told
 from arfx.analyse.light.surroundings import Look, look, with_environment
+from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
-from arfx.analyse.records import Analysis, Seen
 from arfx.core.cube import CubeMap
 from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.health import Check
 from arfx.core.light import Light
-from arfx.core.marker import MarkerSpec, anchor_marker
 from arfx.core.rect import Rect
 
+Reading = tuple[int, str, Patches]
+T = TypeVar("T")
 SURROUNDINGS_S = 0.5  # between two looks at the surroundings
 SURROUNDINGS_PX = 96  # width of the picture that is looked at
 MOST_LOOKS = 240  # beyond that every second one is dropped, and the interval doubled
@@ -55,33 +56,23 @@ THREE_ASKED = 1.221  # width of an interval for one of three questions at .95 of
 LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 
 
-class Picture(Protocol):
-    """One frame's pixels, as the meter reads them (media.frame.Frame is one)."""
+class LightOfMarkers(Fold):
+    """readings : (frame, marker key, Patches) in order;  looks : at the surroundings"""
 
-    @property
-    def rect(self) -> Rect: ...
+    name = "light"
+    needs = ("markers", "pose")
 
-    def linear_at(self, pixels: np.ndarray) -> np.ndarray: ...
-
-    def reduced(self, width: int) -> np.ndarray: ...
-
-
-class LightMeter(Fold):
-    """readings : (frame, marker key, Patches) in order;  looks : of the surroundings
-
-    formula : "corrected" or "paper", how the surroundings are folded
-    """
-
-    given = frozenset({"_formula"})
-
-    def __init__(self, formula: str = "corrected") -> None:
-        self._formula = formula
-        self.readings: list[tuple[int, str, Patches]] = []
+    def __init__(self, job: AnalysisJob, markers: Markers, pose: Fold) -> None:
+        super().__init__(job)
+        self._markers = markers
+        self.readings: list[Reading] = []
         self.looks: list[Look] = []
-        self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
+        self._when = Looks()
 
-    def step(self, frame: int, time_s: float, seen: Sequence[Seen], picture: Picture) -> None:
-        """frame : its number;  seen : configured markers in it;  picture : its pixels"""
+    def step(self, frame: AnalysisFrame) -> None:
+        picture, seen = frame.picture, self._markers.seen
+        if picture is None:
+            return
         for s in seen:
             if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
                 continue
@@ -89,40 +80,121 @@ class LightMeter(Fold):
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
             shape = (picture.rect.height, picture.rect.width)
             spots = place(s.corners_px, cells(family, int(number)), s.inverted, blur, shape)
-            self.readings.append((frame, s.key, reduced(picture.linear_at(spots.pixels()), spots)))
-        if seen and time_s >= self._next_s:
-            self._next_s = time_s + self._interval_s
-            small = picture.reduced(SURROUNDINGS_PX)
-            if min(small.shape[:2]) >= 3:
-                shrink = small.shape[1] / picture.rect.width
-                largest = max(seen, key=lambda s: s.side_px)
-                self.looks.append(look(frame, small, (largest.corners_px + 0.5) * shrink - 0.5, self._formula))
-            if len(self.looks) > MOST_LOOKS:
-                self.looks, self._interval_s = self.looks[::2], 2 * self._interval_s
+            self.readings.append((frame.index, s.key, reduced(picture.linear_at(spots.pixels()), spots)))
+        if seen and (small := self._when.small(frame.time_s, picture)) is not None:
+            shrink = small.shape[1] / picture.rect.width
+            largest = max(seen, key=lambda s: s.side_px)
+            quad = (largest.corners_px + 0.5) * shrink - 0.5
+            self.looks = self._when.thinned([*self.looks, look(frame.index, small, quad, self.job.light.formula)])
+
+    def finish(self, clip: Analysis) -> Analysis:
+        return lighted(clip, self.readings, self.looks, self.job.light, self.job.panorama)
+
+    @staticmethod
+    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+        light = summary["light"]
+        photometry = light["photometry"]
+        condition = max((c for c in photometry["condition"] if c is not None), default=None)
+        ok = photometry["verdict"] == "measured"
+        yield Check("photometry condition number", condition, 1e6, ok, f"bias taken for 0: {photometry['reason']}")
+        if "verdict" not in light:  # no frame with a pose that lasts
+            return
+        # what the markers' normals say of a direction beside ambient light; a given light does not need it
+        known = light["verdict"] != REFUSED
+        yield Check("light direction", light["verdict"], "measured or given", known, light["reason"])
+        if light["normals_seen"]:
+            yield Check("light fit condition number", light["condition"], 1e3, known, "no direction claimed")
+        yield Check("clipped share of the markers", light["clipped_fraction"], 0.5, light["clipped_fraction"] <= 0.5,
+                    "clipped samples left out: brightness rests on the others")  # fmt: skip
+
+
+class LightOnPlane(Fold):
+    """Where there is no marker: small pictures are kept until it is known where in them the plane is.
+
+    pictures : (frame, small picture) in order
+    """
+
+    name = "light"
+    needs = ("pose",)
+    given = frozenset({"job", "looks"})
+
+    def __init__(self, job: AnalysisJob, pose: Fold) -> None:
+        super().__init__(job)
+        self.pictures: list[tuple[int, np.ndarray]] = []
+        self.looks: list[Look] = []
+        self._when = Looks()
+
+    def step(self, frame: AnalysisFrame) -> None:
+        if frame.picture is not None and (small := self._when.small(frame.time_s, frame.picture)) is not None:
+            self.pictures = self._when.thinned([*self.pictures, (frame.index, small)])
+
+    def finish(self, clip: Analysis) -> Analysis:
+        camera = self.job.camera
+        for k, small in self.pictures:
+            pose = clip.facts[k].camera_from_world
+            quad = None if pose is None else camera.project(pose.apply(clip.anchor.corners_m))
+            if quad is not None and np.isfinite(quad).all():
+                quad = (quad + 0.5) * (small.shape[1] / camera.width) - 0.5
+                self.looks.append(look(k, small, quad, self.job.light.formula))
+        return lighted(clip, (), self.looks, self.job.light, self.job.panorama)
+
+
+class Looks(Stateful):
+    """When to look at the surroundings."""
+
+    def __init__(self) -> None:
+        self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
+
+    def small(self, time_s: float, picture: Picture) -> np.ndarray | None:
+        """The frame made small, None where it is not time to look, or nothing to see."""
+        if time_s < self._next_s:
+            return None
+        self._next_s = time_s + self._interval_s
+        small = picture.reduced(SURROUNDINGS_PX)
+        return small if min(small.shape[:2]) >= 3 else None
+
+    def thinned(self, kept: list[T]) -> list[T]:
+        """Every second of them where they are too many, and from then on half as many."""
+        if len(kept) <= MOST_LOOKS:
+            return kept
+        self._interval_s *= 2
+        return kept[::2]
+
+
+class Environment(Fold):
+    """The surroundings' picture, for reflections."""
+
+    name = "environment"
+    needs = ("light",)
+
+    def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
+        super().__init__(job)
+        self._light = light
+
+    def finish(self, clip: Analysis) -> Analysis:
+        upright = clip.world_from_anchor.rotation
+        return clip.adding(with_environment(clip.facts, self._light.looks, clip.static == "camera", self.job.panorama, upright))
 
 
 def lighted(
-    analysis: Analysis, meter: LightMeter, markers: Sequence[MarkerSpec], params: LightParams,
-    panorama: np.ndarray | None = None, environment: bool = False,
-) -> Analysis:  # fmt: skip
+    analysis: Analysis, taken: Sequence[Reading], looks: Sequence[Look], params: LightParams, panorama: np.ndarray | None = None
+) -> Analysis:
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment
-    environment : write the surroundings' picture into the facts too
     """
     facts = analysis.facts
     room = _rooms(analysis)
-    readings, photometry = _readings(analysis, meter, room, params)
-    stands_on = anchor_marker(markers, analysis.world_from_marker)
-    anchor = stands_on.key
+    readings, photometry = _readings(analysis, taken, room, params)
+    anchor = analysis.anchor
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
     maps: dict[int, np.ndarray] = {}
     known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
     for shots in _parts(facts, analysis.static):
         part = RoomLight(shots, facts, room, readings, params)
-        given = _given(analysis, anchor, room, shots, params, panorama)
-        lights, report = part.given(*given) if given else part.told(analysis.static != "both", meter.looks)
+        given = _given(analysis, room, shots, params, panorama)
+        lights, report = part.given(*given) if given else part.told(analysis.static != "both", looks)
         out |= lights
         maps |= part.maps
         reports.append((len(shots), report))
@@ -137,27 +209,22 @@ def lighted(
     )
     shaded = {
         frame: found
-        for frame, key, patches in meter.readings
+        for frame, key, patches in taken
         if frame in known
-        and key == anchor
-        and (found := real_shadow(quarters(patches.mean, patches.count, bias), stands_on.size_m))
+        and key == anchor.key
+        and (found := real_shadow(quarters(patches.mean, patches.count, bias), anchor.size_m))
     }
     lit = tuple(f.with_(plane_shadow=shaded[k]) if k in shaded else f for k, f in enumerate(lit))
     lit = tuple(f.with_(light_map=CubeMap.of(maps[k], room[k])) if k in maps else f for k, f in enumerate(lit))
-    marker = analysis.world_from_marker.get(anchor)
-    upright = np.eye(3) if marker is None else marker.rotation
-    if environment:
-        lit = with_environment(lit, meter.looks, turns, panorama, upright, bias)
     about = (
         {"frames_shaded": len(shaded)}
         | _about_photometry(photometry, params)
         | {"frame": "camera" if analysis.static == "camera" else "marker"}
         | report
     )
-    notices = list(analysis.notices)
-    if report and report["verdict"] == REFUSED:
-        notices.append(f"light: no direction is known: {report['reason']}. {_ways(report)}")
-    return replace(analysis, facts=lit, summary={**analysis.summary, "light": about}, notices=tuple(notices))
+    refused = report and report["verdict"] == REFUSED
+    notice = f"light: no direction is known: {report['reason']}. {_ways(report)}" if refused else None
+    return analysis.adding(lit, notice, light=about)
 
 
 def _ways(report: dict[str, Any]) -> str:
@@ -187,11 +254,11 @@ def _rooms(analysis: Analysis) -> dict[int, np.ndarray]:
 
 
 def _readings(
-    analysis: Analysis, meter: LightMeter, room: dict[int, np.ndarray], params: LightParams
+    analysis: Analysis, taken: Sequence[Reading], room: dict[int, np.ndarray], params: LightParams
 ) -> tuple[Readings, Photometry]:
     """The markers' light in frames whose pose was measured, normals in ROOM axes, and how it was solved."""
     rows = []
-    for frame, key, patches in meter.readings:
+    for frame, key, patches in taken:
         fact, marker = analysis.facts[frame], analysis.world_from_marker.get(key)
         if fact.status != MEASURED or fact.camera_from_world is None or marker is None:
             continue
@@ -227,7 +294,7 @@ def _parts(facts: Sequence[FrameFacts], static: str) -> list[list[int]]:
 
 
 def _given(
-    analysis: Analysis, anchor: str, room: dict[int, np.ndarray], frames: Sequence[int], params: LightParams,
+    analysis: Analysis, room: dict[int, np.ndarray], frames: Sequence[int], params: LightParams,
     panorama: np.ndarray | None,
 ) -> tuple[Light, bool, str] | None:  # fmt: skip
     """(light in ROOM axes, whether its lamps' brightness is stated, why) of a light that the user gave, or None."""
@@ -238,9 +305,7 @@ def _given(
         why = f"light given: azimuth {params.given[0]:g}, elevation {params.given[1]:g} degrees"
     else:
         return None
-    marker = analysis.world_from_marker.get(anchor)
-    turn = room[frames[0]] @ (marker.rotation if marker is not None else np.eye(3))
-    return light.turned(turn), stated, why
+    return light.turned(room[frames[0]] @ analysis.world_from_anchor.rotation), stated, why
 
 
 def _about_photometry(p: Photometry, params: LightParams) -> dict[str, Any]:

@@ -236,13 +236,14 @@ def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
 
 def with_environment(
     facts: Sequence[FrameFacts], looks: Sequence[Look], still_camera: bool, panorama: np.ndarray | None,
-    world_from_anchor: np.ndarray, bias: np.ndarray,
+    world_from_anchor: np.ndarray,
 ) -> tuple[FrameFacts, ...]:  # fmt: skip
     """The facts with `environment` in every frame that has a pose and a look in its shot.
 
-    still_camera : the room is the camera's, else the world's;  world_from_anchor : (3, 3);  bias (3,) : not light
+    still_camera : the room is the camera's, else the world's;  world_from_anchor : (3, 3)
     """
     given = None if panorama is None else turned(from_panorama(panorama, PANORAMA_PX), np.asarray(world_from_anchor).T)
+    bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0)))  # is no light
     by_shot: dict[int, list[np.ndarray]] = {}
     for look in looks:
         f = facts[look.frame]

@@ -25,11 +25,10 @@ from functools import cache
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Stateful
 from arfx.analyse.markers import corner_kernels as kernels
 from arfx.analyse.markers.corner_kernels import FRACTIONS, SAMPLES
-from arfx.analyse.markers.detect import Candidate, cells_per_side
-from arfx.analyse.records import Seen
+from arfx.analyse.markers.detect import Candidate, Seen, cells_per_side
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
 from arfx.core.numerics import divide
@@ -162,7 +161,7 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     return np.where(np.isfinite(out), out, 0.0)
 
 
-class EdgeRefiner(Fold):
+class EdgeRefiner(Stateful):
     """Refines sightings; `transfer` is "auto" until decided."""
 
     def __init__(self, transfer: str = AUTO) -> None:

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Stateful
+from arfx.core.codec import stored
 from arfx.core.marker import opencv_name
 from arfx.core.rect import Rect
 
@@ -45,6 +46,35 @@ class Candidate:
     @property
     def side_px(self) -> float:
         return float(np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).mean())
+
+
+@stored
+@dataclass(frozen=True)
+class Seen:
+    """One marker print in one frame, refined. corners_px : (4, 2);  sigma_px : predicted;  blur_px : nan where unknown."""
+
+    key: str
+    corners_px: np.ndarray
+    sigma_px: float
+    blur_px: float
+    inverted: bool
+
+    @property
+    def side_px(self) -> float:
+        return float(np.linalg.norm(self.corners_px - np.roll(self.corners_px, -1, 0), axis=1).mean())
+
+
+@stored
+@dataclass(frozen=True)
+class Record:
+    """One frame. unlike : CutSignal's two numbers;  rivals : further prints with a key that is in `seen` too."""
+
+    index: int
+    time_s: float
+    seen: tuple[Seen, ...]
+    rivals: tuple[Seen, ...]
+    whole: bool
+    unlike: tuple[float, float]
 
 
 def dictionary(family: str) -> cv2.aruco.Dictionary:
@@ -101,7 +131,7 @@ class MarkerDetector:
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))
 
 
-class Survey(Fold):
+class Survey(Stateful):
     """Counts markers of all families in a few frames."""
 
     def __init__(self) -> None:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Stateful
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.params import AnalyseParams
 from arfx.core.codec import stored
@@ -70,7 +70,7 @@ class Found:
     searched_px: int
 
 
-class Tracker(Fold):
+class Tracker(Stateful):
     """State from frame to frame of the search for the configured keys ("36h11:3")."""
 
     given = frozenset({"keys", "params", "detector"})

@@ -19,7 +19,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from arfx.analyse.motion.flow import GRID_PX, MotionStep, node_places
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_places
 from arfx.core.advection import AdvectionField, packed_detail, packed_places
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -33,8 +34,28 @@ _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
 PERIOD = 90  # sets of sites
 _APART_PX = 5003.0  # the pattern of the other end of a stretch comes from that far away
 _ROUNDS = 6  # of the search for where a node came to lie
+AROUND = 2.4  # sizes of the marker: so far its pose tells the motion of what is near it better than the flow
 Field = tuple[np.ndarray, np.ndarray]
 Sampled = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (values at nodes, x, y) -> values there
+
+
+class Advection(Fold):
+    """How the background moves, for what is to lie still on it."""
+
+    name = "flow"
+    needs = ("pose",)
+
+    def __init__(self, job: AnalysisJob, pose: Fold) -> None:
+        super().__init__(job)
+        self._motion = BackgroundMotion()
+
+    def step(self, frame: AnalysisFrame) -> None:
+        self._motion.step(frame.index, frame.time_s, frame.luma)
+
+    def finish(self, clip: Analysis) -> Analysis:
+        camera = self.job.camera.scaled_to(*self._motion.size)
+        reach_m = AROUND * clip.anchor.size_m
+        return clip.adding(with_anchors(clip.facts, self._motion.steps, camera, clip.world_from_anchor, reach_m))
 
 
 def with_anchors(

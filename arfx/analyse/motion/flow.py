@@ -23,7 +23,7 @@ import cv2
 import numba
 import numpy as np
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Stateful
 from arfx.core.advection import STEPS
 from arfx.core.codec import stored
 from arfx.core.numerics import divide
@@ -74,8 +74,8 @@ def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     return gx, gy
 
 
-class BackgroundMotion(Fold):
-    """Collects MotionSteps, in order."""
+class BackgroundMotion(Stateful):
+    """Collects MotionSteps, in order. size : width, height of the frames"""
 
     given = frozenset({"hold_px"})
 
@@ -84,16 +84,16 @@ class BackgroundMotion(Fold):
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
         self._last: np.ndarray | None = None  # back of the last set, None where that is the key frame
-        self._size = (0, 0)  # width, height of the frames
+        self.size = (0, 0)
 
     def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
         """Take the next frame. luma : (h, w) uint8."""
         h, w = luma.shape
         small = _shrunk(luma)
         found = None
-        if self._reference is not None and self._size == (w, h):
+        if self._reference is not None and self.size == (w, h):
             found = self._back(small, w, h)
-        self._size = (w, h)
+        self.size = (w, h)
         if found is None:
             self._reference, self._last = small, None
             self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Stateful
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
@@ -43,7 +43,7 @@ _LEAST_POINTS = 8
 _WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
 
-class BackgroundFlow(Fold):
+class BackgroundFlow(Stateful):
     """Collects corner flow: pairs of frames with matched points, in full-resolution px."""
 
     def __init__(self) -> None:
@@ -166,7 +166,7 @@ def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: f
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
-class RestCheck(Fold):
+class RestCheck(Stateful):
     """Fed the frames in order. moved_px : the farthest that the middle corner was seen from its place, clip px"""
 
     def __init__(self) -> None:

@@ -1,30 +1,105 @@
-"""From records to facts: hypotheses, marker map, path, gaps, smoothing. Runs once, when the clip's end is known."""
+"""The camera's path over the markers: hypotheses, marker map, path, gaps, smoothing. Solved when the clip's end is known."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.corners import aliasing_px
-from arfx.analyse.markers.detect import cells_per_side
+from arfx.analyse.markers.detect import Record, Seen, cells_per_side
+from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.pose.at_rest import decide_static
+from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static
 from arfx.analyse.pose.marker_map import MarkerMap, View, map_markers
 from arfx.analyse.pose.path import WorldPath, world_path
 from arfx.analyse.pose.planar import Observed, hypotheses, information, lens_scale, residuals, rms_px, stack
 from arfx.analyse.pose.presence import find_cuts, lasting, opacities, statuses, stretches
 from arfx.analyse.pose.smooth import smooth_poses
-from arfx.analyse.records import Analysis, Record, Seen
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
-from arfx.core.marker import MarkerSpec
+from arfx.core.health import Check
+from arfx.core.marker import MarkerSpec, anchor_marker
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
+from arfx.core.rect import Rect
+from arfx.errors import NothingToDoError
 
+NONE = np.zeros(0)
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
+
+
+class MarkerPose(Fold):
+    """flow : corners of the background, which tell what stands still"""
+
+    name = "pose"
+    needs = ("markers",)
+
+    def __init__(self, job: AnalysisJob, markers: Markers) -> None:
+        super().__init__(job)
+        self.markers = markers
+        self.flow = BackgroundFlow()
+
+    def step(self, frame: AnalysisFrame) -> None:
+        if self.job.params.static == "auto":
+            boxes = (Rect.around(s.corners_px) for s in self.markers.prints)  # rarely asked for
+            self.flow.step(frame.index, frame.time_s, frame.luma, boxes, bool(self.markers.seen))
+
+    def finish(self, clip: Analysis) -> Analysis:
+        """Raises NothingToDoError where no frame has a pose."""
+        job, records = self.job, self.markers.records
+        found = solve(records, job.markers, self.markers.camera, job.params, job.marker_map, self.flow.samples)
+        if all(f.status == ABSENT for f in found.facts):
+            seen = sum(bool(r.seen) for r in records)
+            raise NothingToDoError(
+                f"markers were seen in {seen} of {len(records)} frames, but no pose fits, or none lasts for three frames",
+                "are the marker's size and the camera calibration right, and of this clip?",
+            )
+        return replace(found, taken=clip.taken, summary={**found.summary, **clip.summary})
+
+    @staticmethod
+    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+        reprojection = summary["reprojection_px"]["smoothed"]["median"]
+        if reprojection is not None:
+            action = "check marker size, calibration and lens mode"
+            yield Check("reprojection median (px)", reprojection, 1.0, reprojection <= 1.0, action)
+        ambiguous, sightings = summary["ambiguous_sightings"], sum(summary["markers_seen"].values())
+        action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
+        yield Check("ambiguous sightings", ambiguous, sightings // 2, ambiguous <= sightings // 2, action)
+        ratios = [m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)]
+        if ratios:
+            low = float(np.percentile(ratios, 5))
+            yield Check("pose hypotheses: second error / first, 5th percentile", low, 3.0, low >= 3.0, action)
+        condition = summary["pose_condition"]["median"]
+        if condition is not None:
+            weak = "pose is weak: larger or more tilted marker"
+            yield Check("pose condition number", condition, 1e6, condition <= 1e6, weak)
+        spread = [s for s in map(_deviation, facts) if s is not None]
+        if spread:
+            turn, shift = (float(np.percentile([s[k] for s in spread], 95)) for k in (0, 1))
+            name, action = "pose standard deviation, 95th percentile", "smoothed over more frames"
+            yield Check(f"{name} (deg)", turn, 2.0, turn <= 2.0, action)
+            yield Check(f"{name} (% of distance)", shift, 2.0, shift <= 2.0, action)
+        value = summary["map"].get("condition")
+        if not summary["map"]["given"] and value is not None:
+            yield Check("marker map condition number", value, 1e6, value <= 1e6, "show the markers together in more frames")
+
+
+def _deviation(f: FrameFacts) -> tuple[float, float] | None:
+    """(degrees, percent of the distance), the largest axis of each; None without a pose or covariance."""
+    if f.pose_covariance is None or f.camera_from_world is None:
+        return None
+    c = np.asarray(f.pose_covariance, float)
+    if c.shape != (6, 6) or not np.isfinite(c).all():
+        return float("inf"), float("inf")
+    turn, shift = (float(np.sqrt(max(np.linalg.eigvalsh(c[s, s])[-1], 0.0))) for s in (slice(0, 3), slice(3, 6)))
+    away = float(np.linalg.norm(f.camera_from_world.translation_m))
+    return float(np.degrees(turn)), float(divide(100 * shift, away))
 
 
 class Views:
@@ -88,7 +163,7 @@ def solve(
     keys = [m.key for m in markers]
     times = np.array([r.time_s for r in records])
     views = Views(records, markers, camera)
-    shot, cuts = _shots(records)
+    shot = _shots(records)
     layout = MarkerMap(dict(marker_map)) if marker_map else map_markers(views.frames, keys)
     if layout.unmapped:
         notices.append(f"never seen together with a mapped marker, so not used: {', '.join(layout.unmapped)}")
@@ -112,7 +187,7 @@ def solve(
         else:
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
-    facts, figures = _facts(records, views, path, layout, rotation, translation, covariance, shot, status, opacity)
+    facts, errors = _facts(records, views, path, layout, rotation, translation, covariance, shot, status, opacity)
     if params.static == "auto":
         poses = {f.index: f.camera_from_world for f in facts if f.camera_from_world is not None}
         static, evidence = decide_static(flow, poses, camera)
@@ -128,23 +203,37 @@ def solve(
     gap = status.count(INTERPOLATED)
     if gap:
         notices.append(f"{gap} frames without a marker bridged")
-    summary = {
-        "frames": len(records), "frames_measured": status.count(MEASURED), "frames_interpolated": gap,
-        "frames_absent": status.count(ABSENT), "shots": int(shot[-1]) + 1, "cuts": cuts, "flips_resolved": int(path.flips),
-        "whole_frame_searches": sum(r.whole for r in records), **figures, "sigma_factor": views.sigma_factor,
-        "markers_seen": {k: sum(any(s.key == k for s in r.seen) for r in records) for k in keys},
-        "rivals": rivals, "dropped": len(path.dropped), "static_evidence": evidence,
-        "map": {
-            "given": marker_map is not None, "frames": layout.frames, "rms_px": layout.rms_px,
-            "condition": layout.condition if np.isfinite(layout.condition) else None,
-            "unmapped": list(layout.unmapped), "sd_m": dict(layout.standard_deviation_m or {}),
-        },
-        "motion_noise": [d.tolist() for d in density],
+    placed = {
+        "given": marker_map is not None, "frames": layout.frames, "rms_px": layout.rms_px,
+        "condition": layout.condition if np.isfinite(layout.condition) else None,
+        "unmapped": list(layout.unmapped), "sd_m": dict(layout.standard_deviation_m or {}),
     }  # fmt: skip
-    return Analysis(facts, layout.world_from_marker, static, summary, tuple(notices))
+    summary = figures(
+        facts, keys, **errors, flips_resolved=int(path.flips), sigma_factor=views.sigma_factor, rivals=rivals,
+        dropped=len(path.dropped), static_evidence=evidence, map=placed, motion_noise=[d.tolist() for d in density],
+    )  # fmt: skip
+    anchor = anchor_marker(markers, layout.world_from_marker)
+    return Analysis(facts, layout.world_from_marker, static, summary, tuple(notices), anchor)
 
 
-def _shots(records: Sequence[Record]) -> tuple[np.ndarray, list[int]]:
+def figures(facts: Sequence[FrameFacts], keys: Sequence[str], **more: Any) -> dict[str, Any]:
+    """For the report: of the frames' facts, and what the caller knows beside them. keys : of the markers"""
+    count = Counter(f.status for f in facts)
+    ratios = np.array([m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)])
+    return {
+        "frames": len(facts), "frames_measured": count[MEASURED], "frames_interpolated": count[INTERPOLATED],
+        "frames_absent": count[ABSENT], "shots": facts[-1].shot + 1,
+        "cuts": [b.index for a, b in pairwise(facts) if a.shot != b.shot], "flips_resolved": 0,
+        "whole_frame_searches": sum(f.whole_frame_search for f in facts),
+        "reprojection_px": {"raw": _quantiles(NONE), "smoothed": _quantiles(NONE)}, "pose_condition": _quantiles(NONE),
+        "sigma_px": _quantiles(np.array([m.sigma_px for f in facts for m in f.markers])),
+        "ambiguity_ratio": _quantiles(ratios), "ambiguous_sightings": int((ratios < 4.0).sum()),
+        "markers_seen": {k: sum(any(m.key == k for m in f.markers) for f in facts) for k in keys},
+        "rivals": 0, "dropped": 0, "map": {"given": True, "frames": 0, "unmapped": []}, **more,
+    }  # fmt: skip
+
+
+def _shots(records: Sequence[Record]) -> np.ndarray:
     followed = [False]
     for a, b in pairwise(records):
         before = {s.key: s for s in a.seen}
@@ -152,7 +241,7 @@ def _shots(records: Sequence[Record]) -> tuple[np.ndarray, list[int]]:
     cuts = find_cuts([r.unlike[0] for r in records], [r.unlike[1] for r in records], followed)
     shot = np.zeros(len(records), int)
     shot[cuts] = 1
-    return np.cumsum(shot), cuts
+    return np.cumsum(shot)
 
 
 def _near(a: Seen, b: Seen) -> bool:
@@ -196,15 +285,12 @@ def _facts(
             float(smooth_px[k]) if on[k] else None, float(opacity[k]), markers, r.whole,
             blur_px=float(np.median(blur)) if blur else None,
         ))  # fmt: skip
-    ratios = [m.ambiguity for f in facts for m in f.markers if np.isfinite(m.ambiguity)]
     info = information(path.rotation[on], path.translation[on], seen.take(np.flatnonzero(on)))
-    figures = {
+    errors = {
         "reprojection_px": {"raw": _quantiles(raw_px[on]), "smoothed": _quantiles(smooth_px[on])},
-        "sigma_px": _quantiles(np.array([m.sigma_px for f in facts for m in f.markers])),
-        "ambiguity_ratio": _quantiles(np.array(ratios)), "ambiguous_sightings": int(np.sum(np.array(ratios) < 4.0)),
         "pose_condition": _quantiles(_conditions(info)),
-    }  # fmt: skip
-    return tuple(facts), figures
+    }
+    return tuple(facts), errors
 
 
 def _with_choice(m: MarkerSighting, world_from_marker: Mapping[str, Pose], raw: Pose | None) -> MarkerSighting:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Fold
+from arfx.analyse.fold import Stateful
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.core.numerics import divide
 
@@ -81,7 +81,7 @@ def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray, fade_frames:
     return out
 
 
-class CutSignal(Fold):
+class CutSignal(Stateful):
     """Unlikeness of successive frames, 0 (same up to brightness and contrast) to 2."""
 
     def __init__(self) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from arfx.analyse.fold import Analysis, Fold
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import EPS_DEPTH_M
@@ -15,6 +16,16 @@ from arfx.core.scene import Scene
 
 _AT_ONCE = 1 << 13  # points that are projected at a time: they stay in the cache
 _HULL_POINTS = 400  # above this many vertices their convex hull is taken once: it projects to the same box
+
+
+class ModelBox(Fold):
+    """Where the job's model is in the picture."""
+
+    name = "object"
+    needs = ("pose",)
+
+    def finish(self, clip: Analysis) -> Analysis:
+        return clip if self.job.scene is None else clip.adding(with_model(clip.facts, self.job.scene(clip)))
 
 
 def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, ...]:

@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import dictionary
-from arfx.analyse.records import Record, Seen
+from arfx.analyse.markers.detect import Record, Seen, dictionary
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_from_rotvec

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.folds import Analyser, Analysis
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
+from arfx.analyse.folds import Analyser
 from arfx.analyse.lens import side_blurs
 from arfx.core.colour import SRGB
 from arfx.core.lens_fit import lens_from_blur
@@ -35,10 +36,11 @@ def blurred(pose: Pose, radius_px: float, seed: int) -> np.ndarray:
 
 
 def analysed(px_per_dioptre: float, focus_m: list[float], distance_m: np.ndarray) -> Analysis:
-    analyser = Analyser((MARKER,), CAMERA, folds=frozenset({"lens"}))
+    analyser = Analyser(AnalysisJob((MARKER,), CAMERA), {"lens"})
     for k, (z, focus) in enumerate(zip(distance_m, focus_m, strict=True)):
         turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-12, 0, 0) @ rotation_from_euler_deg(0, 0, 17)
-        analyser.step(k, k / 25, blurred(Pose(turn, np.array([0, 0, z])), px_per_dioptre * abs(1 / z - 1 / focus), k))
+        luma = blurred(Pose(turn, np.array([0, 0, z])), px_per_dioptre * abs(1 / z - 1 / focus), k)
+        analyser.step(AnalysisFrame(k, k / 25, luma))
     return analyser.finish()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.facts_file import write_facts
-from arfx.analyse.params import AnalyseParams, LightParams
+from arfx.analyse.fold import AnalysisJob
 from arfx.core import codec
 from arfx.media.clip import probe
 from arfx.run import analysis
@@ -22,6 +22,7 @@ from arfx.run.folder import JobFolder
 from tests.clips import MARKER, clip_camera, write_clip
 
 FRAMES = 40
+OF = ["key", "marker", "markers", "pose", "light"]
 
 
 @pytest.fixture(autouse=True)
@@ -59,9 +60,8 @@ def analysed(clip: Path, job: Path, stop: int | None = None, folds: frozenset[st
 
     job.mkdir(exist_ok=True)
     return analyse_clip(
-        probe(clip), clip_camera(), (MARKER,), AnalyseParams(), None, (None, None), progress, JobFolder(job), "key",
-        LightParams(), None, folds,
-    )  # fmt: skip
+        probe(clip), AnalysisJob((MARKER,), clip_camera()), {"light", *folds}, (None, None), progress, JobFolder(job), "key"
+    )
 
 
 def written(done: Pass, path: Path) -> tuple[Any, ...]:
@@ -97,19 +97,19 @@ def test_a_checkpoint_of_anything_else_is_passed_over(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         analysed(clip, job.path, 30)
     good = job.checkpoint.read_bytes()
-    assert Checkpoint(job.checkpoint, ["key", "Analyser"]).read() is not None
+    assert Checkpoint(job.checkpoint, OF).read() is not None
     bad = [
         b"", b'{"key": "key", "pts": [0], "state": {}}', good[:-1], good[:1000] + b"\xff" + good[1001:],
-        good.replace(b"state 1", b"state 0"), codec.dumps({"of": ["other", "Analyser"], "state": {}}), codec.dumps([1]),
-        codec.dumps({"of": ["key", "PlaneFold"], "state": {}}), codec.dumps({"of": ["key", "Analyser"], "state": np.zeros(1)}),
+        good.replace(b"state 1", b"state 0"), codec.dumps({"of": ["other", *OF[1:]], "state": {}}), codec.dumps([1]),
+        codec.dumps({"of": ["key", "plane", *OF[2:]], "state": {}}), codec.dumps({"of": OF, "state": np.zeros(1)}),
     ]  # fmt: skip
     for data in bad:
         job.checkpoint.write_bytes(data)
-        assert Checkpoint(job.checkpoint, ["key", "Analyser"]).read() is None
+        assert Checkpoint(job.checkpoint, OF).read() is None
     assert written(analysed(clip, job.path), tmp_path / "again.jsonl") == whole
     job.checkpoint.unlink()
     job.checkpoint.mkdir()
-    assert Checkpoint(job.checkpoint, ["key", "Analyser"]).read() is None
+    assert Checkpoint(job.checkpoint, OF).read() is None
     shutil.rmtree(job.path)
 
 
@@ -118,7 +118,7 @@ def test_what_is_slow_to_write_down_is_written_less_often(tmp_path: Path, monkey
     monkeypatch.setattr(analysis, "CHECKPOINT_S", 20.0)
     monkeypatch.setattr(analysis.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(analysis, "write_bytes", lambda path, data: now.__setitem__(0, now[0] + 3.0))
-    kept = Checkpoint(tmp_path / "c", ["key", "Analyser"])
+    kept = Checkpoint(tmp_path / "c", OF)
     now[0] = 20.5
     assert kept.due()
     kept.write({})

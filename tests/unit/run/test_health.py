@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from arfx.analyse.pose.fold import _deviation
 from arfx.core.cube import face_directions
 from arfx.core.health import Check, JobView
-from arfx.run.health import _pose_deviation, non_finite, picture, stated
+from arfx.run.health import non_finite, picture, stated
 from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio
 from tests.scenes import facts, scene
 
@@ -42,13 +43,13 @@ def test_numbers_that_are_not_finite_are_counted_but_for_those_that_mean_unknown
     assert non_finite([{"confidence_deg": math.inf}]) == 0 and non_finite([{"confidence_deg": math.nan}]) == 1
 
 
-def test_pose_deviation_is_in_degrees_and_percent() -> None:
+def test_deviation_is_in_degrees_and_percent() -> None:
     f = facts(scene())
     c = np.diag([1e-4, 1e-4, 4e-4, 1e-6, 1e-6, 4e-6])
-    turn, share = _pose_deviation(f.with_(pose_covariance=c))
+    turn, share = _deviation(f.with_(pose_covariance=c))
     assert turn == pytest.approx(np.degrees(0.02)) and share == pytest.approx(100 * 0.002 / 0.5)
-    assert _pose_deviation(f) is None
-    assert _pose_deviation(f.with_(pose_covariance=c * np.nan)) == (math.inf, math.inf)
+    assert _deviation(f) is None
+    assert _deviation(f.with_(pose_covariance=c * np.nan)) == (math.inf, math.inf)
 
 
 def test_what_a_calibration_says_of_itself_is_read(tmp_path) -> None:

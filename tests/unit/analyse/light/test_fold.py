@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from arfx.analyse.light.fold import LightMeter, _certain_bias, lighted
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
+from arfx.analyse.light.fold import LightOfMarkers, Reading, _certain_bias, lighted
 from arfx.analyse.light.light_map import LightMap, Params
 from arfx.analyse.light.lighting_paper import _upright
 from arfx.analyse.light.patches import WHITE, Patches
 from arfx.analyse.light.surroundings import Look, look_up
+from arfx.analyse.markers.detect import Seen
 from arfx.analyse.params import LightParams, parse_light
-from arfx.analyse.records import Analysis, Seen
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise
@@ -23,10 +25,19 @@ from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError
 from arfx.stages.lightmap.printed_map import printed_map
+from tests.clips import clip_camera
 
 KEY, MARKER = "36h11:3", MarkerSpec("36h11", 3, 0.1)
 LAMP = normalise(np.array([-0.6, -0.5, -0.6]))  # camera axes: left, above, behind the camera
 AMBIENT, DIRECT = np.array([0.22, 0.23, 0.26]), np.array([0.6, 0.56, 0.5])
+
+
+@dataclass
+class Meter:
+    """What the fold has taken."""
+
+    readings: list[Reading] = field(default_factory=list)
+    looks: list[Look] = field(default_factory=list)
 
 
 @dataclass
@@ -41,8 +52,8 @@ class Clip:
     bias: float = 0.004
     lamp: np.ndarray = field(default_factory=lambda: LAMP)
 
-    def made(self) -> tuple[Analysis, LightMeter]:
-        rng, meter, facts = np.random.default_rng(3), LightMeter(), []
+    def made(self) -> tuple[Analysis, Meter]:
+        rng, meter, facts = np.random.default_rng(3), Meter(), []
         for k in range(self.frames):
             a = np.pi * k / self.frames
             turn = rotation_from_euler_deg(180 + self.tilt_deg * np.sin(2 * a + 0.4), self.tilt_deg * np.cos(a), 0)
@@ -64,7 +75,7 @@ class Clip:
                 cube = np.full((6, 6, 6, 3), 0.2)
                 cube[0] = 0.9  # bright to the right
                 meter.looks.append(Look(k, cube, np.full(3, 0.3)))
-        return Analysis(tuple(facts), {KEY: Pose.identity()}, self.static), meter
+        return Analysis(tuple(facts), {KEY: Pose.identity()}, self.static, anchor=MARKER), meter
 
     def exact(self, k: int, facts: FrameFacts, normal_world: np.ndarray) -> np.ndarray:
         assert facts.camera_from_world is not None
@@ -73,7 +84,8 @@ class Clip:
 
 
 def run(clip: Clip, params: LightParams | None = None, panorama: np.ndarray | None = None) -> Analysis:
-    return lighted(*clip.made(), (MARKER,), params or LightParams(), panorama)
+    analysis, meter = clip.made()
+    return lighted(analysis, meter.readings, meter.looks, params or LightParams(), panorama)
 
 
 UP = np.array([0.0, 0, 1])
@@ -129,7 +141,7 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
     for k, key, patches in meter.readings[10:15]:
         patches.mean[[0, 2, 4, 6]] = 0.4 * (patches.mean[[0, 2, 4, 6]] - 0.004) + 0.004  # the left half
         assert key == KEY and k in range(10, 15)
-    done = lighted(analysis, meter, (MARKER,), LightParams())
+    done = lighted(analysis, meter.readings, meter.looks, LightParams())
     assert done.summary["light"]["verdict"] == "measured" and done.summary["light"]["frames_shaded"] == 5
     shadow = done.facts[12].plane_shadow
     assert (
@@ -143,7 +155,7 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
 def test_nothing_that_rests_means_no_direction() -> None:
     clip = Clip()
     analysis, meter = clip.made()
-    moving = lighted(Analysis(analysis.facts, analysis.world_from_marker, "both"), meter, (MARKER,), LightParams())
+    moving = lighted(replace(analysis, static="both"), meter.readings, meter.looks, LightParams())
     assert moving.summary["light"]["verdict"] == "refused" and "both move" in moving.summary["light"]["reason"]
 
 
@@ -202,7 +214,7 @@ def test_a_panorama_gives_its_lamp_and_its_sky() -> None:
 
 def test_no_reading_at_all_still_gives_a_light() -> None:
     analysis, _ = Clip(frames=5).made()
-    done = lighted(analysis, LightMeter(), (MARKER,), LightParams())
+    done = lighted(analysis, (), (), LightParams())
     report = done.summary["light"]
     assert report["verdict"] == "refused" and report["source"] == "ambient" and done.facts[0].light is not None
     json.dumps(report, allow_nan=False)
@@ -214,7 +226,7 @@ def test_a_black_clip_is_finite() -> None:
         (k, key, Patches(p.mean * 0, p.variance, WHITE, p.count, p.clipped + 1, p.highlight)) for k, key, p in meter.readings
     ]
     meter.readings = black
-    done = lighted(analysis, meter, (MARKER,), LightParams())
+    done = lighted(analysis, meter.readings, meter.looks, LightParams())
     for f in done.facts:
         assert f.light is not None and np.isfinite(f.light.radiance(UP)).all()
     json.dumps(done.summary["light"], allow_nan=False)
@@ -264,9 +276,10 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
             return self.linear(self.rect)
 
     seen = [Seen(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)]
-    whole = LightMeter()
+    markers: Any = SimpleNamespace(seen=seen)
+    whole = LightOfMarkers(AnalysisJob((MARKER,), clip_camera()), markers, markers)
     for k in range(6):
-        whole.step(k, k * 0.3, seen, Grey())
+        whole.step(AnalysisFrame(k, k * 0.3, np.zeros((48, 64), np.uint8), Grey()))
     assert len(whole.readings) == 6 and len(whole.looks) == 3  # looks every .5 s
 
 

@@ -144,12 +144,12 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     d = face_directions(8)
     room = np.stack([1 + d[..., 0], 1 + d[..., 1], 1 + 0 * d[..., 2]], -1)
     looks = [Look(k, turned(room, p.rotation.T), np.zeros(3)) for k, p in enumerate(poses)]
-    made = with_environment(facts, looks, False, None, np.eye(3), np.zeros(3))
+    made = with_environment(facts, looks, False, None, np.eye(3))
     assert made[3].environment is None and made[0].environment is made[2].environment is not None
     np.testing.assert_allclose(checked(made[0].environment), room, atol=0.12)
     # a camera that stands still sees the same while the marker turns: other axes every frame, one room
-    still = with_environment(facts, [Look(0, room, np.zeros(3))], True, None, np.eye(3), np.zeros(3))
+    still = with_environment(facts, [Look(0, room, np.zeros(3))], True, None, np.eye(3))
     back = turned(checked(still[2].environment), poses[2].rotation.T)
     np.testing.assert_allclose(back, room, atol=0.25)
-    given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3), np.zeros(3))
+    given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3))
     np.testing.assert_allclose(checked(given[1].environment), 0.3, rtol=2e-3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.analyse.markers.corners import aliasing_px, linear_table, refine_corners
 from arfx.core.colour import Transfer
@@ -99,14 +100,14 @@ def test_frontal_40_px_print_without_any_blur_is_never_mirrored(seed: int) -> No
     """Rolls through upright, where all samples of a side see the same step: corners were off by .15 px, poses by 5 deg."""
     m, cam = MarkerSpec("36h11", 3, 0.06), camera(320, 240, 433.0)
     back, phase = background(320, 240), np.random.default_rng(seed).uniform(0, 6, 4)
-    analyser, truth = Analyser((m,), cam), []
+    analyser, truth = Analyser(AnalysisJob((m,), cam)), []
     for k in range(40):
         a = k / 24
         roll = np.radians(8) * np.sin(2.2 * a + phase[0])
         tilt = np.array([0.045 + 0.004 * np.sin(3 * a + phase[1]), 0.02 + 0.004 * np.sin(2.5 * a + phase[2]), 0])
         place = np.array([0.004 + 0.003 * np.sin(2 * a + phase[3]), -0.01, 433 * 0.06 / 40 * (1 - 0.03 * a)])
         pose = Pose(rotation_from_rotvec(tilt) @ rotation_from_rotvec(np.array([0, 0, roll])) @ FACING, place)
-        analyser.step(k, a, picture(cam, [(m, pose)], back, noise=0.5, blur_px=0, seed=k))
+        analyser.step(AnalysisFrame(k, a, picture(cam, [(m, pose)], back, noise=0.5, blur_px=0, seed=k)))
         truth.append(pose)
     facts = analyser.finish().facts
     for smoothed, limit_deg in ((False, 4.0), (True, 1.0)):

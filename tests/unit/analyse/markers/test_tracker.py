@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.folds import AnalyseParams, Analyser
+from arfx.analyse.fold import AnalysisFrame, AnalysisJob
+from arfx.analyse.folds import Analyser
 from arfx.analyse.markers.detect import MarkerDetector
+from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.tracker import Tracker
-from arfx.analyse.params import LightParams
+from arfx.analyse.params import AnalyseParams
 from arfx.core import codec
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
@@ -129,14 +131,14 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
 def run(analyser: Analyser, first: int, end: int) -> None:
     for k in range(first, end):
         markers = [(M, at(300 + 6 * k, 200, 0.2 + 0.02 * k))] if k not in (6, 7) else []
-        analyser.step(k, k / 15, frame(*markers, seed=k))
+        analyser.step(AnalysisFrame(k, k / 15, frame(*markers, seed=k)))
 
 
 def test_checkpoint_continues_to_the_same_facts() -> None:
-    whole, first = Analyser((M,), CAM), Analyser((M,), CAM)
+    whole, first = Analyser(AnalysisJob((M,), CAM)), Analyser(AnalysisJob((M,), CAM))
     run(whole, 0, 16)
     run(first, 0, 9)
-    second = Analyser((M,), CAM)
+    second = Analyser(AnalysisJob((M,), CAM))
     second.restore(codec.loads(codec.dumps(first.state())))
     run(second, 9, 16)
     a, b = whole.finish(), second.finish()
@@ -149,18 +151,18 @@ def test_checkpoint_continues_to_the_same_facts() -> None:
 
 
 def test_no_configured_marker_says_what_is_there_instead() -> None:
-    a = Analyser((OTHER,), CAM)
+    a = Analyser(AnalysisJob((OTHER,), CAM))
     for k in range(4):
-        a.step(k, k / 30, frame((M, at(300, 200)), seed=k))
+        a.step(AnalysisFrame(k, k / 30, frame((M, at(300, 200)), seed=k)))
     with pytest.raises(NothingToDoError, match=r"36h11:7.*36h11:3"):
         a.finish()
-    b = Analyser((MarkerSpec("5X5_50", 2, 0.1),), CAM)
+    b = Analyser(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
     for k in range(4):
-        b.step(k, k / 30, frame((M, at(300, 200)), seed=k))
+        b.step(AnalysisFrame(k, k / 30, frame((M, at(300, 200)), seed=k)))
     with pytest.raises(NothingToDoError, match=r"tried: 5X5_50; other dictionaries saw: 36h11:3"):
         b.finish()
-    c = Analyser((M,), CAM)
-    c.step(0, 0.0, frame())
+    c = Analyser(AnalysisJob((M,), CAM))
+    c.step(AnalysisFrame(0, 0.0, frame()))
     with pytest.raises(NothingToDoError, match="no marker of any dictionary") as e:
         c.finish()
     assert e.value.exit_code == 4
@@ -168,29 +170,30 @@ def test_no_configured_marker_says_what_is_there_instead() -> None:
 
 def test_wrong_input_is_refused() -> None:
     with pytest.raises(ConfigError, match="twice"):
-        Analyser((M, M), CAM)
+        Analyser(AnalysisJob((M, M), CAM))
     with pytest.raises(ConfigError):
-        Analyser((), CAM)
+        Analyser(AnalysisJob((), CAM))
     with pytest.raises(ConfigError, match="map holds none"):
-        Analyser((M,), CAM, marker_map={"36h11:9": Pose.identity()})
+        Analyser(AnalysisJob((M,), CAM, marker_map={"36h11:9": Pose.identity()}))
     with pytest.raises(ConfigError, match="static"):
         AnalyseParams(static="both")
-    a = Analyser((M,), CAM)
+    a = Analyser(AnalysisJob((M,), CAM))
     with pytest.raises(InputError, match="uint8"):
-        a.step(0, 0.0, np.zeros((540, 960)))
+        a.step(AnalysisFrame(0, 0.0, np.zeros((540, 960))))
     with pytest.raises(ArfxError, match="aspect"):
-        a.step(0, 0.0, np.zeros((540, 540), np.uint8))
-    a.step(0, 0.0, frame())
+        a.step(AnalysisFrame(0, 0.0, np.zeros((540, 540), np.uint8)))
+    a.step(AnalysisFrame(0, 0.0, frame()))
     with pytest.raises(InputError, match="comes after"):
-        a.step(1, 0.0, frame())
+        a.step(AnalysisFrame(1, 0.0, frame()))
     with pytest.raises(InputError, match="frames before"):
-        a.step(2, 0.1, np.zeros((270, 480), np.uint8))
+        a.step(AnalysisFrame(2, 0.1, np.zeros((270, 480), np.uint8)))
 
 
 def test_camera_of_another_size_is_scaled() -> None:
-    a = Analyser((M,), camera(1920, 1080, 1800.0))
-    a.step(0, 0.0, frame((M, at(400, 300))))
-    assert (a.camera.width, a.camera.fx) == (960, 900.0)
+    a = Analyser(AnalysisJob((M,), camera(1920, 1080, 1800.0)))
+    a.step(AnalysisFrame(0, 0.0, frame((M, at(400, 300)))))
+    markers = a.folds["markers"]
+    assert isinstance(markers, Markers) and (markers.camera.width, markers.camera.fx) == (960, 900.0)
 
 
 @pytest.mark.parametrize("change", ["distortion", "size"])
@@ -199,8 +202,8 @@ def test_markers_that_no_pose_fits_are_nothing_to_work_on(change: str) -> None:
         "distortion": Camera(960, 540, CAM.matrix, np.array([1e9, 0, 0, 0])),
     }.get(change, CAM)
     marker = MarkerSpec("36h11", 3, 1e-300 if change == "size" else 0.1)
-    a = Analyser((marker,), cam, light=LightParams())
+    a = Analyser(AnalysisJob((marker,), cam), {"light"})
     for k in range(6):
-        a.step(k, k / 15, frame((M, at(300 + 6 * k, 200)), seed=k))
+        a.step(AnalysisFrame(k, k / 15, frame((M, at(300 + 6 * k, 200)), seed=k)))
     with np.errstate(all="ignore"), pytest.raises(NothingToDoError, match="in 6 of 6 frames, but no pose fits"):
         a.finish()

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from arfx.analyse.facts_file import read_facts, write_facts
+from arfx.analyse.markers.detect import Record, Seen
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_distance
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.presence import CutSignal, find_cuts, lasting, opacities, stretches, unlikeness
 from arfx.analyse.pose.visibility import trembling_px, with_model
-from arfx.analyse.records import Record, Seen
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from arfx.analyse.fold import Analysis
+from arfx.analyse.markers.detect import Record
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.chain import LEAST, SHAKE, SIDEWAYS
 from arfx.analyse.pose.fold import solve
-from arfx.analyse.records import Analysis, Record
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec

@@ -1,0 +1,107 @@
+"""The configured markers in every frame: found, their corners refined, cuts between shots noticed; and what else was there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.markers.corners import EdgeRefiner
+from arfx.analyse.markers.detect import Candidate, Record, Seen, Survey
+from arfx.analyse.markers.tracker import Found, Tracker
+from arfx.analyse.pose.presence import CutSignal
+from arfx.errors import ConfigError, InputError, NothingToDoError
+
+
+class Markers(Fold):
+    """records : of every frame;  camera : at the clip's size
+
+    seen : in the last frame, as it was refined at once;  prints : these and their rivals
+    """
+
+    name = "markers"
+
+    def __init__(self, job: AnalysisJob) -> None:
+        super().__init__(job)
+        if not job.markers:
+            raise ConfigError("no marker is configured", "for example --marker 36h11:3:165mm")
+        twice = [k for k, n in Counter(m.key for m in job.markers).items() if n > 1]
+        if twice:
+            raise ConfigError(f"marker {twice[0]} is configured twice")
+        if job.marker_map is not None and not any(m.key in job.marker_map for m in job.markers):
+            raise ConfigError("the marker map holds none of the configured markers", f"it holds {', '.join(job.marker_map)}")
+        self.camera = job.camera
+        self.records: list[Record] = []
+        self.seen: tuple[Seen, ...] = ()
+        self.prints: tuple[Seen, ...] = ()
+        self._tracker = Tracker([m.key for m in job.markers], job.params)
+        self._refiner = EdgeRefiner(job.params.transfer)
+        self._cut, self._survey = CutSignal(), Survey()
+        self._others: Counter[str] = Counter()
+        self._ever_seen = False
+
+    @property
+    def table(self) -> np.ndarray:
+        """(256,) coded luma to linear light, as decided so far."""
+        return self._refiner.table
+
+    def step(self, frame: AnalysisFrame) -> None:
+        luma = self._checked(frame)
+        found = self._tracker.step(frame.time_s, luma, frame.following)
+        self.prints = self._refined(luma, found)
+        self.seen = self.prints[: len(found.sightings)]
+        self._others.update(found.others)
+        self._ever_seen |= bool(self.seen)
+        if self.job.params.survey and not self._ever_seen:
+            self._survey.step(frame.index, luma)
+        rivals = self.prints[len(self.seen) :]
+        self.records.append(Record(frame.index, frame.time_s, self.seen, rivals, found.whole, self._cut.step(luma)))
+        for k, replaced in self._refiner.corrections():
+            r = self.records[k]
+            n = len(r.seen)
+            self.records[k] = replace(r, seen=replaced[:n], rivals=replaced[n:])
+
+    def _checked(self, frame: AnalysisFrame) -> np.ndarray:
+        """(h, w) uint8. Raises InputError."""
+        index, time_s, luma, records = frame.index, frame.time_s, frame.luma, self.records
+        if luma.ndim != 2 or luma.dtype != np.uint8:
+            raise InputError(f"frame {index}: luma is {luma.dtype} of shape {luma.shape}", "uint8 of shape (height, width)")
+        if (luma.shape[1], luma.shape[0]) != (self.camera.width, self.camera.height):
+            if records:
+                raise InputError(f"frame {index} is {luma.shape[1]}x{luma.shape[0]}, the frames before it are not")
+            self.camera = self.camera.scaled_to(luma.shape[1], luma.shape[0])
+        if index != len(records) or (records and time_s <= records[-1].time_s):
+            last = f" after frame {records[-1].index} at {records[-1].time_s:g} s" if records else ", which is not the first"
+            raise InputError(f"frame {index} at {time_s:g} s comes{last}")
+        return luma
+
+    def _refined(self, luma: np.ndarray, found: Found) -> tuple[Seen, ...]:
+        every: tuple[Candidate, ...] = (*found.sightings, *found.rivals)
+        if not self.job.params.refine:
+            return tuple(Seen(c.key, c.quad_px, 1.0, float("nan"), False) for c in every)
+        return self._refiner.refine(len(self.records), luma, every, self.camera)
+
+    def finish(self, clip: Analysis) -> Analysis:
+        """Raises NothingToDoError if no configured marker was ever seen, saying what was."""
+        if not self.records:
+            raise NothingToDoError("the clip holds no frame", "is it empty, or does --start lie behind its end?")
+        if not self._ever_seen:
+            raise self._nothing()
+        return clip.adding(edge_transfer=self._refiner.transfer)
+
+    def _nothing(self) -> NothingToDoError:
+        wanted = ", ".join(m.key for m in self.job.markers)
+        families = ", ".join(dict.fromkeys(m.family for m in self.job.markers))
+        message = f"no configured marker ({wanted}) in {len(self.records)} frames; dictionaries tried: {families}"
+        ids = sorted(self._others, key=lambda k: (-self._others[k], k))[:6]
+        other = self._survey.text()
+        if ids:
+            return NothingToDoError(f"{message}; ids of the same dictionary seen: {', '.join(ids)}",
+                                    f"configure one of those: --marker {ids[0]}:SIZE")  # fmt: skip
+        if other:
+            first = self._survey.likeliest()[0]
+            return NothingToDoError(f"{message}; other dictionaries saw: {other}", f"perhaps --marker {first}:SIZE")
+        return NothingToDoError(f"{message}; no marker of any dictionary was seen",
+                                "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?")  # fmt: skip
