@@ -128,8 +128,9 @@ class Document:
     """Base of dataclasses that JSON files hold: written and read by the types of their fields, through one pair of functions
     for each class. A field that the JSON lacks has its default.
 
-    Types: what JSON holds itself, Any, Path, Fraction; arrays (lists of numbers, float64 when read; or `Packed`); `Unbounded`;
-    Documents, and classes with a `to_json` and `from_json` of their own; tuples, sequences, mappings and optionals of these.
+    Types: what JSON holds itself, Any, Path, Fraction; arrays (lists of numbers, float64 when read; with `Gaps`, or `Packed`);
+    `Unbounded`; Documents, and classes with a `to_json` and `from_json` of their own; tuples, sequences, mappings and
+    optionals of these.
     """
 
     __slots__ = ()
@@ -165,6 +166,20 @@ class Packed:
 class _Infinite:
     write = staticmethod(lambda v: v if math.isfinite(v) else None)
     read = staticmethod(lambda v: math.inf if v is None else v)
+
+
+class Gaps:
+    """Annotation of a float or an array in which what is not finite is unknown: null, NaN when read."""
+
+    @staticmethod
+    def write(v: float | np.ndarray) -> Any:
+        out = np.array(v, object)
+        out[~np.isfinite(v)] = None
+        return out.tolist()
+
+    @staticmethod
+    def read(v: Any) -> Any:
+        return np.array(v, float)[()]
 
 
 Unbounded = Annotated[float, _Infinite]  # a float that may be infinite, which JSON cannot say: null

@@ -40,6 +40,13 @@ class Transfer:
             pass
         raise ConfigError(f"unknown transfer {self.name!r}", "one of srgb, bt709, bt1886, gamma:2.2")
 
+    def to_json(self) -> str:
+        return self.name
+
+    @staticmethod
+    def from_json(name: str) -> Transfer:
+        return Transfer(name)
+
     @property
     def curve(self) -> tuple[float, float, float, float]:
         """(toe, slope, alpha, power): a line v / slope up to the coded value `toe`, ((v + alpha - 1) / alpha)^power above."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from arfx.core.codec import Document
 from arfx.core.machine import processor_name, usable_cores
 from arfx.core.places import cache_folder
 
@@ -61,7 +62,7 @@ def together(parts: Iterable[Prediction]) -> Prediction:
 
 
 @dataclass(frozen=True)
-class Price:
+class Price(Document):
     """coefficients : seconds per unit of each term, >= 0;  spread : of log(measured / predicted);  runs : fitted to so many"""
 
     coefficients: Mapping[str, float]
@@ -70,9 +71,6 @@ class Price:
 
     def seconds(self, terms: Mapping[str, float]) -> float:
         return float(sum(c * terms.get(t, 0.0) for t, c in self.coefficients.items()))
-
-    def to_json(self) -> dict[str, Any]:
-        return {"coefficients": dict(self.coefficients), "spread": self.spread, "runs": self.runs}
 
 
 @dataclass(frozen=True)
@@ -113,12 +111,10 @@ class Prices:
         """Raises ValueError, KeyError or TypeError for what is not a price list of this format."""
         if d["format"] != FORMAT:
             raise ValueError("price list of another format")
-        prices = {}
-        for key, p in d["prices"].items():
-            coefficients = {t: float(c) for t, c in p["coefficients"].items()}
-            if not all(t in TERMS and math.isfinite(c) and c >= 0 for t, c in coefficients.items()):
+        prices = {key: Price.from_json(p) for key, p in d["prices"].items()}
+        for key, p in prices.items():
+            if not all(t in TERMS and math.isfinite(c) and c >= 0 for t, c in p.coefficients.items()):
                 raise ValueError(f"price of {key}")
-            prices[key] = Price(coefficients, float(p["spread"]), int(p["runs"]))
         alone = float(d.get("alone", 1.0))
         if not 0 < alone <= 1:
             raise ValueError("price list: alone")

@@ -11,7 +11,7 @@ import os
 import platform
 import shutil
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ import numpy as np
 
 import arfx
 from arfx.core import compiled
+from arfx.core.codec import Document
 from arfx.core.machine import processor_name, usable_cores
 from arfx.errors import ArfxError
 from arfx.run.memory import free_mb
@@ -33,7 +34,7 @@ LOW_MEMORY_MB, LOW_DISK_MB = 1500, 2000  # a 1080p job peaks near 700 MB a worke
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Document):
     """One line of the doctor. essential : arfx cannot do its main job without it;  fix : empty when ok"""
 
     group: str
@@ -42,9 +43,6 @@ class Check:
     detail: str
     fix: str = ""
     essential: bool = False
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def examine(folder: Path) -> list[Check]:

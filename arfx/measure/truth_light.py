@@ -42,7 +42,7 @@ def light_errors(
         key = next(k for k in world_from_marker if k in frame.markers)
         turn = world_from_marker[key].rotation
         claimed = max(fact.light.lights, key=lambda li: sum(li.rgb))
-        lamps = frame.lights["lights"]
+        lamps = frame.lights
         off = [float(np.degrees(angle_between(claimed.unit, turn @ np.array(li["marker"][key])))) for li in lamps]
         if not off:
             false += 1
@@ -70,8 +70,8 @@ def _irradiance(fact: FrameFacts, frame: FrameTruth, world_from_marker: Mapping[
     for key, marker in frame.markers.items():
         if key not in world_from_marker or marker.visible < OPEN or marker.facing < 0.3:
             continue
-        exact = np.array(frame.lights["ambient_rgb"], float)
-        for lamp in frame.lights["lights"]:
+        exact = np.array(frame.ambient_rgb, float)
+        for lamp in frame.lights:
             exact = exact + max(float(np.array(lamp["marker"][key])[2]), 0.0) * np.array(lamp["rgb"])
         told = fact.light.radiance(world_from_marker[key].rotation[:, 2])
         out += divide(np.abs(told - frame.gain * exact), max(float(frame.gain * exact.max()), 1e-6)).tolist()

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.facts_file import read_facts
 from arfx.config.load import load
 from arfx.core import interrupt
+from arfx.core.facts_file import read_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
 
+from arfx.core.codec import Document
 from arfx.core.colour import SRGB, Transfer
 from arfx.errors import InputError
 from arfx.media.containers import check_size, open_video
@@ -24,7 +25,7 @@ _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 
 
 @dataclass(frozen=True)
-class StreamInfo:
+class StreamInfo(Document):
     """One stream of the file. used : the video stream that is processed;  picture : a cover, not a video
 
     broken : its header does not say how it is to be played
@@ -43,7 +44,7 @@ class StreamInfo:
 
 
 @dataclass(frozen=True)
-class ClipInfo:
+class ClipInfo(Document):
     """A clip's properties. width, height : upright px;  coded_* : as stored;  rotation_deg : counter-clockwise turn to upright.
 
     full_range, matrix : as used; matrix_stated is False when the stream names none (bt709 from 720 lines up, else bt601)
@@ -101,16 +102,6 @@ class ClipInfo:
             self.layout, self.coded_width, self.coded_height, self.time_base, self.matrix, self.full_range,
             self.transfer, self.chroma_location, self.orientation,
         )  # fmt: skip
-
-    def to_json(self) -> dict[str, Any]:
-        d = {k: getattr(self, k) for k in self.__dataclass_fields__}
-        d.update(
-            path=str(self.path), time_base=str(self.time_base), transfer=self.transfer.name,
-            sample_aspect=None if self.sample_aspect is None else str(self.sample_aspect),
-            display_matrix=None if self.display_matrix is None else list(self.display_matrix),
-            streams=[asdict(s) for s in self.streams], notices=list(self.notices),
-        )  # fmt: skip
-        return d
 
 
 def video_stream(container: Any, path: Path) -> Any:

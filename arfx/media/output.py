@@ -12,6 +12,7 @@ from typing import Any
 
 import av
 
+from arfx.core.codec import Document
 from arfx.errors import ConfigError
 from arfx.media.clip import UNSPECIFIED, ClipInfo
 from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, holdable, nearest_format, open_encoder
@@ -34,7 +35,7 @@ class OutputSettings:
 
 
 @dataclass(frozen=True)
-class OutputPlan:
+class OutputPlan(Document):
     """What will be written. container : FFmpeg's muxer, "" for an image sequence;  options : the encoder's, in order
 
     matrix, full_range : of the written samples;  *_tag : as written into the file (ITU-T H.273)
@@ -60,19 +61,6 @@ class OutputPlan:
     def is_sequence(self) -> bool:
         """Whether it is a folder of images."""
         return self.container == ""
-
-    def to_json(self) -> dict[str, Any]:
-        d = {k: getattr(self, k) for k in self.__dataclass_fields__}
-        d.update(path=str(self.path), options=dict(self.options), streams=list(self.streams), notices=list(self.notices))
-        return d
-
-    @staticmethod
-    def from_json(d: dict[str, Any]) -> OutputPlan:
-        d = dict(d)
-        d.update(
-            path=Path(d["path"]), options=tuple(d["options"].items()), streams=tuple(d["streams"]), notices=tuple(d["notices"])
-        )
-        return OutputPlan(**d)
 
 
 def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = None) -> OutputPlan:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
 from arfx.core.opener import read_text
 from arfx.core.plan import levels_of
-from arfx.core.pose import find_rotvecs
 from arfx.core.scene import Scene
 from arfx.errors import InputError
 from arfx.plan.planner import plan_frame
@@ -41,10 +39,8 @@ def health(job: Job) -> list[dict[str, Any]]:
     absent = sum(f.status == ABSENT for f in facts)
     rows.append(Check("frames without a pose", absent, 0, absent == 0, "object left out there"))
     rows.append(Check("source file", truncated or "whole", "whole", truncated is None, "processed to its last good frame"))
-    find_rotvecs(p for f in facts for p in f.poses)
-    bad = non_finite(f.to_json() for f in facts)
-    rows.append(Check("values that are not finite in the facts", bad, 0, bad == 0, "frames with them are not drawn"))
-    rows.append(Check("values that are not finite in the pictures", 0, 0, True, "the job would have stopped there"))
+    for where in ("facts", "pictures"):
+        rows.append(Check(f"values that are not finite in the {where}", 0, 0, True, "the job would have stopped there"))
     return [row.to_json() for row in rows]
 
 
@@ -89,19 +85,3 @@ def stated(path: Path) -> dict[str, Any]:
     if found := re.search(r"^\W*condition\W+(\d+(?:\.\d*)?(?:[eE][+-]?\d{1,3})?)(?:\s|,|$)", text, re.MULTILINE):
         out["condition"] = float(found[1])
     return out
-
-
-def non_finite(documents: Iterable[Any]) -> int:
-    """How many numbers in these JSON-able documents are NaN or infinite; the infinite confidence of a light that was not
-    measured is meant."""
-
-    def count(value: Any, key: str = "") -> int:
-        if isinstance(value, dict):
-            return sum(count(v, k) for k, v in value.items())
-        if isinstance(value, (list, tuple)):
-            plain = len(value) > 2 and type(value[0]) is type(value[-1]) is float and all(type(v) is float for v in value)
-            return 0 if plain and math.isfinite(sum(value)) else sum(count(v, key) for v in value)
-        infinite = isinstance(value, float) and not np.isfinite(value)
-        return int(infinite and not (key in ("confidence_deg", "px_per_dioptre_ci95", "focus_ci95") and value > 0))
-
-    return sum(count(d) for d in documents)

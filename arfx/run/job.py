@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.facts_file import read_facts, write_facts
 from arfx.analyse.fold import MARKER, AnalysisJob
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
 from arfx.core.cost import load_prices
+from arfx.core.facts_file import read_facts, write_facts
 from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.stage import Stage

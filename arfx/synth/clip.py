@@ -160,11 +160,11 @@ def frame_truth(world: World, picture: Picture, n: int) -> FrameTruth:
         markers[key] = MarkerTruth(camera_from_marker, corners, float(seen.mean()), side, facing)
     return FrameTruth(
         n, time_s + scene.clip.start_s, int(world.shots[n]), camera_from_room, room_from_marker, markers, gain_at(scene, time_s),
-        scene.exposure.bias, _lights(world, moment.lamps, camera_from_room, room_from_marker),
+        scene.exposure.bias, *_lights(world, moment.lamps, camera_from_room, room_from_marker),
     )  # fmt: skip
 
 
-def _lights(world: World, lamps: np.ndarray, camera_from_room: Pose, room_from_marker: dict[str, Pose]) -> dict:
+def _lights(world: World, lamps: np.ndarray, camera_from_room: Pose, room_from_marker: dict[str, Pose]) -> tuple[list, list]:
     lights = []
     if not world.scene.light.environment:
         for row in lamps:
@@ -173,7 +173,7 @@ def _lights(world: World, lamps: np.ndarray, camera_from_room: Pose, room_from_m
                 "room": row[:3].tolist(), "camera": (camera_from_room.rotation @ row[:3]).tolist(), "marker": by_marker,
                 "rgb": row[3:6].tolist(), "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
             })  # fmt: skip
-    return {"ambient_rgb": world.ambient.tolist(), "lights": lights}
+    return world.ambient.tolist(), lights
 
 
 def stated_camera(scene: SceneFile, camera: Camera) -> Camera:

@@ -11,11 +11,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 
+from arfx.core.codec import Document, Gaps
 from arfx.core.opener import read_text
 from arfx.core.pose import Pose
 from arfx.errors import InputError
@@ -25,7 +26,7 @@ FLOW_UNIT_PX = 1 / 64
 
 
 @dataclass(frozen=True)
-class MarkerTruth:
+class MarkerTruth(Document):
     """One marker in one frame.
 
     corners_px : (4, 2) projected with the true camera, NaN behind it;  visible : fraction 0..1 of its black square that is
@@ -33,17 +34,17 @@ class MarkerTruth:
     """
 
     camera_from_marker: Pose
-    corners_px: np.ndarray
+    corners_px: Annotated[np.ndarray, Gaps]
     visible: float
-    side_px: float
+    side_px: Annotated[float, Gaps]
     facing: float
 
 
 @dataclass(frozen=True)
-class FrameTruth:
+class FrameTruth(Document):
     """One frame. camera_from_room, room_from_marker and markers are exact; gain and bias act on linear light.
 
-    lights : {"ambient_rgb", "lights": [{"room", "camera", "marker": unit vectors towards it, "rgb", "angular_size_deg"}]}
+    lights : [{"room", "camera", "marker": unit vectors towards it, "rgb", "angular_size_deg"}]
     """
 
     index: int
@@ -54,44 +55,8 @@ class FrameTruth:
     markers: dict[str, MarkerTruth]
     gain: float
     bias: float
-    lights: dict[str, Any]
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "index": self.index, "time_s": self.time_s, "shot": self.shot,
-            "camera_from_room": self.camera_from_room.to_json(),
-            "room_from_marker": {k: p.to_json() for k, p in self.room_from_marker.items()},
-            "markers": {
-                k: {
-                    "camera_from_marker": m.camera_from_marker.to_json(), "visible": m.visible, "facing": m.facing,
-                    "side_px": m.side_px if np.isfinite(m.side_px) else None,
-                    "corners_px": [[float(x) if np.isfinite(x) else None for x in c] for c in m.corners_px],
-                }
-                for k, m in self.markers.items()
-            },
-            "gain": self.gain, "bias": self.bias, **self.lights,
-        }  # fmt: skip
-
-    @staticmethod
-    def from_json(d: dict[str, Any]) -> FrameTruth:
-        def number(x: float | None) -> float:
-            return float("nan") if x is None else float(x)
-
-        markers = {
-            k: MarkerTruth(
-                Pose.from_json(m["camera_from_marker"]),
-                np.array([[number(x) for x in c] for c in m["corners_px"]]),
-                m["visible"],
-                number(m["side_px"]),
-                m["facing"],
-            )
-            for k, m in d["markers"].items()
-        }
-        room = {k: Pose.from_json(p) for k, p in d["room_from_marker"].items()}
-        lights = {"ambient_rgb": d["ambient_rgb"], "lights": d["lights"]}
-        return FrameTruth(
-            d["index"], d["time_s"], d["shot"], Pose.from_json(d["camera_from_room"]), room, markers, d["gain"], d["bias"], lights
-        )
+    ambient_rgb: list[float]
+    lights: list[dict[str, Any]]
 
 
 @dataclass(frozen=True)

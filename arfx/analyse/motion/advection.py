@@ -13,7 +13,7 @@ Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per set.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -36,7 +36,6 @@ _APART_PX = 5003.0  # the pattern of the other end of a stretch comes from that 
 _ROUNDS = 6  # of the search for where a node came to lie
 AROUND = 2.4  # sizes of the marker: so far its pose tells the motion of what is near it better than the flow
 Field = tuple[np.ndarray, np.ndarray]
-Sampled = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (values at nodes, x, y) -> values there
 
 
 class Advection(Fold):
@@ -114,7 +113,7 @@ def with_anchors(
             sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
         last = f
         of_frame.append(len(sets) - 1)
-    other = both_ways(sets, gx, gy, lambda a, x, y: _sampled(a, x, y, gx, gy), relaxed)
+    other = both_ways(sets, gx, gy)
     made = [
         replace(m, share=round(o.share, 4), forward=packed_places(*o.forward), backward=packed_places(*o.backward))
         for m, o in zip(made, other, strict=True)
@@ -209,10 +208,8 @@ class BothWays:
     share: float
 
 
-def both_ways(
-    sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray, sampled: Sampled, straightened: Callable
-) -> list[BothWays]:
-    """Of every set. straightened : (u, v) -> (u, v) without folds"""
+def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[BothWays]:
+    """Of every set."""
     out: list[BothWays] = []
     ends = _ends(sets)
     number = -1
@@ -221,8 +218,8 @@ def both_ways(
         # the next stretch of a shot goes on from this one's end: they share that set, and its pattern
         last = b if b < len(sets) and not sets[b].begins else b - 1
         patterns = [(gx + _APART_PX * (number + k), gy) for k in (1, 2)]
-        forward = _carried(sets, a, last, patterns[0], gx, gy, sampled, straightened)
-        backward = _carried_back(sets, a, last, patterns[1], gx, gy, sampled, straightened)
+        forward = _carried(sets, a, last, patterns[0], gx, gy)
+        backward = _carried_back(sets, a, last, patterns[1], gx, gy)
         out += [BothWays(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
     return out
 
@@ -236,49 +233,43 @@ def _ends(sets: Sequence[SetStep]) -> list[int]:
     return [*out, len(sets)]
 
 
-def _at_set(key: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray, sampled: Sampled) -> Field:
+def _at_set(key: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
     """The field at a set's nodes, from that at the nodes of its key frame."""
     if step.back is None:
         return key
     x, y = gx + step.back[..., 0], gy + step.back[..., 1]
-    return sampled(key[0], x, y), sampled(key[1], x, y)
+    return _sampled(key[0], x, y, gx, gy), _sampled(key[1], x, y, gx, gy)
 
 
-def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray, sampled: Sampled) -> Field:
+def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
     """The field at the nodes of a set's key frame, from that at the set's: a node came to lie where place + back = node."""
     if step.back is None:
         return own
     x, y = gx, gy
     for _ in range(_ROUNDS):
-        x, y = gx - sampled(step.back[..., 0], x, y), gy - sampled(step.back[..., 1], x, y)
-    return sampled(own[0], x, y), sampled(own[1], x, y)
+        x, y = gx - _sampled(step.back[..., 0], x, y, gx, gy), gy - _sampled(step.back[..., 1], x, y, gx, gy)
+    return _sampled(own[0], x, y, gx, gy), _sampled(own[1], x, y, gx, gy)
 
 
-def _carried(
-    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled,
-    straightened: Callable,
-) -> list[Field]:  # fmt: skip
+def _carried(sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
     """Of the sets a ... b, unbent at a."""
     out = [pattern]
-    key = pattern if sets[a].key else _at_key(pattern, sets[a], gx, gy, sampled)
+    key = pattern if sets[a].key else _at_key(pattern, sets[a], gx, gy)
     for step in sets[a + 1 : b + 1]:
-        out.append(straightened(*_at_set(key, step, gx, gy, sampled)))
+        out.append(relaxed(*_at_set(key, step, gx, gy)))
         key = out[-1] if step.key else key
     return out
 
 
-def _carried_back(
-    sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray, sampled: Sampled,
-    straightened: Callable,
-) -> list[Field]:  # fmt: skip
+def _carried_back(sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
     """Of the sets a ... b, unbent at b."""
     out = [pattern]
-    key = _at_key(pattern, sets[b], gx, gy, sampled)
+    key = _at_key(pattern, sets[b], gx, gy)
     for k in range(b - 1, a - 1, -1):
         step = sets[k]
         if step.key:  # what follows is relative to it: the field at the key frame is its own
-            out.append(straightened(*key))
-            key = _at_key(out[-1], step, gx, gy, sampled)
+            out.append(relaxed(*key))
+            key = _at_key(out[-1], step, gx, gy)
         else:
-            out.append(straightened(*_at_set(key, step, gx, gy, sampled)))
+            out.append(relaxed(*_at_set(key, step, gx, gy)))
     return out[::-1]

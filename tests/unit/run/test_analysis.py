@@ -12,9 +12,9 @@ import av
 import numpy as np
 import pytest
 
-from arfx.analyse.facts_file import write_facts
 from arfx.analyse.fold import AnalysisJob
 from arfx.core import codec
+from arfx.core.facts_file import write_facts
 from arfx.media.clip import probe
 from arfx.run import analysis
 from arfx.run.analysis import Checkpoint, Pass, analyse_clip

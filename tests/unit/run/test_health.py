@@ -10,7 +10,7 @@ import pytest
 from arfx.analyse.pose.fold import _deviation
 from arfx.core.cube import face_directions
 from arfx.core.health import Check, JobView
-from arfx.run.health import non_finite, picture, stated
+from arfx.run.health import picture, stated
 from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio
 from tests.scenes import facts, scene
 
@@ -36,11 +36,6 @@ def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(monkeypatch:
 
     monkeypatch.setattr(Gi, "run", darker)
     assert abs(furnace_mean(job, "draft") - 1) > LIMIT
-
-
-def test_numbers_that_are_not_finite_are_counted_but_for_those_that_mean_unknown() -> None:
-    assert non_finite([{"a": [1.0, math.nan], "b": {"c": math.inf}}, 3.0, None, "x"]) == 2
-    assert non_finite([{"confidence_deg": math.inf}]) == 0 and non_finite([{"confidence_deg": math.nan}]) == 1
 
 
 def test_deviation_is_in_degrees_and_percent() -> None:

@@ -107,7 +107,7 @@ def test_lights_of_the_truth_agree_in_all_frames_of_reference() -> None:
     body += "[light]\nlamps = [{ azimuth_deg = 30, elevation_deg = 40 }]"
     world = World(scene(body, path=TILTED))
     truth = frame_truth(world, Picture(world), 0)
-    lamp = truth.lights["lights"][0]
+    lamp = truth.lights[0]
     e, a = np.radians(40), np.radians(30)
     np.testing.assert_allclose(lamp["room"], [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], atol=1e-12)
     in_camera = truth.markers["36h11:3"].camera_from_marker.rotation @ lamp["marker"]["36h11:3"]

@@ -97,7 +97,7 @@ def test_truth_files_come_back_as_they_were(tmp_path: Path) -> None:
         assert np.allclose(a.camera_from_room.matrix, b.camera_from_room.matrix, atol=1e-12)
         assert np.allclose(a.markers["36h11:3"].corners_px, b.markers["36h11:3"].corners_px)
         assert (a.time_s, a.shot, a.gain, a.lights) == (b.time_s, b.shot, b.gain, b.lights)
-    lamp = back.frames[0].lights["lights"][0]
+    lamp = back.frames[0].lights[0]
     pose = back.frames[0].markers["36h11:3"].camera_from_marker
     assert np.allclose(pose.rotation @ lamp["marker"]["36h11:3"], lamp["camera"]), "one lamp in two frames of reference"
 

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.facts_file import read_facts, write_facts
 from arfx.analyse.markers.detect import Record, Seen
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_distance
@@ -18,6 +17,7 @@ from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.presence import CutSignal, find_cuts, lasting, opacities, stretches, unlikeness
 from arfx.analyse.pose.visibility import trembling_px, with_model
 from arfx.core.facts import FrameFacts
+from arfx.core.facts_file import read_facts, write_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
 from arfx.core.rect import EMPTY
