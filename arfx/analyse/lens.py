@@ -127,7 +127,7 @@ class FootageLens(Fold):
 
     def finish(self, clip: Analysis) -> Analysis:
         fit = footage_lens(clip.facts, self.readings, self.job.markers, clip.world_from_marker)
-        notice = None if fit.known else f"the footage does not tell its lens: {fit.reason}"
+        notice = None if fit.known else f"the lens cannot be measured from the footage: {fit.reason}"
         return clip.adding((f.with_(lens=fit) for f in clip.facts), notice, footage_lens=fit.to_json())
 
 
