@@ -19,6 +19,7 @@ from arfx.config.sections import JobConfig, kinds, settings
 from arfx.core.opener import parse_toml, read_text
 from arfx.errors import ConfigError
 
+Parameters = Mapping[str, Mapping[str, type]]
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
 
@@ -28,11 +29,11 @@ class _JobFile(NamedTuple):
     document: dict[str, Any]
 
 
-def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], parameters: Mapping[str, type]) -> JobConfig:
+def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], parameters: Parameters) -> JobConfig:
     """Read a job.
 
     files : job file or several; key by key the later wins;  overrides : nested mapping from the command line, which wins over all
-    parameters : section name -> frozen dataclass, for every stage and for "analyse"
+    parameters : section name -> formula -> frozen dataclass, for every stage and for "analyse"; the usual formula first
 
     Raises ConfigError holding every problem found; InputError if a file cannot be read.
     """
@@ -56,12 +57,12 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
     for name in merged:
         if name not in sections and name not in parameters:
             problem((name,), f"there is no section or stage {name!r}", near(name, [*sections, *parameters]))
-    for name, kind in parameters.items():
+    for name, formulas in parameters.items():
         table = merged.get(name, {})
         if not isinstance(table, dict):
             problem((name,), f"{name!r} must be a table")
             continue
-        params[name] = _params(name, kind, table, problem)
+        params[name] = _params(name, formulas, table, problem)
     job = None
     try:
         own = {"params": params, "sources": tuple(paths)}
@@ -80,7 +81,7 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
     return job
 
 
-def _read(file: Path, parameters: Mapping[str, type]) -> _JobFile:
+def _read(file: Path, parameters: Parameters) -> _JobFile:
     """A job file with its paths as they are from here."""
     text = read_text(file, "job file")
     try:
@@ -99,20 +100,30 @@ def _origin(files: Sequence[_JobFile], path: KeyPath) -> _JobFile:
     return next(f for n in range(len(path), -1, -1) for f in reversed(files) if _reaches(f.document, path[:n]))
 
 
-def _paths(parameters: Mapping[str, type]) -> list[tuple[str, str]]:
+def _paths(parameters: Parameters) -> set[tuple[str, str]]:
     """(section, key) of the settings that are paths: in a job file they are relative to it."""
-    hints = ((name, key, hint) for name, kind in parameters.items() for key, hint in get_type_hints(kind).items())
+    made = ((name, kind) for name, formulas in parameters.items() for kind in formulas.values())
+    hints = ((name, key, hint) for name, kind in made for key, hint in get_type_hints(kind).items())
     typed = [*((s.section, s.key, s.kinds) for s in settings()), *((name, key, kinds(hint)) for name, key, hint in hints)]
-    return [(section, key) for section, key, made_of in typed if Path in made_of]
+    return {(section, key) for section, key, made_of in typed if Path in made_of}
 
 
-def _params(name: str, kind: type, table: dict[str, Any], problem: Any) -> Any:
-    fields = {f.name for f in dataclasses.fields(kind)}
-    good = {}
+def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], problem: Any) -> Any:
+    formula = next(iter(formulas))
+    if len(formulas) > 1 and "formula" in table:
+        formula = (table := dict(table)).pop("formula")
+        if formula not in list(formulas):
+            return problem((name, "formula"), f"{name}.formula {formula!r} is unknown", "one of " + ", ".join(formulas))
+    kind = formulas[formula]
+    fields, good = _fields(kind), {}
     for key, value in table.items():
         if key not in fields:
-            owner = "section 'analyse'" if name == "analyse" else f"stage {name!r}"
-            problem((name, key), f"{owner} has no setting {key!r}", near(key, fields))
+            other = next((f for f, k in formulas.items() if key in _fields(k)), None)
+            if other is None:
+                owner = "section 'analyse'" if name == "analyse" else f"stage {name!r}"
+                problem((name, key), f"{owner} has no setting {key!r}", near(key, fields))
+            else:
+                problem((name, key), f'{name}.{key} belongs to formula = "{other}"', f'{name}.formula is "{formula}"')
         elif (bad := _absurd(value)) is not None:
             problem((name, key), f"{name}.{key}: {bad:g} is out of range", f"between -{_LARGEST:g} and {_LARGEST:g}")
         else:
@@ -128,6 +139,11 @@ def _params(name: str, kind: type, table: dict[str, Any], problem: Any) -> Any:
         named = next((k for k in good if re.search(rf"\b{re.escape(k)}\b", e.message)), None)
         problem((name,) if named is None else (name, named), str(e))
     return None
+
+
+def _fields(kind: type) -> set[str]:
+    """Settings that can be given. That of the formula says which class it is."""
+    return {f.name for f in dataclasses.fields(kind) if f.init}
 
 
 def _absurd(value: Any) -> float | None:

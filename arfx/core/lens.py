@@ -1,4 +1,4 @@
-"""A thin lens: blur circle, depth of field and hyperfocal distance, as Zhao et al. 2012 print them and as they should be.
+"""A thin lens: blur circle, depth of field and hyperfocal distance; limits as printed: papers/s2_dof.py.
 
 Distances run along the optical axis from the lens. In dioptres (1 / distance) the blur circle is affine: there is no
 pole at infinity and none at the hyperfocal distance. Source: docs/methods/dof.md#lens.
@@ -14,7 +14,6 @@ import numpy as np
 from arfx.core.numerics import divide
 from arfx.errors import InputError
 
-PAPER, CORRECTED = "paper", "corrected"
 # A surface nearer to the lens than this share of the focal length is treated as if it stood there: the blur circle of
 # Equation 3 grows without bound as the distance goes to 0. At the bound it is about 100 apertures wide.
 NEAREST_SHARE = 1e-2
@@ -70,7 +69,7 @@ def circle_of_confusion_mm(distance_mm: np.ndarray | float, lens: Lens) -> np.nd
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What looks sharp before and behind the focus distance, mm; None = not defined (`paper` at its pole and beyond)."""
+    """What looks sharp before and behind the focus distance, mm; None = not defined (as printed, at a pole and beyond)."""
 
     front_mm: float | None
     back_mm: float | None
@@ -79,29 +78,21 @@ class Limits:
     coc_at_infinity_mm: float
 
 
-def depth_of_field(lens: Lens, coc_mm: float, formula: str = CORRECTED) -> Limits:
-    """Depth of field around the focus distance for the largest blur circle `coc_mm`, a diameter, that passes as sharp.
-
-    corrected : near and far limits where the blur circle is exactly coc_mm; back and total are inf from the hyperfocal
-        distance on
-    paper : equations 4 to 6 as printed (docs/methods/dof.md#errata), with the object's distance in place of distance less focal
-    length; back and total are None where they have a pole or are negative
-
-    Raises InputError unless coc_mm is above 0 and finite, and the focus distance is finite.
-    """
+def checked(lens: Lens, coc_mm: float) -> None:
+    """Raises InputError unless coc_mm is above 0 and finite, and the focus distance is finite."""
     if not (math.isfinite(coc_mm) and coc_mm > 0):
         raise InputError(f"the circle of confusion must be above 0 mm, is {coc_mm:g} mm")
     if math.isinf(lens.focus_mm):
         raise InputError("depth of field needs a finite focus distance")
-    return _printed(lens, coc_mm) if formula == PAPER else _corrected(lens, coc_mm)
 
 
-def hyperfocal_mm(focal_mm: float, fnumber: float, coc_mm: float, formula: str = CORRECTED) -> float:
-    """Nearest focus distance at which infinity still passes as sharp: F^2 / (N c), and + F as it should be."""
-    return focal_mm / fnumber * focal_mm / coc_mm + (focal_mm if formula == CORRECTED else 0.0)
+def depth_of_field(lens: Lens, coc_mm: float) -> Limits:
+    """Depth of field around the focus distance for the largest blur circle `coc_mm`, a diameter, that passes as sharp: its
+    limits stand where the blur circle is exactly that. Back and total are inf from the hyperfocal distance on.
 
-
-def _corrected(lens: Lens, coc_mm: float) -> Limits:
+    Raises InputError as `checked`.
+    """
+    checked(lens, coc_mm)
     u = lens.focus_mm
     far = hyperfocal_mm(lens.focal_mm, lens.fnumber, coc_mm)
     # share = N c (U - F) / F^2: 1 at the hyperfocal distance. The limits stand at dioptres (1 + share) / U, (1 - share) / U
@@ -111,13 +102,6 @@ def _corrected(lens: Lens, coc_mm: float) -> Limits:
     return Limits(front, back, front + back, far, lens.coc_at_infinity_mm)
 
 
-def _printed(lens: Lens, coc_mm: float) -> Limits:
-    f2, length = lens.focal_mm**2, lens.focus_mm
-    k = lens.fnumber * coc_mm * length
-    front = k * length / (f2 + k) if math.isfinite(k) else length
-    back = total = None
-    if k < f2:
-        back = k * length / (f2 - k)
-        spread = f2**2 - lens.fnumber**2 * coc_mm**2 * length  # (6) as printed: the last factor is not squared
-        total = 2.0 * f2 * k * length / spread if spread > 0 else None
-    return Limits(front, back, total, hyperfocal_mm(lens.focal_mm, lens.fnumber, coc_mm, PAPER), lens.coc_at_infinity_mm)
+def hyperfocal_mm(focal_mm: float, fnumber: float, coc_mm: float) -> float:
+    """Nearest focus distance at which infinity still passes as sharp: F^2 / (N c) + F."""
+    return focal_mm / fnumber * focal_mm / coc_mm + focal_mm

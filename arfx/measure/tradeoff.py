@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from arfx.measure.tradeoff_time import Times, time_frame
 from arfx.media.frames import ClipReader
 from arfx.plan.work import what_is_new
 from arfx.run.depth import real_depth_layer
+from arfx.run.parameters import under_other_formula
 from arfx.run.planned import Job
 
 QUALITIES = ("draft", "standard", "high", "reference")
@@ -135,7 +136,8 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
         {n: stages[n].levels[-1] for n in names}, slow, _shares(job, names), Times(), Found(samples, [], [], {}),
     )  # fmt: skip
     _open_benches(work, [s.index for s in samples] + ([] if following is None else [following]), plans)
-    effects = [n for n in names if len(stages[n].levels) > 1]
+    other = _other_stages(work)
+    effects = [n for n in names if len(stages[n].levels) > 1 or n in other]
     total = len(samples) + len(effects) + len(QUALITIES) + 2
     for k, sample in enumerate(samples):
         progress("times", k, total)
@@ -145,9 +147,7 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     for k, name in enumerate(effects):
         progress("effects", len(samples) + k, total)
         found.effects += _of_stage(work, name, following)
-    other = _other_stages(work)
-    if other:
-        found.effects += [row for name in effects if name in other for row in _of_other_formula(work, name, other[name])]
+    found.effects += [row for name, stage in other.items() for row in _of_other_formula(work, name, stage)]
     progress("pipelines", len(samples) + len(effects), total)
     found.pipelines = _whole(work)
     found.pipelines += _other_pipeline(work, other)
@@ -195,7 +195,13 @@ def _open_benches(work: _Work, wanted: Sequence[int], plans: Mapping[int, FrameP
 
 def _time(work: _Work, times: Times, sample: Sample, shop: Shop, wanted: Sequence[tuple[str, str]]) -> None:
     b = work.benches[sample.index]
-    time_frame(times, b.facts, b.canvas(), b.plan, shop.stages, shop.at, work.ground, frozenset(wanted), work.slow, work.new)
+    ground = _levels(shop, work.ground)
+    time_frame(times, b.facts, b.canvas(), b.plan, shop.stages, shop.at, ground, frozenset(wanted), work.slow, work.new)
+
+
+def _levels(shop: Shop, levels: Mapping[str, str]) -> dict[str, str]:
+    """These levels, or the nearest that the stages have under their formula."""
+    return {name: level_named(shop.stages[name].levels, level) for name, level in levels.items()}
 
 
 def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) -> None:
@@ -265,20 +271,15 @@ def _place(d: Difference, coverage: np.ndarray) -> str:
 
 def _other_stages(work: _Work) -> dict[str, Stage]:
     """The stages that have formulas, each under the one that the job does not use."""
-    out: dict[str, Stage] = {}
-    for name in work.usual:
-        params: Any = work.stages[name].params
-        if hasattr(params, "formula"):
-            other = "paper" if params.formula == "corrected" else "corrected"
-            out[name] = type(work.stages[name])(replace(params, formula=other))
-    return out
+    other = {name: under_other_formula(name, work.stages[name].params) for name in work.usual}
+    return {name: stage for name, stage in other.items() if stage is not None}
 
 
-def _of_other_formula(work: _Work, name: str, changed: Any) -> list[Row]:
+def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
     """An effect under the other formula, at its usual level, against the job's own reference."""
-    usual, best = work.usual, work.best[name]
+    best, shop, times = work.best[name], Shop(work.shop.scene, {**work.stages, name: changed}), Times()
+    usual = _levels(shop, work.usual)
     row = Row(name, usual[name], changed.params.formula, levels=usual)
-    shop, times = Shop(work.shop.scene, {**work.stages, name: changed}), Times()
     for sample in work.samples:
         if not work.has(sample, name):
             continue
@@ -340,11 +341,12 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     """The whole pipeline with every stage under the other formula."""
     if not other:
         return []
-    row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=work.usual)
     there = Shop(work.shop.scene, {**work.stages, **other})
+    usual = _levels(there, work.usual)
+    row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=usual)
     for sample in work.samples:
         b = work.benches[sample.index]
-        image, reference = b.under(there).image(chain_of(b.plan, work.usual)), b.image(chain_of(b.plan, work.best))
+        image, reference = b.under(there).image(chain_of(b.plan, usual)), b.image(chain_of(b.plan, work.best))
         row.note(sample.index, reference, image, touched((reference, b.original()), (reference, image)))
     timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
     row.time = together(p for p in timed if p is not None)

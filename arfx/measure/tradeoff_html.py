@@ -49,7 +49,8 @@ def page(found: Found, document: Mapping[str, Any], quality: int = 90) -> str:
         rows = [r for r in found.effects if r.name == name]
         table = rows_table([d for d in document["effects"] if d["name"] == name])
         parts.append(section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table))
-        parts.append(_pictures(f"{name}: pictures", rows, rows[-1].level if not rows[-1].formula else "reference", quality))
+        best = [r.level for r in rows if r.formula == rows[0].formula][-1]
+        parts.append(_pictures(f"{name}: pictures", rows, best, quality))
     frames = [[escape(number(v)) for v in f.values()] for f in document["frames"]]
     heads = [k.replace("_", " ") for k in document["frames"][0]]
     parts.append(section("Frames that stand for the clip", html_table(heads, frames)))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.config.load import near
@@ -11,12 +12,33 @@ from arfx.config.sections import JobConfig
 from arfx.core.layers import Layer
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
+from arfx.papers import CORRECTED, FORMULAS
 from arfx.stages import STAGES, stages_with
 
 
-def parameters() -> Mapping[str, type]:
-    """Section name -> frozen dataclass, for every stage, the analysis and the light that it reads."""
-    return {"analyse": AnalyseParams, "light": LightParams, **{name: STAGES[name].Params for name in STAGES}}
+def parameters() -> Mapping[str, Mapping[str, type]]:
+    """Section name -> formula -> frozen dataclass, for every stage, the analysis and the light that it reads; the usual formula
+    first."""
+    analysis: dict[str, dict[str, type]] = {"analyse": {CORRECTED: AnalyseParams}, "light": {CORRECTED: LightParams}}
+    return analysis | {name: {f: stage.Params for f, stage in _classes(name).items()} for name in STAGES}
+
+
+def _classes(name: str) -> dict[str, type[Stage]]:
+    """A stage's class by formula."""
+    return {CORRECTED: STAGES[name], **{formula: table[name] for formula, table in FORMULAS.items() if name in table}}
+
+
+def _stage(name: str, params: Any) -> Stage:
+    return _classes(name).get(getattr(params, "formula", CORRECTED), STAGES[name])(params)
+
+
+def under_other_formula(name: str, params: Any) -> Stage | None:
+    """The stage under the formula that these settings do not choose, with those that both have; None = it has one formula."""
+    for formula, stage in _classes(name).items():
+        if formula != getattr(params, "formula", CORRECTED):
+            both = {f.name: getattr(params, f.name) for f in fields(stage.Params) if f.init and hasattr(params, f.name)}
+            return stage(stage.Params(**both))
+    return None
 
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:
@@ -44,10 +66,8 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
 
 def _set(config: JobConfig, name: str) -> bool:
     """Whether the job sets anything of an effect; which formula is used is no wish for it."""
-    given, usual = config.params.get(name), STAGES[name].Params()
-    if given is not None and hasattr(usual, "formula"):
-        given = replace(given, formula=usual.formula)
-    return bool(given != usual)
+    given: Any = config.params.get(name)
+    return bool(given != type(given)())
 
 
 def make_stages(config: JobConfig) -> dict[str, Stage]:
@@ -57,7 +77,7 @@ def make_stages(config: JobConfig) -> dict[str, Stage]:
     for effect in names:
         for name, changes in STAGES[effect].overrides.items():
             settings[name] = replace(settings[name], **changes)
-    return {name: STAGES[name](settings[name]) for name in names}
+    return {name: _stage(name, settings[name]) for name in names}
 
 
 def on_this_machine(config: JobConfig) -> JobConfig:

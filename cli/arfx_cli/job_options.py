@@ -5,7 +5,6 @@ Those of a job file's sections are made from its fields; here stand those of sta
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -70,7 +69,7 @@ def job_config(given: dict[str, Any]) -> Any:
     from arfx.run.parameters import parameters, pipeline
 
     kinds = parameters()
-    formulas = [name for name, kind in kinds.items() if any(f.name == "formula" for f in dataclasses.fields(kind))]
+    formulas = [name for name, by_formula in kinds.items() if any(hasattr(kind, "formula") for kind in by_formula.values())]
     tree = overrides(itertools.chain(of_sections(given), _of_stages(given, formulas)), given["set"])
     config = load([find(file) for file in given["config"]], tree, kinds)
     pipeline(config)

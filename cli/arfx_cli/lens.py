@@ -38,12 +38,14 @@ def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) 
     Example:
       arfx lens --focal 200mm --fnumber 11 --distance 2500mm --coc 0.035mm
     """
-    from arfx.core.lens import CORRECTED, PAPER, Lens, depth_of_field
+    from arfx.core.lens import Lens, depth_of_field
     from arfx.core.units import length_m
+    from arfx.papers import CORRECTED, PAPER
+    from arfx.papers.s2_dof import printed_limits
 
     lens = Lens(1e3 * length_m(focal, "--focal"), fnumber, 1e3 * length_m(distance, "--distance"))
     coc_mm = 1e3 * length_m(coc, "--coc")
-    limits = {name: asdict(depth_of_field(lens, coc_mm, name)) for name in (PAPER, CORRECTED)}
+    limits = {PAPER: asdict(printed_limits(lens, coc_mm)), CORRECTED: asdict(depth_of_field(lens, coc_mm))}
     if as_json:
         given = {"focal_mm": lens.focal_mm, "fnumber": fnumber, "distance_mm": lens.focus_mm, "coc_mm": coc_mm}
         beyond = {"back_is_infinite": limits[CORRECTED]["back_mm"] == float("inf")}

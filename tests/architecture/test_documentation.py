@@ -31,10 +31,11 @@ def test_every_command_has_help_with_a_real_example(name: str) -> None:
 
 @pytest.mark.parametrize("section", sorted(parameters()))
 def test_every_setting_is_documented(section: str) -> None:
-    kind = parameters()[section]
-    for field in dataclasses.fields(kind):
-        assert re.search(rf"\b{field.name}\b", kind.__doc__ or ""), f"{section}.{field.name} is not explained in its docstring"
-    assert kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    for kind in parameters()[section].values():
+        text = " ".join(c.__doc__ or "" for c in kind.__mro__ if dataclasses.is_dataclass(c))
+        for field in dataclasses.fields(kind):
+            assert re.search(rf"\b{field.name}\b", text), f"{section}.{field.name} is not explained in its docstring"
+        assert kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", sorted(STAGES))

@@ -21,7 +21,8 @@ ALLOWED: dict[str, set[str]] = {
     "synth": FIRST | {"media"},
     "plan": FIRST,
 }
-ALLOWED["run"] = FIRST | {"config", "media", "calibrate", "synth", "stages", "analyse", "plan"}
+ALLOWED["papers"] = FIRST | {"stages", "analyse"}
+ALLOWED["run"] = FIRST | {"config", "media", "calibrate", "synth", "stages", "analyse", "papers", "plan"}
 ALLOWED["measure"] = ALLOWED["run"] | {"run"}
 ALLOWED["arfx_cli"] = ALLOWED["measure"] | {"measure"}
 EMPTY_NAMES = {"utils", "util", "helpers", "helper", "manager", "base", "misc", "common"}

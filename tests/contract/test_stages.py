@@ -12,6 +12,7 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.rect import Rect
 from arfx.core.stage import LEVELS, Demand, ReadyStage, Stage
+from arfx.papers import FORMULAS
 from arfx.plan.planner import ABSENT, plan_frame
 from arfx.stages import STAGES
 from tests.contract import stage_laws as laws
@@ -19,8 +20,10 @@ from tests.scenes import camera, facts, scene
 
 SCENE = scene(camera(160, 120, (0.05, -0.02, 0.001, 0.0005)))
 FACTS = facts(SCENE)
-CASES = [(name, level) for name in STAGES for level in range(len(STAGES[name].levels))]
-IDS = [f"{name}-{STAGES[name].levels[level]}" for name, level in CASES]
+PRINTED = {f"printed {name}": stage for name, stage in FORMULAS["paper"].items() if name in STAGES}
+CLASSES = {**STAGES, **PRINTED}
+CASES = [(name, level) for name, stage in CLASSES.items() for level in range(len(stage.levels))]
+IDS = [f"{name}-{CLASSES[name].levels[level]}" for name, level in CASES]
 
 
 QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}}  # the laws hold for any number of rays
@@ -28,24 +31,24 @@ QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}}  # the laws hold for a
 
 @cache
 def made(name: str, level: int) -> ReadyStage:
-    stage = STAGES[name](STAGES[name].Params(**QUICK.get(name, {})))
+    stage = CLASSES[name](CLASSES[name].Params(**QUICK.get(name, {})))
     return ReadyStage.of(stage, SCENE, stage.levels[level])
 
 
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_declares_what_the_contract_asks(name: str, level: int) -> None:
     stage = made(name, level).stage
-    assert isinstance(stage, Stage) and stage.name == name
+    assert isinstance(stage, Stage) and stage.name == name.removeprefix("printed ")
     assert list(stage.levels) == [level for level in LEVELS if level in stage.levels] and stage.history >= 0
     demand = stage.demand(FACTS, SCENE, SCENE.camera.rect)
     assert demand.reason and SCENE.camera.rect.contains(demand.rect)
 
 
-@pytest.mark.parametrize("name", STAGES)
+@pytest.mark.parametrize("name", CLASSES)
 def test_runs_only_where_it_says_so_if_the_object_is_absent(name: str) -> None:
-    stage = STAGES[name]()
+    stage = CLASSES[name]()
     absent = FACTS.with_(camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0))
-    plan = plan_frame([stage], {name: stage.levels[0]}, absent, SCENE, SCENE.camera.rect)
+    plan = plan_frame([stage], {stage.name: stage.levels[0]}, absent, SCENE, SCENE.camera.rect)
     assert stage.without_object or [s.reason for s in plan.skipped] == [ABSENT]
 
 

@@ -30,7 +30,8 @@ LISTS = (
 
 def every() -> list[tuple[str, str]]:
     """(section, key) of every setting."""
-    out = [(name, f.name) for name, kind in parameters().items() for f in dataclasses.fields(kind)]
+    kinds = ((name, kind) for name, formulas in parameters().items() for kind in formulas.values())
+    out = list({(name, f.name) for name, kind in kinds for f in dataclasses.fields(kind)})
     for section, f in JobConfig.model_fields.items():
         out += [(section, key) for key in getattr(f.annotation, "model_fields", {})]
     return sorted(out)
@@ -68,7 +69,7 @@ SEEDS: dict[str, Build] = {
     "max_gap_s 1e308": setting("analyse.max_gap_s=1e308"),
     "fade_frames huge": setting("analyse.fade_frames=9999999999"),
     "samples huge": setting("raster.samples=1000000"),
-    "mean_px huge": setting("dof.mean_px=1000000", "dof.aperture_px=10", pipeline="lightmap,dof"),
+    "mean_px huge": setting("dof.mean_px=1000000", "dof.aperture_px=10", "dof.formula=paper", pipeline="lightmap,dof"),
     "radius 1e6": setting("dof.max_radius_px=1e6", "dof.aperture_px=1e6", pipeline="lightmap,dof"),
     "map_level 60": setting("light.map_level=60"),
     "cell 1e-6 px": setting("watercolor.cell_px=1e-6", pipeline="lightmap,watercolor"),

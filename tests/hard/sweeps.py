@@ -24,6 +24,7 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec, rotvec_from_rotation
 from arfx.errors import ArfxError
+from arfx.papers.s2_dof import printed_limits
 from arfx.stages.gi.pyramid import levels_of, structure_of
 
 DELTAS = tuple(10.0**-k for k in range(1, 13))
@@ -144,7 +145,7 @@ def _hyperfocal(delta: float, formula: str, rounded: Round) -> float | None:
     """Focused just nearer than the hyperfocal distance: the blur at the far limit is the circle that was allowed."""
     far = 50.0 * 50.0 / (8.0 * 0.03) + (50.0 if formula == "corrected" else 0.0)
     lens = Lens(50.0, 8.0, float(rounded(far * (1 - delta))))
-    back = depth_of_field(lens, 0.03, formula).back_mm
+    back = (depth_of_field if formula == "corrected" else printed_limits)(lens, 0.03).back_mm
     if back is None or np.isinf(back):
         return None
     return abs(float(circle_of_confusion_mm(lens.focus_mm + back, lens)) / 0.03 - 1)

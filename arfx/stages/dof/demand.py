@@ -73,14 +73,6 @@ def _blurred_tiles(tiles: np.ndarray, at: Circles) -> Rect:
     return Rect(*(TILE_PX * v for v in (tiled.x0, tiled.y0, tiled.x1, tiled.y1))).pad(int(np.ceil(float(most.max()))) + 1)
 
 
-def paper_demand(facts: FrameFacts, frame: Rect, at: Circles, real: Real | None, grid: np.ndarray) -> Demand:
-    """As `demand`; where the formula `paper` blurs at all, it touches every pixel that is not exactly in the focus."""
-    asked = demand(facts, frame, at, real, grid)
-    if asked.rect.empty:
-        return asked
-    return Demand(frame if real is not None else object_box(facts, frame, 0.0), asked.reason)
-
-
 def needs(out: Rect, facts: FrameFacts, at: Circles, real: Real | None, grid: np.ndarray, frame: Rect) -> Rect:
     """Pixels whose light can reach `out`, and those that decide how far it is spread."""
     if real is not None and real.tiles is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TypeVar
 
@@ -34,13 +34,9 @@ class DofParams:
     blade_turn_deg : direction of the first corner, from the picture's right, clockwise
     max_radius_px : bound of the blur's radius, at most 1500; 0 = a tenth of the picture's width
     highlight_boost : how much brighter a clipped pixel is taken to be than it is stored, 0 = as stored
-    near_m : paper only: nearest clip plane, where the blur counts fully; 0 = the nearest thing in the frame
-    far_m : paper only: farthest clip plane; 0 = the farthest thing in the frame
-    coc_mm : paper only: diameter of the largest blur circle that passes as sharp
-    mean_px : paper only: side of the mean filter, odd
     """
 
-    formula: str = "corrected"
+    formula: str = field(default="corrected", init=False)
     scope: str = "all"
     lens: str = "given"
     focal_mm: float = 0.0
@@ -54,22 +50,15 @@ class DofParams:
     blade_turn_deg: float = 0.0
     max_radius_px: float = 0.0
     highlight_boost: float = 0.0
-    near_m: float = 0.0
-    far_m: float = 0.0
-    coc_mm: float = 0.035
-    mean_px: int = 5
 
     def __post_init__(self) -> None:
-        _one_of("formula", self.formula, ("corrected", "paper"))
         _one_of("scope", self.scope, ("all", "virtual"))
         _one_of("lens", self.lens, ("given", "footage"))
         if self.lens == "footage" and self.scope == "all":
             raise ConfigError("dof.lens = footage would blur the footage twice", "use it with dof.scope = virtual")
         if not 0 < self.sensor_width_mm <= 1e4:
             raise ConfigError(f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}")
-        not_below_0 = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "max_radius_px", "highlight_boost",
-                       "near_m", "far_m")  # fmt: skip
-        for name in not_below_0:
+        for name in ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "max_radius_px", "highlight_boost"):
             value = getattr(self, name)
             if not 0 <= value <= 1e6:
                 raise ConfigError(f"dof.{name} must be 0 or more and at most 1000000, is {value:g}")
@@ -77,10 +66,6 @@ class DofParams:
             raise ConfigError(f"dof.max_radius_px must be at most {MOST_RADIUS_PX}, is {self.max_radius_px:g}")
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
-        if not 0 < self.coc_mm <= 1e3:
-            raise ConfigError(f"dof.coc_mm must be above 0 and at most 1000, is {self.coc_mm:g}")
-        if self.mean_px < 1 or self.mean_px % 2 == 0 or self.mean_px > 63:
-            raise ConfigError(f"dof.mean_px must be odd, 1 to 63, is {self.mean_px}")
         for time, fnumber in fnumber_keys(self.fnumber):
             if not fnumber >= 1e-3:
                 raise ConfigError(f"dof.fnumber must be above 0 (0.001 or more), is {fnumber:g} at {time:g} s")

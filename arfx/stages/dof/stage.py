@@ -10,7 +10,7 @@ aberrations, vignetting, motion. Source: docs/methods/dof.md.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -24,7 +24,6 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.stages.dof import demand as called
-from arfx.stages.dof import paper
 from arfx.stages.dof.corrected import render
 from arfx.stages.dof.ladder import LADDERS
 from arfx.stages.dof.optics import Circles, circles, unknown_lens
@@ -45,7 +44,7 @@ class Dof(Stage):
     name = "dof"
     reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.SHADOW, Layer.REAL_DEPTH})
     writes = frozenset({Layer.IMAGE})
-    levels = ("draft", "standard", "high", "reference")
+    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
     Params = DofParams
 
     def __init__(self, params: DofParams | None = None) -> None:
@@ -57,14 +56,11 @@ class Dof(Stage):
         if unknown := unknown_lens(self.params, facts):
             return Demand(EMPTY, unknown)
         at, real = self._frame(facts, scene)
-        ask = called.paper_demand if self._paper else called.demand
-        return ask(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
+        return called.demand(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
-        if self._paper:
-            return out.pad(paper.reach_px(self.params)).clip(scene.camera.rect)
         at, real = self._frame(facts, scene)
         grid = grid_of(scene.camera)
         return called.needs(out, facts, at, real if self.params.scope == "all" else None, grid, scene.camera.rect)
@@ -84,7 +80,7 @@ class Dof(Stage):
             yield Check(f"{name}, half width of its interval", share, 0.5, share <= 0.5, "blur is a rough guess")
 
     def prepare(self, scene: Scene, level: str) -> Any:
-        if level == "reference" and not self._paper:
+        if level == "reference":
             from arfx.stages.dof import reference
 
             return reference.prepare(scene)
@@ -95,21 +91,12 @@ class Dof(Stage):
         if not facts.present or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
         at, real = self._frame(facts, scene)
-        if self._paper:
-            shown = real if self.params.scope == "all" else None
-            if called.demand(facts, scene.camera.rect, at, shown, prepared).rect.empty:
-                return {Layer.IMAGE: now[Layer.IMAGE].copy()}
-            return {Layer.IMAGE: paper.render(now, facts, real, prepared, at, self.params)}
         if view.level == "reference":
             from arfx.stages.dof import reference
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
         ladder = LADDERS[view.level]
         return {Layer.IMAGE: render(now, facts, scene.camera.rect, view.out, real, prepared, at, ladder, self.params)}
-
-    @property
-    def _paper(self) -> bool:
-        return self.params.formula == "paper"
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
         p, measured = self.params, facts.real_depth

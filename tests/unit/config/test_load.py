@@ -1,8 +1,9 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,13 @@ class Lens:
             raise ConfigError(f"dof.blades must be 3 or more, is {self.blades}")
 
 
-TABLE = {"dof": Lens}
+@dataclass(frozen=True)
+class PrintedLens(Lens):
+    formula: str = field(default="paper", init=False)
+    near_m: float = 0.0
+
+
+TABLE = {"dof": {"corrected": Lens, "paper": PrintedLens}}
 GOOD = """[input]
 clip = "clip.mp4"
 end = "1.5s"
@@ -70,7 +77,7 @@ def test_every_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> Non
         if Path in s.kinds:
             tree.setdefault(s.section, {})[s.key] = "a"
     assert len(tree["input"]) >= 5 and {"path"} == tree["output"].keys()
-    kept = frozen(load(write(tmp_path, to_toml(tree)), {}, {"sky": Sky}))
+    kept = frozen(load(write(tmp_path, to_toml(tree)), {}, {"sky": {"corrected": Sky, "other": Sky}}))
     assert {kept[section][key] for section, table in tree.items() for key in table} == {str(tmp_path / "a")}
 
 
@@ -158,6 +165,27 @@ def test_all_errors_are_told_at_once_and_the_command_line_is_named(tmp_path: Pat
         load(write(tmp_path, text), {"pipeline": {"quality": "best"}}, TABLE)
     message = str(e.value)
     assert "apperture" in message and "ende" in message and "command line: pipeline.quality" in message
+
+
+def test_the_formula_chooses_the_settings(tmp_path: Path) -> None:
+    printed = {"formula": "paper", "near_m": 1, "blades": 5}
+    job = load(None, {"dof": printed}, TABLE)
+    assert type(job.params["dof"]) is PrintedLens and job.params["dof"] == PrintedLens(blades=5, near_m=1.0)
+    assert frozen(load(None, {"dof": frozen(job)["dof"]}, TABLE)) == frozen(job)
+    assert type(load(None, {"dof": {"formula": "corrected"}}, TABLE).params["dof"]) is Lens
+    for table, says in (
+        (
+            {"near_m": 1},
+            'dof.near_m belongs to formula = "paper"\n  --> command line: dof.near_m\nhelp: dof.formula is "corrected"',
+        ),
+        (
+            {"formula": "papper"},
+            "dof.formula 'papper' is unknown\n  --> command line: dof.formula\nhelp: one of corrected, paper",
+        ),
+        ({"formula": [1]}, "one of corrected, paper"),
+    ):
+        with pytest.raises(ConfigError, match=re.escape(says)):
+            load(None, {"dof": table}, TABLE)
 
 
 def test_unreadable_and_invalid_files() -> None:

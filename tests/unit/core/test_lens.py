@@ -1,4 +1,4 @@
-"""The thin lens: numbers of docs/methods/dof.md#numbers, and every place where the printed formulas have a pole."""
+"""The thin lens: numbers of docs/methods/dof.md#numbers, and every place where a formula might have a pole."""
 
 from __future__ import annotations
 
@@ -7,23 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from arfx.core.lens import CORRECTED, PAPER, Lens, circle_of_confusion_mm, depth_of_field, hyperfocal_mm
+from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field, hyperfocal_mm
 from arfx.errors import InputError
 
 EXAMPLE = Lens(200.0, 11.0, 2500.0)
 COC = 0.035
-
-
-def test_numbers_of_the_paper() -> None:
-    d = depth_of_field(EXAMPLE, COC, PAPER)
-    assert d.front_mm is not None and d.back_mm is not None
-    assert d.front_mm == pytest.approx(58.7428, abs=1e-4) and d.back_mm == pytest.approx(61.6394, abs=1e-4)
-    assert d.front_mm + d.back_mm == pytest.approx(120.3822, abs=1e-4)
-    assert d.total_mm == pytest.approx(120.3125, abs=1e-4)
-    assert d.hyperfocal_mm == pytest.approx(103_896.10, abs=0.01)
-    assert d.coc_at_infinity_mm == pytest.approx(1.58103, abs=1e-5)
-    assert (2500 - d.front_mm) / 1e3 == pytest.approx(2.4413, abs=1e-4)
-    assert (2500 + d.back_mm) / 1e3 == pytest.approx(2.5616, abs=1e-4)
 
 
 def test_numbers_as_they_should_be() -> None:
@@ -88,10 +76,6 @@ def test_around_the_hyperfocal_distance(step: float) -> None:
     assert d.front_mm == pytest.approx(h / 2, rel=1e-8)
     assert d.back_mm is not None and d.back_mm > 1e12 and not math.isnan(d.back_mm)
     assert step < 0 or d.back_mm > 1e17
-    hp = hyperfocal_mm(200.0, 11.0, COC, PAPER)
-    printed = depth_of_field(Lens(200.0, 11.0, hp * (1 + step)), COC, PAPER)
-    assert printed.front_mm == pytest.approx(hp / 2, rel=1e-8)
-    assert printed.back_mm is None if step > 0 else printed.back_mm is None or printed.back_mm > 1e12
 
 
 def test_a_closed_aperture_is_a_pinhole() -> None:
@@ -100,13 +84,12 @@ def test_a_closed_aperture_is_a_pinhole() -> None:
         assert circle_of_confusion_mm([1.0, 500.0, np.inf], lens).max() < 1e-6
         d = depth_of_field(lens, COC)
         assert d.front_mm == pytest.approx(1000.0) and d.back_mm == math.inf
-        assert depth_of_field(lens, COC, PAPER).back_mm is None
 
 
 @pytest.mark.parametrize("coc", [0.0, -1.0, math.nan, math.inf])
 def test_a_circle_without_size_is_an_input_error(coc: float) -> None:
     with pytest.raises(InputError, match="circle of confusion"):
-        depth_of_field(EXAMPLE, coc, CORRECTED)
+        depth_of_field(EXAMPLE, coc)
 
 
 @pytest.mark.parametrize(("focal", "fnumber"), [(0.0, 2.0), (-1.0, 2.0), (math.inf, 2.0), (50.0, 0.0), (50.0, math.nan)])

@@ -18,7 +18,6 @@ from arfx.plan.planner import plan_frame
 from arfx.run.frame import made_ready, run_frame
 from arfx.stages import STAGES
 from arfx.stages.dof import Dof
-from arfx.stages.dof.params import DofParams
 from tests.scenes import box_model, camera, facts, look_at, scene
 
 MAKING = ("raster", "lightmap", "composite")
@@ -67,11 +66,13 @@ def compose(s: Scene, f: FrameFacts, plate: np.ndarray) -> Shot:
     return Shot(s, f, layers)
 
 
-def blurred(at: Shot, level: str, seconds: list[float] | None = None, **params: object) -> np.ndarray:
+def blurred(
+    at: Shot, level: str, seconds: list[float] | None = None, made: type[Dof] = Dof, **params: object
+) -> np.ndarray:  # fmt: skip
     """IMAGE (h, w, 3) of dof over the whole frame."""
     import time
 
-    ready = ReadyStage.of(Dof(DofParams(**params)), at.scene, level_named(Dof.levels, level))  # type: ignore[arg-type]
+    ready = ReadyStage.of(made(made.Params(**params)), at.scene, level_named(made.levels, level))
     start = time.perf_counter()
     out = ready.run(at.layers, at.facts)[Layer.IMAGE]
     if seconds is not None:

@@ -8,6 +8,7 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
+from arfx.papers.s2_dof import PrintedDof
 from arfx.stages.dof import Dof
 from arfx.stages.dof.depth_layers import fill
 from arfx.stages.dof.params import DofParams
@@ -103,12 +104,12 @@ def test_depths_that_are_none(value: float) -> None:
     for level in (*LEVELS, "reference"):
         out = blurred(hard, level, aperture_px=6.0, focus="1.5m")
         assert np.isfinite(out).all() and out.min() >= -1e-5 and out.max() <= 1.0
-    assert np.isfinite(blurred(hard, "standard", formula="paper", aperture_px=6.0, focus="1.5m")).all()
+    assert np.isfinite(blurred(hard, "standard", made=PrintedDof, aperture_px=6.0, focus="1.5m")).all()
 
 
 def test_the_printed_formula_reads_it() -> None:
     at = measured(two_walls(1.0, 4.0), texture(SIZE[1], SIZE[0]))
-    change = np.abs(blurred(at, "standard", formula="paper", aperture_px=20.0, focus="1m") - at.layers[Layer.IMAGE]).max(-1)
+    change = np.abs(blurred(at, "standard", made=PrintedDof, aperture_px=20.0, focus="1m") - at.layers[Layer.IMAGE]).max(-1)
     assert change[:, 105:145].max() == 0 and change[:, :95].mean() > 0.01
 
 

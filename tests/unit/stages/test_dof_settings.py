@@ -1,4 +1,4 @@
-"""Stage dof: settings, key frames, the real scene's surfaces, and the formula as printed."""
+"""Stage dof: settings, key frames, the real scene's surfaces."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from arfx.errors import ConfigError
 from arfx.stages.dof import Dof
 from arfx.stages.dof.aperture import shape
 from arfx.stages.dof.optics import circles, focus_dioptre
-from arfx.stages.dof.paper import bleed, blend_factor
 from arfx.stages.dof.params import DofParams, between, fnumber_keys, focus_keys
 from arfx.stages.dof.surfaces import direction_grid, plane_of, plane_radius, real_scene, square_radius
 from tests.scenes import facts, look_at, scene
@@ -26,7 +25,6 @@ from tests.unit.stages.dof_scenes import Shot, blurred, shot
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ({"formula": "papper"}, "one of corrected, paper"),
         ({"scope": "real"}, "one of all, virtual"),
         ({"lens": "footage"}, "blur the footage twice"),
         ({"fnumber": 0.0}, "must be above 0"),
@@ -39,7 +37,6 @@ from tests.unit.stages.dof_scenes import Shot, blurred, shot
         ({"focus": "the cat"}, "neither object, marker"),
         ({"focus": "object, 1m"}, "has no time"),
         ({"focus": "object@2s, 1m@1s"}, "must rise"),
-        ({"mean_px": 4}, "odd"),
         ({"max_radius_px": 1e5, "aperture_px": 1e6}, "at most 1500"),
     ],
 )
@@ -158,39 +155,6 @@ def test_shapes_have_the_area_of_the_disc(blades: int) -> None:
         assert area == pytest.approx(max(np.pi * radius**2, 1.0), rel=0.06 if radius > 1 else 0.4)
         assert area * s.unit[q] == pytest.approx(1.0, abs=0.005)
         assert (ends[:, 1] > ends[:, 0]).all() and (shares * 8 == np.round(shares * 8)).all()
-
-
-def test_bleed_as_printed() -> None:
-    """Centre 100 among 100, 120, 90, 180, 100, 60, 100, 140: weights 1/7, 4/7, 2/7 of the brighter ones."""
-    grey = np.array([[100, 120, 90], [180, 100, 100], [60, 100, 140]], np.float32)
-    colour = np.repeat(grey[..., None], 3, -1)
-    even = np.ones((3, 3), np.float32)
-    np.testing.assert_allclose(bleed(colour, even)[1, 1], 160.0, rtol=1e-5)
-    dark = np.where(grey == 100, grey, 50).astype(np.float32)
-    assert (bleed(np.repeat(dark[..., None], 3, -1), even)[1, 1] == 100).all()
-    nearer = even.copy()
-    nearer[1, 0] = 2.0  # 180 stands in front: it does not flow into what is behind
-    np.testing.assert_allclose(bleed(colour, nearer)[1, 1], (20 * 120 + 40 * 140) / 60, rtol=1e-5)
-
-
-def test_blend_factor_as_printed() -> None:
-    s = scene()
-    params = DofParams(formula="paper", focal_mm=200.0, fnumber=11.0, focus="2500mm", coc_mm=0.035)
-    at = circles(params, facts(s), s)
-    a = blend_factor(np.array([1 / 2.5, 1 / 2.52, 1 / 5.0, 1 / 100.0]), (1 / 100.0, 1 / 2.0), at, params)
-    circle = circle_of_confusion_mm(np.array([2500.0, 2520.0, 5000.0, 1e5]), Lens(200.0, 11.0, 2500.0))
-    assert circle[1] < 0.035 < circle[2]
-    np.testing.assert_allclose(a, circle / circle[3] * [1, 2 / 3, 1, 1], rtol=1e-9)
-
-
-def test_the_printed_formula_blurs_by_two_thirds_or_not_at_all() -> None:
-    at = shot()
-    frame, image = at.scene.camera.rect, at.layers[Layer.IMAGE]
-    out = blurred(at, "standard", formula="paper", aperture_px=20.0, focus="object")
-    assert np.isfinite(out).all() and 0.002 < np.abs(out - image).mean() < 0.1
-    np.testing.assert_array_equal(blurred(at, "standard", formula="paper", fnumber=1e9), image)
-    stage = Dof(DofParams(formula="paper", aperture_px=20.0, focus="object"))
-    assert stage.demand(at.facts, at.scene, frame).rect == frame
 
 
 def test_the_footages_lens_is_used_where_it_is_known() -> None:
