@@ -1,8 +1,6 @@
-"""Lines: edges in RGB and YUV as printed, and the same as soft thin lines that hold still.
+"""Lines: the printed measure of edges in RGB and Y'UV (papers/s3_watercolor.py), as soft thin lines that hold still.
 
-As printed: Edge_YUV = (1 - a) |grad Y| + a (|grad U| + |grad V|) / 2, Edge_RGB = (|grad R| + |grad G| + |grad B|) / 3,
-an edge where b Edge_YUV + (1 - b) Edge_RGB exceeds a threshold; grad is the difference along x and y.
-Corrected: the same measure on a smoothed picture of half the size, only its ridges (line width in px), faded in between two
+The measure is taken on a smoothed picture of half the size, only its ridges (line width in px), faded in between two
 thresholds, kept where a line is strong somewhere (hysteresis). Edges of the virtual object also come from its coverage,
 normals and depth. Cost: O(pixels). Source: docs/methods/watercolor.md#edges.
 """
@@ -26,23 +24,6 @@ def yuv_matrix(name: str = "bt601") -> np.ndarray:
     return np.stack([y, 0.492 * (np.array([0.0, 0, 1]) - y), 0.877 * (np.array([1.0, 0, 0]) - y)])
 
 
-def printed_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601") -> np.ndarray:
-    """(h, w) float32, (2) to (4) without the threshold. coded : (h, w, 3) R'G'B' 0..1; differences to the next pixel."""
-    yuv = (coded @ yuv_matrix(matrix).T.astype(coded.dtype)).astype(np.float32)
-    strength = _difference(np.asarray(coded, np.float32)), _difference(yuv)
-    rgb = strength[0].mean(-1)
-    of_yuv = (1 - alpha) * strength[1][..., 0] + alpha * strength[1][..., 1:].mean(-1)
-    out: np.ndarray = (beta * of_yuv + (1 - beta) * rgb).astype(np.float32)
-    return out
-
-
-def _difference(a: np.ndarray) -> np.ndarray:
-    """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind the border."""
-    dx, dy = np.zeros_like(a), np.zeros_like(a)
-    dx[:, :-1] = np.diff(a, axis=1)
-    dy[:-1] = np.diff(a, axis=0)
-    out: np.ndarray = np.sqrt(dx * dx + dy * dy)
-    return out
 
 
 def lines_of(

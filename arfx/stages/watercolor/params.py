@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from arfx.errors import ConfigError
 _RANGES = (
     ("cell_px", 0.5, 4096), ("nearer_finer", 0, 1), ("detail", 0, 1), ("wash", 0, 1), ("lightness", 0, 2), ("deepest", 0, 0.5),
     ("saturation", 0, 3), ("lines", 0, 1),
-    ("line_width_px", 0.5, 16), ("line_low", 0, 1), ("line_high", 0, 2), ("line_smooth_px", 0, 10), ("line_threshold", 0, 2),
+    ("line_width_px", 0.5, 16), ("line_low", 0, 1), ("line_high", 0, 2), ("line_smooth_px", 0, 10),
     ("alpha", 0, 1), ("beta", 0, 1), ("edge_darkening", 0, 1), ("wobble_px", 0, 8), ("flow", 0, 1), ("flow_px", 8, 4096),
     ("grain", 0, 1), ("grain_px", 1, 32), ("dry_brush", 0, 2),
 )  # fmt: skip
@@ -21,7 +21,7 @@ _RANGES = (
 
 @dataclass(frozen=True)
 class WatercolorParams:
-    """formula : corrected, or paper: as printed, new jitter every frame, cells told apart by colour, hard edges
+    """formula : corrected, or paper: S3 as printed (papers/s3_watercolor.py)
     cell_px : size of a cell, px of the picture
     nearer_finer : how strongly cells shrink with nearness on the marker's plane; 0 = all alike, 1 = in proportion
     detail : how strongly cells shrink where there is much to see, and grow where there is little
@@ -33,7 +33,7 @@ class WatercolorParams:
     toon_thresholds, toon_factors : cosines between normal and light, and the tones above, between and below them
     lines : opacity of lines, 0 = none;  ink_rgb : their linear colour
     line_width_px, line_smooth_px : width of lines, and how much the picture is smoothed before they are looked for
-    line_low, line_high : no line below, a whole one above, coded value per px;  line_threshold : of the paper's edges
+    line_low, line_high : no line below, a whole one above, coded value per px
     alpha, beta : share of U and V in the edges of YUV; share of YUV in all edges
     line_hold : mixes in the edges of the frame before, moved along with the things: a third to a half fewer pixels of lines that
     flip, for .6 (1280 x 720) to 1 (640 x 480) of the benchmark's yardsticks more: a fifth more time
@@ -43,7 +43,7 @@ class WatercolorParams:
     wobble_px : how far a border strays;  grain, grain_px : the paper's grain;  dry_brush : grain in lines
     """
 
-    formula: str = "corrected"
+    formula: str = field(default="corrected", init=False)
     cell_px: float = 7.0
     nearer_finer: float = 0.5
     detail: float = 1.0
@@ -61,7 +61,6 @@ class WatercolorParams:
     line_smooth_px: float = 3.0
     line_low: float = 0.02
     line_high: float = 0.06
-    line_threshold: float = 0.12
     line_hold: bool = False
     alpha: float = 0.5
     beta: float = 0.5
@@ -76,8 +75,6 @@ class WatercolorParams:
     dry_brush: float = 0.7
 
     def __post_init__(self) -> None:
-        if self.formula not in ("corrected", "paper"):
-            raise ConfigError(f"watercolor.formula {self.formula!r} is unknown", "one of corrected, paper")
         for name, least, most in _RANGES:
             value = getattr(self, name)
             if not least <= value <= most:

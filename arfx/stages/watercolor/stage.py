@@ -19,7 +19,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numba
@@ -43,11 +43,10 @@ from arfx.stages.watercolor.object_sites import Surface, object_sites, surface_o
 from arfx.stages.watercolor.paint import paint, paint_cells
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import laid_out, paper_grain, turbulence
-from arfx.stages.watercolor.printed import printed
 from arfx.stages.watercolor.reference import reference_labels
 from arfx.stages.watercolor.rows import Cover, Picture, offset
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Field, Sites, sites_of
-from arfx.stages.watercolor.toon import EVEN, toon, toon_light
+from arfx.stages.watercolor.toon import EVEN, RAMP, toon, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
@@ -82,15 +81,17 @@ class Watercolor(Stage):
     name = "watercolor"
     reads = frozenset({Layer.IMAGE, *_VIRTUAL})
     writes = frozenset({Layer.IMAGE})
-    levels = ("draft", "standard", "high", "reference")
+    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
     facts = frozenset({"flow", "light"})
     Params = WatercolorParams
     without_object = True
+    even: ClassVar[float] = EVEN  # of toon shading
+    ramp: ClassVar[float] = RAMP
 
     def __init__(self, params: WatercolorParams | None = None) -> None:
         super().__init__(params)
         p = self.params
-        self.history = int(p.line_hold and p.lines > 0 and p.formula == "corrected")
+        self.history = int(p.line_hold and p.lines > 0)
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         return Demand(frame, "the whole picture is painted")
@@ -106,9 +107,6 @@ class Watercolor(Stage):
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         p = self.params
-        if p.formula == "paper":
-            image = self._with_toon(view).whole()
-            return {Layer.IMAGE: printed(image, view.rect, p.cell_px, p.alpha, p.beta, p.line_threshold, p.yuv, view.key)}
         fields = [(self._field(view, way), share) for way, share in ways(view.facts, p.anchored, view.level == "high")]
 
         before = self._before(view)
@@ -117,7 +115,7 @@ class Watercolor(Stage):
 
         def make() -> np.ndarray:
             # neither needs the cells: they are made beside them
-            picture = BackgroundTask(lambda: self._with_toon(view))
+            picture = BackgroundTask(lambda: self.with_toon(view))
             if before is None or earlier is None:
                 lines = BackgroundTask(lambda: self._lines(picture(), view))
             else:
@@ -155,7 +153,8 @@ class Watercolor(Stage):
     def _cell_px(self, level: str) -> float:
         return self.params.cell_px * (1.4 if level == "draft" else 1.0)
 
-    def _with_toon(self, view: View) -> Picture:
+    def with_toon(self, view: View) -> Picture:
+        """The picture with the object toon-shaded."""
         p, image = self.params, view[Layer.IMAGE]
         box = view.layers.extent(Layer.COVERAGE).clip(_box(view))
         if not p.toon or box.empty:
@@ -165,11 +164,11 @@ class Watercolor(Stage):
             return Picture(image)
         light = view.light
         direction, radiance = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
-        even = np.zeros(3) if p.formula == "paper" else EVEN * np.clip(light.ambient_rgb, 0, radiance)
+        even = self.even * np.clip(light.ambient_rgb, 0, radiance)
         patch = toon(
             part[Layer.IMAGE], part[Layer.VIRTUAL], part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.ALBEDO],
             part[Layer.EMISSIVE], direction, radiance, even, p.toon_thresholds, p.toon_factors, view.facts.opacity,
-            p.formula == "paper",
+            self.ramp,
         )  # fmt: skip
         return Picture(image, patch, *offset(box, view.rect))
 
@@ -213,7 +212,7 @@ class Watercolor(Stage):
         p, view = self.params, now[0]
 
         def made(seen: View, key: Key) -> np.ndarray:
-            make = lambda: measured(self._with_toon(seen), yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)  # noqa: E731
+            make = lambda: measured(self.with_toon(seen), yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)  # noqa: E731
             found: np.ndarray = view.memo.of_frame.get(key, make, "measure", _KEPT_MEASURES)
             return found
 

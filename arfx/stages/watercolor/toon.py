@@ -47,17 +47,18 @@ def _toon_light(light: Light, up: tuple[float, ...]) -> tuple[np.ndarray, np.nda
 def toon(
     image: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, normal: np.ndarray, albedo: np.ndarray, emissive: np.ndarray,
     direction: np.ndarray, radiance: np.ndarray, even: np.ndarray, thresholds: tuple[float, float],
-    factors: tuple[float, float, float],     opacity: float, hard: bool,
+    factors: tuple[float, float, float],     opacity: float, ramp: float,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
     radiance, even : (3,) of a white surface that faces the light, and the part of it that every tone has
+    ramp : of n . l over which a step is spread, 0 = hard
     """
     f32 = np.float32
     out: np.ndarray = image.copy()
     light = (
         direction.astype(f32), (radiance - even).astype(f32), even.astype(f32), np.array(thresholds, f32),
-        np.array(factors, f32), f32(opacity), f32(0.0 if hard else RAMP),
+        np.array(factors, f32), f32(opacity), f32(ramp),
     )  # fmt: skip
     parallel_rows(lambda a, b: _toon(virtual, coverage, normal, albedo, emissive, *light, a, b, out), len(out))
     return out

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from arfx.core.rect import Rect
+from arfx.papers.s3_watercolor import eq1_sites
 from arfx.stages.watercolor.cells import means, neighbours, washed
 from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.labels import SOLID, STILL, Wobble, in_order, label, wobble_of
 from arfx.stages.watercolor.pigment import laid_out
-from arfx.stages.watercolor.printed import jittered_sites, merged_by_colour
 from arfx.stages.watercolor.reference import nearest_labels, reference_labels
 from arfx.stages.watercolor.sites import STEPS, Field, Sites, sites_of, still_field
 
@@ -111,7 +111,7 @@ def test_no_sites() -> None:
 
 
 def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None:
-    sites = jittered_sites(FRAME, 10, 4)
+    sites = eq1_sites(FRAME, 10, 4)
     found = label(sites, FRAME).first
     x, y = np.round(sites.x / STEPS).astype(int), np.round(sites.y / STEPS).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < 200) & (y < 150)
@@ -129,14 +129,6 @@ def test_a_cell_has_the_exact_mean_of_its_pixels() -> None:
     cells = [image[found.first == k] for k in range(found.count)]
     every = [cell.mean(0, dtype=float) if len(cell) else np.zeros(3) for cell in cells]
     np.testing.assert_allclose(means(image, found.first, found.count), every, atol=1e-7)
-
-
-def test_integer_labels_keep_cells_apart_that_colour_merges() -> None:
-    sites = jittered_sites(FRAME, 20, 1)
-    found = label(sites, FRAME).first
-    assert len(np.unique(found)) == len(sites)
-    _, count = merged_by_colour(np.full((150, 200, 3), 0.5, np.float32), found, sites, FRAME)
-    assert count == 1
 
 
 @pytest.mark.parametrize("factor", [4.0, 2.3, 1.0, 0.7, 0.25])
@@ -195,7 +187,7 @@ def test_more_cells_than_pixels_and_one_cell() -> None:
     assert 0 < len(tiny) <= 500
     found = label(tiny, Rect.of(12, 9))
     assert np.array_equal(found.first, brute(tiny, Rect.of(12, 9), None)[0])
-    one = jittered_sites(Rect.of(30, 20), 4000, 0)
+    one = eq1_sites(Rect.of(30, 20), 4000, 0)
     assert len(one) == 1 and not label(one, Rect.of(30, 20)).first.any()
 
 

@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 
 from arfx.core.light import DirectionalLight, Light
-from arfx.stages.watercolor.edges import lines_of, printed_edges, virtual_edges, yuv_matrix
+from arfx.papers.s3_watercolor import eq4_edges
+from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.hold import held, steps_back
 from arfx.stages.watercolor.labels import STILL, Wobble
 from arfx.stages.watercolor.measure import measured
 from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
 from arfx.stages.watercolor.rows import Picture
 from arfx.stages.watercolor.sites import STEPS, Field, still_field
-from arfx.stages.watercolor.toon import toon, toon_light
+from arfx.stages.watercolor.toon import RAMP, toon, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 from tests.scenes import camera, facts, scene
-
-BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
 
 
 def line_strength(
@@ -30,17 +29,6 @@ def line_strength(
 ) -> np.ndarray:  # fmt: skip
     made = measured(Picture(image.astype(np.float32)), yuv_matrix(), alpha, beta, smooth_px)
     return lines_of(made, low, high, width_px, virtual)
-
-
-@pytest.mark.parametrize(
-    ("left", "right", "of_yuv", "of_rgb", "both"),
-    [(BLACK, WHITE, 0.5, 1.0, 0.75), (BLACK, RED, 0.34, 0.3333, 0.3367), (RED, GREEN, 0.4619, 0.6667, 0.5643)],
-)
-def test_printed_numbers(left: tuple, right: tuple, of_yuv: float, of_rgb: float, both: float) -> None:
-    picture = np.array([[left, right]] * 2, np.float64)
-    for beta, wanted in ((1.0, of_yuv), (0.0, of_rgb), (0.5, both)):
-        made = printed_edges(picture, 0.5, beta)
-        assert made[0, 0] == pytest.approx(wanted, abs=1e-4) and made[0, 1] == 0
 
 
 def test_yuv_is_the_analogue_one_of_bt601_and_bt709_is_another() -> None:
@@ -94,7 +82,7 @@ def test_lines_hold_still_in_noise_where_printed_edges_flip() -> None:
     base = cv2.GaussianBlur(np.clip(base, 0.02, 0.98), (0, 0), 0.8)
     frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1).astype(np.float32) for _ in range(6)]
     ours = flips([line_strength(f**2, 0.5, 0.5, 0.02, 0.06, 2, 2) for f in frames])
-    printed = flips([(printed_edges(f, 0.5, 0.5) > 0.04).astype(float) for f in frames])
+    printed = flips([(eq4_edges(f, 0.5, 0.5) > 0.04).astype(float) for f in frames])
     assert ours <= 0.02 < 0.1 < printed
 
 
@@ -134,7 +122,7 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
     assert line_strength(grey, 0.5, 0.5, 0.02, 0.06, 2, 2).max() == 0
 
 
-def tones(hard: bool) -> np.ndarray:
+def tones(ramp: float) -> np.ndarray:
     n = 2001
     angle = np.linspace(0, np.pi, n)
     normal = np.stack([np.sin(angle), np.zeros(n), np.cos(angle)], -1)[None].astype(np.float32)
@@ -142,12 +130,12 @@ def tones(hard: bool) -> np.ndarray:
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
     light = np.array([0, 0, 1.0]), np.ones(3), np.zeros(3)
-    made = toon(image, image, one, normal, albedo, none, *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, hard)
+    made = toon(image, image, one, normal, albedo, none, *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, ramp)
     return made[0, :, 0]
 
 
 def test_toon_has_three_tones_of_the_printed_factors() -> None:
-    hard, soft, c = tones(True), tones(False), np.cos(np.linspace(0, np.pi, 2001))
+    hard, soft, c = tones(0.0), tones(RAMP), np.cos(np.linspace(0, np.pi, 2001))
     np.testing.assert_allclose(hard[c > 0.5 + 1e-5], 0.5, rtol=1e-5)
     np.testing.assert_allclose(hard[(c > 0.2 + 1e-5) & (c < 0.5 - 1e-5)], 0.2, rtol=1e-5)
     np.testing.assert_allclose(hard[c < 0.2 - 1e-5], 0.05, rtol=1e-4)

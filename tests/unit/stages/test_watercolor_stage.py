@@ -21,6 +21,7 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
+from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.params import WatercolorParams
@@ -44,7 +45,8 @@ def painted(
     image: np.ndarray, params: WatercolorParams | None = None, f: FrameFacts = ABSENT, level: str = "standard",
     ready: ReadyStage | None = None, s: Any = SCENE, **more: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    ready = ready or ReadyStage.of(Watercolor(params), s, level)
+    stage = PrintedWatercolor if isinstance(params, PrintedWatercolorParams) else Watercolor
+    ready = ready or ReadyStage.of(stage(params), s, level)
     return ready.run(layers(image, **more), f)[Layer.IMAGE]
 
 
@@ -54,18 +56,18 @@ def picture(h: int = 120, w: int = 160) -> np.ndarray:
 
 
 @pytest.mark.parametrize("level", ["draft", "standard", "high", "reference"])
-@pytest.mark.parametrize("formula", ["corrected", "paper"])
+@pytest.mark.parametrize("kind", [WatercolorParams, PrintedWatercolorParams])
 @pytest.mark.parametrize("size", [(1, 1), (1, 64), (64, 1), (2, 3), (17, 31)])
-def test_any_size_is_painted(size: tuple[int, int], formula: str, level: str) -> None:
+def test_any_size_is_painted(size: tuple[int, int], kind: type, level: str) -> None:
     s = scene(camera(*size))
-    out = painted(picture(size[1], size[0]), WatercolorParams(formula=formula), level=level, s=s)
+    out = painted(picture(size[1], size[0]), kind(), level=level, s=s)
     assert out.shape == (size[1], size[0], 3) and np.isfinite(out).all() and out.min() >= 0
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_flat_frames_stay_flat(value: float) -> None:
     flat = np.full((120, 160, 3), value, np.float32)
-    for params in (PLAIN, WatercolorParams(formula="paper")):
+    for params in (PLAIN, PrintedWatercolorParams()):
         np.testing.assert_allclose(painted(flat, params), flat, atol=1e-6)
     assert np.ptp(painted(flat)) < (0.02 if value else 0.05)  # grain on black paint; white stays paper
     assert painted(np.ones((120, 160, 3))).min() > 0.99
@@ -80,7 +82,7 @@ def test_noise_only_and_light_beyond_white() -> None:
 
 def test_one_cell_and_more_cells_than_pixels() -> None:
     image = picture()
-    whole = painted(image, dataclasses.replace(PLAIN, formula="paper", cell_px=4096, line_threshold=2))
+    whole = painted(image, PrintedWatercolorParams(toon=False, cell_px=4096, line_threshold=2))
     np.testing.assert_allclose(whole, np.broadcast_to(image.mean((0, 1)), whole.shape), atol=1e-5)
     fine = painted(image, dataclasses.replace(PLAIN, cell_px=0.5, nearer_finer=0))
     assert np.abs(fine - image).mean() < 0.01
@@ -97,7 +99,7 @@ def test_the_paper_flickers_and_the_correction_does_not() -> None:
     base = np.sqrt(picture())
     frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1) ** 2 for _ in range(3)]
     error = {}
-    for name, params in (("paper", WatercolorParams(formula="paper", line_threshold=2)), ("ours", PLAIN), ("all", None)):
+    for name, params in (("paper", PrintedWatercolorParams(line_threshold=2)), ("ours", PLAIN), ("all", None)):
         out = [np.sqrt(painted(f, params, FrameFacts(k, k / 30))) for k, f in enumerate(frames)]
         error[name] = np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(out)])
     assert error["ours"] < error["paper"] / 100 and error["all"] < error["paper"] / 10
@@ -267,7 +269,6 @@ def test_pigment_follows_its_formula_on_an_even_wash() -> None:
 
 def test_settings_are_checked() -> None:
     for wrong in (
-        {"formula": "x"},
         {"cell_px": 0.0},
         {"line_low": 0.5},
         {"toon_thresholds": (0.1, 0.4)},
@@ -300,8 +301,8 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
     given = [FrameFacts(k, k / 30, advection=fact_of(nodes, nodes.u + step * k, nodes.v)) for k in range(4)]
     measured = with_anchors([FrameFacts(k, k / 30) for k in range(4)], motion.steps, camera(*size), Pose.identity(), 0.0)
     ours, error = WatercolorParams(grain=0, dry_brush=0), []
-    for params, seen in ((WatercolorParams(formula="paper"), given), (ours, given), (ours, measured)):
-        ready = ReadyStage.of(Watercolor(params), SCENE, "standard")
+    for stage, seen in ((PrintedWatercolor(), given), (Watercolor(ours), given), (Watercolor(ours), measured)):
+        ready = ReadyStage.of(stage, SCENE, "standard")
         out = [np.sqrt(painted(np.clip(a, 0, 1) ** 2, f=f, ready=ready)) for a, f in zip(frames, seen, strict=True)]
         pairs = [(a[16:-16, 16 + step : -16], b[16:-16, 16 : -16 - step]) for a, b in itertools.pairwise(out)]
         error.append(np.mean([np.mean((a - b) ** 2) for a, b in pairs]))
