@@ -34,6 +34,7 @@ FORMULAS: Mapping[str, Mapping[str, Any]] = {
     PAPER: Classes(
         {
             "dof": "arfx.papers.s2_dof.PrintedDof",
+            "gi": "arfx.papers.s4_gi.PrintedGi",
             "watercolor": "arfx.papers.s3_watercolor.PrintedWatercolor",
         }
     )

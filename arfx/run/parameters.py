@@ -28,7 +28,8 @@ def _classes(name: str) -> dict[str, type[Stage]]:
     return {CORRECTED: STAGES[name], **{formula: table[name] for formula, table in FORMULAS.items() if name in table}}
 
 
-def _stage(name: str, params: Any) -> Stage:
+def stage_of(name: str, params: Any) -> Stage:
+    """The stage with these settings, under their formula."""
     return _classes(name).get(getattr(params, "formula", CORRECTED), STAGES[name])(params)
 
 
@@ -77,7 +78,7 @@ def make_stages(config: JobConfig) -> dict[str, Stage]:
     for effect in names:
         for name, changes in STAGES[effect].overrides.items():
             settings[name] = replace(settings[name], **changes)
-    return {name: _stage(name, settings[name]) for name in names}
+    return {name: stage_of(name, settings[name]) for name in names}
 
 
 def on_this_machine(config: JobConfig) -> JobConfig:

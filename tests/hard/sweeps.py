@@ -25,7 +25,8 @@ from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec, rotvec_from_rotation
 from arfx.errors import ArfxError
 from arfx.papers.s2_dof import printed_limits
-from arfx.stages.gi.pyramid import levels_of, structure_of
+from arfx.papers.s4_gi import step2_mean
+from arfx.stages.gi.pyramid import levels_of, nearer_first, structure_of
 
 DELTAS = tuple(10.0**-k for k in range(1, 13))
 Round = Callable[[Any], Any]
@@ -241,7 +242,7 @@ def _wall(delta: float, formula: str, rounded: Round) -> float:
     """A wall of opacity 1 - delta, one voxel thick, at the mip level of eight voxels: what leaks beside what should."""
     values = np.zeros((len(_WALL), 4), np.float32)
     values[:, 3] = rounded(1 - delta)
-    level = levels_of(structure_of(_WALL, 16), values, formula == "paper")[3]
+    level = levels_of(structure_of(_WALL, 16, nearer_first if formula == "corrected" else step2_mean), values)[3]
     return abs(float(level[:, 0, 3].max()) - (1 - delta))
 
 

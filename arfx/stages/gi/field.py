@@ -18,7 +18,7 @@ from arfx.core.scene import Scene
 from arfx.stages.gi.between_planes import coarse_places, light_between
 from arfx.stages.gi.cones import START, even_cones, six_cones, steps_of, trace_many, turned
 from arfx.stages.gi.form_factors import Factors, factors_of, gather, solid
-from arfx.stages.gi.pyramid import Atlas, Structure, atlas_of, structure_of
+from arfx.stages.gi.pyramid import Atlas, Coarser, Structure, atlas_of, nearer_first, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texture_places
 from arfx.stages.gi.surroundings import Planes, behind_many
 from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
@@ -116,26 +116,22 @@ class Field:
     deeper: np.ndarray
     brightest: float
 
-    @property
-    def printed(self) -> np.ndarray:
-        """V_delta with the paper's labels, V_rho (real alone) - V_mu (real and virtual): the light that the object adds, with the
-        sign turned round. It means something only if it is taken from the picture, which formula paper does."""
-        return -self.gain
 
-
-def make_body(scene: Scene, n: int, planes: Planes, side: int, cones: int, paper: bool, rays: int = 0) -> Body:
+def make_body(
+    scene: Scene, n: int, planes: Planes, side: int, cones: int, rays: int = 0, coarser: Coarser = nearer_first
+) -> Body:  # fmt: skip
     """n : voxels a side;  side : texels of a plane;  cones : of each of them;  rays : of each, 0 = the cones tell alone"""
     voxels = voxelise(scene, n)
-    structure = structure_of(voxels.cells, n)
+    structure = structure_of(voxels.cells, n, coarser)
     values = np.zeros((len(voxels.cells), 4), np.float32)
     values[:, 3] = voxels.opacity
-    opaque = atlas_of(structure, values, paper)
+    opaque = atlas_of(structure, values)
     gathering = _gathering(voxels, opaque)
     places = texture_places(planes, side)
     set_, weights, tan_half = six_cones() if cones == 6 else even_cones(cones)
     steps = steps_of(tan_half, n, start=0.0)
     found, open_, factors, turns, coarse = [], [], [], [], []
-    exact = rays > 0 and not paper and solid(scene)
+    exact = rays > 0 and solid(scene)
     for k, axes in enumerate(planes.axes):
         points = places[k].reshape(-1, 3).astype(np.float32)
         around = turned(axes[3][None], set_)[0]
@@ -203,9 +199,10 @@ def _traced(
 
 
 def make_field(
-    body: Body, scene: Scene, light: Light, planes: Planes, back: Behind, mean: np.ndarray, paper: bool, bounce: bool
+    body: Body, scene: Scene, light: Light, planes: Planes, back: Behind, mean: np.ndarray, bounce: bool, sent_alone: bool = False
 ) -> Field:
-    """mean (3,) : radiance of the planes without the object;  bounce : False leaves the voxels black (occlusion alone)."""
+    """mean (3,) : radiance of the planes without the object;  bounce : False leaves the voxels black (occlusion alone).
+    sent_alone : the planes change by what the voxels send them, not by what the object hides, nor by each other's light"""
     rotation = scene.world_from_anchor.rotation.T
     lights = [(rotation @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
     whole = [light.radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
@@ -221,7 +218,7 @@ def make_field(
     without = shaded.copy()
     values = np.zeros((len(body.voxels.cells), 4), np.float32)
     values[:, 3] = body.voxels.opacity
-    gain = np.stack(lost) if not paper else np.zeros_like(np.stack(lost))
+    gain = np.stack(lost) if not sent_alone else np.zeros_like(np.stack(lost))
     atlas = body.opaque
     occluded = np.stack(lost)
     for turn in range(ROUNDS if bounce else 0):
@@ -230,13 +227,13 @@ def make_field(
         radiance = _voxel_radiance(body, lights, dark)
         values[:, :3] = radiance * body.voxels.opacity[:, None]
         if not body.factors or turn == ROUNDS - 1:  # rays look up the voxels themselves
-            atlas = atlas_of(body.structure, values, paper)
+            atlas = atlas_of(body.structure, values)
         for k, cones in enumerate(body.cones):
             got = _sent(body, k, radiance, dark, side) if body.factors else _gathered(body, cones, atlas, side)
-            gain[k] = got + (0.0 if paper else occluded[k])
+            gain[k] = got + (0.0 if sent_alone else occluded[k])
             shaded[k] = without[k] + divide(got, whole[k])
     deeper = np.zeros((0, side, side, 3), np.float32)
-    if len(planes.axes) > 1 and not paper:
+    if len(planes.axes) > 1 and not sent_alone:
         darkened = np.clip(shaded, 0, None) * body.open[..., None]
         ends = [back.with_textures((t * mean).astype(np.float32), body.open, mean) for t in (darkened, np.ones_like(shaded))]
         between, share = light_between(

@@ -18,7 +18,7 @@ from arfx.core.stage import View
 from arfx.errors import RenderError
 from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
 from arfx.stages.gi.plane_pixels import measured
-from arfx.stages.gi.pyramid import Atlas
+from arfx.stages.gi.pyramid import Atlas, Coarser, nearer_first
 from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
 
@@ -33,6 +33,7 @@ class LevelSettings:
     texture_side : texels of the picture on it, a power of two
     plane_rays : of each texel towards the object, 0 = its cones tell alone
     block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels
+    coarser : of the pyramid;  sent_alone : as field.make_field
     """
 
     voxels: int
@@ -44,6 +45,8 @@ class LevelSettings:
     sharp: float
     gloss_floor: float
     plane_rays: int = 0
+    coarser: Coarser = nearer_first
+    sent_alone: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +188,7 @@ def plane_mean(
     return np.asarray(np.where(mean > 1e-6, np.exp(np.round(np.log(np.maximum(mean, 1e-6)) / _STEP) * _STEP), 0.0))
 
 
-def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelSettings, paper: bool) -> Field:
+def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelSettings) -> Field:
     """The voxels' light and the planes' change, made anew only where light, environment or plane differ."""
     coarse, kept = rounded(view.light), view.memo.of_light
     cube, factor = environment_cube(view.facts, view.scene, coarse)
@@ -194,7 +197,7 @@ def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelS
     def make() -> Field:
         maps = kept.get(cube.tobytes(), lambda: octahedral(cube))
         back = replace(made.back, maps=factor.astype(np.float32) * maps)
-        return make_field(body, view.scene, coarse, planes, back, made.mean, paper, at.bounce)
+        return make_field(body, view.scene, coarse, planes, back, made.mean, at.bounce, at.sent_alone)
 
     found: Field = kept.get(key, make)
     return found

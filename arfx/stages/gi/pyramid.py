@@ -1,18 +1,19 @@
 """Voxels, and coarser and coarser ones, for six directions of view; stored in bricks, so that memory grows with the surface.
 
-Coarser voxels, `corrected`: for each axis direction the nearer child hides the farther one, then the four columns are
-averaged: a wall one voxel thick stays opaque. `paper`: the mean of the eight children, which lets 1 - 2^-L of the light
-through at level L. Radiance is premultiplied by opacity. Source: docs/methods/gi.md#pyramid.
+Coarser voxels: for each axis direction the nearer child hides the farther one, then the four columns are averaged: a wall one
+voxel thick stays opaque. Radiance is premultiplied by opacity. Source: docs/methods/gi.md#pyramid.
 """
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numba
 import numpy as np
 
+Coarser = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 BRICK = 4  # cells a side; a brick stores one more, so that values between cells need one brick
 _SIDE = BRICK + 1
 SAMPLES = _SIDE**3
@@ -33,7 +34,7 @@ class Structure:
 
     brick_of : int32, all levels' grids of bricks, -1 = empty
     meta (levels, 4) int64 : cells a side, bricks a side, first entry in brick_of, first float in the atlas
-    floats : of the atlas
+    floats : of the atlas;  coarser(below, children, out) : makes the voxels of a level from those below, (v, 6, 4) out
     """
 
     layers: tuple[Layer, ...]
@@ -41,6 +42,7 @@ class Structure:
     meta: np.ndarray
     floats: int
     bricks: tuple[int, ...]
+    coarser: Coarser
 
     @property
     def bytes(self) -> int:
@@ -61,63 +63,9 @@ class Atlas:
     structure: Structure = field(repr=False)
 
 
-def structure_of(cells: np.ndarray, n: int) -> Structure:
-    """cells (v, 3) int of level 0;  n : voxels a side, a power of two. n levels need log2 n filter passes."""
-    layers = [Layer(n, np.ascontiguousarray(cells, np.int32), np.zeros((0, 8), np.int32))]
-    while layers[-1].n > 1:
-        layers.append(_above(layers[-1]))
-    grids, meta, floats, counts, start = [], [], 0, [], 0
-    for k, layer in enumerate(layers):
-        across = layer.n // BRICK + 1
-        grid = np.full(across**3, -1, np.int32)
-        _touch(layer.cells, across, grid)
-        used = np.flatnonzero(grid == 0)
-        grid[used] = np.arange(len(used), dtype=np.int32)
-        meta.append([layer.n, across, start, floats])
-        grids.append(grid)
-        counts.append(len(used))
-        start += len(grid)
-        floats += len(used) * SAMPLES * (4 if k == 0 else 24)
-    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats, tuple(counts))
-
-
-def levels_of(structure: Structure, values: np.ndarray, paper: bool = False) -> list[np.ndarray]:
-    """Values of every level: (v, 1, 4) of level 0 as given, then (v, 6, 4) by direction of travel +x, -x, +y, -y, +z, -z.
-
-    values (v, 4) float32 : radiance times opacity, and opacity
-    """
-    out = [np.ascontiguousarray(values, np.float32)[:, None, :]]
-    for below, layer in zip(structure.layers[:-1], structure.layers[1:], strict=True):
-        made = np.zeros((len(layer.cells), 6, 4), np.float32)
-        (_mean if paper else _filter)(out[-1], layer.children, made)
-        out.append(made)
-        assert below.n == 2 * layer.n
-    return out
-
-
-def atlas_of(structure: Structure, values: np.ndarray, paper: bool = False) -> Atlas:
-    """The pyramid of `values` (v, 4), packed."""
-    atlas = np.zeros(structure.floats, np.float32)
-    for k, (layer, made) in enumerate(zip(structure.layers, levels_of(structure, values, paper), strict=True)):
-        _, across, first, at = structure.meta[k]
-        _pack(layer.cells, made, structure.brick_of[first : first + across**3], across, atlas[at:])
-    return Atlas(atlas, structure)
-
-
-def _above(layer: Layer) -> Layer:
-    half = layer.n // 2
-    parent = layer.cells // 2
-    key = (parent[:, 2].astype(np.int64) * half + parent[:, 1]) * half + parent[:, 0]
-    found, inverse = np.unique(key, return_inverse=True)
-    slot = (layer.cells[:, 2] % 2) * 4 + (layer.cells[:, 1] % 2) * 2 + layer.cells[:, 0] % 2
-    children = np.full((len(found), 8), -1, np.int32)
-    children[inverse.ravel(), slot] = np.arange(len(key), dtype=np.int32)
-    cells = np.stack([found % half, found // half % half, found // half**2], -1).astype(np.int32)
-    return Layer(half, cells, children)
-
-
 @numba.njit(cache=True, nogil=True)
-def _filter(below, children, out):  # pragma: no cover - compiled
+def nearer_first(below, children, out):  # pragma: no cover - compiled
+    """For each axis direction the nearer child hides the farther one; the mean of the four columns."""
     directed = below.shape[1] == 6
     one, quarter = np.float32(1), np.float32(0.25)
     for p in range(children.shape[0]):
@@ -139,16 +87,59 @@ def _filter(below, children, out):  # pragma: no cover - compiled
                         out[p, d, k] += quarter * left * below[far, source, k]
 
 
-@numba.njit(cache=True, nogil=True)
-def _mean(below, children, out):  # pragma: no cover - compiled
-    directed = below.shape[1] == 6
-    for p in range(children.shape[0]):
-        for d in range(6):
-            for s in range(8):
-                c = children[p, s]
-                if c >= 0:
-                    for k in range(4):
-                        out[p, d, k] += np.float32(0.125) * below[c, d if directed else 0, k]
+def structure_of(cells: np.ndarray, n: int, coarser: Coarser = nearer_first) -> Structure:
+    """cells (v, 3) int of level 0;  n : voxels a side, a power of two. n levels need log2 n filter passes."""
+    layers = [Layer(n, np.ascontiguousarray(cells, np.int32), np.zeros((0, 8), np.int32))]
+    while layers[-1].n > 1:
+        layers.append(_above(layers[-1]))
+    grids, meta, floats, counts, start = [], [], 0, [], 0
+    for k, layer in enumerate(layers):
+        across = layer.n // BRICK + 1
+        grid = np.full(across**3, -1, np.int32)
+        _touch(layer.cells, across, grid)
+        used = np.flatnonzero(grid == 0)
+        grid[used] = np.arange(len(used), dtype=np.int32)
+        meta.append([layer.n, across, start, floats])
+        grids.append(grid)
+        counts.append(len(used))
+        start += len(grid)
+        floats += len(used) * SAMPLES * (4 if k == 0 else 24)
+    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats, tuple(counts), coarser)
+
+
+def levels_of(structure: Structure, values: np.ndarray) -> list[np.ndarray]:
+    """Values of every level: (v, 1, 4) of level 0 as given, then (v, 6, 4) by direction of travel +x, -x, +y, -y, +z, -z.
+
+    values (v, 4) float32 : radiance times opacity, and opacity
+    """
+    out = [np.ascontiguousarray(values, np.float32)[:, None, :]]
+    for below, layer in zip(structure.layers[:-1], structure.layers[1:], strict=True):
+        made = np.zeros((len(layer.cells), 6, 4), np.float32)
+        structure.coarser(out[-1], layer.children, made)
+        out.append(made)
+        assert below.n == 2 * layer.n
+    return out
+
+
+def atlas_of(structure: Structure, values: np.ndarray) -> Atlas:
+    """The pyramid of `values` (v, 4), packed."""
+    atlas = np.zeros(structure.floats, np.float32)
+    for k, (layer, made) in enumerate(zip(structure.layers, levels_of(structure, values), strict=True)):
+        _, across, first, at = structure.meta[k]
+        _pack(layer.cells, made, structure.brick_of[first : first + across**3], across, atlas[at:])
+    return Atlas(atlas, structure)
+
+
+def _above(layer: Layer) -> Layer:
+    half = layer.n // 2
+    parent = layer.cells // 2
+    key = (parent[:, 2].astype(np.int64) * half + parent[:, 1]) * half + parent[:, 0]
+    found, inverse = np.unique(key, return_inverse=True)
+    slot = (layer.cells[:, 2] % 2) * 4 + (layer.cells[:, 1] % 2) * 2 + layer.cells[:, 0] % 2
+    children = np.full((len(found), 8), -1, np.int32)
+    children[inverse.ravel(), slot] = np.arange(len(key), dtype=np.int32)
+    cells = np.stack([found % half, found // half % half, found // half**2], -1).astype(np.int32)
+    return Layer(half, cells, children)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -12,8 +12,8 @@ caustics, refraction, light that the object sends through its own transparent pa
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,7 +28,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
-from arfx.stages.gi.field import Body, make_body
+from arfx.stages.gi.field import Body, Field, make_body
 from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field, rounded
 from arfx.stages.gi.health import furnace, seams
 from arfx.stages.gi.pixels import LOBES, chosen, light_points, reflected, spread
@@ -50,25 +50,21 @@ LEVELS = {
 
 @dataclass(frozen=True)
 class GiParams:
-    """formula : corrected, or paper: voxels' mean of their children, the object's light added to the picture as a difference
+    """formula : corrected, or paper: S4 as printed (papers/s4_gi.py)
     strength : share of the computed change of the real planes that is shown, 0..1
-    plane_albedo : of the real plane, 0..1, used by formula paper alone; the corrected ratio does not need it
     plane_gloss : of the real plane, share of light that it mirrors seen from above: 0 = matt, varnish and glass .04, 0..1
     plane_roughness : of its gloss, 0 (a mirror) to 1
     samples : rays per pixel of level reference
     """
 
-    formula: str = "corrected"
+    formula: str = field(default="corrected", init=False)
     strength: float = 1.0
-    plane_albedo: float = 0.5
     plane_gloss: float = 0.0
     plane_roughness: float = 0.1
     samples: int = 64
 
     def __post_init__(self) -> None:
-        if self.formula not in ("corrected", "paper"):
-            raise ConfigError(f"gi.formula {self.formula!r} is unknown", "one of corrected, paper")
-        for name in ("strength", "plane_albedo", "plane_gloss", "plane_roughness"):
+        for name in ("strength", "plane_gloss", "plane_roughness"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"gi.{name} must be between 0 and 1, is {getattr(self, name):g}")
         if not 1 <= self.samples <= 65536:
@@ -98,10 +94,11 @@ class Gi(Stage):
         }
     )  # fmt: skip
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
-    levels = ("draft", "standard", "high", "reference")
+    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
     facts = frozenset({"pose", "light", "environment"})
     Params = GiParams
     terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
+    settings: ClassVar[Mapping[str, LevelSettings]] = LEVELS  # of every level but `reference`
     overrides: ClassVar = {"lightmap": {"ambient": False}}  # gi gives all light without a direction
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
@@ -118,7 +115,7 @@ class Gi(Stage):
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         """The picture that the object reflects lies on the planes around it; blocks of pixels are whole."""
-        block = LEVELS[level].block if level in LEVELS else 1
+        block = self.settings[level].block if level in self.settings else 1
         frame = scene.camera.rect
         return out.pad(2 * block).align(block, block).union(self._seen(facts, scene, frame)).clip(frame)
 
@@ -138,8 +135,8 @@ class Gi(Stage):
         empty = np.zeros(0, np.float32)
         if level == "reference":
             return Prepared(planes, grid, None, empty, empty, empty, empty, empty)
-        at = LEVELS[level]
-        body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, self._paper, at.plane_rays)
+        at = self.settings[level]
+        body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays, at.coarser)
         tangents = mirror_tangent(np.linspace(0, 1, LOBES))
         rows = [steps_of(float(t), at.voxels) for t in tangents]
         lobes = np.zeros((LOBES, max(len(r) for r in rows), 3), np.float32)
@@ -161,9 +158,9 @@ class Gi(Stage):
                 view, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples, self.params.strength,
                 (self.params.plane_gloss, self.params.plane_roughness), self._mirror_rect(facts, scene, frame),
             )  # fmt: skip
-        at = LEVELS[view.level]
+        at = self.settings[view.level]
         made = around(view, self._seen(facts, scene, frame), prepared.planes, prepared.places)
-        whole = frame_field(view, prepared.body, prepared.planes, made, at, self._paper)
+        whole = frame_field(view, prepared.body, prepared.planes, made, at)
         virtual = self._virtual(view, prepared, at, made.lit(whole))
         shadow, real = now[Layer.SHADOW], measured(now[Layer.REAL_DEPTH])
         radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(view.light, scene))
@@ -171,21 +168,35 @@ class Gi(Stage):
             disc = disc_rect(scene, prepared.planes, radius, pose, frame)
             anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
             nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(np.float32)
-            target, delta = (virtual, whole.printed) if self._paper else (shadow, whole.delta)
-            weight = self.params.strength * (-self.params.plane_albedo if self._paper else 1.0)
-            changed = add_delta(
-                target, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
-                anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
-                np.float32(prepared.planes.half_m), np.float32(radius), delta, whole.deeper, np.float32(weight), real,
-            )  # fmt: skip
-            if self._paper:
-                left = 1 - now[Layer.COVERAGE][..., None]
-                virtual = virtual + left * (changed - virtual)
-            else:
-                shadow = changed
+
+            def added(layer: np.ndarray, delta: np.ndarray, weight: float) -> np.ndarray:
+                """The layer and `weight` times what lies on the planes."""
+                changed: np.ndarray = add_delta(
+                    layer, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
+                    anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
+                    np.float32(prepared.planes.half_m), np.float32(radius), delta, whole.deeper, np.float32(weight), real,
+                )  # fmt: skip
+                return changed
+
+            virtual, shadow = self.on_planes(whole, virtual, shadow, view, added)
         if self.params.plane_gloss > 0 and self.params.strength > 0:
             virtual, shadow = self._mirrored(view, prepared, made.lit(whole), virtual, shadow, real)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
+
+    def on_planes(
+        self, field: Field, virtual: np.ndarray, shadow: np.ndarray, view: View,
+        added: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """VIRTUAL and SHADOW with what the object does to the planes: a share of the pixel."""
+        return virtual, added(shadow, field.delta, self.params.strength)
+
+    def in_mirrors(
+        self, change: np.ndarray, light: np.ndarray, virtual: np.ndarray, shadow: np.ndarray, view: View, within: Rect
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """The same of its mirror image, by which the planes' light changes within a rectangle."""
+        out, at = shadow.copy(), within.slices_in(view.rect)
+        out[at] = np.clip(out[at] + change / np.maximum(light, DARKEST), 0, None)
+        return virtual, out
 
     def _virtual(self, view: View, prepared: Prepared, at: LevelSettings, back: Around) -> np.ndarray:
         now, out = view.layers, view[Layer.VIRTUAL].copy()
@@ -225,7 +236,6 @@ class Gi(Stage):
     def _mirrored(
         self, view: View, prepared: Prepared, back: Around, virtual: np.ndarray, shadow: np.ndarray, real: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """VIRTUAL and SHADOW with the object's mirror image in the planes: a share of the pixel, or added (paper)."""
         now, facts, scene, rect = view.layers, view.facts, view.scene, view.rect
         assert prepared.body is not None and back.atlas is not None
         within = self._mirror_rect(facts, scene, scene.camera.rect).clip(rect)
@@ -245,14 +255,7 @@ class Gi(Stage):
             real if not real.size else np.ascontiguousarray(real[within.slices_in(rect)]),
         )  # fmt: skip
         change = self.params.strength * mirror_in_planes(*arguments)
-        at = within.slices_in(rect)
-        if self._paper:
-            out = virtual.copy()
-            out[at] += (1 - now[Layer.COVERAGE][at][..., None]) * change
-            return out, shadow
-        out = shadow.copy()
-        out[at] = np.clip(out[at] + change / np.maximum(plate - bias, DARKEST), 0, None)
-        return virtual, out
+        return self.in_mirrors(change, plate - bias, virtual, shadow, view, within)
 
     def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels in which glossy planes can mirror the object."""
@@ -302,10 +305,6 @@ class Gi(Stage):
         pose = facts.camera_from_world
         planes = planes_of(scene)
         return EMPTY if pose is None else disc_rect(scene, planes, planes.half_m, pose, frame)
-
-    @property
-    def _paper(self) -> bool:
-        return self.params.formula == "paper"
 
 
 def _texture_side(scene: Scene, at: LevelSettings) -> int:

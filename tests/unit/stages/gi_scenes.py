@@ -16,6 +16,7 @@ from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
+from arfx.run.parameters import stage_of
 from arfx.stages.gi import Gi, GiParams
 from arfx.stages.triangles import Triangles
 from tests.scenes import box_model, facts
@@ -78,7 +79,8 @@ def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
 
 @cache
 def ready(s: Scene, level: str, params: GiParams | None) -> ReadyStage:
-    return ReadyStage.of(Gi(params), s, level_named(Gi.levels, level))
+    stage = stage_of("gi", params or GiParams())
+    return ReadyStage.of(stage, s, level_named(stage.levels, level))
 
 
 def run_gi(

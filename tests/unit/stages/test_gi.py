@@ -210,17 +210,6 @@ def test_contact_is_where_the_object_stands() -> None:
         assert dark[at].mean() == pytest.approx(0.4 / (0.4 + 0.35) * 0.06**2 / d2 * 0.06 / np.sqrt(d2), rel=0.4)
 
 
-def test_paper_adds_a_difference_and_cannot_darken() -> None:
-    """The printed formulas: a lone plane gets no light from itself, so a black object leaves it as it is."""
-    params = GiParams(formula="paper")
-    black, red = run_gi(on(box, BLACK), params=params), run_gi(on(box, MATT_RED), params=params)
-    assert (black[Layer.SHADOW] == 1).all() and np.abs(black[Layer.VIRTUAL]).max() == 0
-    near = ring(on(box, BLACK), black[Layer.COVERAGE], 0, 0.1)
-    assert red[Layer.VIRTUAL][near][:, 0].mean() > 0.02 and (red[Layer.SHADOW] == 1).all()
-    corrected = run_gi(on(box, BLACK))
-    assert corrected[Layer.SHADOW][near].mean() < 0.93
-
-
 def test_degenerate_parts() -> None:
     p = box_model(material=MATT_RED).parts[0]
     sliver = Part(np.array([[0, 0, 0], [0, 0, 0], [0.5, 0, 0.0]]), np.array([[0, 1, 2]], np.int32), np.tile([0, 0, 1.0], (3, 1)))
@@ -276,7 +265,7 @@ def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
 
 
 def test_settings_are_checked_and_the_demand_tells_why() -> None:
-    for wrong in ({"formula": "other"}, {"strength": 2.0}, {"plane_albedo": -1.0}, {"samples": 0}):
+    for wrong in ({"strength": 2.0}, {"samples": 0}):
         with pytest.raises(ConfigError):
             GiParams(**wrong)  # type: ignore[arg-type]
     s = on(box, MATT_RED)

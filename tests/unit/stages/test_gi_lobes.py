@@ -105,7 +105,7 @@ def test_any_number_of_rays_goes_to_the_sky() -> None:
 
 def test_voxels_that_share_their_light_face_the_same_way() -> None:
     s = on_plane(box(MATT_WHITE), NIGHT)
-    body = make_body(s, 32, planes_of(s), 16, 6, False)
+    body = make_body(s, 32, planes_of(s), 16, 6)
     at, v = body.gathering, body.voxels
     assert len(at.cells) < 0.5 * len(v.cells)
     assert (v.normal * at.normal[at.of]).sum(1).min() > 0.3

@@ -14,7 +14,8 @@ from arfx.core.model import Material
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
 from arfx.core.rect import Rect
-from arfx.core.stage import ReadyStage
+from arfx.core.stage import ReadyStage, level_named
+from arfx.papers.s4_gi import PrintedGi
 from arfx.stages.gi import Gi, GiParams
 from arfx.stages.gi.real_planes import picture_on_planes, planes_of, texture_places
 from tests.contract.stage_laws import check_roi_law
@@ -87,10 +88,10 @@ def test_a_faint_gloss_is_left_out() -> None:
     assert np.array_equal(a, b)
 
 
-@pytest.mark.parametrize("formula", ["corrected", "paper"])
-def test_a_part_of_the_picture_is_as_the_whole(formula: str) -> None:
-    stage = Gi(GiParams(formula=formula, plane_gloss=0.5, plane_roughness=0.3))
-    check_roi_law(ReadyStage.of(stage, SCENE, "draft"), facts(SCENE, POSE), 3)
+@pytest.mark.parametrize("kind", [Gi, PrintedGi])
+def test_a_part_of_the_picture_is_as_the_whole(kind: type[Gi]) -> None:
+    stage = kind(kind.Params(plane_gloss=0.5, plane_roughness=0.3))
+    check_roi_law(ReadyStage.of(stage, SCENE, level_named(stage.levels, "draft")), facts(SCENE, POSE), 3)
 
 
 def test_no_light_is_taken_that_is_not_there() -> None:

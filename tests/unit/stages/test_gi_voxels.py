@@ -10,8 +10,9 @@ import pytest
 
 from arfx.core.cube import solid_angles
 from arfx.core.model import Model, Part
+from arfx.papers.s4_gi import step2_mean
 from arfx.stages.gi.cones import even_cones, six_cones, steps_of, trace_many
-from arfx.stages.gi.pyramid import Atlas, atlas_of, levels_of, structure_of
+from arfx.stages.gi.pyramid import Atlas, Coarser, atlas_of, levels_of, nearer_first, structure_of
 from arfx.stages.gi.voxelise import voxelise
 from tests.unit.stages.gi_scenes import GLOWING, MATT_RED, MATT_WHITE, NIGHT, ball, box, box_model, on_plane
 
@@ -24,18 +25,18 @@ def wall(alpha: float = 1.0) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize(("paper", "expected"), [(True, [1, 0.5, 0.25, 0.125]), (False, [1, 1, 1, 1])])
-def test_a_wall_one_voxel_thick(paper: bool, expected: list[float]) -> None:
-    levels = levels_of(structure_of(WALL, 16), wall(), paper)
+@pytest.mark.parametrize(("coarser", "expected"), [(step2_mean, [1, 0.5, 0.25, 0.125]), (nearer_first, [1, 1, 1, 1])])
+def test_a_wall_one_voxel_thick(coarser: Coarser, expected: list[float]) -> None:
+    levels = levels_of(structure_of(WALL, 16, coarser), wall())
     assert [float(v[:, 0, 3].max()) for v in levels[:4]] == expected
     assert [float(v[:, 0, 3].min()) for v in levels[:4]] == expected  # the whole wall
 
 
-@pytest.mark.parametrize(("paper", "left"), [(True, 0.875), (False, 0.0)])
-def test_the_mean_of_children_lets_light_through_a_wall(paper: bool, left: float) -> None:
+@pytest.mark.parametrize(("coarser", "left"), [(step2_mean, 0.875), (nearer_first, 0.0)])
+def test_the_mean_of_children_lets_light_through_a_wall(coarser: Coarser, left: float) -> None:
     """A cone that is eight voxels wide at the wall meets it with one sample of level 3."""
-    structure = structure_of(WALL, 16)
-    atlas = atlas_of(structure, wall(), paper)
+    structure = structure_of(WALL, 16, coarser)
+    atlas = atlas_of(structure, wall())
     got = trace_many(
         atlas.values, structure.brick_of, structure.meta, np.array([[6.0, 3, 1.0]], np.float32),
         np.array([[-2.0, 8, 8]], np.float32), np.array([[[1, 0, 0]]], np.float32), np.zeros((1, 3), np.float32), np.float32(0),

@@ -22,6 +22,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
+from arfx.run.parameters import stage_of
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.params import WatercolorParams
@@ -45,8 +46,7 @@ def painted(
     image: np.ndarray, params: WatercolorParams | None = None, f: FrameFacts = ABSENT, level: str = "standard",
     ready: ReadyStage | None = None, s: Any = SCENE, **more: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    stage = PrintedWatercolor if isinstance(params, PrintedWatercolorParams) else Watercolor
-    ready = ready or ReadyStage.of(stage(params), s, level)
+    ready = ready or ReadyStage.of(stage_of("watercolor", params or WatercolorParams()), s, level)
     return ready.run(layers(image, **more), f)[Layer.IMAGE]
 
 
