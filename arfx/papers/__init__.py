@@ -33,6 +33,7 @@ CORRECTED, PAPER = "corrected", "paper"
 FORMULAS: Mapping[str, Mapping[str, Any]] = {
     PAPER: Classes(
         {
+            "lightmap": "arfx.papers.s1_lightmap.PrintedLightmap",
             "dof": "arfx.papers.s2_dof.PrintedDof",
             "gi": "arfx.papers.s4_gi.PrintedGi",
             "watercolor": "arfx.papers.s3_watercolor.PrintedWatercolor",

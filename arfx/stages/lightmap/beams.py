@@ -66,7 +66,7 @@ class FrameLight:
 
 
 def frame_light(light: Light, world_from_anchor: Pose, hard: bool, plane_blocks: bool) -> FrameLight:
-    """hard : lights without size (the paper's);  plane_blocks : what is behind the plane does not light the object.
+    """hard : lights without size;  plane_blocks : what is behind the plane does not light the object.
 
     Lights without a direction or without finite colour are left out; negative colour counts as none.
     """

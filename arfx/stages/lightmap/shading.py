@@ -2,9 +2,8 @@
 
 Diffuse: albedo times the light's radiance for the normal (soft harmonics and directional lights, `core.light`), each
 directional light times what the object leaves of it. Gloss: Blinn and Phong's lobe of the half-vector, Schlick's Fresnel,
-metals and dielectrics as in glTF 2.0; a light of some size widens it. Source of the `paper` formula: docs/methods/light.md#idea,
-I = g rho M(n) + b and Phong's lobe of the mirrored direction. What a camera adds where no light falls is added to the
-object too.
+metals and dielectrics as in glTF 2.0; a light of some size widens it. What a camera adds where no light falls is added to
+the object too.
 Cost: O(covered pixels). Leaves out: the surroundings' picture in metals, light from the plane onto the object.
 """
 
@@ -13,8 +12,6 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-
-from arfx.stages.lightmap.printed_map import add_map
 
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -53,15 +50,11 @@ def shade(
     soft,
     constant,
     bias,
-    paper,
-    cube,
-    axes,
 ):  # pragma: no cover - compiled
     """(h, w, 3) float32, premultiplied by the coverage.
 
     left : (l, h, w) share of each directional light that the object leaves itself;  eye (3,) : the camera, WORLD frame
     towards, rgb (l, 3);  widths (l,);  soft (9, 3), constant : only its first row counts;  bias (3,)
-    cube (6, n, n, 3), axes (3, 3) : printed_map in place of `soft`, n = 0 for none
     """
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
@@ -109,44 +102,30 @@ def shade(
         for i in range(n):
             metal = kinds[i, 0]
             base = np.float32(0.08) * kinds[i, 2] * (one - metal)
-            matt = one - metal if paper else (one - metal) * (one - base)
+            matt = (one - metal) * (one - base)
             dr[i], dg[i], db[i] = colours[i, 0] * matt, colours[i, 1] * matt, colours[i, 2] * matt
             fr[i], fg[i], fb[i] = base + colours[i, 0] * metal, base + colours[i, 1] * metal, base + colours[i, 2] * metal
-        gloss = zero if paper else one
-        if cube.shape[1] > 0:
-            add_map(r, g, b, dr, dg, db, nx, ny, nz, cube, axes, n)
-        elif constant:
+        if constant:
             for i in range(n):
-                r[i] = (dr[i] + gloss * fr[i]) * soft[0, 0]
-                g[i] = (dg[i] + gloss * fg[i]) * soft[0, 1]
-                b[i] = (db[i] + gloss * fb[i]) * soft[0, 2]
+                r[i] = (dr[i] + fr[i]) * soft[0, 0]
+                g[i] = (dg[i] + fg[i]) * soft[0, 1]
+                b[i] = (db[i] + fb[i]) * soft[0, 2]
         else:
-            _soft_channel(r, dr, fr, gloss, nx, ny, nz, soft[:, 0], n)
-            _soft_channel(g, dg, fg, gloss, nx, ny, nz, soft[:, 1], n)
-            _soft_channel(b, db, fb, gloss, nx, ny, nz, soft[:, 2], n)
+            _soft_channel(r, dr, fr, nx, ny, nz, soft[:, 0], n)
+            _soft_channel(g, dg, fg, nx, ny, nz, soft[:, 1], n)
+            _soft_channel(b, db, fb, nx, ny, nz, soft[:, 2], n)
         for k in range(towards.shape[0]):
             lx, ly, lz = towards[k, 0], towards[k, 1], towards[k, 2]
             lr, lg, lb, wide = rgb[k, 0], rgb[k, 1], rgb[k, 2], widths[k]
-            if paper:
-                for i in range(n):
-                    nl = nx[i] * lx + ny[i] * ly + nz[i] * lz
-                    nv = nx[i] * vx[i] + ny[i] * vy[i] + nz[i] * vz[i]
-                    lv = lx * vx[i] + ly * vy[i] + lz * vz[i]
-                    cosine[i] = max(two * nl * nv - lv, np.float32(1e-8))
-                    lit[i] = max(nl, zero)
-                    graze[i] = zero
-                    # a lobe about the mirrored direction is four times as wide as one about the half-vector
-                    shine[i] = min(max((two / width4[i] - two) * np.float32(0.25), one), np.float32(500))
-            else:
-                for i in range(n):
-                    hx, hy, hz = lx + vx[i], ly + vy[i], lz + vz[i]
-                    scale = one / np.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
-                    cosine[i] = max((nx[i] * hx + ny[i] * hy + nz[i] * hz) * scale, np.float32(1e-8))
-                    away = one - min(max((vx[i] * hx + vy[i] * hy + vz[i] * hz) * scale, zero), one)
-                    graze[i] = edge[i] * (away * away * away * away * away)
-                    lit[i] = max(nx[i] * lx + ny[i] * ly + nz[i] * lz, zero)
-                    # Blinn's exponent of the GGX width roughness^2
-                    shine[i] = min(max(two / (width4[i] + wide) - two, one), np.float32(2000))
+            for i in range(n):
+                hx, hy, hz = lx + vx[i], ly + vy[i], lz + vz[i]
+                scale = one / np.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
+                cosine[i] = max((nx[i] * hx + ny[i] * hy + nz[i] * hz) * scale, np.float32(1e-8))
+                away = one - min(max((vx[i] * hx + vy[i] * hy + vz[i] * hz) * scale, zero), one)
+                graze[i] = edge[i] * (away * away * away * away * away)
+                lit[i] = max(nx[i] * lx + ny[i] * ly + nz[i] * lz, zero)
+                # Blinn's exponent of the GGX width roughness^2
+                shine[i] = min(max(two / (width4[i] + wide) - two, one), np.float32(2000))
             # lobe = cosine ^ shine, as 2 ^ (shine log2 cosine)
             for i in range(n):
                 mantissa_bits[i] = (cosine_bits[i] & np.int32(0x007FFFFF)) | np.int32(0x3F800000)
@@ -178,12 +157,8 @@ def shade(
                     )
                 )
                 whole_bits[i] = (nearest + np.int32(127)) << np.int32(23)
-            if paper:
-                for i in range(n):
-                    lobe[i] = lobe[i] * whole[i] if lit[i] > zero else zero
-            else:
-                for i in range(n):
-                    lobe[i] *= whole[i] * (shine[i] + np.float32(8)) * np.float32(0.125) * lit[i]
+            for i in range(n):
+                lobe[i] *= whole[i] * (shine[i] + np.float32(8)) * np.float32(0.125) * lit[i]
             open_share = left[k, y, first : last + 1]
             for i in range(n):
                 open_ = open_share[i]
@@ -195,9 +170,6 @@ def shade(
                 g[i] += lg * (dg[i] * lit[i] + (fg[i] + (one - fg[i]) * graze[i]) * lobe[i])
             for i in range(n):
                 b[i] += lb * (db[i] * lit[i] + (fb[i] + (one - fb[i]) * graze[i]) * lobe[i])
-        if cube.shape[1] > 0:  # what the lights' lobes have more than the map is not left in the shade
-            for i in range(n):
-                r[i], g[i], b[i] = max(r[i], zero), max(g[i], zero), max(b[i], zero)
         for i in range(n):
             c = cover[i]
             line[i, 0] = c * (r[i] + glow[i, 0] + bias[0])
@@ -207,11 +179,11 @@ def shade(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _soft_channel(out, diffuse, mirror, gloss, nx, ny, nz, s, n):  # pragma: no cover - compiled
-    """One line of one colour: (diffuse + gloss x mirror) x the soft light of the normals, which is never below 0."""
+def _soft_channel(out, diffuse, mirror, nx, ny, nz, s, n):  # pragma: no cover - compiled
+    """One line of one colour: (diffuse + mirror) x the soft light of the normals, which is never below 0."""
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]
     for i in range(n):
         x, y, z = nx[i], ny[i], nz[i]
         light = s0 + s1 * y + s2 * z + s3 * x + (s4 * y + s7 * z + s8 * x) * x + (s5 * z - s8 * y) * y
         light = light + s6 * (np.float32(3) * z * z - np.float32(1))
-        out[i] = (diffuse[i] + gloss * mirror[i]) * max(light, np.float32(0))
+        out[i] = (diffuse[i] + mirror[i]) * max(light, np.float32(0))

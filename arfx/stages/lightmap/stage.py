@@ -9,10 +9,10 @@ Source: docs/methods/light.md#shadow, docs/methods/light.md#shading.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.lookup import light_left
 from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, bounded
-from arfx.stages.lightmap.printed_map import printed_map
 from arfx.stages.lightmap.region import ground_of
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
 from arfx.stages.lightmap.shading import harmonic_terms, highlight_width, shade
@@ -39,7 +38,7 @@ _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the 
 
 @dataclass(frozen=True)
 class LightmapParams:
-    """formula : corrected, or paper: Phong's highlights, lights without size, diffuse albedo x the light map
+    """formula : corrected, or paper: S1 as printed (papers/s1_lightmap.py)
     shadow_strength : share of the computed darkening of the plane that is shown, 0..1
     self_shadow : the same of the object's shadow on itself, 0..1
     faint : darkening of the plane by less than this share of its light is left out, up to 3 times as much is faded, 0..0.3
@@ -47,7 +46,7 @@ class LightmapParams:
     ambient : light without a direction too; a job with gi turns it off, which gives that light itself
     """
 
-    formula: str = "corrected"
+    formula: str = field(default="corrected", init=False)
     shadow_strength: float = 1.0
     self_shadow: float = 1.0
     faint: float = 0.02
@@ -55,8 +54,6 @@ class LightmapParams:
     ambient: bool = True
 
     def __post_init__(self) -> None:
-        if self.formula not in ("corrected", "paper"):
-            raise ConfigError(f"lightmap.formula {self.formula!r} is unknown", "one of corrected, paper")
         for name in ("shadow_strength", "self_shadow"):
             value = getattr(self, name)
             if not 0 <= value <= 1:
@@ -79,9 +76,10 @@ class Lightmap(Stage):
     name = "lightmap"
     reads = frozenset({Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE})
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
-    levels = ("draft", "standard", "high", "reference")
+    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
     facts = frozenset({"pose", "light"})
     Params = LightmapParams
+    hard: ClassVar[bool] = False  # lights have no size
     always = True
     terms = ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions")
 
@@ -120,7 +118,6 @@ class Lightmap(Stage):
         """now : its part with the object"""
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
-        facts = view.facts
         coverage, normal, position = now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION]
         eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
@@ -139,13 +136,18 @@ class Lightmap(Stage):
                     left[i] = by_map(coverage, normal, position, found, anchor_from_world, at)
             if self.params.self_shadow < 1:
                 left = 1 + np.float32(self.params.self_shadow) * (left - 1)
+        return self.shaded(now, left, reaching, light, eye, view.facts)
+
+    def shaded(
+        self, now: Layers, left: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
+    ) -> np.ndarray:
+        """VIRTUAL. left (k, h, w) : what the object leaves itself of each of the lights `reaching`;  eye (3,) : WORLD frame"""
         f32 = np.float32
         virtual: np.ndarray = shade(
-            coverage, normal, position, now[Layer.ALBEDO], now[Layer.MATERIAL], now[Layer.EMISSIVE], left,
-            eye.astype(f32), light.towards[reaching].astype(f32),
+            now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION], now[Layer.ALBEDO], now[Layer.MATERIAL],
+            now[Layer.EMISSIVE], left, eye.astype(f32), light.towards[reaching].astype(f32),
             (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
             self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32),
-            self._paper, *printed_map(facts.light_map if self._paper and self.params.ambient else None),
         )  # fmt: skip
         return virtual
 
@@ -159,7 +161,7 @@ class Lightmap(Stage):
         for beam, share in zip(light.beams, light.direct_shares, strict=True):
             if beam.on_plane and share.max() > 0:
                 make = lambda b=beam: bounded(  # noqa: E731
-                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[view.level], self._paper), scene.surface_m
+                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[view.level], self.hard), scene.surface_m
                 )
                 textures.append(view.memo.of_light.get(("plane", beam), make))
                 shares.append(share)
@@ -192,12 +194,8 @@ class Lightmap(Stage):
     def _ambient(self) -> np.float32:
         return np.float32(self.params.ambient)
 
-    @property
-    def _paper(self) -> bool:
-        return self.params.formula == "paper"
-
     def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
-        return frame_light(scene.light_of(facts), scene.world_from_anchor, self._paper, self.params.plane_blocks)
+        return frame_light(scene.light_of(facts), scene.world_from_anchor, self.hard, self.params.plane_blocks)
 
 
 def _around(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:

@@ -16,6 +16,7 @@ from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
+from arfx.run.parameters import stage_of
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from tests.scenes import box_model, facts
 
@@ -60,10 +61,11 @@ def run_stage(
     layers: Layers | None = None, ready: ReadyStage | None = None, **changes: Any,
 ) -> dict[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL and SHADOW over the whole picture; without layers nothing virtual covers it."""
+    stage = stage_of("lightmap", params or LightmapParams())
     f: FrameFacts = facts(s, pose or from_above()).with_(**changes)
     if layers is None:
         layers = Layers(s.camera.rect).adding({name: neutral(name, s.camera.rect) for name in Lightmap.reads})
-    made = (ready or ReadyStage.of(Lightmap(params), s, level_named(Lightmap.levels, level))).run(layers, f)
+    made = (ready or ReadyStage.of(stage, s, level_named(stage.levels, level))).run(layers, f)
     return {name: a.over(name, s.camera.rect) if isinstance(a, Patch) else a for name, a in made.items()}
 
 

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from arfx.core.camera import Camera
-from arfx.core.cube import CubeMap, face_directions
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
-from arfx.core.pose import rotation_from_euler_deg
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
-from arfx.errors import RenderError
+from arfx.papers.s1_lightmap import PrintedLightmapParams
+from arfx.run.parameters import stage_of
 from arfx.stages import STAGES
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from tests.contract.stage_laws import run as run_law
@@ -36,6 +35,7 @@ from tests.unit.stages.lightmap_scenes import (
 
 LEVELS = ("draft", "standard", "high", "reference")
 BARE = LightmapParams(self_shadow=0.0, plane_blocks=False)
+PRINTED = PrintedLightmapParams(self_shadow=0.0, plane_blocks=False)
 SOFT = (
     (1.1, 1.0, 0.9), (0.10, 0.05, 0.0), (0.30, 0.25, 0.2), (-0.10, 0.0, 0.1), (0.02, 0.01, 0.03),
     (0.04, 0.0, -0.02), (0.05, 0.02, 0.01), (-0.03, 0.02, 0.0), (0.01, 0.03, -0.02),
@@ -63,7 +63,8 @@ def surface(
 def shaded(s: Scene, layers: Layers, params: LightmapParams = BARE, level: str = "standard", **changes: object) -> np.ndarray:
     """VIRTUAL. The plane's shadow, which is not looked at, is a draft and left out: the reference's takes seconds."""
     params = replace(params, shadow_strength=0.0)
-    draft = replace(ReadyStage.of(Lightmap(params), s, "draft"), level=level_named(Lightmap.levels, level))
+    stage = stage_of("lightmap", params)
+    draft = replace(ReadyStage.of(stage, s, "draft"), level=level_named(stage.levels, level))
     return run_stage(s, layers=layers, ready=draft, model_box=s.camera.rect, **changes)[Layer.VIRTUAL]
 
 
@@ -79,29 +80,12 @@ def far(s: Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize("light", [Light(lights=TWO), Light(lights=TWO, soft=SOFT), Light((0.3, 0.2, 0.1), ())])
-@pytest.mark.parametrize("formula", ["corrected", "paper"])
-def test_a_matt_surface_shows_the_radiance_of_the_light_and_the_bias(light: Light, formula: str) -> None:
+@pytest.mark.parametrize("params", [BARE, PRINTED])
+def test_a_matt_surface_shows_the_radiance_of_the_light_and_the_bias(light: Light, params: LightmapParams) -> None:
     s, bias = on_plane(box_model(), light), (0.02, 0.01, 0.03)
     n = any_normals(s)
-    made = shaded(s, surface(s, n, far(s), coverage=0.25), replace(BARE, formula=formula), bias_rgb=bias)
+    made = shaded(s, surface(s, n, far(s), coverage=0.25), params, bias_rgb=bias)
     np.testing.assert_allclose(made, 0.25 * (0.87 * light.radiance(n) + np.array(bias)), atol=2e-6)
-
-
-def test_the_papers_formula_shades_by_its_light_map() -> None:
-    light, turn = Light((0.3, 0.2, 0.1), TWO), rotation_from_euler_deg(20, -35, 110)
-    s, d = on_plane(box_model(), light), face_directions(24)
-    cube = np.stack([0.5 + 0.2 * d[..., 0], 0.4 + 0.1 * d[..., 1] * d[..., 2], 0.6 - 0.3 * d[..., 2]], -1)
-    n = any_normals(s)
-    found = CubeMap.of(cube, turn)
-    made = shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), light_map=found)
-    m = n @ turn.T
-    of_map = np.stack([0.5 + 0.2 * m[..., 0], 0.4 + 0.1 * m[..., 1] * m[..., 2], 0.6 - 0.3 * m[..., 2]], -1)
-    lamps = light.radiance(n) - light.soft_radiance(n)
-    np.testing.assert_allclose(made, 0.87 * (of_map + lamps), atol=6e-3)  # float16 and texels of 4 degrees
-    same = shaded(s, surface(s, n, far(s)), BARE, light_map=found)  # the corrected formula knows lights alone
-    np.testing.assert_allclose(same, 0.87 * light.radiance(n), atol=2e-6)
-    with pytest.raises(RenderError, match="light map"):
-        shaded(s, surface(s, n, far(s)), replace(BARE, formula="paper"), light_map=CubeMap.of(cube[:, :1, :1]))
 
 
 @pytest.mark.parametrize("exposure", [0.3, 1.0, 1.7])

@@ -24,7 +24,7 @@ from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError
-from arfx.stages.lightmap.printed_map import printed_map
+from arfx.papers.s1_lightmap import printed_map
 from tests.clips import clip_camera
 
 KEY, MARKER = "36h11:3", MarkerSpec("36h11", 3, 0.1)
@@ -253,7 +253,9 @@ def test_the_papers_light_map_is_written_with_every_frame(level: int) -> None:
     turn = _upright(normalise(np.sum(normals, 0)))
     for f, n, x in zip(done.facts, normals, seen, strict=True):
         light.add((turn @ n)[None], x[None], np.full((1, 3), 1e-6))
-        cube, axes = printed_map(f.light_map)
+        found = printed_map(f.light_map)
+        assert found is not None
+        cube, axes = found
         lamps = f.light.radiance(UP) - f.light.soft_radiance(UP)  # type: ignore[union-attr]
         shown = look_up(cube, (axes @ UP)[None])[0] + lamps
         off.append(float(np.abs(shown / light.at((turn @ n)[None])[0][0] - 1).max()))

@@ -1,0 +1,91 @@
+"""Shading by a dynamic light map, as printed: Tan, Chen, Sun 2010 (README.md, S1), equation (3) and the shadows of section 2.3.
+The map itself, (2) and (4) to (9), is made by the analysis: s1_light.py.
+
+Lights are those at the peaks of the map M, without a size; what they give is taken out of M (s1_light), so that a surface with
+everything in its light shows M. Shadows are hard.
+
+Deviations. M comes from s1_light, with its own. Phong's model is named, not written down: its lobe is here as wide as the
+material's roughness makes it, its strength what glTF's materials mirror seen from above. Where the analysis has no map (a light
+that is given) the light's own soft part is in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from arfx.analyse.light.surroundings import look_up
+from arfx.core.cube import CubeMap
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.light import harmonics
+from arfx.core.numerics import normalise
+from arfx.errors import RenderError
+from arfx.stages.lightmap import Lightmap
+from arfx.stages.lightmap.beams import FrameLight
+from arfx.stages.lightmap.stage import LightmapParams
+
+LEAST_ROUGHNESS, SHARPEST = 0.05, 500.0
+
+
+@dataclass(frozen=True)
+class PrintedLightmapParams(LightmapParams):
+    """formula : paper"""
+
+    formula: str = field(default="paper", init=False)
+
+
+def printed_map(found: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """(cube (6, n, n, 3), map_from_world (3, 3)) of M beside its lights' own cosine lobes; None where no map was written."""
+    if found is None:
+        return None
+    cube, axes = found.faces(), np.eye(3) if found.axes is None else np.array(found.axes).reshape(3, 3)
+    if cube.shape[1] < 2 or not np.isfinite(cube).all() or not np.isfinite(axes).all():
+        raise RenderError("facts: the light map needs faces of finite numbers, 2 x 2 or more")
+    return cube, axes
+
+
+def phong(n: np.ndarray, v: np.ndarray, d: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+    """(p,) highlight of a light in direction d, seen from v: the cosine to its mirrored direction, to a power."""
+    n_d = n @ d
+    r_v = np.maximum(2 * n_d * (n * v).sum(-1) - v @ d, 1e-8)
+    # a lobe about the mirrored direction is four times as wide as one about the half-vector
+    shine = np.clip((2 / np.maximum(roughness, LEAST_ROUGHNESS) ** 4 - 2) / 4, 1, SHARPEST)
+    return np.where(n_d > 0, r_v**shine, 0)
+
+
+class PrintedLightmap(Lightmap):
+    levels = ("standard",)
+    Params = PrintedLightmapParams
+    hard = True
+
+    def shaded(
+        self, now: Layers, left: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
+    ) -> np.ndarray:
+        """(3): I(v) = g rho_v M(n_v) + b, with g = 1, and the lights' part of M where they reach."""
+        covered = now[Layer.COVERAGE] > 0
+        n, rho, place, glow, material = (
+            now[name][covered] for name in (Layer.NORMAL, Layer.ALBEDO, Layer.POSITION, Layer.EMISSIVE, Layer.MATERIAL)
+        )
+        metal, roughness, specular = material[:, 0, None], material[:, 1], material[:, 2, None]
+        mirrored = 0.08 * specular * (1 - metal) + rho * metal
+        rho, v = rho * (1 - metal), normalise(eye - place)
+        found = printed_map(facts.light_map) if self.params.ambient else None
+        if found is not None:
+            cube, map_from_world = found
+            I_v = rho * look_up(cube, n @ map_from_world.T)
+        elif self.params.ambient:
+            I_v = rho * (np.clip(harmonics(n) @ light.soft, 0, None) if len(light.soft) else light.ambient)
+        else:
+            I_v = np.zeros(rho.shape)
+        for k, share in zip(reaching, left, strict=True):
+            d = light.towards[k]
+            reflected = rho * np.maximum(n @ d, 0)[:, None] + mirrored * phong(n, v, d, roughness)[:, None]
+            I_v += light.rgb[k] * light.on_object[k] * share[covered][:, None] * reflected
+        if found is not None:  # what the lights' lobes have more than the map is not left in the shade
+            I_v = np.maximum(I_v, 0)
+        virtual = np.zeros(now[Layer.NORMAL].shape, np.float32)
+        virtual[covered] = now[Layer.COVERAGE][covered][:, None] * (I_v + glow + np.array(facts.bias_rgb))
+        return virtual
