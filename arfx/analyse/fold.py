@@ -83,6 +83,7 @@ class AnalysisJob:
     panorama : of LightParams.environment;  anchor : MARKER or PLANE
     depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of the camera, camera_from_given
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
+    kinds : classes of folds in place of the usual ones, by name
     """
 
     markers: tuple[MarkerSpec, ...]
@@ -97,6 +98,7 @@ class AnalysisJob:
     poses: OfFrames | None = None
     scene: Callable[[Analysis], Scene] | None = None
     progress: Callable[[str, int, int | None], None] = lambda *_: None
+    kinds: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

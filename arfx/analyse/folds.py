@@ -32,7 +32,8 @@ ON_PLANE: dict[str, type[Fold]] = {
 
 def folds_of(job: AnalysisJob) -> dict[str, type[Fold]]:
     """The class of each fold that there is for this job."""
-    return ON_PLANE if job.anchor == PLANE else FOLDS
+    table = ON_PLANE if job.anchor == PLANE else FOLDS
+    return table | {name: kind for name, kind in job.kinds.items() if {*kind.needs} <= table.keys()}
 
 
 class Analyser:

@@ -35,6 +35,7 @@ FORMULAS: Mapping[str, Mapping[str, Any]] = {
         {
             "lightmap": "arfx.papers.s1_lightmap.PrintedLightmap",
             "dof": "arfx.papers.s2_dof.PrintedDof",
+            "environment": "arfx.papers.s4_gi.PrintedEnvironment",
             "gi": "arfx.papers.s4_gi.PrintedGi",
             "watercolor": "arfx.papers.s3_watercolor.PrintedWatercolor",
         }

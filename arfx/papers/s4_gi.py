@@ -16,9 +16,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numba
 import numpy as np
 
+from arfx.analyse.light.fold import Environment
+from arfx.analyse.light.surroundings import SIZE, foldable
 from arfx.core.layers import Layer
 from arfx.core.rect import Rect
 from arfx.core.stage import View
@@ -58,6 +61,25 @@ def step2_delta(field: Field) -> np.ndarray:
     """V_delta = V_rho - V_mu, real alone less real and virtual, on the planes: the light that the object adds, with the sign
     turned round. A lone plane sends itself no light, so a black object leaves it as it is."""
     return -field.gain
+
+
+def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """(6, size, size, 3) radiance as `surroundings.fold`: the picture in thirds, its middle the front and, mirrored, the back,
+    the parts beside the middle the sides. There is a seam where those meet the back."""
+    picture = foldable(image)
+    h, w = picture.shape[:2]
+    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
+    part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
+    shrink = lambda p: cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)  # noqa: E731
+    # a side's first line is the one that touches the front
+    right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
+    down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
+    front = shrink(part(1, 1))
+    return np.stack([right, left, down, up, front, front])
+
+
+class PrintedEnvironment(Environment):
+    folded = staticmethod(step3_environment)
 
 
 class PrintedGi(Gi):

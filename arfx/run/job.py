@@ -32,7 +32,7 @@ from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, unlisted_told
-from arfx.run.parameters import folds_wanted, make_stages, pipeline
+from arfx.run.parameters import folds_wanted, kinds_of_folds, make_stages, pipeline
 from arfx.run.place import Places
 from arfx.run.planned import Analysed, Job, JobPlan
 from arfx.run.predict import Terms
@@ -139,6 +139,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         tree["light"],
         config.model.anchor,
         sorted(folds_wanted(config)),
+        sorted(kinds_of_folds(config)),
     ]
     if config.input.marker_map:
         base.append(file_digest(config.input.marker_map))
@@ -204,7 +205,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
         lambda clip: make_scene(
             config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static
         ),
-        options.progress,
+        options.progress, kinds_of_folds(config),
     )  # fmt: skip
     done = analyse_clip(inputs.info, job, folds_wanted(config), span, clock, folder, analysis_key)
     clip = done.analysis

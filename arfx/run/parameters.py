@@ -87,6 +87,12 @@ def on_this_machine(config: JobConfig) -> JobConfig:
     return config.model_copy(update={"params": {**config.params, **settled}})
 
 
+def kinds_of_folds(config: JobConfig) -> dict[str, Any]:
+    """Classes of folds in place of the usual ones. How the picture becomes an environment is gi's formula."""
+    formulas = {"environment": config.params["gi"].formula}
+    return {name: FORMULAS[f][name] for name, f in formulas.items() if f in FORMULAS}
+
+
 def folds_wanted(config: JobConfig) -> frozenset[str]:
     """What the job needs of the analysis, by name: what its stages read, and what every job has."""
     stages = make_stages(config).values()

@@ -13,7 +13,7 @@ Source: docs/methods/light.md#cues.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from arfx.analyse.light.patches import (
 from arfx.analyse.light.photometry import Photometry, solve
 from arfx.analyse.light.photometry_paper import solve_paper
 from arfx.analyse.light.static_frame import Readings, RoomLight, Told
-from arfx.analyse.light.surroundings import Look, look, with_environment
+from arfx.analyse.light.surroundings import Folded, Look, fold, look, with_environment
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap
@@ -85,7 +85,7 @@ class LightOfMarkers(Fold):
             shrink = small.shape[1] / picture.rect.width
             largest = max(seen, key=lambda s: s.side_px)
             quad = (largest.corners_px + 0.5) * shrink - 0.5
-            self.looks = self._when.thinned([*self.looks, look(frame.index, small, quad, self.job.light.formula)])
+            self.looks = self._when.thinned([*self.looks, look(frame.index, small, quad, folded(self.job))])
 
     def finish(self, clip: Analysis) -> Analysis:
         return lighted(clip, self.readings, self.looks, self.job.light, self.job.panorama)
@@ -135,7 +135,7 @@ class LightOnPlane(Fold):
             quad = None if pose is None else camera.project(pose.apply(clip.anchor.corners_m))
             if quad is not None and np.isfinite(quad).all():
                 quad = (quad + 0.5) * (small.shape[1] / camera.width) - 0.5
-                self.looks.append(look(k, small, quad, self.job.light.formula))
+                self.looks.append(look(k, small, quad, folded(self.job)))
         return lighted(clip, (), self.looks, self.job.light, self.job.panorama)
 
 
@@ -166,6 +166,7 @@ class Environment(Fold):
 
     name = "environment"
     needs = ("light",)
+    folded: ClassVar[Folded] = staticmethod(fold)
 
     def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
         super().__init__(job)
@@ -174,6 +175,12 @@ class Environment(Fold):
     def finish(self, clip: Analysis) -> Analysis:
         upright = clip.world_from_anchor.rotation
         return clip.adding(with_environment(clip.facts, self._light.looks, clip.static == "camera", self.job.panorama, upright))
+
+
+def folded(job: AnalysisJob) -> Folded:
+    """How a picture becomes a cube."""
+    found: Folded = job.kinds.get(Environment.name, Environment).folded
+    return found
 
 
 def lighted(

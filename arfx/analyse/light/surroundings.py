@@ -1,10 +1,8 @@
 """The surroundings, folded out of the frame: a cube of radiance around the camera, and what light it gives.
 
-The picture is split in thirds: its middle is the cube's front, and mirrored its back; the parts left, right, above and
-below the middle are the sides. It gives colour and soft shading, never a direction: a picture of a third of the surroundings
-says little about the rest, and lamps in it are clipped. `fold` is the paper's, with a seam where the sides meet the mirrored
-back; `fold_corrected` has none: the direction's angle from the line of sight is the distance from the picture's middle, out to
-its border at 90 degrees and back behind.
+The direction's angle from the line of sight is the distance from the picture's middle, out to its border at 90 degrees and back
+behind. That gives colour and soft shading, never a direction: a picture of a third of the surroundings says little about the
+rest, and lamps in it are clipped.
 
 `soft_light` is what is used where no direction is known: the surroundings above the anchor's plane, the plane itself below.
 The fold knows a third of what is around, mirrors it, and cannot know what lights the plane: so only its colours and its broad
@@ -20,7 +18,7 @@ corners of the picture.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -34,6 +32,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, Light, harmonics
 from arfx.core.numerics import divide, normalise
 
+Folded = Callable[[np.ndarray, int], np.ndarray]
 SIZE = 16
 FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
@@ -42,24 +41,8 @@ AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
 PANORAMA_PX = 16  # side of a face
 
 
-def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in `face_directions`.
-
-    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not finite counts as black.
-    """
-    picture = _foldable(image)
-    h, w = picture.shape[:2]
-    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
-    part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
-    shrink = lambda p: cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)  # noqa: E731
-    # a side's first line is the one that touches the front
-    right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
-    down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
-    front = shrink(part(1, 1))
-    return np.stack([right, left, down, up, front, front])
-
-
-def _foldable(image: np.ndarray) -> np.ndarray:
+def foldable(image: np.ndarray) -> np.ndarray:
+    """(h, w, 3) float64; what is not finite is black. Raises ValueError for less than 3 x 3 pixels."""
     picture = np.asarray(image, np.float64)
     h, w = picture.shape[:2]
     if h < 3 or w < 3:
@@ -67,9 +50,13 @@ def _foldable(image: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(picture), picture, 0.0)
 
 
-def fold_corrected(image: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """The same as `fold`, without a seam anywhere: what is continuous in the picture is so on the sphere."""
-    picture = _foldable(image)
+def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in `face_directions`. No seam anywhere: what
+    is continuous in the picture is so on the sphere.
+
+    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not finite counts as black.
+    """
+    picture = foldable(image)
     h, w = picture.shape[:2]
     # as coarse as the faces are: a texel of 90 / size degrees spans this many pixels
     small = cv2.resize(picture, (min(w, 2 * size), min(h, 2 * size)), interpolation=cv2.INTER_AREA)
@@ -168,10 +155,10 @@ class Look:
     plane: np.ndarray
 
 
-def look(frame: int, picture: np.ndarray, quad: np.ndarray, formula: str = "corrected") -> Look:
+def look(frame: int, picture: np.ndarray, quad: np.ndarray, folded: Folded = fold) -> Look:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels
 
-    formula : "corrected", folded without a seam, or "paper"
+    folded : makes the cube of a picture
     """
     middle = quad.mean(0)
     share = np.linspace(0, 1, 8, endpoint=False)[:, None]
@@ -180,7 +167,6 @@ def look(frame: int, picture: np.ndarray, quad: np.ndarray, formula: str = "corr
     inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
     beside = picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
     small = cv2.resize(np.ascontiguousarray(picture, np.float32), (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)))
-    folded = fold if formula == "paper" else fold_corrected
     return Look(frame, folded(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
 
 

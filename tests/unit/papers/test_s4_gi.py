@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from arfx.analyse.fold import AnalysisJob
+from arfx.analyse.light.fold import folded
+from arfx.config.load import load
 from arfx.core.layers import Layer
 from arfx.errors import ConfigError
-from arfx.papers.s4_gi import PrintedGiParams
+from arfx.papers.s4_gi import PrintedGiParams, step3_environment
+from arfx.run.parameters import kinds_of_folds, parameters
 from tests.unit.stages.gi_scenes import (
     BLACK,
     CAMERA,
@@ -25,6 +29,13 @@ from tests.unit.stages.gi_scenes import (
 def test_the_planes_albedo_is_a_share() -> None:
     with pytest.raises(ConfigError, match="plane_albedo must be between 0 and 1"):
         PrintedGiParams(plane_albedo=-1.0)
+
+
+@pytest.mark.parametrize("gi", ["corrected", "paper"])
+def test_the_environment_is_folded_as_gis_formula_says_whatever_the_lights(gi: str) -> None:
+    light = {"paper": "corrected", "corrected": "paper"}[gi]
+    config = load(None, {"gi": {"formula": gi}, "light": {"formula": light}}, parameters())
+    assert (folded(AnalysisJob((), CAMERA, kinds=kinds_of_folds(config))) is step3_environment) == (gi == "paper")
 
 
 def test_the_sign_of_the_difference() -> None:

@@ -9,7 +9,6 @@ from arfx.analyse.light.surroundings import (
     Look,
     face_directions,
     fold,
-    fold_corrected,
     from_panorama,
     look,
     look_up,
@@ -22,6 +21,7 @@ from arfx.analyse.light.surroundings import (
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, harmonics
 from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.papers.s4_gi import step3_environment
 from arfx.stages.gi.frame_light import checked
 
 GREY = np.full((90, 120, 3), [0.2, 0.4, 0.6])
@@ -32,7 +32,7 @@ def test_solid_angles_make_the_sphere() -> None:
 
 
 def test_a_constant_picture_gives_constant_surroundings() -> None:
-    faces = fold(GREY)
+    faces = step3_environment(GREY)
     assert np.abs(faces - [0.2, 0.4, 0.6]).max() < 1e-6
     soft = soft_of(faces, np.eye(3))
     n = np.random.default_rng(0).normal(size=(200, 3))
@@ -44,7 +44,7 @@ def test_a_constant_picture_gives_constant_surroundings() -> None:
 def test_sides_join_the_front_without_a_seam() -> None:
     y, x = np.mgrid[0:90, 0:120]
     picture = np.stack([x / 120, y / 90, 0.5 + 0 * x], -1)
-    right, left, down, up, front, back = fold(picture, 30)
+    right, left, down, up, front, back = step3_environment(picture, 30)
     pitch = 1 / 3 / 30
     assert np.abs(right[:, 0, 0] - front[:, -1, 0] - pitch).max() < 0.2 * pitch
     assert np.abs(front[:, 0, 0] - left[:, 0, 0] - pitch).max() < 0.2 * pitch
@@ -65,7 +65,7 @@ def test_a_bright_side_lights_the_surfaces_that_face_it_after_any_turn() -> None
     picture = np.full((90, 120, 3), 0.1)
     picture[30:60, 80:] = 1.0  # what stands right of the camera
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # world_from_camera
-    soft = soft_of(fold(picture), turn)
+    soft = soft_of(step3_environment(picture), turn)
     light = Light((0, 0, 0), (), "environment", tuple(map(tuple, soft)))
     towards, away = light.soft_radiance(turn @ [1.0, 0, 0]), light.soft_radiance(turn @ [-1.0, 0, 0])
     assert (towards > 2.5 * away).all()
@@ -89,11 +89,11 @@ def largest_step(faces: np.ndarray) -> float:
 def test_the_papers_fold_has_a_seam_and_the_corrected_one_none() -> None:
     y, x = np.mgrid[0:180, 0:240]
     picture = np.stack([x / 240, y / 180, 0.5 + 0 * x], -1)  # left dark, right bright: the back's edges clash
-    assert largest_step(fold(picture, 12)) > 0.3
-    assert largest_step(fold_corrected(picture, 12)) < 0.16
-    assert np.abs(fold_corrected(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
+    assert largest_step(step3_environment(picture, 12)) > 0.3
+    assert largest_step(fold(picture, 12)) < 0.16
+    assert np.abs(fold(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
     quad = np.array([[100.0, 80], [140, 80], [140, 120], [100, 120]])
-    printed, corrected = (largest_step(look(0, picture, quad, formula).cube) for formula in ("paper", "corrected"))
+    printed, corrected = (largest_step(look(0, picture, quad, folded).cube) for folded in (step3_environment, fold))
     assert printed > 0.3 and corrected < 0.3 and look(0, picture, quad).cube.shape == (6, 6, 6, 3)
 
 
@@ -101,7 +101,7 @@ def test_the_corrected_fold_keeps_sides_where_they_are() -> None:
     picture = np.zeros((90, 120, 3))
     picture[:, 90:, 0] = 1  # right
     picture[70:, :, 1] = 1  # below
-    faces = fold_corrected(picture, 12)
+    faces = fold(picture, 12)
     right, left, down, up = (look_up(faces, np.array([v], float))[0] for v in ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]))
     assert right[0] > 0.9 > 0.1 > left[0] and down[1] > 0.9 > 0.1 > up[1]
     ahead, behind = (look_up(faces, np.array([[0, 0, z]], float))[0] for z in (1, -1))
