@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from arfx.errors import ConfigError
 
 STATIC = ("auto", "camera", "marker")
-FORMULAS = ("corrected", "paper")
 ALBEDOS = ("known", "normalised", "unknown")
 
 
@@ -62,7 +61,7 @@ class AnalyseParams:
 class LightParams:
     """Where the light comes from.
 
-    formula : corrected, or paper: gain, bias and light map as printed, lights at the map's peaks, surroundings folded with seams
+    formula : corrected, or paper: S1 as printed (papers/s1_light.py)
     given : a light that is known: azimuth from the anchor marker's x and elevation above its plane, degrees, and perhaps
         its linear RGB on a surface that faces it; without it as bright as the marker shows. A camera at rest sees the
         marker move below it: then the angles hold in the first frame that shows the marker
@@ -76,11 +75,9 @@ class LightParams:
     window_s : longest stretch over which a light that changes is taken for one
     map_level : light map's icosphere, 2 to 5 (16, 8, 4, 2 degrees between directions)
     map_blur_rad : s of the light map's update (8)
-    peak : paper: a light stands where the map exceeds this share of its largest value (I_c of eq. 9)
-    peak_apart_deg : paper: and every other direction closer than this (epsilon of eq. 9)
     """
 
-    formula: str = "corrected"
+    formula: str = field(default="corrected", init=False)
     given: tuple[float, ...] = ()
     size_deg: float = 5.0
     environment: Path | None = None
@@ -93,12 +90,8 @@ class LightParams:
     window_s: float = 2.0
     map_level: int = 3
     map_blur_rad: float = 0.2
-    peak: float = 0.8
-    peak_apart_deg: float = 30.0
 
     def __post_init__(self) -> None:
-        if self.formula not in FORMULAS:
-            raise ConfigError(f"light.formula {self.formula!r} is unknown", f"one of {', '.join(FORMULAS)}")
         if self.albedos not in ALBEDOS:
             raise ConfigError(f"light.albedos {self.albedos!r} is unknown", f"one of {', '.join(ALBEDOS)}")
         if self.given and len(self.given) not in (2, 5):
@@ -116,8 +109,8 @@ class LightParams:
         if not 0 <= self.ink < self.paper <= 1:
             raise ConfigError(f"albedos: 0 <= light.ink < light.paper <= 1, not {self.ink:g} and {self.paper:g}")
         for name, low, high in (
-            ("most_lights", 0, 2), ("map_level", 2, 5), ("peak", 0, 1), ("size_deg", 0, 90), ("limit_deg", 1, 90),
-            ("map_blur_rad", 0.01, 3), ("peak_apart_deg", 1, 180), ("window_s", 0.1, 1e6), ("drift_per_s", 0, 100),
+            ("most_lights", 0, 2), ("map_level", 2, 5), ("size_deg", 0, 90), ("limit_deg", 1, 90),
+            ("map_blur_rad", 0.01, 3), ("window_s", 0.1, 1e6), ("drift_per_s", 0, 100),
         ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise ConfigError(f"light.{name} must be between {low:g} and {high:g}, is {getattr(self, name):g}")

@@ -33,6 +33,7 @@ CORRECTED, PAPER = "corrected", "paper"
 FORMULAS: Mapping[str, Mapping[str, Any]] = {
     PAPER: Classes(
         {
+            "light": "arfx.papers.s1_light.PrintedLight",
             "lightmap": "arfx.papers.s1_lightmap.PrintedLightmap",
             "dof": "arfx.papers.s2_dof.PrintedDof",
             "environment": "arfx.papers.s4_gi.PrintedEnvironment",

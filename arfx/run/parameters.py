@@ -19,7 +19,8 @@ from arfx.stages import STAGES, stages_with
 def parameters() -> Mapping[str, Mapping[str, type]]:
     """Section name -> formula -> frozen dataclass, for every stage, the analysis and the light that it reads; the usual formula
     first."""
-    analysis: dict[str, dict[str, type]] = {"analyse": {CORRECTED: AnalyseParams}, "light": {CORRECTED: LightParams}}
+    printed = {formula: table["light"].Params for formula, table in FORMULAS.items()}
+    analysis: dict[str, dict[str, type]] = {"analyse": {CORRECTED: AnalyseParams}, "light": {CORRECTED: LightParams, **printed}}
     return analysis | {name: {f: stage.Params for f, stage in _classes(name).items()} for name in STAGES}
 
 
@@ -88,8 +89,8 @@ def on_this_machine(config: JobConfig) -> JobConfig:
 
 
 def kinds_of_folds(config: JobConfig) -> dict[str, Any]:
-    """Classes of folds in place of the usual ones. How the picture becomes an environment is gi's formula."""
-    formulas = {"environment": config.params["gi"].formula}
+    """Classes of folds in place of the usual ones, by name. How the picture becomes an environment is gi's formula."""
+    formulas = {"light": config.params["light"].formula, "environment": config.params["gi"].formula}
     return {name: FORMULAS[f][name] for name, f in formulas.items() if f in FORMULAS}
 
 

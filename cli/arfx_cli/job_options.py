@@ -69,7 +69,7 @@ def job_config(given: dict[str, Any]) -> Any:
     from arfx.run.parameters import parameters, pipeline
 
     kinds = parameters()
-    formulas = [name for name, by_formula in kinds.items() if any(hasattr(k, "formula") for k in by_formula.values())]
+    formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
     tree = overrides(itertools.chain(of_sections(given), _of_stages(given, formulas)), given["set"])
     config = load([find(file) for file in given["config"]], tree, kinds)
     pipeline(config)

@@ -15,7 +15,6 @@ import numpy as np
 from arfx.analyse.light.fit import REFUSED, fit
 from arfx.analyse.light.light_map import weight
 from arfx.analyse.light.photometry import MEASURED, solve
-from arfx.analyse.light.photometry_paper import solve_paper
 from arfx.analyse.pose.planar import hypotheses
 from arfx.core.camera import Camera
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
@@ -24,6 +23,7 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec, rotvec_from_rotation
 from arfx.errors import ArfxError
+from arfx.papers.s1_light import eq8_weight, gain_and_bias
 from arfx.papers.s2_dof import printed_limits
 from arfx.papers.s4_gi import step2_mean
 from arfx.stages.gi.pyramid import levels_of, nearer_first, structure_of
@@ -115,7 +115,7 @@ def _between(at: float) -> Callable[[float, str, Round], float]:
 def _light_weight(delta: float, formula: str, rounded: Round) -> float:
     """Eq. (8) at an angle delta from the normal, against the exponential itself."""
     s = 0.2
-    found = float(weight(rounded(np.cos(delta)), s, formula))
+    found = float((weight if formula == "corrected" else eq8_weight)(rounded(np.cos(delta)), s))
     return abs(found - float(np.exp(-(delta**2) / (2 * s * s))))
 
 
@@ -157,7 +157,7 @@ def _albedo(delta: float, formula: str, rounded: Round) -> float | None:
     rho = np.array([0.5 - delta / 2, 0.5 + delta / 2] * 4)
     y = np.random.default_rng(0).uniform(0.3, 0.9, (30, 3))
     seen = rounded(rho[None, :, None] * y[:, None] + 0.05)
-    found = (solve if formula == "corrected" else solve_paper)(seen, albedo=rho)
+    found = (solve if formula == "corrected" else gain_and_bias)(seen, albedo=rho)
     return None if found.verdict != MEASURED else float(np.abs(found.bias - 0.05).max())
 
 

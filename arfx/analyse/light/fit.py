@@ -10,7 +10,7 @@ result `measured` only if
   that it is one (its terminator). `most_lights = 1` is for a user who knows that there is one lamp.
 Everything else is `refused`, in words; then `guess` is the best explanation all the same, and the ambient light the
 mean of what was seen. Light that is the same for every normal is refused too: there is no direction to be had.
-Source: Tan, Chen, Sun 2009, eq. (1); (9) is `paper_lights`; docs/methods/light.md#lamps.
+Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps.
 Cost: 20 to 150 ms.
 """
 
@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.light.explain import Explanations, Params
-from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.search import NO_CONE_DEG, SKY, Model, Samples, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import condition
@@ -197,26 +196,3 @@ def _angular_size(model: Model, bound: float) -> tuple[float, bool]:
         return 2 * best, True
     most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, len(chi) - 1)])
     return min(DEFAULT_SIZE_DEG, most) if inside[0] == 0 else 2 * best, False
-
-
-def paper_lights(light_map: np.ndarray, level: int, threshold: float, epsilon_deg: float) -> np.ndarray:
-    """(m, 3) unit directions of the lights as eq. (9) finds them, strongest first.
-
-    light_map : (v, 3) or (v,) values at the vertices of icosphere(level);  threshold : I_c, of the channels' mean
-    Candidates are the middles of the triangles of the upper hemisphere (z >= 0); a light stands where M exceeds the
-    threshold and every other candidate closer than epsilon_deg.
-    """
-    values = np.asarray(light_map, float)
-    values = values.mean(-1) if values.ndim == 2 else values
-    sphere = icosphere(level)
-    upper = sphere.centres[:, 2] >= 0
-    n, M = sphere.centres[upper], values[sphere.faces[upper]].mean(1)
-    free, peaks = threshold < M, []
-    for i in np.argsort(-M, kind="stable"):
-        if free[i]:  # not yet close to one that is as bright: few are, and only theirs are compared with all
-            near = n @ n[i] > np.cos(np.radians(epsilon_deg))
-            near[i] = False
-            if (M[near] < M[i]).all():
-                peaks.append(i)
-            free &= ~near | (M[i] < M)
-    return n[peaks]

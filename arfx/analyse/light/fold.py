@@ -12,7 +12,7 @@ Source: docs/methods/light.md#cues.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -33,13 +33,12 @@ from arfx.analyse.light.patches import (
     reduced,
     stack,
 )
-from arfx.analyse.light.photometry import Photometry, solve
-from arfx.analyse.light.photometry_paper import solve_paper
+from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.static_frame import Readings, RoomLight, Told
 from arfx.analyse.light.surroundings import Folded, Look, fold, look, with_environment
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
-from arfx.core.cube import CubeMap
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.health import Check
 from arfx.core.light import Light
@@ -47,6 +46,7 @@ from arfx.core.rect import Rect
 
 Reading = tuple[int, str, Patches]
 T = TypeVar("T")
+Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, Told | None]]
 SURROUNDINGS_S = 0.5  # between two looks at the surroundings
 SURROUNDINGS_PX = 96  # width of the picture that is looked at
 MOST_LOOKS = 240  # beyond that every second one is dropped, and the interval doubled
@@ -183,27 +183,36 @@ def folded(job: AnalysisJob) -> Folded:
     return found
 
 
+def solved(
+    intensity: np.ndarray, variance: np.ndarray, clipped: np.ndarray, params: LightParams
+) -> tuple[Photometry, Told | None]:  # fmt: skip
+    """Bias and light out of patches, and another reading of them where prints are overexposed."""
+    photometry = photometry_of(intensity, variance, WHITE, None, clipped, params.albedos, params.ink, params.paper)
+    y, own, fit = comparable(photometry, intensity, variance, WHITE, clipped)
+    used = photometry.seen
+    return photometry, None if y is photometry.y and fit is used else Told(y[used], own[used], fit[used])
+
+
 def lighted(
-    analysis: Analysis, taken: Sequence[Reading], looks: Sequence[Look], params: LightParams, panorama: np.ndarray | None = None
-) -> Analysis:
+    analysis: Analysis, taken: Sequence[Reading], looks: Sequence[Look], params: LightParams, panorama: np.ndarray | None = None,
+    solve: Solve = solved, room_light: Callable[..., RoomLight] = RoomLight,
+) -> Analysis:  # fmt: skip
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was found in summary["light"].
 
-    panorama : (h, w, 3) linear radiance, of LightParams.environment
+    panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and light out of patches
     """
     facts = analysis.facts
     room = _rooms(analysis)
-    readings, photometry = _readings(analysis, taken, room, params)
+    readings, photometry = _readings(analysis, taken, room, params, solve)
     anchor = analysis.anchor
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
-    maps: dict[int, np.ndarray] = {}
     known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
     for shots in _parts(facts, analysis.static):
-        part = RoomLight(shots, facts, room, readings, params)
+        part = room_light(shots, facts, room, readings, params)
         given = _given(analysis, room, shots, params, panorama)
         lights, report = part.given(*given) if given else part.told(analysis.static != "both", looks)
         out |= lights
-        maps |= part.maps
         reports.append((len(shots), report))
         if report["verdict"] == LIT:
             known |= set(lights)
@@ -222,7 +231,6 @@ def lighted(
         and (found := real_shadow(quarters(patches.mean, patches.count, bias), anchor.size_m))
     }
     lit = tuple(f.with_(plane_shadow=shaded[k]) if k in shaded else f for k, f in enumerate(lit))
-    lit = tuple(f.with_(light_map=CubeMap.of(maps[k], room[k])) if k in maps else f for k, f in enumerate(lit))
     about = (
         {"frames_shaded": len(shaded)}
         | _about_photometry(photometry, params)
@@ -261,7 +269,7 @@ def _rooms(analysis: Analysis) -> dict[int, np.ndarray]:
 
 
 def _readings(
-    analysis: Analysis, taken: Sequence[Reading], room: dict[int, np.ndarray], params: LightParams
+    analysis: Analysis, taken: Sequence[Reading], room: dict[int, np.ndarray], params: LightParams, solve: Solve
 ) -> tuple[Readings, Photometry]:
     """The markers' light in frames whose pose was measured, normals in ROOM axes, and how it was solved."""
     rows = []
@@ -278,16 +286,9 @@ def _readings(
     lit = np.flatnonzero(~clearly_blocked(quarters(intensity, np.isfinite(intensity[..., 0]), np.zeros(3))))
     if 2 * len(lit) > len(rows):
         rows, intensity, variance, clipped = [rows[k] for k in lit], intensity[lit], variance[lit], clipped[lit]
-    if params.formula == "paper":
-        photometry = solve_paper(intensity, WHITE, clipped=clipped, ink=params.ink, paper=params.paper)
-    else:
-        photometry = solve(intensity, variance, WHITE, None, clipped, params.albedos, params.ink, params.paper)
+    photometry, other = solve(intensity, variance, clipped, params)
     frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
     used = photometry.seen
-    other = None
-    if params.formula == "corrected":
-        y, own, fit = comparable(photometry, intensity, variance, WHITE, clipped)
-        other = None if y is photometry.y and fit is photometry.seen else Told(y[used], own[used], fit[used])
     return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used], other), photometry
 
 

@@ -1,8 +1,7 @@
 """The light map M(n): irradiance by normal, on the vertices of an icosphere, folded from observation to observation.
 
-`paper` is eq. (7) and (8) as printed: a weight with a cusp, whose condition excludes nothing. `corrected` weights with the
-Gaussian exp(-theta^2 / 2 s^2) where n.n' > 0 and updates by precision: a vertex's variance grows with time, so that light
-may change, and never falls below what an observation of another normal can tell (x sin theta / sqrt 3).
+An observation weighs exp(-theta^2 / 2 s^2) where n.n' > 0, and updates by precision: a vertex's variance grows with time, so that
+light may change, and never falls below what an observation of another normal can tell (x sin theta / sqrt 3).
 Where the clip is known, `smooth` joins a forward and a backward fold. A step of the light (`changes`) cuts both, so that
 it is neither foreseen nor smeared; a single frame that disagrees with those before and after is left out.
 
@@ -23,7 +22,6 @@ import numpy as np
 from arfx.analyse.light.icosphere import icosphere
 from arfx.core.numerics import arccos, divide
 
-_FORMULAS = ("corrected", "paper")
 UNKNOWN = 1e12  # variance of what no observation has reached
 NEVER_S = 1e9  # age of a vertex that none has reached
 REACH = 1e-6  # weight below which an observation does not count
@@ -33,11 +31,10 @@ STEADY, STEP, STRAY = 0, 1, 2
 
 @dataclass(frozen=True)
 class Params:
-    """formula : "corrected" or "paper";  level : of the icosphere, 2 to 5;  blur_rad : s of eq. (8)
+    """level : of the icosphere, 2 to 5;  blur_rad : s of eq. (8)
     drift_per_s : relative change of the light that is expected over one second (grows with the square root of time)
     step_sigma : deviations from which an observation contradicts the map;  step_least : and relative difference"""
 
-    formula: str = "corrected"
     level: int = 3
     blur_rad: float = 0.2
     drift_per_s: float = 0.05
@@ -55,12 +52,9 @@ class Observation:
     variance: np.ndarray
 
 
-def weight(cosine: np.ndarray, blur_rad: float, formula: str = "corrected") -> np.ndarray:
-    """f(n) of eq. (8) for n.n' = cosine. "paper": without the square and with cos(n.n') > 0, which always holds."""
-    theta = arccos(cosine)
-    if formula == "paper":
-        return np.where(np.cos(cosine) > 0, np.exp(-theta / (2 * blur_rad**2)), 0.0)
-    return np.where(np.asarray(cosine) > 0, np.exp(-(theta**2) / (2 * blur_rad**2)), 0.0)
+def weight(cosine: np.ndarray, blur_rad: float) -> np.ndarray:
+    """f(n) of eq. (8), with the square, for n.n' = cosine."""
+    return np.where(np.asarray(cosine) > 0, np.exp(-(arccos(cosine) ** 2) / (2 * blur_rad**2)), 0.0)
 
 
 class LightMap:
@@ -68,8 +62,6 @@ class LightMap:
     age_s : (v,) since it was last seen, NEVER_S at first;  ignored : observations that were not finite"""
 
     def __init__(self, params: Params = Params()) -> None:
-        if params.formula not in _FORMULAS:
-            raise ValueError(f"light map formula {params.formula!r} is not one of {', '.join(_FORMULAS)}")
         self.params = params
         self.sphere = icosphere(params.level)
         count = len(self.sphere.vertices)
@@ -79,20 +71,13 @@ class LightMap:
 
     def wait(self, seconds: float, step: bool = False) -> None:
         """Time passes, either way. step : the light has changed at once, and nothing older binds."""
-        wait(self.value, self.variance, self.age_s, float(seconds), self._drift, step)
+        wait(self.value, self.variance, self.age_s, float(seconds), self.params.drift_per_s, step)
 
     def add(self, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray) -> None:
         """normals, irradiance, variance : (k, 3). One after the other, in their order."""
         n, x, v = (np.ascontiguousarray(a, float).reshape(-1, 3) for a in (normals, irradiance, variance))
-        p = self.params
-        self.ignored += add(
-            self.sphere.vertices, self.value, self.variance, self.age_s, n, x, v, 0, len(n), p.blur_rad, p.formula == "paper"
-        )
-
-    @property
-    def _drift(self) -> float:
-        """What makes older values less certain; the paper knows nothing of the kind."""
-        return self.params.drift_per_s if self.params.formula == "corrected" else -1.0
+        blur_rad = self.params.blur_rad
+        self.ignored += add(self.sphere.vertices, self.value, self.variance, self.age_s, n, x, v, 0, len(n), blur_rad)
 
     def at(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(value (..., 3), variance (..., 3)) at unit normals (..., 3), between the vertices."""
@@ -118,7 +103,7 @@ def changes(seen: Sequence[Observation], params: Params = Params()) -> np.ndarra
     return np.asarray(
         _changes(
             sphere.vertices, corners, weights, np.array([o.time_s for o in seen], float), starts, n, x, v, params.blur_rad,
-            params.formula == "paper", params.drift_per_s, params.step_sigma, params.step_least,
+            params.drift_per_s, params.step_sigma, params.step_least,
         )
     )  # fmt: skip
 
@@ -129,14 +114,8 @@ def smooth(
     """(value (v, 3), variance (v, 3)) of every frame in turn, from all observations. kinds : `changes`, found if absent.
 
     Two folds joined by precision: forward through the frame, backward to the one after it. Memory grows with the square
-    root of the number of frames. With formula "paper" only forward, as printed.
+    root of the number of frames.
     """
-    if params.formula == "paper":
-        light = LightMap(params)
-        for o in seen:
-            light.add(o.normals, o.irradiance, o.variance)
-            yield light.value.copy(), light.variance.copy()
-        return
     kinds = changes(seen, params) if kinds is None else kinds
     block = max(1, int(np.ceil(np.sqrt(len(seen)))))
     back, kept = LightMap(params), {}
@@ -175,11 +154,9 @@ def _take(light: LightMap, seen: Sequence[Observation], kinds: np.ndarray, i: in
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def wait(value, variance, age_s, seconds, drift_per_s, step):  # pragma: no cover - compiled
-    """Time passes. drift_per_s < 0 : the variance stays (formula "paper");  step : the light has changed at once"""
+    """Time passes. step : the light has changed at once"""
     for i in range(len(age_s)):
         age_s[i] = min(age_s[i] + abs(seconds), NEVER_S)
-    if drift_per_s < 0:
-        return
     growth = drift_per_s**2 * abs(seconds) + (1.0 if step else 0.0)
     for c in range(3):
         level = 0.0
@@ -204,7 +181,7 @@ def usable(n, x, v):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def add(vertices, value, variance, age_s, normals, x, v, first, last, blur_rad, paper):  # pragma: no cover - compiled
+def add(vertices, value, variance, age_s, normals, x, v, first, last, blur_rad):  # pragma: no cover - compiled
     """Observations first..last-1, one after the other; how many of them do not count."""
     ignored = 0
     sharp = 1 / (2 * blur_rad * blur_rad)
@@ -218,18 +195,13 @@ def add(vertices, value, variance, age_s, normals, x, v, first, last, blur_rad, 
         nx, ny, nz = normals[k, 0] / length, normals[k, 1] / length, normals[k, 2] / length
         for i in range(len(vertices)):
             cosine = vertices[i, 0] * nx + vertices[i, 1] * ny + vertices[i, 2] * nz
-            if not paper and cosine <= least:
+            if cosine <= least:
                 continue
             cosine = min(max(cosine, -1.0), 1.0)
             theta = np.arccos(cosine)
-            f = np.exp(-theta * sharp) if paper else np.exp(-theta * theta * sharp)
+            f = np.exp(-theta * theta * sharp)
             if f > SEEN:
                 age_s[i] = 0.0
-            if paper:
-                for c in range(3):
-                    value[i, c] += f * (x[k, c] - value[i, c])
-                    variance[i, c] = min(variance[i, c], v[k, c] / (f * f)) if f > 1e-150 else variance[i, c]
-                continue
             if f <= REACH:
                 continue
             for c in range(3):
@@ -280,15 +252,14 @@ def _contradiction(value, variance, corners, weights, normals, x, v, first, last
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _changes(
-    vertices, corners, weights, times_s, starts, normals, x, v, blur_rad, paper, drift_per_s, sigma, share
+    vertices, corners, weights, times_s, starts, normals, x, v, blur_rad, drift_per_s, sigma, share
 ):  # pragma: no cover - compiled
     """(t,) STEADY, STEP or STRAY: see `changes`."""
     frames, count = len(times_s), len(vertices)
     value, variance, age_s = np.zeros((count, 3)), np.full((count, 3), UNKNOWN), np.full(count, NEVER_S)
     kinds = np.zeros(frames, np.int64)
-    drift = -1.0 if paper else drift_per_s
     for i in range(frames):
-        wait(value, variance, age_s, times_s[i] - times_s[i - 1] if i else 0.0, drift, False)
+        wait(value, variance, age_s, times_s[i] - times_s[i - 1] if i else 0.0, drift_per_s, False)
         a, b = starts[i], starts[i + 1]
         side = _contradiction(value, variance, corners, weights, normals, x, v, a, b, sigma, share)
         if side != 0:
@@ -302,8 +273,8 @@ def _changes(
             kinds[i] = STEP if later == side else STRAY
             if kinds[i] == STRAY:
                 continue
-            wait(value, variance, age_s, 0.0, drift, True)
-        add(vertices, value, variance, age_s, normals, x, v, a, b, blur_rad, paper)
+            wait(value, variance, age_s, 0.0, drift_per_s, True)
+        add(vertices, value, variance, age_s, normals, x, v, a, b, blur_rad)
     return kinds
 
 

@@ -15,7 +15,6 @@ from arfx.analyse.light.fit import MEASURED, REFUSED
 from arfx.analyse.light.given import fitted_to
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import walked
-from arfx.analyse.light.lighting_paper import paper_lights_of
 from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
 from arfx.analyse.light.surroundings import Look, matched, soft_light
 from arfx.analyse.params import LightParams
@@ -62,7 +61,7 @@ class Readings:
 
 
 class RoomLight:
-    """Frames that share one room, with their readings. maps : by frame, the paper's light map (lighting_paper), ROOM axes"""
+    """Frames that share one room, with their readings."""
 
     def __init__(
         self, frames: Sequence[int], facts: Sequence[FrameFacts], room: dict[int, np.ndarray], readings: Readings,
@@ -70,7 +69,6 @@ class RoomLight:
     ) -> None:  # fmt: skip
         """frames : numbers of those that share the room;  room : by number, (3, 3) to ROOM axes from the world's"""
         self.frames, self.facts, self.room, self.params = list(frames), facts, room, params
-        self.maps: dict[int, np.ndarray] = {}
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
         mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
@@ -82,17 +80,15 @@ class RoomLight:
             light_map.Observation(facts[k].time_s, self.normals[a:b], self.y[a:b], self.variance[a:b])
             for k, (a, b) in zip(self.lit, pairwise([*first.tolist(), len(mine)]), strict=True)
         ]
-        self.map_params = light_map.Params(params.formula, params.map_level, params.map_blur_rad, drift_per_s=params.drift_per_s)
-        self.kinds = light_map.changes(self.observations, self.map_params) if self.lit else np.zeros(0, int)
+        map_params = light_map.Params(params.map_level, params.map_blur_rad, params.drift_per_s)
+        self.kinds = light_map.changes(self.observations, map_params) if self.lit else np.zeros(0, int)
 
     def told(self, rests: bool, looks: Sequence[Look]) -> tuple[Lights, dict[str, Any]]:
         """The light that the markers tell, or the softer cue that takes its place. rests : a light can rest in the room"""
         if not self.lit:
             soft, source = self._surroundings(looks)
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
-            return dict.fromkeys(self.frames, soft), _report(REFUSED, source, why, soft)
-        if self.params.formula == "paper":
-            return self._as_printed(*paper_lights_of(self.observations, self.map_params, self.params))
+            return dict.fromkeys(self.frames, soft), report_of(REFUSED, source, why, soft)
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
         account, spans, better = explained(
@@ -106,14 +102,14 @@ class RoomLight:
                 for i, o in enumerate(self.observations)
             ]  # fmt: skip
         told = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
-        normals = self._normals(told.span_deg)
+        normals = self.about_normals(told.span_deg)
         known = [s for s in spans if s.fit.verdict == MEASURED]
         if known and rests:
             at = np.array([self.facts[k].time_s for k in self.frames])
             lights = self._follow([s.fit.light(s.group) for s in known], _span_at(known, at))
             best = max(known, key=lambda s: s.stop_s - s.start_s)
             why = f"{best.fit.reason}; {_ACCOUNTS[account]}"
-            report = _report(MEASURED, "marker", why, best.fit.light(best.group), **normals)
+            report = report_of(MEASURED, "marker", why, best.fit.light(best.group), **normals)
             return lights, report | {"gamma": best.fit.gamma, "account": account}
         why = told.reason
         if not rests:
@@ -122,25 +118,15 @@ class RoomLight:
         lights = self._follow([soft])
         used = "soft light from the picture's surroundings" if source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
-        return lights, _report(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
-
-    def _as_printed(self, found: Sequence[Light], cubes: Sequence[np.ndarray]) -> tuple[Lights, dict[str, Any]]:
-        """The paper's own: each frame's light map and its peaks; frames without a reading have those before them."""
-        last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
-        lights = {k: found[i] for k, i in zip(self.frames, last, strict=True)}
-        self.maps = {k: cubes[i] for k, i in zip(self.frames, last, strict=True)}
-        middle = found[len(found) // 2]
-        peaks = f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map, as printed: no confidence is known"
-        report = _report(MEASURED if middle.lights else REFUSED, "marker", peaks, middle, **self._normals(None))
-        return lights, report
+        return lights, report_of(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
 
     def given(self, light: Light, stated: bool, why: str) -> tuple[Lights, dict[str, Any]]:
         """A light that the user gave, as bright in each frame as the markers show."""
         if not self.lit:
-            return dict.fromkeys(self.frames, light), _report(ASSUMED, light.source, why, light)
+            return dict.fromkeys(self.frames, light), report_of(ASSUMED, light.source, why, light)
         typical = fitted_to(light, self.normals, self.y, stated)
         lights = self._follow([typical])
-        return lights, _report(ASSUMED, light.source, why, typical, **self._normals(None))
+        return lights, report_of(ASSUMED, light.source, why, typical, **self.about_normals())
 
     def _surroundings(self, looks: Sequence[Look]) -> tuple[Light, str]:
         """(soft light of this room, "environment" or "ambient"): mean of all looks, as bright as the markers show."""
@@ -197,7 +183,7 @@ class RoomLight:
             out |= zip((self.frames[r] for r in rows), _scaled(model, every[rows]), strict=True)
         return out
 
-    def _normals(self, span_deg: float | None) -> dict[str, Any]:
+    def about_normals(self, span_deg: float | None = None) -> dict[str, Any]:
         """What was seen, and how well it tells an ambient light and a direction apart."""
         n = self.normals
         if span_deg is None:
@@ -272,7 +258,8 @@ def _scaled(light: Light, factors: np.ndarray) -> Iterator[Light]:
         yield Light(tuple(rgb), lamps, light.source, tuple(map(tuple, row[:parts])))
 
 
-def _report(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:
+def report_of(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:
+    """What the summary says of a light."""
     document = light.to_json()
     normals = {"normals_seen": 0, "normal_span_deg": 0.0, "rank": 0, "condition": None}
     return {

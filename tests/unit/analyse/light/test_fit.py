@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light.explain import Params
-from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit, paper_lights
+from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SWITCHED, fit_over_time, switches
 from arfx.core.numerics import angle_between, normalise
+from arfx.papers.s1_light import eq9_lights
 
 AMBIENT = np.array([0.2, 0.21, 0.24])
 LAMP = np.array([0.6, 0.56, 0.5])
@@ -51,28 +52,13 @@ def test_one_lamp_is_found_with_its_colour_and_the_ambient_light() -> None:
     assert found.light().radiance(n) == pytest.approx(seen(n, (d, 1.0)), rel=0.02)
 
 
-@pytest.mark.parametrize("apart_deg", [0.5, 12, 40, 90])
-@pytest.mark.parametrize("grey", [False, True])
-def test_the_papers_lights_are_those_that_no_other_candidate_near_them_rivals(apart_deg: float, grey: bool) -> None:
-    """Eq. (9) as it is written: each candidate beside all others. grey : values of few steps, many of them equal"""
-    sphere = icosphere(3)
-    value = np.random.default_rng(2).random((len(sphere.vertices), 3))
-    value = np.round(value) if grey else value
-    upper = sphere.centres[:, 2] >= 0
-    n, M = sphere.centres[upper], value.mean(1)[sphere.faces[upper]].mean(1)
-    near = (n @ n.T > np.cos(np.radians(apart_deg))) & ~np.eye(len(n), dtype=bool)
-    peaks = [k for k in np.argsort(-M, kind="stable") if M[k] > 0.4 and (M[near[k]] < M[k]).all()]
-    assert np.array_equal(paper_lights(value, 3, 0.4, apart_deg), n[peaks].reshape(-1, 3))
-    assert grey or len(peaks)
-
-
 @pytest.mark.parametrize("apart_deg", [30, 60, 80])
 def test_two_equal_lamps_are_never_their_middle(apart_deg: float) -> None:
     """The paper's peaks of M find one light in the middle; the fit claims a true lamp or nothing."""
     first, second = at(-apart_deg / 2, 35), at(apart_deg / 2, 35)
     middle = normalise(first + second)
     sphere = icosphere(4)
-    printed = paper_lights(seen(sphere.vertices, (first, 1.0), (second, 1.0)).mean(1), 4, 0.0, 30.0)
+    printed = eq9_lights(seen(sphere.vertices, (first, 1.0), (second, 1.0)).mean(1), 4, 0.0, 30.0)
     # the paper's hemisphere is z >= 0: the one peak lies within a triangle of the middle
     assert len(printed) == 1 and np.degrees(angle_between(printed[0], middle)) < 5
     n = cap(75, 220)

@@ -1,6 +1,8 @@
-"""The light map: the weights of docs/methods/light.md#numbers, constant and stepping light, what is not finite, both formulas."""
+"""The light map: the weights of docs/methods/light.md#numbers, constant and stepping light, what is not finite."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,9 +20,10 @@ from arfx.analyse.light.light_map import (
     smooth,
     weight,
 )  # fmt: skip
+from arfx.papers.s1_light import LightMap as PrintedMap
+from arfx.papers.s1_light import eq8_weight
 
 UP = np.array([[0.0, 0, 1]])
-PAPER = Params("paper")
 
 
 def shot(t: float, value: float | np.ndarray, normals: np.ndarray = UP, deviation: float = 1e-3) -> Observation:
@@ -44,49 +47,48 @@ def smoothed(seen: list[Observation], params: Params = Params()) -> np.ndarray: 
 
 
 @pytest.mark.parametrize(
-    ("formula", "table"),
-    [("paper", [1, 0.8040, 0.3359, 0.1129, 0.0127, 0.0014]), ("corrected", [1, 0.9962, 0.9092, 0.6833, 0.2180, 0.0325])],
+    ("f", "table"),
+    [(eq8_weight, [1, 0.8040, 0.3359, 0.1129, 0.0127, 0.0014]), (weight, [1, 0.9962, 0.9092, 0.6833, 0.2180, 0.0325])],
 )
-def test_weights_are_those_of_the_table(formula: str, table: list[float]) -> None:
+def test_weights_are_those_of_the_table(f: Callable, table: list[float]) -> None:
     angles = np.radians([0, 1, 5, 10, 20, 30])
-    assert np.abs(weight(np.cos(angles), 0.2, formula) - table).max() < 5.1e-5
+    assert np.abs(f(np.cos(angles), 0.2) - table).max() < 5.1e-5
 
 
 def test_only_the_corrected_condition_excludes_normals_that_turn_away() -> None:
     cosine = np.cos(np.radians([89.0, 91, 135, 180]))
-    assert (weight(cosine, 2.0, "paper") > 0).all()
+    assert (eq8_weight(cosine, 2.0) > 0).all()
     assert (weight(cosine, 2.0) > 0).tolist() == [True, False, False, False]
 
 
-@pytest.mark.parametrize("formula", ["paper", "corrected"])
-def test_constant_light_stays_constant_for_1000_updates(formula: str) -> None:
-    light, first = LightMap(Params(formula)), None
+def test_constant_light_stays_constant_for_1000_updates() -> None:
+    light, printed, first = LightMap(), PrintedMap(3, 0.2), np.ones(3)
     for i in range(1000):
         light.wait(1 / 30 if i else 0)
         light.add(UP, np.full((1, 3), 0.7), np.full((1, 3), 1e-6))
-        here = light.at(UP)[0] if i % 100 in (0, 99) else first
-        first = here if first is None else first
-        assert np.abs(here / first - 1).max() < 1e-6
+        printed.add(shot(i / 30, 0.7))
+        if i % 100 in (0, 99):
+            here = np.array([light.at(UP)[0][0], printed.sphere.interpolate(printed.M, UP[0])])
+            first = here if i == 0 else first
+            assert np.abs(here / first - 1).max() < 1e-6
     pole = light.sphere.vertices[:, 2].argmax()
-    if formula == "corrected":
-        assert np.abs(light.value[light.variance[:, 0] < UNKNOWN] / 0.7 - 1).max() < 1e-6
-        assert np.abs(smoothed(clip([0.7] * 1000))[:, 0] / 0.7 - 1).max() < 1e-6
-    assert np.abs(light.value[pole] / 0.7 - 1).max() < 1e-6  # the paper's map starts at black, and has long filled up
+    assert np.abs(light.value[light.variance[:, 0] < UNKNOWN] / 0.7 - 1).max() < 1e-6
+    assert np.abs(smoothed(clip([0.7] * 1000))[:, 0] / 0.7 - 1).max() < 1e-6
+    assert np.abs(printed.M[pole] / 0.7 - 1).max() < 1e-6  # the paper's map starts at black, and has long filled up
 
 
 def test_the_paper_replaces_and_the_correction_averages() -> None:
-    noisy = [0.7 + 0.05 * (-1) ** i for i in range(60)]
-    on_vertex = LightMap().sphere.vertices[:1]
-    spread = {}
-    for params in (PAPER, Params()):
-        light, out = LightMap(params), []
-        for i, v in enumerate(noisy):
-            light.wait(1 / 30 if i else 0)
-            light.add(on_vertex, np.full((1, 3), v), np.full((1, 3), 0.05**2))
-            out.append(float(light.value[0, 0]))
-        spread[params.formula] = float(np.std(out[20:]))
-    assert spread["paper"] > 0.049  # f = 1: nothing older is left
-    assert spread["corrected"] < 0.015
+    light, printed, out = LightMap(), PrintedMap(3, 0.2), []
+    on_vertex = light.sphere.vertices[:1]
+    for i in range(60):
+        seen = shot(i / 30, 0.7 + 0.05 * (-1) ** i, on_vertex, 0.05)
+        light.wait(1 / 30 if i else 0)
+        light.add(seen.normals, seen.irradiance, seen.variance)
+        printed.add(seen)
+        out.append((light.value[0, 0], printed.M[0, 0]))
+    corrected, replaced = np.std(out[20:], axis=0)
+    assert replaced > 0.049  # f = 1: nothing older is left
+    assert corrected < 0.015
 
 
 def test_what_was_not_seen_is_unknown_and_grows_old() -> None:
@@ -109,10 +111,9 @@ def test_an_observation_does_not_bind_other_normals_beyond_what_it_can_tell() ->
     assert 0.1 < float(np.sqrt(light.at(off)[1].max())) < 0.5
 
 
-@pytest.mark.parametrize("formula", ["paper", "corrected"])
 @pytest.mark.parametrize("where", ["normal", "value", "variance", "negative variance", "no normal"])
-def test_what_is_not_finite_is_left_out_and_counted(formula: str, where: str) -> None:
-    light = LightMap(Params(formula))
+def test_what_is_not_finite_is_left_out_and_counted(where: str) -> None:
+    light, printed = LightMap(), PrintedMap(3, 0.2)
     light.add(UP, np.full((1, 3), 0.5), np.full((1, 3), 1e-6))
     value, variance = light.value.copy(), light.variance.copy()
     n, x, v = UP.copy(), np.full((1, 3), 0.9), np.full((1, 3), 1e-6)
@@ -123,6 +124,8 @@ def test_what_is_not_finite_is_left_out_and_counted(formula: str, where: str) ->
         n[:] = 0
     light.add(n, x, v)
     assert light.ignored == 1 and (light.value == value).all() and (light.variance == variance).all()
+    printed.add(Observation(0.0, n, x, v))
+    assert not printed.M.any() and (printed.doubt == UNKNOWN).all()
 
 
 def test_a_frame_of_nan_or_without_observations_is_bridged() -> None:
@@ -131,7 +134,6 @@ def test_a_frame_of_nan_or_without_observations_is_bridged() -> None:
     seen[11] = Observation(11 / 30, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
     assert (changes(seen) == STEADY).all()
     assert np.abs(smoothed(seen) - 0.4).max() < 1e-9
-    assert np.isfinite(list(smooth(seen, PAPER))).all()
 
 
 def test_a_single_frame_and_none() -> None:
@@ -184,8 +186,3 @@ def test_smoothing_sees_both_ways() -> None:
     assert abs(float(light.sphere.interpolate(maps[-1][0], UP[0])[0]) - 0.5) < 0.01
     deviation = [float(np.sqrt(light.sphere.interpolate(v, side[0])[0])) for _, v in maps]
     assert deviation[0] > deviation[29] > deviation[45]
-
-
-def test_unknown_formula_is_named() -> None:
-    with pytest.raises(ValueError, match="not one of corrected, paper"):
-        LightMap(Params("printed"))

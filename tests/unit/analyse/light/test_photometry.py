@@ -9,7 +9,7 @@ import pytest
 
 from arfx.analyse.light.patches import WHITE, comparable
 from arfx.analyse.light.photometry import DEGENERATE, INK, MEASURED, PAPER, UNKNOWN_VARIANCE, Photometry, solve
-from arfx.analyse.light.photometry_paper import smallest_vector, solve_paper
+from arfx.papers.s1_light import eq6_smallest_vector, gain_and_bias
 
 RHO = np.where(WHITE, PAPER, INK)
 
@@ -41,20 +41,20 @@ def finite(p: Photometry) -> bool:
 def test_nullity_of_the_papers_system(albedos: list[float], nullity: int, frames: int, constant: bool, dense: int) -> None:
     rho = np.array(albedos)
     y = np.full(frames, 120.0) if constant else np.linspace(60, 200, frames)
-    assert smallest_vector(y[:, None] * rho + 12, rho, dense).nullity == nullity
+    assert eq6_smallest_vector(y[:, None] * rho + 12, rho, dense).nullity == nullity
 
 
 @pytest.mark.parametrize("scale", [255.0, 1.0])
 def test_bias_without_noise_is_exact_in_both_formulas(scale: float) -> None:
     y = np.random.default_rng(0).uniform(60, 230, (25, 3))
     grey = (RHO[None, :, None] * y[:, None] + 12) * scale / 255
-    for p in (solve(grey, white=WHITE), solve_paper(grey, white=WHITE)):
+    for p in (solve(grey, white=WHITE), gain_and_bias(grey, white=WHITE)):
         assert p.verdict == MEASURED and finite(p)
         assert np.abs(p.bias * 255 / scale - 12).max() < 1e-9
         assert np.abs(p.y * 255 / scale - y).max() < 1e-8
     one = solve(grey[:1], white=WHITE)  # a single frame is enough
     assert one.verdict == MEASURED and np.abs(one.bias * 255 / scale - 12).max() < 1e-9
-    printed = solve_paper(grey, white=WHITE, printed_bias=True)  # 1/b' in place of b'/g'
+    printed = gain_and_bias(grey, white=WHITE, printed_bias=True)  # 1/b' in place of b'/g'
     assert np.abs(printed.bias * 255 / scale - 12).min() > 1
 
 
@@ -64,8 +64,8 @@ def test_the_papers_vector_is_biased_by_noise_and_by_the_units_and_least_squares
     for seed in range(120):
         rng = np.random.default_rng(seed)
         grey = rho * rng.uniform(100, 200, (6, 1)) + 12 + rng.normal(0, 2, (6, 8))
-        found["255"].append(smallest_vector(grey, rho).bias)
-        found["1"].append(255 * smallest_vector(grey / 255, rho).bias)
+        found["255"].append(eq6_smallest_vector(grey, rho).bias)
+        found["1"].append(255 * eq6_smallest_vector(grey / 255, rho).bias)
     in_255, in_1 = np.median(found["255"]), np.median(found["1"])
     assert 2.5 < in_255 < 4.5  # 3.4
     assert 5.4 < in_1 < 7.4  # 6.4
@@ -184,7 +184,7 @@ def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(case: str
     grey, y = clip(noise=0.001)
     broken = DEGENERATES[case](grey)
     variance = np.full(broken.shape, 1e-6 if case != "no contrast" else 1e-2) if known else None
-    p = solve(broken, variance, WHITE) if formula == "corrected" else solve_paper(broken, WHITE)
+    p = solve(broken, variance, WHITE) if formula == "corrected" else gain_and_bias(broken, WHITE)
     assert finite(p)
     if formula == "paper" and case in ("black", "no contrast", "dark brighter", "no frames"):
         return  # the paper solves anything; what it says is its own affair
@@ -249,13 +249,13 @@ def test_shares_of_clipped_samples_are_reported() -> None:
 def test_the_large_system_of_the_paper_gives_what_the_dense_one_gives() -> None:
     grey, _ = clip(frames=60, noise=0.002)
     grey[4, 2] = np.nan
-    a, b = (smallest_vector(grey[..., 0], RHO, dense) for dense in (100, 10))
+    a, b = (eq6_smallest_vector(grey[..., 0], RHO, dense) for dense in (100, 10))
     assert b.bias == pytest.approx(a.bias, abs=1e-8) and b.smallest == pytest.approx(a.smallest, rel=1e-6)
     assert np.abs(a.y - b.y).max() < 1e-7 and a.nullity == b.nullity == 0 and a.rank == b.rank
-    exact = smallest_vector(clip(frames=60)[0][..., 0], RHO, 10)
+    exact = eq6_smallest_vector(clip(frames=60)[0][..., 0], RHO, 10)
     assert exact.nullity == 1 and exact.bias == pytest.approx(0.02, abs=1e-6)
     with pytest.raises(ValueError, match="no finite"):
-        smallest_vector(np.full((3, 2), np.nan), np.array([0.1, 0.8]))
+        eq6_smallest_vector(np.full((3, 2), np.nan), np.array([0.1, 0.8]))
 
 
 @pytest.mark.parametrize("formula", ["corrected", "paper"])
@@ -266,7 +266,7 @@ def test_time_is_linear_in_frames(formula: str) -> None:
         best = np.inf
         for _ in range(3):
             start = time.perf_counter()
-            p = solve(grey, variance, WHITE) if formula == "corrected" else solve_paper(grey, WHITE)
+            p = solve(grey, variance, WHITE) if formula == "corrected" else gain_and_bias(grey, WHITE)
             best = min(best, time.perf_counter() - start)
         assert np.abs(p.bias - 0.02).max() < 1e-3
         return best

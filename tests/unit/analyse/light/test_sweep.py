@@ -15,9 +15,9 @@ import pytest
 from arfx.analyse.light.fit import MEASURED, LightFit
 from arfx.analyse.light.patches import WHITE, comparable, cut_off
 from arfx.analyse.light.photometry import INK, PAPER, solve
-from arfx.analyse.light.photometry_paper import solve_paper
 from arfx.analyse.light.static_frame import Told, explained
 from arfx.core.numerics import normalise
+from arfx.papers.s1_light import gain_and_bias
 
 SCENES = int(os.environ.get("ARFX_SWEEP", "8"))
 FRAMES, SAMPLES = 90, 40
@@ -214,7 +214,7 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
             scale = (model * E).sum() / (E * E).sum()  # gain and albedo
             out.irradiance.append(float(np.sqrt(((model / scale - E) ** 2).mean()) / E.mean()))
             level = np.median(E)
-            for p2, to in ((p, out.bias_grey), (solve_paper(mean[::3], WHITE), out.paper_bias_grey)):
+            for p2, to in ((p, out.bias_grey), (gain_and_bias(mean[::3], WHITE), out.paper_bias_grey)):
                 to.append(float(np.abs(encode(0.05 * level + p2.bias) - encode(0.05 * level + bias)).max() * 255))
     return out
 
