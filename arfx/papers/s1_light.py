@@ -6,9 +6,9 @@ M (7), whose peaks are lights (9).
 
 Deviations. The albedos are those of ink and paper, not the patches' mean brightness. b is b'/g', what (2) gives; the printed
 1/b' is `SmallestVector.bias_printed`. The two strongest peaks are lights, (9) keeps all; their brightness, which is not stated,
-is M at the peak less the least M that was seen. Directions that no marker faced, where M stays 0, have the light of M's harmonics.
-I_c is a share of the brightest, not a value. M is written beside its lights, so that the object can shade itself from them. A
-light that is given, and clips in which no marker can be read, are left to the corrected fold.
+is M at the peak less the least M that was seen. Directions that no marker faced, where M stays 0, have the light of M's
+harmonics. I_c is a share of the brightest, not a value. M is written beside its lights, so that the object can shade itself
+from them. A light that is given, and clips in which no marker can be read, are left to the corrected fold.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def gain_and_bias(
             }  # fmt: skip
         parts.append(part | {"unknowns": int(seen.sum()) + 2})
     share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
-    return assemble("paper", parts, share, ignored)
+    return assemble(parts, share, ignored)
 
 
 def solved(

@@ -1,9 +1,8 @@
 """Light and camera bias out of the patches of many frames: I = g rho x_t + b per channel, shared b, one light per frame.
 
-`corrected`: the free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber), each channel by
+The free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber), each channel by
 itself. The normal matrix is an arrow: every y_t is eliminated and a 1 x 1 Schur complement remains (2 x 2 where the ink's
-albedo is unknown too), O(frames x patches). `paper`: the smallest singular vector of the homogeneous system
-(photometry_paper).
+albedo is unknown too), O(frames x patches). As printed: papers/s1_light.py.
 What cannot be solved is told by its rank and by the uncertainty that it would have, and reported as `degenerate`; then
 b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
 Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); corrections: docs/methods/light.md#bias.
@@ -50,7 +49,6 @@ class Photometry:
     verdict : "measured" or "degenerate";  reason : in words
     """
 
-    formula: str
     verdict: str
     reason: str
     y: np.ndarray
@@ -75,9 +73,7 @@ def solve(
     ink: float = INK, paper: float = PAPER, ink_sigma: float = INK_SIGMA, transfer: float = TRANSFER,
     steps: float = STEPS,
 ) -> Photometry:  # fmt: skip
-    """The `corrected` formula.
-
-    intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None = equal and unknown
+    """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None = equal and unknown
     white : (p,) bool, or albedo : (p,) or (t, p) in its place;  clipped : (t, p) shares, for the report
     albedos : "known" (ink, paper); "normalised" (light from each frame's own difference of paper and ink, so that its
         ratios are right whatever the ink and the bias are; noisier; the bias still takes the ink's albedo); "unknown" (the
@@ -114,7 +110,7 @@ def solve(
             level = float(np.median(grey[dark & (w > 0)]))
             part["bias_95"] = _widened(part["bias_95"], part["bias"], steps / 255 * slope_of_code(level))
         parts.append(part)
-    return assemble("corrected", parts, share, ignored)
+    return assemble(parts, share, ignored)
 
 
 def _with_other_curves(
@@ -158,7 +154,7 @@ def weights(value: np.ndarray, variance: np.ndarray | None, rho: np.ndarray) -> 
     return np.where(fine, 1 / np.maximum(np.where(fine, v, 1), floor), 0.0), True, ignored
 
 
-def assemble(formula: str, parts: list[dict], clipped: float, ignored: int) -> Photometry:
+def assemble(parts: list[dict], clipped: float, ignored: int) -> Photometry:
     """A Photometry of the channels' results."""
     reasons = {p["reason"] for p in parts}
     fine = all(p["determined"] for p in parts)
@@ -169,7 +165,7 @@ def assemble(formula: str, parts: list[dict], clipped: float, ignored: int) -> P
     columns = {k: np.stack([p[k] for p in parts], -1) for k in ("y", "var_y", "var_y_own")}
     rows = {k: np.array([p[k] for p in parts]) for k in ("bias", "ink", "determined", "rank", "unknowns", "condition", "misfit")}
     return Photometry(
-        formula, MEASURED if fine else DEGENERATE, text, seen=np.any([p["seen"] for p in parts], 0), **columns, **rows,
+        MEASURED if fine else DEGENERATE, text, seen=np.any([p["seen"] for p in parts], 0), **columns, **rows,
         bias_95=np.array([p["bias_95"] for p in parts]), clipped=clipped, ignored=ignored,
     )  # fmt: skip
 
