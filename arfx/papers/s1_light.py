@@ -293,6 +293,7 @@ def upright(up: np.ndarray) -> np.ndarray:
 class PrintedRoomLight(RoomLight):
     """maps : by frame, what M has beside its lights, ROOM axes"""
 
+    params: PrintedLightParams
     maps: dict[int, np.ndarray]
 
     def told(self, rests: bool, looks: Sequence[Look]) -> tuple[Lights, dict[str, Any]]:

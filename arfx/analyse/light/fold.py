@@ -13,7 +13,7 @@ Source: docs/methods/light.md#cues.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -166,7 +166,7 @@ class Environment(Fold):
 
     name = "environment"
     needs = ("light",)
-    folded: ClassVar[Folded] = staticmethod(fold)
+    folded = staticmethod(fold)
 
     def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
         super().__init__(job)
