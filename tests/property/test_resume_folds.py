@@ -29,6 +29,7 @@ from arfx.analyse.pose import at_rest
 from arfx.core import codec
 from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
+from arfx.papers import FORMULAS
 from arfx.run.span import Span
 from tests.exact import identical
 from tests.unit.analyse.synthetic import background, camera, picture, tilted
@@ -81,6 +82,7 @@ class Shown:
         return light[..., None] * np.array([1.0, 0.9, 0.7], np.float32)
 
 
+KINDS = {name: FORMULAS["paper"][name] for name in ("light", "environment")}
 CLIP = [Shown(k) for k in range(FRAMES)]
 
 
@@ -90,6 +92,7 @@ def made() -> dict[str, Any]:
     double = CAM.scaled_to(960, 540)
     return {
         "markers": Analyser(AnalysisJob((M,), double, params), FOLDS),
+        "printed": Analyser(AnalysisJob((M,), double, params, kinds=KINDS), {"light", "environment"}),
         "plane": Analyser(AnalysisJob((), CAM, params, anchor=PLANE), ON_PLANE),
         "span": Span((2 * STEP_S, (FRAMES - 3) * STEP_S), Fraction(1, 100)),
     }
@@ -107,7 +110,7 @@ def frames(span: Span) -> Iterator[tuple[Shown, Shown | None]]:
 
 def step(folds: dict[str, Any], frame: Shown, following: Shown | None) -> None:
     after = None if following is None else following.luma
-    for name in ("markers", "plane"):
+    for name in ("markers", "printed", "plane"):
         folds[name].step(AnalysisFrame(len(folds["span"].pts), frame.time_s, frame.luma(), frame, after))
     folds["span"].take(frame)
 
