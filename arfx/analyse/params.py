@@ -61,7 +61,7 @@ class AnalyseParams:
 class LightParams:
     """Where the light comes from.
 
-    formula : corrected, or paper: S1 as printed (papers/s1_light.py)
+    formula : corrected, or paper: Tan, Chen, Sun 2009 as printed
     given : a light that is known: azimuth from the anchor marker's x and elevation above its plane, degrees, and perhaps
         its linear RGB on a surface that faces it; without it as bright as the marker shows. A camera at rest sees the
         marker move below it: then the angles hold in the first frame that shows the marker

@@ -1,4 +1,4 @@
-"""Light from a printed pattern, as printed: Tan, Chen, Sun 2010 (README.md, S1), equations (2) and (4) to (9). (3): s1_lightmap.
+"""Light from a printed pattern, as printed: Tan, Chen, Sun 2009, equations (2) and (4) to (9). (3) is in s1_lightmap.
 
 A patch of albedo rho in light x shows I = g rho x + b (2). With g' = 1/g and b' every patch and frame is a row of a homogeneous
 system (4) to (6), solved by the singular vector of the smallest singular value. The light x of each normal is folded into a map
@@ -9,6 +9,7 @@ Deviations. The albedos are those of ink and paper, not the patches' mean bright
 is M at the peak less the least M that was seen. Directions that no marker faced, where M stays 0, have the light of M's
 harmonics. I_c is a share of the brightest, not a value. M is written beside its lights, so that the object can shade itself
 from them. A light that is given, and clips in which no marker can be read, are left to the corrected fold.
+Its errors: docs/methods/light.md#errata.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Shading by a dynamic light map, as printed: Tan, Chen, Sun 2010 (README.md, S1), equation (3) and the shadows of section 2.3.
+"""Shading by a dynamic light map, as printed: Tan, Chen, Sun 2009, equation (3) and the shadows of section 2.3.
 The map itself, (2) and (4) to (9), is made by the analysis: s1_light.py.
 
 Lights are those at the peaks of the map M, without a size; what they give is taken out of M (s1_light), so that a surface with

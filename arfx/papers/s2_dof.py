@@ -1,4 +1,4 @@
-"""Depth of field by luminance and depth, as printed: Zhao, Chen, Li, Liu, Huang, Xu, Zhou 2012 (README.md, S2).
+"""Depth of field by luminance and depth, as printed: Zhao et al. 2012.
 
 The composited picture, coded as sRGB, is mean-filtered; every pixel takes the mean of its brighter neighbours, by how much
 brighter they are (8); the result is blended with the sharp picture by the blur circle's share of the largest (9).
@@ -7,7 +7,7 @@ L, U : distances of a thing and of the focus;  F, N : focal length and f-number;
 Deviations. The sharp range, in which the blend counts by two thirds, is where the circle (7) is at most the permitted one;
 printed are the limits (4) and (5), which disagree with (7). The smoothing around the border of that range (section 3.4) is
 missing. The size of the mean filter is not stated: `mean_px`. A clip plane that is not set stands at the nearest or farthest
-thing of the frame. The depth of the real scene is that of its planes, or measured.
+thing of the frame. The depth of the real scene is that of its planes, or measured. Its errors: docs/methods/dof.md#errata.
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -1,4 +1,4 @@
-"""Environment from the one camera and delta voxel cone tracing, as printed: Yao, Tao, Wu 2018 (README.md, S4).
+"""Environment from the one camera and delta voxel cone tracing, as printed: Yao, Tao, Wu 2018.
 
 1. The real scene is a plane. 2. It is voxelised with and without the object; coarser voxels are the mean of their children; what
 the two differ in, V_delta, changes the real picture. 3. The environment is folded out of the picture. 4. Cones gather the light
@@ -8,6 +8,7 @@ Deviations. There are no reflective shadow maps and no virtual point lights: vox
 exists as texels of the planes alone, real pixels do not trace it. With the printed labels its sign is turned round: it is
 subtracted here. The light is the frame's, not configured. The rest of step 4 is the corrected stage's: its cones, their
 weights and steps. The plane's albedo, which a difference needs, is not stated: `plane_albedo`.
+Its errors: docs/methods/gi.md#errata.
 """
 
 # mypy: disable-error-code="no-untyped-def"

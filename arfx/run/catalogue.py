@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -41,8 +42,9 @@ def describe(name: str) -> dict[str, Any]:
     if name in STAGES:
         return _stage(name)
     if name in parameters():
-        kind = parameters()[name]
-        return {"name": name, "about": _about(kind).partition("\n\n")[0], "settings": _of_dataclass(kind)}
+        kinds = parameters()[name]
+        about = _about(next(iter(kinds.values()))).partition("\n\n")[0]
+        return {"name": name, "about": about, "settings": _of_formulas(kinds)}
     found = [s for s in settings() if s.section == name]
     if not found:
         raise ConfigError(f"there is no stage or section {name!r}", near(name, [*STAGES, *sections()]))
@@ -67,12 +69,22 @@ def _stage(name: str) -> dict[str, Any]:
         "name": name, "about": inspect.cleandoc(about), "always": stage.always, "requires": sorted(stage.requires),
         "reads": sorted(stage.reads), "writes": sorted(stage.writes), "facts": sorted(stage.facts),
         "overrides": {other: dict(changes) for other, changes in stage.overrides.items()},
-        "levels": levels, "prices": prices.source, "settings": _of_dataclass(stage.Params),
+        "levels": levels, "prices": prices.source, "settings": _of_formulas(parameters()[name]),
     }  # fmt: skip
 
 
 def _about(kind: type) -> str:
     return inspect.cleandoc(kind.__doc__ or "")
+
+
+def _of_formulas(kinds: Mapping[str, type]) -> list[dict[str, Any]]:
+    """The settings under every formula, those of the usual one first; the others say theirs."""
+    rows: dict[str, dict[str, Any]] = {}
+    usual = next(iter(kinds.values()))
+    for formula, kind in kinds.items():
+        for row in _of_dataclass(kind):
+            rows.setdefault(row["name"], row if kind is usual else {**row, "formula": formula})
+    return list(rows.values())
 
 
 def _of_dataclass(kind: type) -> list[dict[str, Any]]:
@@ -152,7 +164,8 @@ def text(d: dict[str, Any], prices: bool = True) -> str:
     for s in d["settings"]:
         value = "" if s["default"] is None else f" = {_toml(s['default'])}"
         option = f" (`{s['option']}`)" if s.get("option") else ""
-        lines.append(f"- `{name}.{s['name']}{value}`, {s['type']}{option}: {s['text']}")
+        formula = f', with `formula = "{s["formula"]}"`' if "formula" in s else ""
+        lines.append(f"- `{name}.{s['name']}{value}`, {s['type']}{option}{formula}: {s['text']}")
     return "\n".join([*lines, *([] if d["settings"] else ["It has no settings."])])
 
 

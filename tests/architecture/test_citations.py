@@ -63,7 +63,7 @@ def test_papers_are_cited_by_their_authors() -> None:
         ("see docs/methods/light.md#update", True),
         ("see docs/methods/light.md#upddate", False),
         ("see NOTES.md", False),
-        ("`tests/unit/core/test_lens.py::test_numbers_of_the_paper`", True),
+        ("`tests/unit/papers/test_s2_dof.py::test_numbers_of_the_paper`", True),
         ("`tests/unit/core/test_lens.py::test_numbers`", False),
     ],
 )

@@ -22,9 +22,11 @@ def test_every_stage_has_its_line_in_running_order(arfx: Run) -> None:
 def test_every_setting_is_in_the_data_with_its_text(arfx: Run) -> None:
     document = arfx("stages", "--json").json
     found = {(d["name"], s["name"]): s for d in document["stages"] + document["sections"] for s in d["settings"]}
-    of_stages = {(name, f.name) for name, kind in parameters().items() for f in dataclasses.fields(kind)}
+    kinds = ((name, kind) for name, formulas in parameters().items() for kind in formulas.values())
+    of_stages = {(name, f.name) for name, kind in kinds for f in dataclasses.fields(kind)}
     assert set(found) == of_stages | {(s.section, s.key) for s in settings()}
     assert [key for key, s in found.items() if not (s["text"] and s["type"])] == []
+    assert found["dof", "coc_mm"]["formula"] == "paper" and "formula" not in found["dof", "blades"]
     assert found["dof", "fnumber"]["default"] == 2.8 and found["model", "fit"]["type"] == "length"
 
 

@@ -50,7 +50,7 @@ LEVELS = {
 
 @dataclass(frozen=True)
 class GiParams:
-    """formula : corrected, or paper: S4 as printed (papers/s4_gi.py)
+    """formula : corrected, or paper: Yao, Tao, Wu 2018 as printed
     strength : share of the computed change of the real planes that is shown, 0..1
     plane_gloss : of the real plane, share of light that it mirrors seen from above: 0 = matt, varnish and glass .04, 0..1
     plane_roughness : of its gloss, 0 (a mirror) to 1

@@ -38,7 +38,7 @@ _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the 
 
 @dataclass(frozen=True)
 class LightmapParams:
-    """formula : corrected, or paper: S1 as printed (papers/s1_lightmap.py)
+    """formula : corrected, or paper: Tan, Chen, Sun 2009 as printed
     shadow_strength : share of the computed darkening of the plane that is shown, 0..1
     self_shadow : the same of the object's shadow on itself, 0..1
     faint : darkening of the plane by less than this share of its light is left out, up to 3 times as much is faded, 0..0.3

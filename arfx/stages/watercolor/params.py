@@ -21,7 +21,7 @@ _RANGES = (
 
 @dataclass(frozen=True)
 class WatercolorParams:
-    """formula : corrected, or paper: S3 as printed (papers/s3_watercolor.py)
+    """formula : corrected, or paper: Jia, Tang 2013 as printed
     cell_px : size of a cell, px of the picture
     nearer_finer : how strongly cells shrink with nearness on the marker's plane; 0 = all alike, 1 = in proportion
     detail : how strongly cells shrink where there is much to see, and grow where there is little

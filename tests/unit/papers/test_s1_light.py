@@ -1,4 +1,4 @@
-"""S1 as printed: peaks of the map, and the light that the fold makes of them."""
+"""Tan, Chen, Sun 2009 as printed: peaks of the map, and the light that the fold makes of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""S1 as printed: shading by the light map, and Phong's highlight."""
+"""Tan, Chen, Sun 2009 as printed: shading by the light map, and Phong's highlight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""S2 as printed: the paper's numbers, the poles of its limits, bleed and blend."""
+"""Zhao et al. 2012 as printed: the paper's numbers, the poles of its limits, bleed and blend."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""S3 as printed: numbers of the edge measure, and cells named by a colour."""
+"""Jia, Tang 2013 as printed: numbers of the edge measure, and cells named by a colour."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""S4 as printed: the sign of the difference, and what it cannot do."""
+"""Yao, Tao, Wu 2018 as printed: the sign of the difference, and what it cannot do."""
 
 from __future__ import annotations
 
