@@ -24,8 +24,6 @@ def yuv_matrix(name: str = "bt601") -> np.ndarray:
     return np.stack([y, 0.492 * (np.array([0.0, 0, 1]) - y), 0.877 * (np.array([1.0, 0, 0]) - y)])
 
 
-
-
 def lines_of(
     made: np.ndarray, low: float, high: float, width_px: float, virtual: np.ndarray | None = None, at: tuple[int, int] = (0, 0)
 ) -> np.ndarray:
