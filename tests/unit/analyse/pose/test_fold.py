@@ -237,13 +237,8 @@ def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
     path = tmp_path / "facts.jsonl"
     write_facts(path, a.facts)
     for f, g in zip(a.facts, read_facts(path), strict=True):
-        assert (f.index, f.time_s, f.status, f.opacity, f.reprojection_px) == (
-            g.index,
-            g.time_s,
-            g.status,
-            g.opacity,
-            g.reprojection_px,
-        )
+        for name in ("index", "time_s", "status", "opacity", "reprojection_px"):
+            assert getattr(f, name) == getattr(g, name)
         np.testing.assert_allclose(f.camera_from_world.matrix, g.camera_from_world.matrix, atol=1e-14)  # type: ignore[union-attr]
     assert not list(tmp_path.glob("*.part"))
     rows = path.read_text().splitlines()
@@ -253,6 +248,7 @@ def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
     path.write_text("\n".join([rows[0], rows[1][:40]]))
     with pytest.raises(InputError, match=":2: not a frame"):
         read_facts(path)
-    path.write_text("{}")
-    with pytest.raises(InputError, match="no facts file"):
-        read_facts(path)
+    for other in ("{}", rows[0].replace('"version":3', '"version":2')):
+        path.write_text("\n".join([other, *rows[1:]]))
+        with pytest.raises(InputError, match="no facts file of version 3"):
+            read_facts(path)
