@@ -189,7 +189,7 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
         one, zero, most = np.float32(1), np.float32(0), np.float32(np.inf)
         plane_radius(
             out, 0, rect.height, 0, rect.width, rect.x0, rect.y0, real.base.dioptres(grid), np.float32(real.background),
-            one, zero, most,
+            (one, zero, most),
         )  # fmt: skip
     near, far = depth_range(facts)
     depth = np.clip(np.nan_to_num(now[Layer.DEPTH], nan=far, posinf=far), near, far)

@@ -6,8 +6,8 @@ A disc of at most half a pixel's radius lies within its own pixel: no blur.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,7 @@ UNIT_BITS = 17  # fraction of the light that a disc adds to a pixel (spread.py)
 _SUBROWS = 8  # lines by which a row's ends are averaged
 
 
-@dataclass(frozen=True, eq=False)
-class Shape:
+class Shape(NamedTuple):
     """Rows of the blur circle by radius: index q = round(radius px * STEPS), row j + reach[q] for j = -reach..reach.
 
     ends : (q, rows, 2) int32, first and last pixel of the row, from the centre; last > first

@@ -52,9 +52,9 @@ class CutOut:
     sharp: Rect
 
     def deposit(self, strip: tuple[int, int]) -> None:
-        radius, coverage = self.spread.radius, self.coverage
-        self.spread.note(strip, deposit.deposit_cut(*strip, radius, self.colour, coverage, self.opacity, *self.spread.sink))
-        self.gap.note(strip, deposit.deposit_gap(*strip, radius, coverage, self.opacity, *self.gap.sink))
+        pixels = deposit.CutPixels(self.spread.radius, self.colour, self.coverage, self.opacity)
+        self.spread.note(strip, deposit.deposit_cut(*strip, pixels, self.spread.sink))
+        self.gap.note(strip, deposit.deposit_gap(*strip, pixels, self.gap.sink))
 
     def light(self, rows: Rect, name: str) -> CutLight | None:
         """What it sheds on the rows `rows` (their rectangle in the frame); None where it is not laid over any of them.
@@ -76,12 +76,11 @@ class CutOut:
         """Put it over the rows `rows` of out. first : of these rows in `real`. Returns whether it may be `light.TRIED`."""
         top, bottom = at.part.y0 - self.rect.y0, at.part.y1 - self.rect.y0
         to = slice(at.part.y0 - rows.y0, at.part.y1 - rows.y0)
-        mine = slice(top, bottom)
+        radius, colour, coverage = (a[top:bottom] for a in (self.spread.radius, self.colour, self.coverage))
+        mine = deposit.CutPixels(radius, colour, coverage, self.opacity)
         tried: bool = light.lay_cut(
-            out[to], state[to], first + at.part.y0 - rows.y0, *at.columns, self.rect.x0 - rows.x0,
-            top, *at.own.parts[:4], *at.gap.parts[:4],
-            self.spread.radius[mine], self.colour[mine], self.coverage[mine], self.opacity, real.image, real.patch, real.box,
-        )  # fmt: skip
+            out[to], state[to], first + at.part.y0 - rows.y0, at.columns, self.rect.x0 - rows.x0, top, at.own, at.gap, mine, real
+        )
         return tried
 
 
@@ -140,10 +139,9 @@ def render(
         if measured is not None:
             base.radius[top:bottom] = measured.radius[top:bottom]
         else:
-            plane_radius(base.radius, top, bottom, a, b, rect.x0, rect.y0, nodes, background, *optics)
+            plane_radius(base.radius, top, bottom, a, b, rect.x0, rect.y0, nodes, background, optics)
         boost = np.float32(params.highlight_boost)
-        flat = image.reshape(rect.height, -1), sharp.patch.reshape(len(sharp.patch), 3 * sharp.patch.shape[1])
-        base.note(rows[k], deposit.deposit_real(top, bottom, a, b, base.radius, *flat, sharp.box, kept, boost, *base.sink))
+        base.note(rows[k], deposit.deposit_real(top, bottom, a, b, base.radius, sharp.flat, kept, boost, base.sink))
 
     parallel_map(start, [k for k, (a, b) in enumerate(lit) if a < b])
     parallel_map(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
@@ -163,7 +161,7 @@ def render(
         columns[top:bottom] = a, b
         out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
         if spread.lo < spread.hi:
-            light.lay_real(out, state, image, top, a, b, *spread.parts, base.radius, sharp.patch, sharp.box, kept)
+            light.lay_real(out, state, top, a, b, spread, base.radius, sharp, kept)
         else:
             out[:, a:b] = image[top:bottom, a:b]
         if any([cut.lay(shed, out, state, here, top, sharp) for cut, shed in lights]):
@@ -232,7 +230,7 @@ def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, ladder:
     part = now.crop(box)
     radius = np.empty((box.height, box.width), np.float32)
     near, far = (np.float32(d) for d in depth_range(facts))
-    least, largest = object_radius(radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, *optics)
+    least, largest = object_radius(radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, optics)
     if largest < 0:
         return None
     # sharp, it is still laid over the real scene anew where that is blurred
@@ -268,7 +266,7 @@ def _real_cut_outs(
     kept, cuts = np.ones((area.height, area.width), np.float32), []
     for plane in reversed(real.cut_outs):  # the nearest hides the others
         radius, inside = np.empty(kept.shape, np.float32), np.empty(kept.shape, np.float32)
-        square_radius(radius, inside, area.x0, area.y0, plane.places(grid), np.float32(plane.half_m), *optics)
+        square_radius(radius, inside, area.x0, area.y0, plane.places(grid), np.float32(plane.half_m), optics)
         inside *= kept
         radius[inside == 0] = -1
         kept -= inside

@@ -17,9 +17,10 @@ TILE_PX = 8
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def object_radius(radius, coverage, depth, near, far, px_per_dioptre, focus, limit):  # pragma: no cover - compiled
+def object_radius(radius, coverage, depth, near, far, optics):  # pragma: no cover - compiled
     """radius (h, w) of covered pixels from their depth, m, held to near..far; -1 where nothing is; 0 where the
     depth is not a distance. Returns the least and the largest; (inf, -1) where there is none."""
+    px_per_dioptre, focus, limit = optics
     h, w = radius.shape
     least, largest = np.float32(np.inf), np.float32(-1)
     for y in range(h):

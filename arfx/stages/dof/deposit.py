@@ -3,23 +3,36 @@
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.stages.dof.ladder import SHARP_PX
-from arfx.stages.dof.spread import TILE_PX, deposit_tile, extremes, highlight, only_rung, to_cell
+from arfx.stages.dof.real_pixels import RealPixels
+from arfx.stages.dof.spread import TILE_PX, Sink, deposit_tile, extremes, highlight, only_rung, to_cell
 
 _FLAGS = {"contract", "nsz", "arcp"}
 CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+class CutPixels(NamedTuple):
+    """Of a cut-out: blur radius (h, w) px, premultiplied colour (h, w, 3), which is read-only, and coverage (h, w)."""
+
+    radius: np.ndarray
+    colour: np.ndarray
+    coverage: np.ndarray
+    opacity: np.float32
+
+
+@line_kernel(fastmath=_FLAGS)
 def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
     most = max(red, max(green, blue))
     return np.float32(1) + boost * min(max((most - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1))
 
 
-@numba.njit(cache=True, nogil=True)
+@line_kernel()
 def _extremes(bits, y0, x0, y1, x1):  # pragma: no cover - compiled
     """Least and greatest of a tile, of the bits of float32 >= 0, which are ordered as their values are."""
     least, most = bits[y0, x0], bits[y0, x0]
@@ -32,19 +45,20 @@ def _extremes(bits, y0, x0, y1, x1):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def deposit_real(
-    top, bottom, begin, end, radius, image, patch, box, kept, boost, fade, cells, meta, lead_y, lead_x, near, held
+    top, bottom, begin, end, radius, real: RealPixels, kept, boost, sink: Sink
 ):  # fmt: skip  # pragma: no cover - compiled
     """Rows top..bottom, columns begin..end (borders of tiles) of the real scene; returns whether any of it is blurred.
 
-    image : (h, 3 w);  patch : in place of it within box = (x0, y0, x1, y1), whose borders are those of tiles
-    radius : (h, w) px, >= 0;  kept : (h, w) share that is not cut out, (0, 0) = all
+    real : `flat`;  radius : (h, w) px, >= 0;  kept : (h, w) share that is not cut out, (0, 0) = all
     """
+    image, patch, box = real
+    fade, lead_y, lead_x, rungs = sink.fade, sink.lead_y, sink.lead_x, sink.meta.shape[0]
     whole = kept.shape[0] == 0
     plain = whole and boost <= 0
     width, bits = end, radius.view(np.int32)
     source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
-    work = np.empty((10, width), np.float32)
+    work = np.empty(15 * width, np.float32)
     left = begin - ((begin + lead_x) & (TILE_PX - 1))
     blurred = False
     tiles = (width - left + TILE_PX - 1) // TILE_PX
@@ -60,7 +74,7 @@ def deposit_real(
             if extreme[1] <= SHARP_PX:
                 continue
             blurred = True
-            lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, meta.shape[0])
+            lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, rungs)
         after = 0
         for i in range(tiles):
             if i < after or highest[i] < 0:
@@ -75,7 +89,7 @@ def deposit_real(
                     after += 1
                 xb = min(left + after * TILE_PX, width)
                 part = light[ya - up : yb - up, 3 * (xa - along) : 3 * (xb - along)]
-                _to_cells(lowest[i], highest[i], ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x)
+                _to_cells(lowest[i], highest[i], ya, xa, radius, part, work, sink)
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
@@ -90,11 +104,11 @@ def deposit_real(
                             k *= _boosted(red, green, blue, boost)
                     to = source[y - ya, x - xa]
                     to[0], to[1], to[2], to[3] = red * k, green * k, blue * k, weight
-            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+            deposit_tile(source, radius, ya, xa, yb, xb, sink)
     return blurred
 
 
-@numba.njit(cache=True, nogil=True)
+@line_kernel()
 def _rungs(least, most, fade, rungs):  # pragma: no cover - compiled
     """Lowest and highest rung that light of radii least..most goes to."""
     low, high = 0, 0
@@ -105,30 +119,31 @@ def _rungs(least, most, fade, rungs):  # pragma: no cover - compiled
     return low, high
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _to_cells(low, high, ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def _to_cells(low, high, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover - compiled
     """Tiles of weight 1 to rung low, or to low and low + 1 = high. part : (rows, 3 columns) light from row ya, column xa"""
     if high == low:
-        _sum_cells(low, ya, xa, radius, part, work, cells, meta, lead_y, lead_x)
+        _sum_cells(low, ya, xa, radius, part, work, sink)
     else:
-        _share_cells(low, ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x)
+        _share_cells(low, ya, xa, radius, part, work, sink)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _sum_cells(k, ya, xa, radius, part, work, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def _sum_cells(k, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover - compiled
     """Tiles of the real scene that all go to rung k: summed by columns first, which the compiler makes vectors of.
 
-    part : (rows, 3 columns) light from row ya, column xa;  work : (10, w) scratch
+    part : (rows, 3 columns) light from row ya, column xa;  work : (15, w) scratch, flat
     """
     side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
     bright = highlight(k) if k > 1 else np.float32(np.inf)
-    flat = work.reshape(-1)
-    line, sums, weight = flat[: 3 * count], flat[3 * count : 4 * count], flat[4 * count : 5 * count]
+    lead_y = sink.lead_y
+    line, sums, weight = work[: 3 * count], work[3 * count : 4 * count], work[4 * count : 5 * count]
     for cy in range((ya + lead_y) >> k, ((end - 1 + lead_y) >> k) + 1):
         top, bottom = max(cy * side - lead_y, ya), min((cy + 1) * side - lead_y, end)
-        line[:] = 0
-        sums[:] = 0
-        weight[:] = np.float32(bottom - top)
+        for n in range(4 * count):
+            work[n] = 0
+        for n in range(count):
+            weight[n] = np.float32(bottom - top)
         for y in range(top, bottom):
             p, r = part[y - ya], radius[y, xa : xa + count]
             for n in range(3 * count):
@@ -144,29 +159,29 @@ def _sum_cells(k, ya, xa, radius, part, work, cells, meta, lead_y, lead_x):  # p
                     red, green, blue = part[y - ya, 3 * n], part[y - ya, 3 * n + 1], part[y - ya, 3 * n + 2]
                     if max(red, max(green, blue)) > bright:
                         r = radius[y, xa + n]
-                        to_cell(cells, meta, k - 1, y, xa + n, lead_y, lead_x, red, green, blue, np.float32(1), r)
+                        to_cell(sink, k - 1, y, xa + n, red, green, blue, np.float32(1), r)
                         line[3 * n] -= red
                         line[3 * n + 1] -= green
                         line[3 * n + 2] -= blue
                         sums[n] -= r
                         weight[n] -= np.float32(1)
-        _columns_to_cells(k, cy, xa, line, weight, sums, cells, meta, lead_x)
+        _columns_to_cells(k, cy, xa, line, weight, sums, sink)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _share_cells(k, ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def _share_cells(k, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover - compiled
     """As `_sum_cells`, of tiles that rungs k and k + 1 share by their radii."""
     side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
     bright, one = highlight(k + 1), np.float32(1)
+    fade, lead_y = sink.fade, sink.lead_y
     start, scale = fade[k, 0], np.float32(1) / (fade[k, 1] - fade[k, 0])
-    low, high, shares = work[0:3].reshape(-1), work[3:6].reshape(-1), work[6:9].reshape(-1)
-    sums = np.empty((5, count), np.float32)
-    weight_low, sum_low, weight_high, sum_high, share = sums[0], sums[1], sums[2], sums[3], sums[4]
+    low, high, shares = work[: 3 * count], work[3 * count : 6 * count], work[10 * count : 13 * count]
+    weight_low, sum_low = work[6 * count : 7 * count], work[7 * count : 8 * count]
+    weight_high, sum_high, share = work[8 * count : 9 * count], work[9 * count : 10 * count], work[13 * count : 14 * count]
     for cy in range((ya + lead_y) >> k, ((end - 1 + lead_y) >> k) + 1):
         top, bottom = max(cy * side - lead_y, ya), min((cy + 1) * side - lead_y, end)
-        low[: 3 * count] = 0
-        high[: 3 * count] = 0
-        sums[:] = 0
+        for n in range(10 * count):
+            work[n] = 0
         most = np.float32(0)
         for y in range(top, bottom):
             p, r = part[y - ya], radius[y, xa : xa + count]
@@ -205,16 +220,17 @@ def _share_cells(k, ya, xa, radius, part, fade, work, cells, meta, lead_y, lead_
                     if k == 1:
                         t = np.float32(0)
                     s = one - t
-                    to_cell(cells, meta, below, y, xa + n, lead_y, lead_x, red * s, green * s, blue * s, s, r)
-                    to_cell(cells, meta, below + 1, y, xa + n, lead_y, lead_x, red * t, green * t, blue * t, t, r)
-        _columns_to_cells(k, cy, xa, low, weight_low, sum_low, cells, meta, lead_x)
-        _columns_to_cells(k + 1, cy >> 1, xa, high, weight_high, sum_high, cells, meta, lead_x)
+                    to_cell(sink, below, y, xa + n, red * s, green * s, blue * s, s, r)
+                    to_cell(sink, below + 1, y, xa + n, red * t, green * t, blue * t, t, r)
+        _columns_to_cells(k, cy, xa, low, weight_low, sum_low, sink)
+        _columns_to_cells(k + 1, cy >> 1, xa, high, weight_high, sum_high, sink)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _columns_to_cells(k, cy, xa, line, weight, sums, cells, meta, lead_x):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def _columns_to_cells(k, cy, xa, line, weight, sums, sink: Sink):  # pragma: no cover - compiled
     """Add columns, light line (3 n,), weight and weight x radius (n,), the first at xa, to row cy of rung k."""
-    side, end = 1 << k, xa + len(weight)
+    side, end, lead_x = 1 << k, xa + len(weight), sink.lead_x
+    meta, cells = sink.meta, sink.cells
     for cx in range((xa + lead_x) >> k, ((end - 1 + lead_x) >> k) + 1):
         a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
         for n in range(max(cx * side - lead_x, xa) - xa, min((cx + 1) * side - lead_x, end) - xa):
@@ -232,14 +248,14 @@ def _columns_to_cells(k, cy, xa, line, weight, sums, cells, meta, lead_x):  # pr
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def deposit_cut(
-    top, bottom, radius, colour, coverage, opacity, fade, cells, meta, lead_y, lead_x, near, held
-):  # fmt: skip  # pragma: no cover - compiled
-    """Rows top..bottom of a layer of premultiplied colour (h, w, 3), coverage (h, w). Returns whether there is any light."""
+def deposit_cut(top, bottom, cut: CutPixels, sink: Sink):  # pragma: no cover - compiled
+    """Rows top..bottom. Returns whether there is any light."""
+    radius, colour, coverage, opacity = cut
+    fade, lead_y, lead_x, rungs = sink.fade, sink.lead_y, sink.lead_x, sink.meta.shape[0]
     width, found = radius.shape[1], False
     bits, covered, ends = radius.view(np.int32), coverage.view(np.int32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
-    source, work = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty((10, width), np.float32)
+    source, work = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(15 * width, np.float32)
     flat = colour.reshape(colour.shape[0], 3 * width)
     left = -(lead_x & (TILE_PX - 1))
     tiles = (width - left + TILE_PX - 1) // TILE_PX
@@ -256,7 +272,7 @@ def deposit_cut(
             lowest[i], highest[i] = 0, 0
             if extreme[0] * opacity >= 1:
                 ends[0], ends[1] = _extremes(bits, ya, xa, yb, xb)
-                lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, meta.shape[0])
+                lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, rungs)
         after = 0
         for i in range(tiles):
             if i < after or highest[i] < 0:
@@ -267,9 +283,7 @@ def deposit_cut(
                 while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]):
                     after += 1
                 xb = min(left + after * TILE_PX, width)
-                _to_cells(
-                    lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], fade, work, cells, meta, lead_y, lead_x
-                )
+                _to_cells(lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], work, sink)
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
@@ -277,15 +291,16 @@ def deposit_cut(
                     for c in range(3):
                         to[c] = colour[np.uintp(y), np.uintp(x), c] * opacity
                     to[3] = coverage[np.uintp(y), np.uintp(x)] * opacity
-            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+            deposit_tile(source, radius, ya, xa, yb, xb, sink)
     return found
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _open_tile(radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def _open_tile(radius, y0, x0, y1, x1, sink: Sink):  # pragma: no cover - compiled
     """`deposit_tile` of weight 1 and no light, where all of the tile goes to one rung above 0; False where it does not."""
     least, most = extremes(radius, y0, x0, y1, x1)
-    k = only_rung(least, most, fade, meta.shape[0])
+    cells, meta, lead_y, lead_x = sink.cells, sink.meta, sink.lead_y, sink.lead_x
+    k = only_rung(least, most, sink.fade, meta.shape[0])
     if k <= 0 or most <= SHARP_PX:
         return False
     side = 1 << k
@@ -304,10 +319,10 @@ def _open_tile(radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x):  # pr
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def deposit_gap(
-    top, bottom, radius, coverage, opacity, fade, cells, meta, lead_y, lead_x, near, held
-):  # fmt: skip  # pragma: no cover - compiled
+def deposit_gap(top, bottom, cut: CutPixels, sink: Sink):  # pragma: no cover - compiled
     """Rows top..bottom of what a layer lets through: weight only, in the last channel. Returns whether there is any."""
+    radius, _, coverage, opacity = cut
+    lead_y, lead_x = sink.lead_y, sink.lead_x
     width, found = radius.shape[1], False
     source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)
     for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
@@ -317,10 +332,10 @@ def deposit_gap(
             if least * opacity >= 1:
                 continue
             found = True
-            if most <= 0 and _open_tile(radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x):
+            if most <= 0 and _open_tile(radius, ya, xa, yb, xb, sink):
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
                     source[y - ya, x - xa, 3] = np.float32(1) - coverage[y, x] * opacity
-            deposit_tile(source, radius, ya, xa, yb, xb, fade, cells, meta, lead_y, lead_x, near, held)
+            deposit_tile(source, radius, ya, xa, yb, xb, sink)
     return found

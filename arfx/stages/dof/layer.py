@@ -6,7 +6,6 @@ to the caller: their light stays where it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +14,7 @@ from arfx.core.parallel import scratch
 from arfx.core.rect import Rect
 from arfx.stages.dof.aperture import STEPS, Shape, shape
 from arfx.stages.dof.ladder import ALIGN_PX, Ladder
-from arfx.stages.dof.spread import TILE_PX, run_sums, spread_cells, spread_pixels
+from arfx.stages.dof.spread import TILE_PX, Light, Sink, run_sums, spread_cells, spread_pixels
 
 STRIP_PX = ALIGN_PX  # rows worked on at once: cells of every rung lie in one strip only
 
@@ -46,22 +45,6 @@ def reached(rows: list[tuple[int, int]], hot: list[Columns], reach: int, width: 
                 a, b = hull((a, b), columns)
         out.append((max(a - reach, 0), min(b + reach, width)) if a < b else (0, 0))
     return out
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Light:
-    """Light of some rows of a layer, columns lo..hi outside of which it is 0; the rest as `spread.light_of_row` takes it."""
-
-    values: np.ndarray
-    table: np.ndarray
-    lead_y: int
-    lead_x: int
-    lo: int
-    hi: int
-
-    @property
-    def parts(self) -> tuple[np.ndarray, np.ndarray, int, int, int, int]:
-        return self.values, self.table, self.lead_y, self.lead_x, self.lo, self.hi
 
 
 DARK = Light(np.zeros(4, np.float32), np.zeros((0, 7), np.int64), 0, 0, 0, 0)
@@ -97,9 +80,8 @@ class Spread:
         self.reach = max(far + 3 << k for k, far in enumerate(self.far))
 
     @property
-    def sink(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int, np.ndarray, np.ndarray]:
-        """Arguments of the deposit kernels: where light goes."""
-        return self.ladder.fade, self.cells, self.meta, self.lead_y, self.lead_x, self.near, self.held
+    def sink(self) -> Sink:
+        return Sink(self.ladder.fade, self.cells, self.meta, self.lead_y, self.lead_x, self.near, self.held)
 
     def note(self, strip: tuple[int, int], any_light: bool) -> None:
         """What a deposit kernel said of a strip."""
@@ -125,18 +107,15 @@ class Spread:
 
     def _spread(self, rung: int, low: int, high: int, marks: np.ndarray) -> tuple[int, int]:
         """Light of one rung to its rows low..high, marks (rows, width + 1, 4). Returns the rectangle's columns it reaches."""
-        s, width = self.shape, self.radius.shape[1]
-        table = s.ends, s.shares, s.unit, s.reach
+        width = self.radius.shape[1]
         if rung == 0:
             until = np.float32(self.ladder.fade[0, 1] if self.rungs > 1 else np.inf)
-            a, b = spread_pixels(
-                self.near, self.held, self.lead_y, self.lead_x, self.radius, until, low, high, self.far[0], marks, *table
-            )
+            a, b = spread_pixels(self.sink, self.radius, until, low, high, self.far[0], marks, self.shape)
             run_sums(marks, a, b)
             return a, b
         first, columns, height = (int(v) for v in self.meta[rung])
         cells, cut = self.cells[first : first + columns * height], self.ladder.cut_px2[rung]
-        a, b = spread_cells(cells, columns, height, rung, cut, low, high, self.far[rung], marks, *table)
+        a, b = spread_cells(cells, columns, height, rung, cut, low, high, self.far[rung], marks, self.shape)
         run_sums(marks, a, b)
         if a >= b:
             return 0, 0

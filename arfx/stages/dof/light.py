@@ -10,8 +10,11 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
+from arfx.stages.dof.deposit import CutPixels
 from arfx.stages.dof.ladder import ALIGN_PX, SHARP_PX
-from arfx.stages.dof.spread import light_of_row
+from arfx.stages.dof.real_pixels import RealPixels
+from arfx.stages.dof.spread import Light, light_of_row
 from arfx.stages.four import put_four
 
 _FLAGS = {"contract", "nsz", "arcp"}
@@ -20,26 +23,7 @@ SHARP_BITS = int(np.float32(SHARP_PX).view(np.int32))
 KEPT, TRIED, LAID = np.uint8(0), np.uint8(1), np.uint8(2)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def behind(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
-    """out (h, w, 3): the real scene with the shadow and without the object, as `composite` has it where nothing covers it.
-
-    shadow : (h, w, 3), or (h, w, 1) of all channels
-    """
-    width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
-    line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    for n in range(width):
-        below[n] = bias[n % 3]
-    for y in range(out.shape[0]):
-        for x in range(plate.shape[1]):
-            for c in range(3):
-                line[3 * x + c], left[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
-        to = out[y].reshape(-1)
-        for n in range(width):
-            to[n] = line[n] + opacity * (line[n] * (left[n] - one) + below[n] * (one - left[n]))
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+@line_kernel(fastmath=_FLAGS)
 def _all_blurred(light, radius, y, lo, hi):  # pragma: no cover - compiled
     """Whether every pixel of row y, columns lo..hi, has a blur circle and got light."""
     bits, faintest = radius[y, lo:hi].view(np.int32), np.float32(np.inf)
@@ -51,7 +35,7 @@ def _all_blurred(light, radius, y, lo, hi):  # pragma: no cover - compiled
     return hi > lo and faintest > 0 and least > SHARP_BITS
 
 
-@numba.njit(cache=True, nogil=True)
+@line_kernel()
 def _copy(colours, out):  # pragma: no cover - compiled
     """out (n, 3) = colours: said with slices, numba would compile a message about shapes for seconds."""
     for x in range(len(colours)):
@@ -61,23 +45,23 @@ def _copy(colours, out):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_real(
-    out, state, image, top, begin, end, values, table, lead_y, lead_x, lo, hi, radius, patch, box, kept
+    out, state, top, begin, end, shed: Light, radius, real: RealPixels, kept
 ):  # fmt: skip  # pragma: no cover - compiled
     """Columns begin..end of out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w)
-    = LAID; else the composite's own bits, image (h, w, 3) from its row `top`. lo..hi lies within begin..end.
-
-    values … hi : of `Spread.rows`;  patch, box : the real scene in place of image, as `deposit_real`
-    """
+    = LAID; else the composite's own bits, from its row `top`. The columns of `shed` lie within begin..end."""
+    image, patch, box = real
+    lo, hi = shed.lo, shed.hi
     whole = kept.shape[0] == 0
     light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32)
     for j in range(out.shape[0]):
         y = top + j
-        light_of_row(light, y, values, table, lead_y, lead_x, lo, hi, between)
+        light_of_row(light, y, shed, lo, hi, between)
         from_x, until_x = (box[0], box[2]) if box[1] <= y < box[3] else (0, 0)  # columns of the patch
         _copy(image[y, begin:lo], out[j, begin:lo])
         _copy(image[y, hi:end], out[j, hi:end])
         if _all_blurred(light, radius, y, lo, hi):
-            state[j, lo:hi] = LAID
+            for x in range(lo, hi):
+                state[j, x] = LAID
             flat = out[j].reshape(-1)
             for x in range(lo, hi - 1):
                 r, g, b, w = light[4 * x], light[4 * x + 1], light[4 * x + 2], light[4 * x + 3]
@@ -105,7 +89,7 @@ def lay_real(
                     out[j, x, c] = (light[4 * x + c] + share * own) * inverse
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+@line_kernel(fastmath=_FLAGS)
 def _any_sharp(light, radius, coverage, y, begin, end):  # pragma: no cover - compiled
     """Whether a pixel of row y without a blur circle is covered, or gets light."""
     circles, least = radius[y, begin:end], np.float32(np.inf)
@@ -120,7 +104,7 @@ def _any_sharp(light, radius, coverage, y, begin, end):  # pragma: no cover - co
     return found
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS, error_model="numpy")
+@line_kernel(fastmath=_FLAGS, error_model="numpy")
 def _lay_blurred(flat, left, light, gap, begin, end, factors):  # pragma: no cover - compiled
     """Light of columns begin..end over a row of out, flat (3 w,), of which column begin is `left`. factors : (2, w) scratch"""
     inverse, through = factors[0, : end - begin], factors[1, : end - begin]
@@ -138,7 +122,7 @@ def _lay_blurred(flat, left, light, gap, begin, end, factors):  # pragma: no cov
             to[at] = to[at] * through[i] + own[of] * inverse[i]
 
 
-@numba.njit(cache=True, nogil=True)
+@line_kernel()
 def _uncover(line, state, begin, end, patch, from_x, until_x):  # pragma: no cover - compiled
     """Columns begin..end of a row of out that are KEPT, where from_x..until_x holds a patch (n, 3): set to that."""
     first, last = max(begin, from_x), min(end, until_x)
@@ -158,22 +142,24 @@ def _uncover(line, state, begin, end, patch, from_x, until_x):  # pragma: no cov
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def lay_cut(
-    out, state, top, begin, end, left, first, values, table, lead_y, lead_x,
-    gap_values, gap_table, gap_lead_y, gap_lead_x, radius, colour, coverage, opacity, image, patch, box,
+    out, state, top, columns, left, first, own_light: Light, gap_light: Light, cut: CutPixels, real: RealPixels
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Put columns begin..end of a cut-out layer over out (rows, w, 3); its column 0 is `left` of out's.
+    """Put columns begin..end of rows of a cut-out layer over out (rows, w, 3); its column 0 is `left` of out's.
 
-    first : row of the layer that is out's first;  values … lead_x, gap_values … : of its light and its gap, `Spread.rows`
+    first : number of the first of these rows in the layer;  own_light, gap_light : its light and what it lets through
     state : set LAID where any of it is spread, else TRIED; returns whether any is set TRIED
-    image, patch, box : the real scene, from row `top`, for pixels that hold the composite's bits as yet
+    real : the real scene, from row `top`, for pixels that hold the composite's bits as yet
     colour is looked at where something covers.
     """
+    begin, end = columns
+    radius, colour, coverage, opacity = cut
+    image, patch, box = real
     width, tried = radius.shape[1], False
     light, gap = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
     between, factors = np.empty(4 * (width + ALIGN_PX), np.float32), np.empty((2, width), np.float32)
     for y in range(out.shape[0]):
-        light_of_row(light, first + y, values, table, lead_y, lead_x, begin, end, between)
-        light_of_row(gap, first + y, gap_values, gap_table, gap_lead_y, gap_lead_x, begin, end, between)
+        light_of_row(light, first + y, own_light, begin, end, between)
+        light_of_row(gap, first + y, gap_light, begin, end, between)
         from_x, until_x = (box[0], box[2]) if box[1] <= top + y < box[3] else (0, 0)  # columns of the patch
         if not _any_sharp(light, radius, coverage, y, begin, end):
             x = begin
@@ -184,7 +170,8 @@ def lay_cut(
                 a, b = left + first_x, left + x
                 if x > first_x:
                     _uncover(out[y], state[y], a, b, patch[top + y - box[1]] if until_x > from_x else out[y], from_x, until_x)
-                    state[y, a:b] = LAID
+                    for i in range(a, b):
+                        state[y, i] = LAID
                 x += 1
             _lay_blurred(out[y].reshape(-1), left + begin, light, gap, begin, end, factors)
             continue
@@ -215,7 +202,7 @@ def lay_cut(
     return tried
 
 
-@numba.njit(cache=True, nogil=True)
+@line_kernel()
 def restore(out, state, image, top, begin, end):  # pragma: no cover - compiled
     """The composite's own bits where nothing was spread to after all. out (rows, w, 3), image (h, w, 3) from row `top`"""
     for j in range(out.shape[0]):

@@ -1,10 +1,12 @@
 """The sharp real scene of a frame without the object, under its shadow: the composite's own pixels but for a part of them."""
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
@@ -12,12 +14,10 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
 from arfx.stages.dof.layer import strips
-from arfx.stages.dof.light import behind
 from arfx.stages.dof.spread import TILE_PX
 
 
-@dataclass(frozen=True, eq=False)
-class RealPixels:
+class RealPixels(NamedTuple):
     """image : (h, w, 3) of the composite;  patch : (bh, bw, 3), the real scene within `box` = x0, y0, x1, y1, px from the
     picture's corner, whose borders are those of tiles (TILE_PX). All read-only, so that one kernel fits every frame.
     """
@@ -52,6 +52,12 @@ class RealPixels:
         """Another real scene (h, w, 3) in every pixel."""
         return RealPixels(self.image, _frozen(real), (0, 0, real.shape[1], real.shape[0]))
 
+    @property
+    def flat(self) -> RealPixels:
+        """With colours along the rows, (h, 3 w)."""
+        image, patch = (a.reshape(len(a), 3 * a.shape[1]) for a in (self.image, self.patch))
+        return RealPixels(image, patch, self.box)
+
     def crop(self, part: Rect) -> np.ndarray:
         """A copy of the real scene in a part, px from the picture's corner."""
         out, box = self.image[part.slices].copy(), Rect(*self.box)
@@ -65,3 +71,22 @@ def _frozen(a: np.ndarray) -> np.ndarray:
     a = np.ascontiguousarray(a)
     a.setflags(write=False)
     return a
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def behind(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
+    """out (h, w, 3): the real scene with the shadow and without the object, as `composite` has it where nothing covers it.
+
+    shadow : (h, w, 3), or (h, w, 1) of all channels
+    """
+    width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
+    line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    for n in range(width):
+        below[n] = bias[n % 3]
+    for y in range(out.shape[0]):
+        for x in range(plate.shape[1]):
+            for c in range(3):
+                line[3 * x + c], left[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
+        to = out[y].reshape(-1)
+        for n in range(width):
+            to[n] = line[n] + opacity * (line[n] * (left[n] - one) + below[n] * (one - left[n]))

@@ -7,10 +7,13 @@ row's running sum is exactly 0 behind the last disc, and neither the order nor t
 # mypy: disable-error-code="no-untyped-def, call-arg, assignment"
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
-from arfx.stages.dof.aperture import STEPS
+from arfx.core.compiled import line_kernel
+from arfx.stages.dof.aperture import STEPS, Shape
 from arfx.stages.dof.ladder import SHARP_PX
 from arfx.stages.four import add_between, add_four, add_two_between
 
@@ -18,6 +21,38 @@ _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below mu
 _SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
 TILE_PX = 16  # deposited at once; a power of two
 FEWEST_ALIKE = 4  # discs of one size side by side that are worth marking together
+
+
+class Sink(NamedTuple):
+    """Where a layer's light goes. fade : of the `Ladder`
+
+    near : (h, w, 4) light of rung 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `held` (th, tw) uint8
+    cells : (n, 5) red, green, blue, weight, weight x radius of all further rungs;  meta : (rungs, 3) first cell, width,
+    height;  lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
+    """
+
+    fade: np.ndarray
+    cells: np.ndarray
+    meta: np.ndarray
+    lead_y: int
+    lead_x: int
+    near: np.ndarray
+    held: np.ndarray
+
+
+class Light(NamedTuple):
+    """Light of some rows of a layer, 0 outside of columns lo..hi. values : flat, of each rung's rows, (rows, width + 1, 4)
+
+    table : (n, 7), of each: rung, first value, first row, height and width of the whole rung, columns of the rectangle
+    lead_y, lead_x : as of `Sink`
+    """
+
+    values: np.ndarray
+    table: np.ndarray
+    lead_y: int
+    lead_x: int
+    lo: int
+    hi: int
 
 
 @numba.njit(cache=True, nogil=True)
@@ -46,10 +81,11 @@ def highlight(rung):  # pragma: no cover - compiled
     return max(np.float32(4), np.float32(1.001) * np.float32(1 << rung))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def to_cell(cells, meta, rung, y, x, lead_y, lead_x, a, b, c, d, r):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def to_cell(sink: Sink, rung, y, x, a, b, c, d, r):  # pragma: no cover - compiled
     """Light a, b, c, d (weight) of one pixel with radius r to the rung's cell that holds it."""
-    at = np.uintp(meta[rung, 0] + ((y + lead_y) >> rung) * meta[rung, 1] + ((x + lead_x) >> rung))
+    meta, cells = sink.meta, sink.cells
+    at = np.uintp(meta[rung, 0] + ((y + sink.lead_y) >> rung) * meta[rung, 1] + ((x + sink.lead_x) >> rung))
     cells[at, 0] += a
     cells[at, 1] += b
     cells[at, 2] += c
@@ -57,17 +93,13 @@ def to_cell(cells, meta, rung, y, x, lead_y, lead_x, a, b, c, d, r):  # pragma: 
     cells[at, 4] += d * r
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def deposit_tile(
-    source, radius, y0, x0, y1, x1, fade, cells, meta, lead_y, lead_x, near, held
-):  # fmt: skip  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def deposit_tile(source, radius, y0, x0, y1, x1, sink: Sink):  # pragma: no cover - compiled
     """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two rungs that their radii ask for.
 
     source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none
-    near : (h, w, 4) light of rung 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `held` (th, tw) uint8
-    cells : (n, 5) red, green, blue, weight, weight x radius of all further rungs;  meta : (rungs, 3) first cell, width,
-    height;  lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
+    fade, cells, meta, lead_y, lead_x, near, held = sink
     rungs = meta.shape[0]
     least, most = extremes(radius, y0, x0, y1, x1)
     if most <= SHARP_PX:
@@ -83,7 +115,7 @@ def deposit_tile(
                         j, i = np.uintp(y - y0), np.uintp(x - x0)
                         if max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > bright:
                             r, s = radius[np.uintp(y), np.uintp(x)], source[j, i]
-                            to_cell(cells, meta, k - 1, y, x, lead_y, lead_x, s[0], s[1], s[2], s[3], r)
+                            to_cell(sink, k - 1, y, x, s[0], s[1], s[2], s[3], r)
                             continue
                         a += source[j, i, 0]
                         b += source[j, i, 1]
@@ -103,8 +135,8 @@ def deposit_tile(
         for y in range(y0, y1):
             for x in range(x0, x1):
                 j, i = np.uintp(y - y0), np.uintp(x - x0)
-                for c in range(4):
-                    near[np.uintp(y), np.uintp(x), c] = source[j, i, c]
+                for n in range(4):
+                    near[np.uintp(y), np.uintp(x), n] = source[j, i, n]
         return
     for y in range(y0, y1):
         for x in range(x0, x1):
@@ -126,18 +158,19 @@ def deposit_tile(
                 if share <= 0:
                     continue
                 if rung == 0:
-                    for c in range(4):
-                        near[np.uintp(y), np.uintp(x), c] = source[j, i, c] * share
+                    for n in range(4):
+                        near[np.uintp(y), np.uintp(x), n] = source[j, i, n] * share
                 else:
                     s = source[j, i]
-                    to_cell(cells, meta, rung, y, x, lead_y, lead_x, s[0] * share, s[1] * share, s[2] * share, s[3] * share, r)
+                    to_cell(sink, rung, y, x, s[0] * share, s[1] * share, s[2] * share, s[3] * share, r)
 
 
 @numba.njit(nogil=True)
-def _mark_ends(marks, a, b, c, d, red, green, blue, weight, share, first, last):  # pragma: no cover - compiled
-    """Ends of one row of a disc, in cells of four: with v = (red, green, blue, weight) share, marks[a] += v first,
-    marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last. marks : flat"""
-    red, green, blue, weight = red * share, green * share, blue * share, weight * share
+def _mark_ends(marks, at, light, share, first, last):  # pragma: no cover - compiled
+    """Ends of one row of a disc, in cells of four: with v = light share and at = a, b, c, d, marks[a] += v first,
+    marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last. marks : flat;  light : red, green, blue, weight"""
+    a, b, c, d = at
+    red, green, blue, weight = light[0] * share, light[1] * share, light[2] * share, light[3] * share
     begin = red * first, green * first, blue * first, weight * first
     end = red * last, green * last, blue * last, weight * last
     add_four(marks, a, begin[0], begin[1], begin[2], begin[3])
@@ -146,12 +179,13 @@ def _mark_ends(marks, a, b, c, d, red, green, blue, weight, share, first, last):
     add_four(marks, d, -end[0], -end[1], -end[2], -end[3])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _mark(marks, q, y, x, low, high, width, line, unit, ends, shares, n):  # pragma: no cover - compiled
-    """Mark the row ends of one disc in rows low..high. marks : flat, (rows, width + 1, 4), from row low
+@line_kernel(fastmath=_FLAGS)
+def _mark(marks, q, y, x, low, high, width, line, unit, shape: Shape):  # pragma: no cover - compiled
+    """Mark the row ends of one disc, row q of `shape`, in rows low..high. marks : flat, (rows, width + 1, 4), from row low
 
     line : (4 width,) light of the disc's row of cells;  unit : share of it that a pixel gets
     """
+    ends, shares, n = shape.ends, shape.shares, shape.reach[q]
     red, green, blue, weight = line[4 * x] * unit, line[4 * x + 1] * unit, line[4 * x + 2] * unit, line[4 * x + 3] * unit
     red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
     red, green, blue, weight = red - _SNAP, green - _SNAP, blue - _SNAP, weight - _SNAP
@@ -165,10 +199,10 @@ def _mark(marks, q, y, x, low, high, width, line, unit, ends, shares, n):  # pra
             a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
         row = (y + j - low) * stride
         share, begin, end = shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
-        _mark_ends(marks, row + a, row + b, row + c, row + d, red, green, blue, weight, share, begin, end)
+        _mark_ends(marks, (row + a, row + b, row + c, row + d), (red, green, blue, weight), share, begin, end)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+@line_kernel(fastmath=_FLAGS)
 def _add_shifted(marks, cell, light, count, begin, end):  # pragma: no cover - compiled
     """marks[cell + i] += light[i] begin + light[i - 1] end for i = 0..count. light : flat, a cell of zeros before and after"""
     to = marks[4 * cell : 4 * (cell + count + 1)]
@@ -177,14 +211,15 @@ def _add_shifted(marks, cell, light, count, begin, end):  # pragma: no cover - c
         to[i] += this[i] * begin + last[i] * end
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def _mark_line(marks, y, low, high, width, size, line, area, alike, ends, shares, unit, reach):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def _mark_line(marks, y, low, high, width, size, line, area, alike, shape: Shape):  # pragma: no cover - compiled
     """Mark the discs of one row of cells in rows low..high. Returns the columns marked (lo, hi).
 
     size : (width,) row of the shape table, -1 = no light;  line : (4 width,) light;  area : 1 / pixels of a cell
     alike : scratch, 4 (width + 2)
     Neighbours of one size are marked together, row by row of their disc, which the compiler makes vectors of.
     """
+    ends, shares, unit, reach = shape
     stride = width + 1
     lo, hi = width, 0
     x = 0
@@ -206,9 +241,9 @@ def _mark_line(marks, y, low, high, width, size, line, area, alike, ends, shares
         for k in range(first, x):
             if k == begin:
                 break
-            _mark(marks, q, y, k, low, high, width, line, u, ends, shares, n)
+            _mark(marks, q, y, k, low, high, width, line, u, shape)
         for k in range(end, x):
-            _mark(marks, q, y, k, low, high, width, line, u, ends, shares, n)
+            _mark(marks, q, y, k, low, high, width, line, u, shape)
         count = end - begin
         if count <= 0:
             continue
@@ -226,13 +261,12 @@ def _mark_line(marks, y, low, high, width, size, line, area, alike, ends, shares
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def spread_pixels(
-    near, held, lead_y, lead_x, radius, until, low, high, far, marks, ends, shares, unit, reach
-):  # fmt: skip  # pragma: no cover - compiled
+def spread_pixels(sink: Sink, radius, until, low, high, far, marks, shape: Shape):  # pragma: no cover - compiled
     """Rung 0: light of pixels with SHARP_PX < radius < until onto rows low..high. Returns the columns marked (lo, hi)."""
+    near, held, lead_y, lead_x = sink.near, sink.held, sink.lead_y, sink.lead_x
     first_x = lead_x // TILE_PX * TILE_PX - lead_x  # of the first tile
     h, w = radius.shape
-    top = np.float32(unit.shape[0] - 1)
+    top = np.float32(shape.unit.shape[0] - 1)
     flat = marks.reshape(-1)
     size, alike = np.empty(w, np.int32), np.empty(4 * (w + 2), np.float32)
     lo, hi = w, 0
@@ -252,17 +286,17 @@ def spread_pixels(
                     continue
                 size[x] = int(min(r * STEPS + np.float32(0.5), top))
         if any_light:
-            a, b = _mark_line(flat, y, low, high, w, size, near[y].reshape(-1), np.float32(1), alike, ends, shares, unit, reach)
+            a, b = _mark_line(flat, y, low, high, w, size, near[y].reshape(-1), np.float32(1), alike, shape)
             lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, w)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def spread_cells(
-    cells, width, height, rung, cut_px2, low, high, far, marks, ends, shares, unit, reach
+    cells, width, height, rung, cut_px2, low, high, far, marks, shape: Shape
 ):  # fmt: skip  # pragma: no cover - compiled
     """Further rungs: cells (height * width, 5) onto rows low..high of the rung. Returns the columns marked (lo, hi)."""
-    top = np.float32(unit.shape[0] - 1)
+    top = np.float32(shape.unit.shape[0] - 1)
     side = np.float32(1 << rung)
     area = np.float32(1) / (side * side)
     flat = marks.reshape(-1)
@@ -283,12 +317,12 @@ def spread_cells(
             for c in range(4):
                 line[4 * x + c] = cells[k, c]
         if any_light:
-            a, b = _mark_line(flat, y, low, high, width, size, line, area, alike, ends, shares, unit, reach)
+            a, b = _mark_line(flat, y, low, high, width, size, line, area, alike, shape)
             lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, width)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+@line_kernel(fastmath=_FLAGS)
 def run_sums(marks, lo, hi):  # pragma: no cover - compiled
     """Marks to light: running sums along the rows, columns lo..hi, in place. Weights are exact, light brighter than 2 is
     not: where no weight is left no light is, so that nothing of a highlight's rounding goes on along its row."""
@@ -304,16 +338,15 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
             marks[y, x, 0], marks[y, x, 1], marks[y, x, 2], marks[y, x, 3] = a, b, c, d
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def light_of_row(line, y, values, table, lead_y, lead_x, lo, hi, between):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FLAGS)
+def light_of_row(line, y, light: Light, lo, hi, between):  # pragma: no cover - compiled
     """line (4 w,) = light that reaches row y of the rectangle, columns lo..hi: all rungs, bilinear between their cells.
 
-    values : flat, light of each rung's rows, (rows, width + 1, 4)
     between : scratch, 4 (w + ALIGN_PX): cells count from lead_x on
-    table : (n, 7), of each: rung, first value, first row, height and width of the whole rung, columns of the rectangle
-    lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
     """
-    line[4 * lo : 4 * hi] = 0
+    values, table, lead_y, lead_x, _, _ = light
+    for n in range(4 * lo, 4 * hi):
+        line[n] = 0
     for part in range(table.shape[0]):
         rung, first, first_row, height, width, left, right = table[part]
         left, right = max(left, lo), min(right, hi)

@@ -112,13 +112,13 @@ def _depth(pose: Pose) -> float:
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def plane_radius(
-    out, top, bottom, begin, end, x0, y0, nodes, background, px_per_dioptre, focus, limit
-):  # pragma: no cover - compiled
+def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, optics):  # pragma: no cover - compiled
     """Rows top..bottom, columns begin..end of out (h, w): blur radius of the endless plane, px.
 
-    x0, y0 : the rectangle's corner in the frame;  nodes : (gh, gw) dioptres of the plane every GRID_PX pixels
+    x0, y0 : the rectangle's corner in the frame;  optics : px per dioptre, focus in dioptres, limit in px
+    nodes : (gh, gw) dioptres of the plane every GRID_PX pixels
     """
+    px_per_dioptre, focus, limit = optics
     step = np.float32(1.0 / GRID_PX)
     g0, g1 = (x0 + begin) // GRID_PX, (x0 + end - 1) // GRID_PX + 1
     line = np.empty(g1 - g0 + 1, np.float32)
@@ -142,13 +142,12 @@ def plane_radius(
 
 
 @numba.njit(cache=True, nogil=True)
-def square_radius(
-    radius, inside, x0, y0, places, half, px_per_dioptre, focus, limit
-):  # fmt: skip  # pragma: no cover - compiled
+def square_radius(radius, inside, x0, y0, places, half, optics):  # pragma: no cover - compiled
     """Of a plane of limited size: radius (h, w) px and inside (h, w) float32, 1 where the pixel shows it.
 
     places : (gh, gw, 3) of `Plane.places`
     """
+    px_per_dioptre, focus, limit = optics
     h, w = radius.shape
     step = np.float32(1.0 / GRID_PX)
     for j in range(h):

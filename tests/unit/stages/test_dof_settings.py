@@ -103,7 +103,7 @@ def test_the_real_plane_has_the_depth_of_its_points() -> None:
     radius = np.empty((s.camera.height, s.camera.width), np.float32)
     f32 = np.float32
     plane_radius(
-        radius, 0, s.camera.height, 0, s.camera.width, 0, 0, real.base.dioptres(grid), f32(0), f32(1), f32(0), f32(np.inf)
+        radius, 0, s.camera.height, 0, s.camera.width, 0, 0, real.base.dioptres(grid), f32(0), (f32(1), f32(0), f32(np.inf))
     )  # 1 px a dioptre from infinity
     at = np.rint(s.camera.project(pose.apply(points))).astype(int)
     np.testing.assert_allclose(radius[at[:, 1], at[:, 0]], 1 / z, rtol=4e-3)  # half a pixel beside the point
@@ -117,7 +117,7 @@ def test_a_plane_of_limited_size_ends_where_it_is_said_to() -> None:
     plane = plane_of(pose @ s.world_from_anchor, 0.1)
     radius, inside = (np.empty((s.camera.height, s.camera.width), np.float32) for _ in range(2))
     f32 = np.float32
-    square_radius(radius, inside, 0, 0, plane.places(direction_grid(s.camera)), f32(0.1), f32(1), f32(0), f32(np.inf))
+    square_radius(radius, inside, 0, 0, plane.places(direction_grid(s.camera)), f32(0.1), (f32(1), f32(0), f32(np.inf)))
     for x, shown in ((0.095, 1.0), (-0.095, 1.0), (0.107, 0.0), (-0.107, 0.0)):
         for point in ([x, 0, 0], [0, x, 0]):
             u, v = np.rint(s.camera.project(pose.apply(np.array(point, float)))).astype(int)
