@@ -6,7 +6,7 @@ the toe's line k c; the larger of the two (the smaller, of more light than there
 255, just above the toe. Compiled, as in kernels.py.
 """
 
-# mypy: no-check-untyped-defs
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 import numba
@@ -14,42 +14,45 @@ import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.media.curves import FAST, apply_curve, power_of
-from arfx.media.lines import add_steps, chroma_span, clipped_differences, coded_line, line_room, reduce_line, taps
+from arfx.media.lines import (
+    Chroma,
+    Luma,
+    Planes,
+    add_steps,
+    chroma_span,
+    clipped_differences,
+    coded_line,
+    line_room,
+    reduce_line,
+    taps,
+)
 
 _BLOCK = 64  # pixels
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def dim_luma(
-    y, u, v, rect, hole, left, opacity, bias, steps, cosited, chroma_size, scale, matrix, curves, to_yuv, picture_width, factor,
-    legal, chroma, reach,
-):  # fmt: skip
-    """Dims luma plane y in place; leaves the chroma differences as `edit_luma` does, for `edit_chroma`.
+def dim_luma(planes: Planes, rect, hole, left, opacity, bias, curves, luma: Luma, chroma: Chroma):
+    """Dims the luma plane in place; sets the chroma differences as `edit_luma` does, for `edit_chroma`.
 
     rect, hole : x0, y0, x1, y1, coded; inside `hole` nothing changes;  left : (h, w, 3 or 1) share of linear light that is left
     opacity : how much of that change is shown;  bias : (3,) linear, what is no light and stays, None = none
-    steps ... matrix : as in `linear_from_yuv`;  curves : decoding, encoding, (2,) exponent of the encoding's power and its a
-    to_yuv : (3, 3) from R'G'B';  factor : stored steps per unit of luma;  legal : lowest, highest stored luma
+    curves : decoding, encoding, (2,) exponent of the encoding's power and its a
     """
     room = line_room(16, rect[2] - rect[0])
-    tapped = taps(steps[0], cosited[0] and steps[0] > 0)
-    wide = np.zeros((2, (chroma.shape[2] << steps[0]) + tapped[1] - tapped[0]), np.float32)
-    _dim_lines(
-        y, u, v, rect, hole, left, opacity, bias, steps, cosited, chroma_size, scale, matrix, curves, to_yuv, picture_width,
-        factor, legal, chroma, reach, tapped, wide, room,
-    )  # fmt: skip
+    step = planes.steps[0]
+    tapped = taps(step, planes.cosited[0] and step > 0)
+    wide = np.zeros((2, (chroma.lines.shape[2] << step) + tapped[1] - tapped[0]), np.float32)
+    _dim_lines(planes, rect, hole, left, opacity, bias, curves, luma, chroma, (tapped, wide, room))
 
 
 @line_kernel(fastmath=FAST)
-def _dim_lines(
-    y, u, v, rect, hole, left, opacity, bias, steps, cosited, chroma_size, scale, matrix, curves, to_yuv, picture_width,
-    factor, legal, chroma, reach, tapped, wide, room,
-):  # fmt: skip
+def _dim_lines(planes: Planes, rect, hole, left, opacity, bias, curves, luma: Luma, chroma: Chroma, work):
+    (low_tap, high_tap, weights), wide, room = work
+    lines, reach = chroma
     x0, y0, x1, y1 = rect
-    sx, n = steps[0], chroma.shape[2]
+    sx, n = planes.steps[0], lines.shape[2]
     k, m, coded = room[:3], room[3:6], room[6:9]
     few, cb, cr, dy, light, base, mantissa = room[9], room[10], room[11], room[12], room[13], room[14], room[15]
-    low_tap, high_tap, weights = tapped
     at = x0 - ((x0 >> sx) << sx) - low_tap  # place in `wide` of the first pixel
     d_cb, d_cr = wide[0, at:], wide[1, at:]
     for j in range(y1 - y0):
@@ -67,8 +70,8 @@ def _dim_lines(
                 continue
             w = b - a
             grey = _shares(shares[a * left.shape[2] : b * left.shape[2]], left.shape[2], opacity, k, w)
-            c0, c1 = chroma_span(x0 + a, x0 + b, sx, chroma_size[0])
-            coded_line(y, u, v, row, x0 + a, steps, cosited, chroma_size, scale, matrix, few[: c1 - c0], cb[:w], cr[:w], coded)
+            c0, c1 = chroma_span(x0 + a, x0 + b, sx, planes.chroma_size[0])
+            coded_line(planes, row, x0 + a, few[: c1 - c0], cb[:w], cr[:w], coded)
             for c in range(3):
                 one = 0 if grey else c
                 if bias is None:
@@ -81,8 +84,8 @@ def _dim_lines(
                     apply_curve(light[:w], curves[1], base, mantissa, m[c])
                     clipped_differences(coded[c, :w], m[c])
             diff = coded if bias is None else m
-            _to_yuv(diff[0], diff[1], diff[2], to_yuv, dy[:w], d_cb[a:], d_cr[a:])
-            add_steps(y[row, x0 + a : x0 + b], dy[:w], factor, legal[0], legal[1])
+            _to_yuv(diff[0], diff[1], diff[2], luma.to_yuv, dy[:w], d_cb[a:], d_cr[a:])
+            add_steps(planes.y[row, x0 + a : x0 + b], dy[:w], luma.factor, luma.low, luma.high)
         c0 = max(((x0 + first - high_tap + 1) >> sx) - (x0 >> sx), 0)
         c1 = min(((x0 + last - 1 - low_tap) >> sx) + 1 - (x0 >> sx), n)
         reach[j, 0], reach[j, 1] = c0, c1
@@ -93,9 +96,9 @@ def _dim_lines(
             line[at + last : (c1 << sx) + high_tap - low_tap] = 0
             if x0 + first == 0:
                 line[:at] = line[at]
-            if x0 + last == picture_width:
+            if x0 + last == luma.width:
                 line[at + last :] = line[at + last - 1]
-            reduce_line(line[c0 << sx :], sx, weights, chroma[c, j, c0:c1])
+            reduce_line(line[c0 << sx :], sx, weights, lines[c, j, c0:c1])
 
 
 @line_kernel(fastmath=FAST)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 import av
 import numpy as np
@@ -19,6 +19,9 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.errors import RenderError
 from arfx.media.orient import Orientation
 from arfx.media.planes import PixelLayout, chroma_size, copy_picture, planes_of
+
+if TYPE_CHECKING:
+    from arfx.media.lines import Chroma, Luma, Planes
 
 LEAST_SPARSE = 3  # pixels of a rectangle for each that is wanted, from which these alone are converted
 SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
@@ -134,12 +137,10 @@ class Frame:
             coded = np.stack([parts[2], parts[0], parts[1]] if f.layout.kind == "rgb" else parts * 3, -1)  # gbrp: G, B, R
             return np.ascontiguousarray(f.orientation.upright(coded))
         from arfx.media import kernels
+        from arfx.media.curves import decode_curve
 
         coded = np.empty((r.height, r.width, 3), np.float32)
-        kernels.linear_from_yuv(
-            planes[0], planes[1], planes[2], (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited,
-            *self._yuv_factors(), coded,
-        )  # fmt: skip
+        kernels.linear_from_yuv(_stored(planes, f), (r.x0, r.y0, r.x1, r.y1), decode_curve(f.transfer), coded)
         return np.ascontiguousarray(f.orientation.upright(coded))
 
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
@@ -153,27 +154,12 @@ class Frame:
         if not plain or coded.area < LEAST_SPARSE * len(pixels):
             return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
         from arfx.media import kernels
+        from arfx.media.curves import decode_curve
 
         planes = planes_of(self.picture, f.layout)
         out = np.empty((len(pixels), 3), np.float32)
-        kernels.linear_at_yuv(
-            planes[0], planes[1], planes[2], np.ascontiguousarray(pixels, np.int32), (f.layout.sub_x, f.layout.sub_y), f.cosited,
-            *self._yuv_factors(), out,
-        )  # fmt: skip
+        kernels.linear_at_yuv(_stored(planes, f), np.ascontiguousarray(pixels, np.int32), decode_curve(f.transfer), out)
         return out
-
-    def _yuv_factors(self) -> tuple[Any, Any, Any, Any]:
-        """What the kernels take after a picture's planes and layout: chroma's size, scale, matrix, and the decoding curve."""
-        from arfx.media.curves import decode_curve
-
-        f = self.format
-        to_rgb = _rgb_from_yuv(f.matrix)
-        (yo, yn), (co, cn) = f.luma_steps, f.chroma_steps
-        return (
-            chroma_size(f.layout, f.width, f.height), tuple(np.float32(v) for v in (yo, 1 / yn, co, 1 / cn)),
-            tuple(np.float32(v) for v in (to_rgb[0, 2], -to_rgb[1, 1], -to_rgb[1, 2], to_rgb[2, 1])),
-            decode_curve(f.transfer),
-        )  # fmt: skip
 
     def dimmed(self, rect: Rect, left: np.ndarray, opacity: float, bias: np.ndarray, hole: Rect) -> Frame:
         """A new frame with less light inside `rect`, but for `hole`: of every linear value's part above `bias` (3,) a share
@@ -192,7 +178,7 @@ class Frame:
             return self.edited(rect, before, after)
         picture = copy_picture(self.picture, f.layout)
         whole = np.ascontiguousarray(f.orientation.coded(left), np.float32)
-        _dim_yuv(planes_of(picture, f.layout), f, r, h, whole, opacity, bias, self._yuv_factors())
+        _dim_yuv(planes_of(picture, f.layout), f, r, h, whole, opacity, bias)
         return Frame(picture, f, self.index, self.pts, self.key)
 
     @property
@@ -231,6 +217,38 @@ def _rgb_from_yuv(matrix: str) -> np.ndarray:
     return np.linalg.inv(yuv_from_rgb(matrix))
 
 
+def _stored(planes: list[np.ndarray], f: FrameFormat) -> Planes:
+    from arfx.media.lines import Planes
+
+    to_rgb, (yo, yn), (co, cn) = _rgb_from_yuv(f.matrix), f.luma_steps, f.chroma_steps
+    scale = np.float32(yo), np.float32(1 / yn), np.float32(co), np.float32(1 / cn)
+    matrix = np.float32(to_rgb[0, 2]), np.float32(-to_rgb[1, 1]), np.float32(-to_rgb[1, 2]), np.float32(to_rgb[2, 1])
+    y, u, v = planes[:3]
+    return Planes(y, u, v, (f.layout.sub_x, f.layout.sub_y), f.cosited, chroma_size(f.layout, f.width, f.height), scale, matrix)
+
+
+def _luma(f: FrameFormat) -> Luma:
+    from arfx.media.lines import Luma
+
+    return Luma(yuv_from_rgb(f.matrix).astype(np.float32), np.float32(f.luma_steps[1]), *f.legal[:2], f.width)
+
+
+def _chroma(r: Rect, step: int) -> Chroma:
+    from arfx.media.lines import Chroma
+
+    lines = np.empty((2, r.height, -(-r.x1 >> step) - (r.x0 >> step)), np.float32)
+    return Chroma(lines, np.empty((r.height, 2), np.int32))
+
+
+def _edit_chroma(planes: list[np.ndarray], f: FrameFormat, r: Rect, chroma: Chroma) -> None:
+    from arfx.media import kernels
+
+    rect, steps = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y)
+    for plane, lines in zip(planes[1:3], chroma.lines, strict=True):
+        factor = np.float32(f.chroma_steps[1])
+        kernels.edit_chroma(plane, lines, chroma.reach, rect, f.height, steps, f.cosited[1], factor, f.legal[2:])
+
+
 def _bits(array: np.ndarray) -> np.ndarray:
     """A contiguous array of 32 bits as int32, not to be written: whoever made it, it is one type to the compiler."""
     out = array.view(np.int32)
@@ -244,49 +262,29 @@ def _edit_yuv(
     from arfx.media import kernels
     from arfx.media.curves import encode_curve
 
-    (_, yn), (_, cn) = f.luma_steps, f.chroma_steps
-    y_low, y_high, c_low, c_high = f.legal
-    rect, (sub_x, sub_y), (left, top) = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y), f.cosited
-    chroma = np.empty((2, r.height, -(-r.x1 >> sub_x) - (r.x0 >> sub_x)), np.float32)
-    reach = np.empty((r.height, 2), np.int32)
+    chroma = _chroma(r, f.layout.sub_x)
     bad = kernels.edit_luma(
-        planes[0], rect, _bits(columns), _bits(before), _bits(after), encode_curve(f.transfer),
-        yuv_from_rgb(f.matrix).astype(np.float32), np.float32(yn), y_low, y_high, f.width, sub_x, left, chroma, reach,
+        planes[0], (r.x0, r.y0, r.x1, r.y1), _bits(columns), _bits(before), _bits(after), encode_curve(f.transfer), _luma(f),
+        f.layout.sub_x, f.cosited[0], chroma,
     )  # fmt: skip
-    for plane, lines in zip(planes[1:3], chroma, strict=True):
-        kernels.edit_chroma(plane, lines, reach, rect, f.height, (sub_x, sub_y), top, np.float32(cn), c_low, c_high)
+    _edit_chroma(planes, f, r, chroma)
     return int(bad)
 
 
 def _dim_yuv(
-    planes: list[np.ndarray],
-    f: FrameFormat,
-    r: Rect,
-    hole: Rect,
-    left: np.ndarray,
-    opacity: float,
-    bias: np.ndarray,
-    factors: Any,
+    planes: list[np.ndarray], f: FrameFormat, r: Rect, hole: Rect, left: np.ndarray, opacity: float, bias: np.ndarray
 ) -> None:
-    from arfx.media import kernels
-    from arfx.media.curves import encode_curve
+    from arfx.media.curves import decode_curve, encode_curve
     from arfx.media.dimming import dim_luma
 
     _, _, alpha, power = f.transfer.curve
-    (_, yn), (_, cn) = f.luma_steps, f.chroma_steps
-    y_low, y_high, c_low, c_high = f.legal
-    rect, steps = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y)
-    chroma = np.empty((2, r.height, -(-r.x1 >> steps[0]) - (r.x0 >> steps[0])), np.float32)
-    reach = np.empty((r.height, 2), np.int32)
-    size, scale, matrix, decode = factors
-    curves = decode, encode_curve(f.transfer), np.array([1 / power, alpha - 1], np.float32)
+    curves = decode_curve(f.transfer), encode_curve(f.transfer), np.array([1 / power, alpha - 1], np.float32)
+    chroma = _chroma(r, f.layout.sub_x)
     dim_luma(
-        planes[0], planes[1], planes[2], rect, (hole.x0, hole.y0, hole.x1, hole.y1), left, np.float32(opacity),
-        bias.astype(np.float32) if bias.any() else None, steps, f.cosited, size, scale, matrix, curves,
-        yuv_from_rgb(f.matrix).astype(np.float32), f.width, np.float32(yn), (y_low, y_high), chroma, reach,
+        _stored(planes, f), (r.x0, r.y0, r.x1, r.y1), (hole.x0, hole.y0, hole.x1, hole.y1), left, np.float32(opacity),
+        bias.astype(np.float32) if bias.any() else None, curves, _luma(f), chroma,
     )  # fmt: skip
-    for plane, lines in zip(planes[1:3], chroma, strict=True):
-        kernels.edit_chroma(plane, lines, reach, rect, f.height, steps, f.cosited[1], np.float32(cn), c_low, c_high)
+    _edit_chroma(planes, f, r, chroma)
 
 
 def _edit_rgb(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:

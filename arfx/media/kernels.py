@@ -4,7 +4,7 @@ Left out: nothing is clipped when reading, so values
 beyond black and white (limited range, out-of-gamut chroma) come out below 0 and above 1.
 """
 
-# mypy: no-check-untyped-defs
+# mypy: disable-error-code="no-untyped-def, index, assignment"
 from __future__ import annotations
 
 import numba
@@ -13,6 +13,9 @@ import numpy as np
 from arfx.core.compiled import line_kernel
 from arfx.media.curves import FAST, apply_curve
 from arfx.media.lines import (
+    Chroma,
+    Luma,
+    Planes,
     add_steps,
     chroma_span,
     clipped_differences,
@@ -25,26 +28,24 @@ from arfx.media.lines import (
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def linear_from_yuv(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out):
+def linear_from_yuv(planes: Planes, rect, curve, out):
     """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1).
 
-    y, u, v : whole-line planes;  steps : log2 of the chroma step (x, y);  cosited : chroma on the left/top luma sample
-    scale : y offset, y factor, chroma offset, chroma factor;  matrix : R from Cr, G from Cb, G from Cr, B from Cb
     Chroma is interpolated linearly between its true positions, from samples outside the rectangle too.
     """
     room = line_room(11, rect[2] - rect[0])
-    _linear_lines(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, room)
+    _linear_lines(planes, rect, curve, out, room)
 
 
 @line_kernel(fastmath=FAST)
-def _linear_lines(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, curve, out, room):
+def _linear_lines(planes: Planes, rect, curve, out, room):
     # a line at a time in steps without branches, of which the compiler makes vector code
     x0, y0, x1, y1 = rect
-    w, (c0, c1) = x1 - x0, chroma_span(x0, x1, steps[0], chroma_size[0])
+    w, (c0, c1) = x1 - x0, chroma_span(x0, x1, planes.steps[0], planes.chroma_size[0])
     coded, light = room[:3], room[3:6]
     few, cb, cr, base, mantissa = room[6, : c1 - c0], room[7, :w], room[8, :w], room[9], room[10]
     for j in range(y1 - y0):
-        coded_line(y, u, v, y0 + j, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded)
+        coded_line(planes, y0 + j, x0, few, cb, cr, coded)
         for c in range(3):
             apply_curve(coded[c, :w], curve, base, mantissa, light[c])
         for k in range(w):
@@ -52,12 +53,9 @@ def _linear_lines(y, u, v, rect, steps, cosited, chroma_size, scale, matrix, cur
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def linear_at_yuv(y, u, v, pixels, steps, cosited, chroma_size, scale, matrix, curve, out):
-    """out (n, 3) = linear_from_yuv of single pixels (n, 2), x and y, coded; other arguments as there."""
-    sx, sy = steps
-    cw, ch = chroma_size
-    yo, yf, co, cf = scale
-    rv, gu, gv, bu = matrix
+def linear_at_yuv(planes: Planes, pixels, curve, out):
+    """out (n, 3) = linear_from_yuv of single pixels (n, 2), x and y, coded."""
+    y, u, v, (sx, sy), cosited, (cw, ch), (yo, yf, co, cf), (rv, gu, gv, bu) = planes
     zero = np.float32(0)
     coded = np.empty((3, len(pixels)), np.float32)
     for k in range(len(pixels)):
@@ -111,39 +109,36 @@ def _blank_odd(before, after, clean_before, clean_after):
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 def edit_luma(
-    y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, cosited, chroma, reach
-):
-    """Adds the luma difference to plane y in place; leaves the chroma differences of each line, reduced to chroma columns.
+    y, rect, columns, before_bits, after_bits, curve, luma: Luma, step, cosited, chroma: Chroma
+):  # fmt: skip
+    """Adds the luma difference to plane y in place; sets the chroma differences of each line, reduced to chroma columns.
 
     rect : x0, y0, x1, y1;  columns : (h, 2), outside of which nothing is looked at, from x0
-    *_bits : (h, w, 3) float32 linear light as int32;  to_yuv : (3, 3) from R'G'B'
-    factor : stored steps per unit of luma;  low, high : legal stored values;  step : log2 of the chroma step across
+    *_bits : (h, w, 3) float32 linear light as int32;  step : log2 of the chroma step across
     cosited : a chroma sample lies on the left luma sample and takes a tent of differences, else a box
-    chroma : (2, h, n) float32, set to Cb and Cr differences, -0.5..0.5, of the columns from x0 >> step on
-    reach : (h, 2), set to the first of those columns that changes and the one behind the last
+    chroma : of the columns from x0 >> step on
     Beyond the rectangle the difference is zero, beyond the picture its edge goes on. Returns how many pixels of `after` or
     `before` are not finite; those are left alone.
     """
     w = rect[2] - rect[0]
     room, clean = line_room(5, 3 * w), np.empty((2, 3 * w), np.int32)
     tapped = taps(step, cosited and step > 0)
-    wide = np.empty((2, (chroma.shape[2] << step) + tapped[1] - tapped[0]), np.float32)
-    return _edit_lines(
-        y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, chroma, reach, tapped,
-        wide, room, clean,
-    )  # fmt: skip
+    wide = np.empty((2, (chroma.lines.shape[2] << step) + tapped[1] - tapped[0]), np.float32)
+    work = tapped, wide, room, clean
+    return _edit_lines(y, rect, columns, before_bits, after_bits, curve, luma, step, chroma, work)
 
 
 @line_kernel(fastmath=FAST)
 def _edit_lines(
-    y, rect, columns, before_bits, after_bits, curve, to_yuv, factor, low, high, picture_width, step, chroma, reach, tapped,
-    wide, room, clean,
+    y, rect, columns, before_bits, after_bits, curve, luma: Luma, step, chroma: Chroma, work
 ):  # fmt: skip
+    (low_tap, high_tap, weights), wide, room, clean = work
+    to_yuv, factor, low, high, picture_width = luma
+    lines, reach = chroma
     x0, y0, _, y1 = rect
-    h, n = y1 - y0, chroma.shape[2]
+    h, n = y1 - y0, lines.shape[2]
     bad = 0
     before, after, base, mantissa, dy = room[0], room[1], room[2], room[3], room[4]
-    low_tap, high_tap, weights = tapped
     start = ((x0 >> step) << step) + low_tap  # luma column of the first tap
     # a line at a time from the first pixel that changes to the last, in steps of which the compiler makes vector code
     # (it does not where they stand together in one function); a pixel between them that does not change has difference 0
@@ -177,25 +172,25 @@ def _edit_lines(
                 wide[c, :at] = wide[c, at]
             if x0 + last == picture_width:
                 wide[c, at + m :] = wide[c, at + m - 1]
-            reduce_line(wide[c, c0 << step :], step, weights, chroma[c, j, c0:c1])
+            reduce_line(wide[c, c0 << step :], step, weights, lines[c, j, c0:c1])
     return bad
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, low, high):
+def edit_chroma(plane, lines, reach, rect, height, steps, cosited, factor, legal):
     """Adds the chroma differences that `edit_luma` left, (h, n) with their reach, to one chroma plane in place.
 
-    height : of the picture;  cosited : a sample lies on the top luma sample of its group, else in the middle
+    height : of the picture;  legal : lowest, highest stored value
+    cosited : a sample lies on the top luma sample of its group, else in the middle
     Only samples on the grid inside the rectangle, grown to that grid, can change.
     """
     total = np.empty(lines.shape[1], np.float32)
-    _edit_chroma_lines(
-        plane, lines, reach, rect, height, steps, factor, low, high, taps(steps[1], cosited and steps[1] > 0), total
-    )
+    tapped = taps(steps[1], cosited and steps[1] > 0)
+    _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, legal, tapped, total)
 
 
 @line_kernel(fastmath=FAST)
-def _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, low, high, tapped, total):
+def _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, legal, tapped, total):
     x0, y0, _, y1 = rect
     sx, sy = steps
     ca, n = x0 >> sx, lines.shape[1]
@@ -216,4 +211,4 @@ def _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, low, hi
                 weight, line = weights[k - low_tap], lines[yy - y0]
                 for i in range(from_, to):
                     total[i] += line[i] * weight
-        add_steps(plane[r, ca + a : ca + b], total[a:b], factor, low, high)
+        add_steps(plane[r, ca + a : ca + b], total[a:b], factor, legal[0], legal[1])

@@ -1,14 +1,54 @@
 """Steps over one line of stored samples that reading, editing and dimming share: chroma between its samples and back, and
 differences added to what is stored. Compiled, without branches inside, of which the compiler makes vector code."""
 
-# mypy: no-check-untyped-defs
+# mypy: disable-error-code="no-untyped-def, index, assignment"
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.media.curves import FAST
+
+
+class Planes(NamedTuple):
+    """Whole-line planes and how they are read. steps : log2 of the chroma step (x, y)
+
+    cosited : chroma on the left/top luma sample;  chroma_size : columns, rows;  scale : y offset, y factor, chroma offset,
+    chroma factor;  matrix : R from Cr, G from Cb, G from Cr, B from Cb
+    """
+
+    y: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    steps: tuple[int, int]
+    cosited: tuple[bool, bool]
+    chroma_size: tuple[int, int]
+    scale: tuple[np.float32, np.float32, np.float32, np.float32]
+    matrix: tuple[np.float32, np.float32, np.float32, np.float32]
+
+
+class Luma(NamedTuple):
+    """How changes are written. to_yuv : (3, 3) from R'G'B';  factor : stored steps per unit of luma;  low, high : legal stored
+    values;  width : of the picture"""
+
+    to_yuv: np.ndarray
+    factor: np.float32
+    low: int
+    high: int
+    width: int
+
+
+class Chroma(NamedTuple):
+    """What is to be added to chroma. lines : (2, h, n) float32 Cb and Cr differences, -0.5..0.5, of a rectangle's columns
+
+    reach : (h, 2) first of those columns that changes and the one behind the last
+    """
+
+    lines: np.ndarray
+    reach: np.ndarray
 
 
 @numba.njit(cache=True, nogil=True)
@@ -24,13 +64,12 @@ def chroma_span(x0, x1, step, columns):
 
 
 @line_kernel(fastmath=FAST)
-def coded_line(y, u, v, row, x0, steps, cosited, chroma_size, scale, matrix, few, cb, cr, coded):
-    """coded (3, w or more) = R'G'B' of w pixels of one line from column x0 on; other arguments as in `linear_from_yuv`.
+def coded_line(planes: Planes, row, x0, few, cb, cr, coded):
+    """coded (3, w or more) = R'G'B' of w pixels of one line from column x0 on.
 
     few (n,), cb, cr (w,) : room to work in, n of the columns' `chroma_span`
     """
-    sx, sy = steps
-    cw, ch = chroma_size
+    y, u, v, (sx, sy), cosited, (cw, ch), scale, matrix = planes
     yo, yf, co, cf = scale
     w = cb.shape[0]
     c0, c1 = chroma_span(x0, x0 + w, sx, cw)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -24,6 +25,44 @@ _NOWHERE = np.float32(1e9)  # on the plane, metres: as far from every picture as
 _BENT = np.float32(0.01)  # relative change of distance over a run: places are off by up to a quarter of it times the run
 _UNSEEN = 0.001  # share of the light: of white, less than half a step of 10 bits
 _TOGETHER = 2  # runs that are tested at once
+
+
+class Pictures(NamedTuple):
+    """Of the plane, one after the other. texels : all of them;  meta (t, 3) : offset into `texels`, rows, columns
+    affine (t, 2, 3) : texels from metres;  dark_columns : of `_dark_columns`"""
+
+    texels: np.ndarray
+    meta: np.ndarray
+    affine: np.ndarray
+    dark_columns: np.ndarray
+
+
+class _Dimming(NamedTuple):
+    """What pictures take of the light. shares (t, 1 or 3);  blocked : the last picture is of what is blocked already
+    faint, strength : of `light_left`;  rise : over faint, of what is kept of a darkening"""
+
+    shares: np.ndarray
+    blocked: bool
+    faint: np.float32
+    rise: np.float32
+    strength: np.float32
+
+
+class _Room(NamedTuple):
+    """To work in: borders of runs (6, n); of a line's pixels (n,), taken (c, n);  spans (t, 2) : runs of each picture"""
+
+    ends: np.ndarray
+    above: np.ndarray
+    below: np.ndarray
+    px: np.ndarray
+    py: np.ndarray
+    place: np.ndarray
+    fu: np.ndarray
+    fv: np.ndarray
+    dark: np.ndarray
+    open_: np.ndarray
+    taken: np.ndarray
+    spans: np.ndarray
 
 
 def light_left(
@@ -41,7 +80,7 @@ def light_left(
     """
     every = (*textures, blocked) if blocked is not None else tuple(textures)
     alone = _shows_from(faint, strength) / max(float(shares.max()), 1e-6) if len(every) == 1 else 0.0
-    texels, meta, affine, dark_columns = _packed(every, alone)
+    pictures = _packed(every, alone)
     grey = bool((shares == shares[:, :1]).all())
     # of the whole grid only the nodes around the rectangle
     gx, gy = rect.x0 // GRID_PX, rect.y0 // GRID_PX
@@ -49,9 +88,11 @@ def light_left(
     nodes = anchor_from_camera.rotation.astype(np.float32) @ near.reshape(-1, 3).T
     left = _look_up(
         rect.x0 - gx * GRID_PX, rect.y0 - gy * GRID_PX, rect.width, rect.height, nodes.reshape(3, *near.shape[:2]),
-        anchor_from_camera.translation_m.astype(np.float32), texels, meta, dark_columns, affine,
-        shares[:, : 1 if grey else 3].astype(np.float32), blocked is not None, np.float32(faint),
-        np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
+        anchor_from_camera.translation_m.astype(np.float32), pictures,
+        _Dimming(
+            shares[:, : 1 if grey else 3].astype(np.float32), blocked is not None, np.float32(faint),
+            np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
+        ),
     )  # fmt: skip
     return np.broadcast_to(left, (rect.height, rect.width, 3))
 
@@ -65,60 +106,68 @@ def _shows_from(faint: float, strength: float) -> float:
 
 
 @lru_cache(maxsize=4)
-def _packed(every: tuple[PlaneTexture, ...], faint: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """All texels in one array, where each picture lies in it (offset, rows, columns), texels from metres, and `_dark_columns`:
-    pictures are kept while the light stays the same, and asked for again every frame."""
+def _packed(every: tuple[PlaneTexture, ...], faint: float) -> Pictures:
+    """Kept while the light stays the same, and asked for again every frame."""
     sizes = np.array([[t.dark.size, *t.dark.shape] for t in every], np.int64)
     meta = np.column_stack([np.cumsum(sizes[:, 0]) - sizes[:, 0], sizes[:, 1:]])
     texels = every[0].dark.ravel() if len(every) == 1 else np.concatenate([t.dark.ravel() for t in every])
     affine = np.array([t.texel_from_m for t in every], np.float32)
-    return texels, meta, affine, _dark_columns(texels, meta, np.float32(faint))
+    return Pictures(texels, meta, affine, _dark_columns(every, faint))
+
+
+def _dark_columns(every: tuple[PlaneTexture, ...], faint: float) -> np.ndarray:
+    """(t, rows, 2) int32: columns of each row of each picture that a value above `faint` may be read from, half open."""
+    out = np.zeros((len(every), max(len(t.dark) for t in every), 2), np.int32)
+    for columns, picture in zip(out, every, strict=True):
+        shows = picture.dark > np.float32(faint)
+        rows, width = shows.shape
+        first, after = shows.argmax(1), width - shows[:, ::-1].argmax(1)
+        columns[:rows] = np.where(shows.any(1), [first, after], width).T
+    return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up(
-    x0, y0, width, height, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength
-):  # pragma: no cover - compiled
-    """(h, w, c).  meta (t, 3) : offset into `texels`, rows, columns;  affine (t, 2, 3) texels from metres;  shares (t, c)
-    dark_columns : of `_dark_columns`"""
-    out = np.empty((height, width, shares.shape[1]), np.float32)
+    x0, y0, width, height, nodes, origin, pictures: Pictures, dimming: _Dimming
+):  # fmt: skip  # pragma: no cover - compiled
+    """(h, w, c)"""
+    channels = dimming.shares.shape[1]
+    out = np.empty((height, width, channels), np.float32)
     runs = (x0 + width - 1) // GRID_PX + 1 - x0 // GRID_PX
-    borders = np.empty((18, runs + 1), np.float32)
-    room = np.empty((7 + shares.shape[1], (runs + 1) * GRID_PX), np.float32)
-    _look_up_lines(
-        x0, y0, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength, out,
-        (borders[:6], borders[6:12], borders[12:]), (room[0], room[1]), room[2].view(np.int32), room[7:],
-        (room[3], room[4], room[5], room[6]), np.zeros((meta.shape[0], 2), np.int64),
-    )  # fmt: skip
+    ends, lines = np.empty((18, runs + 1), np.float32), np.empty((6 + channels, (runs + 1) * GRID_PX), np.float32)
+    place, spans = np.empty((runs + 1) * GRID_PX, np.int32), np.zeros((pictures.meta.shape[0], 2), np.int64)
+    room = _Room(
+        ends[:6], ends[6:12], ends[12:], lines[0], lines[1], place, lines[2], lines[3], lines[4], lines[5], lines[6:], spans
+    )
+    _look_up_lines(x0, y0, nodes, origin, pictures, dimming, room, out)
     return out
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up_lines(
-    x0, y0, nodes, origin, texels, meta, dark_columns, affine, shares, blocked, faint, rise, strength, out, borders, places,
-    place, taken, lines, spans,
-):  # pragma: no cover - compiled  # fmt: skip
+    x0, y0, nodes, origin, pictures: Pictures, dimming: _Dimming, room: _Room, out
+):  # fmt: skip  # pragma: no cover - compiled
+    texels, meta, affine, dark_columns = pictures
+    shares, blocked, faint, rise, strength = dimming
+    ends, above, below, px, py, place, fu, fv, dark, open_, taken, spans = room
     height, width, channels = out.shape
     zero, one = np.float32(0), np.float32(1)
     step, count = np.float32(1.0 / GRID_PX), shares.shape[0]
     g0 = x0 // GRID_PX
     runs, lead = (x0 + width - 1) // GRID_PX + 1 - g0, x0 - g0 * GRID_PX
-    ends, above, below = borders
-    px, py = places
-    fu, fv, dark, open_ = lines
-    first, last = runs, 0
+    first, last = runs, np.int64(0)
     for j in range(height):
         iy = (y0 + j) // GRID_PX
         if j == 0 or (y0 + j) % GRID_PX == 0:  # the next GRID_PX lines
             _ends(nodes, origin, iy, zero, g0, above)
             _ends(nodes, origin, iy, one, g0, below)
-            first, last = runs, 0
+            first, last = runs, np.int64(0)
             for k in range(count):
-                spans[k] = _dark_runs(above[3:], below[3:], affine[k], dark_columns[k], meta[k, 2])
+                spans[k, 0], spans[k, 1] = _dark_runs(above[3:], below[3:], affine[k], dark_columns[k], meta[k, 2])
                 if spans[k, 0] < spans[k, 1]:
                     first, last = min(first, spans[k, 0]), max(last, spans[k, 1])
             if meta.shape[0] > count:
-                spans[count] = first, last
+                spans[count, 0], spans[count, 1] = first, last
         if first >= last:
             out[j] = one
             continue
@@ -167,7 +216,7 @@ def _look_up_lines(
             out[j, start + i, 2] = one - min(dark[i] * b[i], one)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _cells(xs, ys, affine, rows, columns, place, fu, fv):  # pragma: no cover - compiled
     """Of plane places xs, ys (n,) the texel at the cell's low corner, by number, and how far in the cell they lie."""
     zero = np.float32(0)
@@ -182,7 +231,7 @@ def _cells(xs, ys, affine, rows, columns, place, fu, fv):  # pragma: no cover - 
         place[i] = iv * across + iu
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _bilinear(part, across, place, fu, fv, dark):  # pragma: no cover - compiled
     """dark (n,) : bilinear value of the picture `part` in those cells."""
     one = np.uintp(1)
@@ -194,27 +243,10 @@ def _bilinear(part, across, place, fu, fv, dark):  # pragma: no cover - compiled
         dark[i] = e + fv[i] * (f - e)
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _add(out, dark, share):  # pragma: no cover - compiled
     for i in range(out.shape[0]):
         out[i] += share * dark[i]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _dark_columns(texels, meta, faint):  # pragma: no cover - compiled
-    """(t, rows, 2) int32: columns of each row of each picture that a value above `faint` may be read from, half open."""
-    out = np.zeros((meta.shape[0], meta[:, 1].max(), 2), np.int32)
-    for k in range(meta.shape[0]):
-        columns = meta[k, 2]
-        for row in range(meta[k, 1]):
-            line = texels[meta[k, 0] + row * columns : meta[k, 0] + (row + 1) * columns]
-            first, last = 0, columns
-            while first < last and line[first] <= faint:
-                first += 1
-            while last > first and line[last - 1] <= faint:
-                last -= 1
-            out[k, row, 0], out[k, row, 1] = first, last
-    return out
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
@@ -229,7 +261,7 @@ def _ends(nodes, origin, iy, fy, g0, ends):  # pragma: no cover - compiled
     _meet(ends[0], ends[1], ends[2], origin[0], origin[1], origin[2], ends[3], ends[4], ends[5])
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _meet(dx, dy, dz, ox, oy, oz, far, x, y):  # pragma: no cover - compiled
     """Where rays (n,) from o meet the plane: distance and place. Without branches, of which the compiler makes vector code."""
     for i in range(dx.shape[0]):
@@ -271,7 +303,7 @@ def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover
     """Half-open range of runs of GRID_PX lines outside which a picture has nothing dark. above, below (3, n) : their borders,
     distance, plane x and y"""
     runs = above.shape[1] - 1
-    first, last = 0, runs
+    first, last = np.int64(0), runs
     while first < last and not _may_be_dark(above, below, first, min(first + _TOGETHER, runs), affine, dark_columns, columns):
         first += _TOGETHER
     while last > first and not _may_be_dark(above, below, max(last - _TOGETHER, 0), last, affine, dark_columns, columns):

@@ -10,6 +10,7 @@ and nothing comes loose that is farther apart than that. Cost: O(covered pixels 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -62,6 +63,18 @@ class DepthMap:
     lean: float
 
 
+class _Seen(NamedTuple):
+    """A `DepthMap` asked from WORLD. matrix (3, 4) : column, row and depth, unit (3, 3) : their directions;  top : least depth"""
+
+    depth: np.ndarray
+    matrix: np.ndarray
+    unit: np.ndarray
+    spread: np.float32
+    lift: np.float32
+    lean: np.float32
+    top: np.float32
+
+
 def depth_map(caster: Caster, beam: Beam, level: SelfLevel) -> DepthMap:
     """Of every triangle, over the square around them."""
     w = np.array(beam.direction)
@@ -86,12 +99,9 @@ def by_map(
     shift = found.texel_from_anchor[:, :3] @ anchor_from_world.translation_m + found.texel_from_anchor[:, 3]
     matrix = np.column_stack([turn, shift]).astype(np.float32)
     unit = (turn / np.linalg.norm(turn[0])).astype(np.float32)
-    top = float(found.depth.max())
-    return _ask(
-        coverage, normal, position, found.depth, matrix, unit, disc(level.search).astype(np.float32),
-        disc(level.taps).astype(np.float32), np.float32(found.spread), np.float32(found.lift), np.float32(found.lean),
-        np.float32(top),
-    )  # fmt: skip
+    sides = (np.float32(a) for a in (found.spread, found.lift, found.lean, found.depth.max()))
+    seen = _Seen(found.depth, matrix, unit, *sides)
+    return _ask(coverage, normal, position, seen, disc(level.search).astype(np.float32), disc(level.taps).astype(np.float32))
 
 
 def by_rays(
@@ -119,7 +129,8 @@ def by_rays(
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _ask(coverage, normal, position, depth, matrix, unit, search, taps, spread, lift, lean, top):  # pragma: no cover - compiled
+def _ask(coverage, normal, position, seen: _Seen, search, taps):  # pragma: no cover - compiled
+    depth, matrix, unit, spread, lift, lean, top = seen
     rows, columns = coverage.shape
     out = np.ones((rows, columns), np.float32)
     size = depth.shape[0]

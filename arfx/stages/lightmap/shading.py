@@ -10,10 +10,34 @@ Cost: O(covered pixels). Leaves out: the surroundings' picture in metals, light 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
+
 _FAST = {"contract", "nsz", "arcp"}
+
+
+class Surface(NamedTuple):
+    """Layers of the object over one rectangle."""
+
+    coverage: np.ndarray
+    normal: np.ndarray
+    position: np.ndarray
+    albedo: np.ndarray
+    material: np.ndarray
+    emissive: np.ndarray
+
+
+class Lights(NamedTuple):
+    """Directional: towards, rgb (l, 3), widths (l,) of `highlight_width`; left (l, h, w) share that the object leaves itself"""
+
+    towards: np.ndarray
+    rgb: np.ndarray
+    widths: np.ndarray
+    left: np.ndarray
 
 
 def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
@@ -36,26 +60,14 @@ def highlight_width(size_deg: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def shade(
-    coverage,
-    normal,
-    position,
-    albedo,
-    material,
-    emissive,
-    left,
-    eye,
-    towards,
-    rgb,
-    widths,
-    soft,
-    constant,
-    bias,
-):  # pragma: no cover - compiled
+    surface: Surface, eye, lights: Lights, soft, constant, bias
+):  # fmt: skip  # pragma: no cover - compiled
     """(h, w, 3) float32, premultiplied by the coverage.
 
-    left : (l, h, w) share of each directional light that the object leaves itself;  eye (3,) : the camera, WORLD frame
-    towards, rgb (l, 3);  widths (l,);  soft (9, 3), constant : only its first row counts;  bias (3,)
+    eye (3,) : the camera, WORLD frame;  soft (9, 3), constant : only its first row counts;  bias (3,)
     """
+    coverage, normal, position, albedo, material, emissive = surface
+    towards, rgb, widths, left = lights
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
     zero, one, two = np.float32(0), np.float32(1), np.float32(2)
@@ -178,7 +190,7 @@ def shade(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST, error_model="numpy")
 def _soft_channel(out, diffuse, mirror, nx, ny, nz, s, n):  # pragma: no cover - compiled
     """One line of one colour: (diffuse + mirror) x the soft light of the normals, which is never below 0."""
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]

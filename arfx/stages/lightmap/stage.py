@@ -29,7 +29,7 @@ from arfx.stages.lightmap.lookup import light_left
 from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, bounded
 from arfx.stages.lightmap.region import ground_of
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
-from arfx.stages.lightmap.shading import harmonic_terms, highlight_width, shade
+from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
 from arfx.stages.triangles import Triangles
 from arfx.stages.viewing import direction_grid
 
@@ -143,11 +143,12 @@ class Lightmap(Stage):
     ) -> np.ndarray:
         """VIRTUAL. left (k, h, w) : what the object leaves itself of each of the lights `reaching`;  eye (3,) : WORLD frame"""
         f32 = np.float32
+        surface = Surface(*(now[Layer(name)] for name in Surface._fields))
+        rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
+        lights = Lights(light.towards[reaching].astype(f32), rgb, highlight_width(light.sizes_deg[reaching]), left)
         virtual: np.ndarray = shade(
-            now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION], now[Layer.ALBEDO], now[Layer.MATERIAL],
-            now[Layer.EMISSIVE], left, eye.astype(f32), light.towards[reaching].astype(f32),
-            (light.rgb * light.on_object[:, None])[reaching].astype(f32), highlight_width(light.sizes_deg[reaching]),
-            self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft), np.array(facts.bias_rgb, f32),
+            surface, eye.astype(f32), lights, self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft),
+            np.array(facts.bias_rgb, f32),
         )  # fmt: skip
         return virtual
 
