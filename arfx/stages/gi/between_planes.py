@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.stages.gi.surroundings import Planes, behind_many
+from arfx.stages.gi.surroundings import Behind, Planes, behind_many
 
 COARSE = 48
 
@@ -24,24 +24,24 @@ def coarse_places(places: np.ndarray) -> np.ndarray:
 
 def light_between(
     planes: Planes, places: np.ndarray, directions: np.ndarray, weights: np.ndarray, left: np.ndarray, tan_half: float,
-    changed: tuple, unchanged: tuple,
+    changed: Behind, unchanged: Behind,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """(p, side, side, 3) radiance of white planes that they gain (or lose) because the other planes are changed, and the share
     of the environment's light that they have with the other planes in it.
 
     places (p, side, side, 3);  directions (p, k, 3), weights (k,) : of each plane's cones;  left (p, c, c, k) : what the object
-    lets through of them;  changed, unchanged : arguments of surroundings.behind, Behind.arguments
+    lets through of them
     """
     side = places.shape[1]
     gained, share = np.zeros((len(places), side, side, 3), np.float32), np.ones((len(places), side, side, 3), np.float32)
     half_deg = np.float32(np.degrees(np.arctan(tan_half)))
-    bare = (unchanged[0][:0], *unchanged[1:])
+    bare = unchanged._replace(axes=unchanged.axes[:0])
     for k in range(len(places)):
         at = coarse_places(places[k])
         c, count = at.shape[0], directions.shape[1]
         points = np.ascontiguousarray(np.repeat(at.reshape(-1, 3), count, 0), np.float32)
         around = np.ascontiguousarray(np.tile(directions[k], (c * c, 1)), np.float32)
-        seen = [behind_many(points, around, k, np.float32(tan_half), half_deg, *a) for a in (changed, unchanged, bare)]
+        seen = [behind_many(points, around, k, np.float32(tan_half), half_deg, a) for a in (changed, unchanged, bare)]
         more, with_planes, without = (v.reshape(c, c, count, 3) * weights[:, None] for v in (seen[0] - seen[1], *seen[1:]))
         gained[k] = _enlarged((more * left[k][..., None]).sum(2), side)
         share[k] = _enlarged(divide(with_planes.sum(2), without.sum(2), where_zero=1.0), side)

@@ -11,6 +11,8 @@ centre is above the surface's tangent plane by more than a voxel that holds the 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -22,6 +24,14 @@ START = np.float32(np.sqrt(3.0))
 _TILT_COSINE = 0.619
 _FAST = {"contract", "nsz", "arcp"}
 _DARK = np.float32(0.005)  # less of the background than this is none
+
+
+class Bricks(NamedTuple):
+    """What a cone reads: values of an `Atlas`;  brick_of, meta : of its `Structure`"""
+
+    values: np.ndarray
+    brick_of: np.ndarray
+    meta: np.ndarray
 
 
 def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
@@ -70,12 +80,14 @@ def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def trace(values, brick_of, meta, steps, ox, oy, oz, dx, dy, dz, px, py, pz, nx, ny, nz, clip):  # pragma: no cover - compiled
+def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # pragma: no cover - compiled
     """(r, g, b, share of the background that is left).
 
-    o : start, d : unit direction, p and n : point and normal of the surface it starts on; voxels of level 0
+    start, unit direction, point and normal of the surface it starts on : x, y, z in voxels of level 0
     clip : leave the surface's own voxels out
     """
+    values, brick_of, meta = bricks
+    (ox, oy, oz), (dx, dy, dz), (px, py, pz), (nx, ny, nz) = start, direction, point, normal
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     r, g, b, left = zero, zero, zero, one
     wx, wy, wz = dx * dx, dy * dy, dz * dz
@@ -178,7 +190,7 @@ def _frames(normals):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def trace_many(values, brick_of, meta, steps, origins, directions, normals, start, clip):  # pragma: no cover - compiled
+def trace_many(bricks: Bricks, steps, origins, directions, normals, start, clip):  # pragma: no cover - compiled
     """(m x k, 4) of cones from origins (m, 3), voxels, in directions (m, k, 3); they begin `start` voxels along normals."""
     count = directions.shape[1]
     out = np.empty((origins.shape[0] * count, 4), np.float32)
@@ -186,10 +198,9 @@ def trace_many(values, brick_of, meta, steps, origins, directions, normals, star
         x, y, z = origins[i, 0], origins[i, 1], origins[i, 2]
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         for c in range(count):
-            r, g, b, left = trace(
-                values, brick_of, meta, steps, x + start * nx, y + start * ny, z + start * nz, directions[i, c, 0],
-                directions[i, c, 1], directions[i, c, 2], x, y, z, nx, ny, nz, clip,
-            )  # fmt: skip
+            d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
+            from_ = x + start * nx, y + start * ny, z + start * nz
+            r, g, b, left = trace(bricks, steps, from_, d, (x, y, z), (nx, ny, nz), clip)
             k = i * count + c
             out[k, 0], out[k, 1], out[k, 2], out[k, 3] = r, g, b, left
     return out

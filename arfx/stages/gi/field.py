@@ -7,7 +7,7 @@ leaves diffusely. Then planes gain what the object sends. Source: docs/methods/g
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from arfx.stages.gi.cones import START, even_cones, six_cones, steps_of, trace_m
 from arfx.stages.gi.form_factors import Factors, factors_of, gather, solid
 from arfx.stages.gi.pyramid import Atlas, Coarser, Structure, atlas_of, nearer_first, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texture_places
-from arfx.stages.gi.surroundings import Planes, behind_many
+from arfx.stages.gi.surroundings import Behind, Planes, behind_many
 from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
 
 _LEAST_LIGHT_DEG = 6.0  # full angle: a cone much narrower than a voxel would meet all or nothing
@@ -76,28 +76,6 @@ class Body:
     around: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
     weights: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     coarse: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0, 0), np.float32))
-
-
-@dataclass(frozen=True, eq=False)
-class Behind:
-    """Arguments of surroundings.behind: planes, their Planes.reach, textures and mips on them; maps, widths, turn of
-    the environment."""
-
-    axes: np.ndarray
-    reach: np.ndarray
-    textures: np.ndarray
-    mips: np.ndarray
-    maps: np.ndarray
-    widths: np.ndarray
-    turn: np.ndarray
-
-    @property
-    def arguments(self) -> tuple:
-        return self.axes, self.reach, self.textures, self.mips, self.maps, self.widths, self.turn
-
-    def with_textures(self, radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> Behind:
-        textures, mips = mip_chain(radiance, known, otherwise)
-        return replace(self, textures=textures, mips=mips)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,8 +170,8 @@ def _traced(
     clip = normals is not None
     n = np.zeros((m, 3), np.float32) if normals is None else normals
     out = trace_many(
-        atlas.values, atlas.structure.brick_of, atlas.structure.meta, steps, np.ascontiguousarray(origins, np.float32),
-        np.ascontiguousarray(directions, np.float32), np.ascontiguousarray(n, np.float32), np.float32(start), clip,
+        atlas.bricks, steps, np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32),
+        np.ascontiguousarray(n, np.float32), np.float32(start), clip,
     )  # fmt: skip
     return np.asarray(out).reshape(m, k, 4)
 
@@ -223,7 +201,7 @@ def make_field(
     occluded = np.stack(lost)
     for turn in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
-        dark = back.with_textures((darkened * body.open[..., None] * mean).astype(np.float32), body.open, mean)
+        dark = textured(back, (darkened * body.open[..., None] * mean).astype(np.float32), body.open, mean)
         radiance = _voxel_radiance(body, lights, dark)
         values[:, :3] = radiance * body.voxels.opacity[:, None]
         if not body.factors or turn == ROUNDS - 1:  # rays look up the voxels themselves
@@ -235,10 +213,8 @@ def make_field(
     deeper = np.zeros((0, side, side, 3), np.float32)
     if len(planes.axes) > 1 and not sent_alone:
         darkened = np.clip(shaded, 0, None) * body.open[..., None]
-        ends = [back.with_textures((t * mean).astype(np.float32), body.open, mean) for t in (darkened, np.ones_like(shaded))]
-        between, share = light_between(
-            planes, body.places, body.around, body.weights, body.coarse, body.tan_half, ends[0].arguments, ends[1].arguments
-        )
+        ends = [textured(back, (t * mean).astype(np.float32), body.open, mean) for t in (darkened, np.ones_like(shaded))]
+        between, share = light_between(planes, body.places, body.around, body.weights, body.coarse, body.tan_half, *ends)
         gain = gain + between
         shaded = shaded + np.stack([divide(b, w) for b, w in zip(between, whole, strict=True)])
         soft = [light.soft_radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
@@ -251,11 +227,16 @@ def make_field(
     )  # fmt: skip
 
 
+def textured(back: Behind, radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> Behind:
+    textures, mips = mip_chain(radiance, known, otherwise)
+    return back._replace(textures=textures, mips=mips)
+
+
 def _behind(points: np.ndarray, directions: np.ndarray, skip: int, tan_half: float, back: Behind) -> np.ndarray:
     return np.asarray(
         behind_many(
             np.ascontiguousarray(points, np.float32), np.ascontiguousarray(directions, np.float32), np.int64(skip),
-            np.float32(tan_half), np.float32(np.degrees(np.arctan(tan_half))), *back.arguments,
+            np.float32(tan_half), np.float32(np.degrees(np.arctan(tan_half))), back,
         )
     )  # fmt: skip
 

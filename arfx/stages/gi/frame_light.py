@@ -16,11 +16,11 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
 from arfx.errors import RenderError
-from arfx.stages.gi.field import Behind, Body, Field, enlarged, make_field
+from arfx.stages.gi.field import Body, Field, enlarged, make_field, textured
 from arfx.stages.gi.plane_pixels import measured
 from arfx.stages.gi.pyramid import Atlas, Coarser, nearer_first
 from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
-from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Planes, from_light, irradiance, octahedral
+from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Behind, Planes, from_light, irradiance, octahedral
 
 SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03
@@ -72,16 +72,12 @@ class Around:
         open_ = enlarged(field.open, side)
         # what the picture does not show is filled before there is a shadow on it, not with the shadow's mean
         picture = filled(self.picture, self.known, self.mean) * enlarged(field.direct, side) * open_[..., None]
-        return replace(self, atlas=field.atlas, sent=field.brightest, back=self.back.with_textures(picture, open_, self.mean))
+        return replace(self, atlas=field.atlas, sent=field.brightest, back=textured(self.back, picture, open_, self.mean))
 
     @property
     def brightest(self) -> float:
         """Radiance that no cone exceeds: of the environment, the picture and the voxels."""
         return max(float(self.back.maps.max()), float(self.back.textures.max()), self.sent)
-
-    @property
-    def arguments(self) -> tuple:
-        return self.back.arguments
 
 
 def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +192,7 @@ def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelS
 
     def make() -> Field:
         maps = kept.get(cube.tobytes(), lambda: octahedral(cube))
-        back = replace(made.back, maps=factor.astype(np.float32) * maps)
+        back = made.back._replace(maps=factor.astype(np.float32) * maps)
         return make_field(body, view.scene, coarse, planes, back, made.mean, at.bounce, at.sent_alone)
 
     found: Field = kept.get(key, make)

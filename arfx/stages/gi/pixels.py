@@ -8,15 +8,15 @@ cones x steps). Source: docs/methods/gi.md#cones.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
 from arfx.core.parallel import parallel_rows
-from arfx.stages.gi.cones import START, frame_of, trace
+from arfx.stages.gi.cones import START, Bricks, frame_of, trace
 from arfx.stages.gi.split_sum import gloss_weights
-from arfx.stages.gi.surroundings import behind
+from arfx.stages.gi.surroundings import Behind, behind
 
 _FAST = {"contract", "nsz", "arcp"}
 LOBES = 12  # widths of mirror cones
@@ -24,6 +24,52 @@ _AGREE = np.float32(0.02)  # least sum of weights with which neighbours stand fo
 _BEND = np.float32(0.5)  # normals of neighbours that differ by more lie on two sides of an edge
 DIFFUSE, GLOSS = 1, 2  # what is gathered at a point
 _FEW = 256  # points: below it threads cost more than they save
+
+
+class ConesAround(NamedTuple):
+    """Cones about a normal. directions (k, 3) about +z, weights (k,), tangent and degrees of the half-angle, steps of one"""
+
+    directions: np.ndarray
+    weights: np.ndarray
+    tan_half: np.float32
+    half_deg: np.float32
+    steps: np.ndarray
+
+
+class Lobes(NamedTuple):
+    """Mirror cones by roughness: steps (LOBES, n, 3), of which counts (LOBES,), and tangents (LOBES,)"""
+
+    steps: np.ndarray
+    tangents: np.ndarray
+    counts: np.ndarray
+
+
+class Surface(NamedTuple):
+    """Layers of the object over one rectangle."""
+
+    coverage: np.ndarray
+    normal: np.ndarray
+    position: np.ndarray
+    albedo: np.ndarray
+    material: np.ndarray
+
+
+class Anchor(NamedTuple):
+    """rotation (3, 3), offset (3,) : anchor from world;  eye (3,) : the camera, anchor axes"""
+
+    rotation: np.ndarray
+    offset: np.ndarray
+    eye: np.ndarray
+
+
+class Limits(NamedTuple):
+    """sharp : roughness from which blocks gather what is mirrored;  gloss_floor : least share mirrored at all
+    shows : half a grey level as a share of a white surface's light, over the brightest that is around;  table : `split_sum`"""
+
+    sharp: np.float32
+    gloss_floor: np.float32
+    shows: np.float32
+    table: np.ndarray
 
 
 def light_points(points: np.ndarray, wanted: np.ndarray, eye: np.ndarray, *scene: Any) -> np.ndarray:
@@ -42,10 +88,11 @@ def light_points(points: np.ndarray, wanted: np.ndarray, eye: np.ndarray, *scene
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _light_points(
-    points, wanted, eye, values, brick_of, meta, low, size, directions, weights, tan_half, half_deg, steps, lobes, tangents,
-    counts, axes, reach, textures, mips, maps, widths, turn,
-):  # pragma: no cover - compiled  # fmt: skip
-    """`light_points` of some.  values ... turn : as `trace` and `behind` take them"""
+    points, wanted, eye, bricks: Bricks, low, size, around: ConesAround, mirror: Lobes, back: Behind
+):  # fmt: skip  # pragma: no cover - compiled
+    """`light_points` of some. low (3,), size : corner and side of the voxels, metres"""
+    directions, weights, tan_half, half_deg, steps = around
+    lobes, tangents, counts = mirror
     out = np.zeros((points.shape[0], 6), np.float32)
     cones = directions.shape[0]
     for i in range(points.shape[0]):
@@ -70,9 +117,10 @@ def _light_points(
                 k = min(max(int(points[i, 6] * np.float32(LOBES - 1) + np.float32(0.5)), 0), LOBES - 1)
                 w, to, tan_here, walk = np.float32(1), 3, tangents[k], lobes[k, : counts[k]]
                 deg_here = np.float32(np.arctan(tan_here) * np.float32(57.29578))
-            r, g, b, left = trace(values, brick_of, meta, walk, ox, oy, oz, dx, dy, dz, px, py, pz, nx, ny, nz, True)
+            d = dx, dy, dz
+            r, g, b, left = trace(bricks, walk, (ox, oy, oz), d, (px, py, pz), (nx, ny, nz), True)
             if left > 0:
-                er, eg, eb = behind(axes, reach, textures, mips, maps, widths, turn, -1, x, y, z, dx, dy, dz, tan_here, deg_here)
+                er, eg, eb = behind(back, -1, (x, y, z), d, tan_here, deg_here)
                 r += left * er
                 g += left * eg
                 b += left * eb
@@ -95,13 +143,12 @@ def leaning(roughness, nx, ny, nz, dx, dy, dz):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def chosen(
-    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, table
-):  # pragma: no cover - compiled
+def chosen(surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits):  # pragma: no cover - compiled
     """Points that stand for blocks: (points (m, 7), wanted (m,), index (rows, columns) of blocks, -1 = none).
 
     x0, y0 : place of the arrays in the picture: blocks are aligned with the picture. The most covered pixel stands for all.
     """
+    coverage, normal, position, _, material = surface
     rows, columns = coverage.shape
     by0, bx0 = y0 // block, x0 // block
     brows, bcolumns = (y0 + rows - 1) // block - by0 + 1, (x0 + columns - 1) // block - bx0 + 1
@@ -115,11 +162,11 @@ def chosen(
                 for x in range(max((i + bx0) * block - x0, 0), min((i + bx0 + 1) * block - x0, columns)):
                     if coverage[y, x] > best:
                         best, at_y, at_x = coverage[y, x], y, x
-            if at_y < 0 or not _place(normal, position, at_y, at_x, rotation, offset, points[m]):
+            if at_y < 0 or not _place(normal, position, at_y, at_x, anchor, points[m]):
                 continue
             rough = material[at_y, at_x, 1]
             points[m, 6] = blurred(rough, coverage, normal, at_y, at_x)
-            shines = rough >= sharp and mirrors(material, albedo, at_y, at_x, points[m], eye, gloss_floor, shows, table)
+            shines = rough >= limits.sharp and mirrors(surface, at_y, at_x, points[m], anchor.eye, limits)
             wanted[m] = DIFFUSE + GLOSS if shines else DIFFUSE
             index[j, i] = m
             m += 1
@@ -128,11 +175,11 @@ def chosen(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def spread(
-    coverage, normal, position, albedo, material, x0, y0, block, rotation, offset, eye, sharp, gloss_floor, shows, table, size,
-    points, light, index,
-):  # pragma: no cover - compiled  # fmt: skip
+    surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits, size, points, light, index
+):  # fmt: skip  # pragma: no cover - compiled
     """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), wanted (m,), pixels (m, 2)) of those that
     still have to be gathered. light (n, 6), index : of the blocks;  block 0 : there are none"""
+    coverage, normal, position, _, material = surface
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 6), np.float32)
     left, wanted = np.empty((rows * columns, 7), np.float32), np.empty(rows * columns, np.int8)
@@ -142,7 +189,7 @@ def spread(
     m = 0
     for y in range(rows):
         for x in range(columns):
-            if coverage[y, x] <= 0 or not _place(normal, position, y, x, rotation, offset, here):
+            if coverage[y, x] <= 0 or not _place(normal, position, y, x, anchor, here):
                 continue
             total = zero
             if block > 0:
@@ -167,14 +214,14 @@ def spread(
                     total += w
                     for c in range(6):
                         out[y, x, c] += w * light[index[j, i], c]
-            shines = mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table)
+            shines = mirrors(surface, y, x, here, anchor.eye, limits)
             need = 0
             if total < _AGREE:
                 need = DIFFUSE + GLOSS if shines else DIFFUSE
             else:
                 for c in range(6):
                     out[y, x, c] /= total
-                if shines and material[y, x, 1] < sharp:
+                if shines and material[y, x, 1] < limits.sharp:
                     need = GLOSS
             if need:
                 left[m] = here
@@ -187,12 +234,14 @@ def spread(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def reflected(
-    coverage, normal, position, albedo, material, rotation, offset, eye, gloss_floor, shows, table, light, fresh, wanted, pixels
-):  # pragma: no cover - compiled
+    surface: Surface, anchor: Anchor, limits: Limits, light, fresh, wanted, pixels
+):  # fmt: skip  # pragma: no cover - compiled
     """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage. fresh (m, 6) : of the pixels (m, 2)
 
     Where too little is mirrored to be gathered, what is mirrored is the light that falls on the surface.
     """
+    coverage, normal, position, albedo, material = surface
+    eye, table = anchor.eye, limits.table
     for i in range(pixels.shape[0]):
         to = light[pixels[i, 0], pixels[i, 1]]
         for c in range(6):
@@ -204,7 +253,7 @@ def reflected(
     one, zero = np.float32(1), np.float32(0)
     for y in range(rows):
         for x in range(columns):
-            if coverage[y, x] <= 0 or not _place(normal, position, y, x, rotation, offset, here):
+            if coverage[y, x] <= 0 or not _place(normal, position, y, x, anchor, here):
                 continue
             ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
             s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
@@ -213,7 +262,7 @@ def reflected(
             f0 = np.float32(0.08) * material[y, x, 2] * (one - metal)
             if f0 + metal <= zero:
                 gb = zero
-            shines = 3 if mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table) else 0
+            shines = 3 if mirrors(surface, y, x, here, eye, limits) else 0
             for c in range(3):
                 a = albedo[y, x, c]
                 matt = a * (one - metal) * (one - min(f0 * ga + gb, one))
@@ -223,12 +272,12 @@ def reflected(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table):  # pragma: no cover - compiled
+def mirrors(surface: Surface, y, x, here, eye, limits: Limits):  # pragma: no cover - compiled
     """Whether what the pixel mirrors can change it by half a grey level: specular x Fresnel over what that is of its own light.
 
-    here (6+,) : normal and place, as eye anchor axes;  gloss_floor : least share mirrored at all
-    shows : half a grey level as a share of a white surface's light, over the brightest that is around;  table : `split_sum`
+    here (6+,) : normal and place, as eye anchor axes
     """
+    albedo, material = surface.albedo, surface.material
     zero, one = np.float32(0), np.float32(1)
     metal = material[y, x, 0]
     most = max(albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2])
@@ -237,8 +286,8 @@ def mirrors(material, albedo, y, x, here, eye, gloss_floor, shows, table):  # pr
         return False
     ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
     s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
-    ga, gb = gloss_weights(table, material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
-    return f0 * ga + gb > max(gloss_floor, shows * most)
+    ga, gb = gloss_weights(limits.table, material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
+    return f0 * ga + gb > max(limits.gloss_floor, limits.shows * most)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
@@ -264,8 +313,9 @@ def blurred(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _place(normal, position, y, x, rotation, offset, out):  # pragma: no cover - compiled
+def _place(normal, position, y, x, anchor: Anchor, out):  # pragma: no cover - compiled
     """Normal and place of a pixel in anchor axes, into out[:6]; False where it has none."""
+    rotation, offset = anchor.rotation, anchor.offset
     a, b, c = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
     length = a * a + b * b + c * c
     if not length > np.float32(1e-6):

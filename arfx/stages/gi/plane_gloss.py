@@ -9,20 +9,34 @@ steps). Leaves out: highlights of the lamps, and their shadow in the mirror imag
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.cones import trace
+from arfx.stages.gi.cones import Bricks, trace
 from arfx.stages.gi.plane_pixels import agrees
 from arfx.stages.gi.split_sum import gloss_weights
-from arfx.stages.gi.surroundings import Planes, behind, first_plane
+from arfx.stages.gi.surroundings import Behind, Planes, behind, first_plane
 
 _FAST = {"contract", "nsz", "arcp"}
 BLUR = 0.6  # a rough plane's mirror image is wider by this share of the object's height, times the lobe's tangent
 SHARPEST = 0.2  # roughness of the narrowest cone: a narrower one would show the voxels themselves
+
+
+class Gloss(NamedTuple):
+    """Of the planes. f0, roughness;  table : `split_sum`;  walk, tangent : of the mirror cone
+    least : share mirrored under which nothing shows"""
+
+    f0: np.float32
+    roughness: np.float32
+    table: np.ndarray
+    walk: np.ndarray
+    tangent: np.float32
+    least: np.float32
 
 
 def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame: Rect) -> Rect:
@@ -54,21 +68,20 @@ def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame:
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def mirror_in_planes(
-    plate, x0, y0, within, directions, origin, bias, f0, roughness, table, walk, tangent, least, values, brick_of, meta, low,
-    size, axes, reach, textures, mips, maps, widths, turn, real,
-):  # pragma: no cover - compiled  # fmt: skip
+    plate, directions, origin, bias, gloss: Gloss, bricks: Bricks, low, size, back: Behind, real
+):  # fmt: skip  # pragma: no cover - compiled
     """(h, w, 3) float32: radiance that the planes' mirror image of the object adds to the picture, or takes from it.
 
-    plate (h, w, 3) of the picture from x0, y0;  within (4,) : pixels to change;  directions (h, w, 3) : viewing, z = 1, and
-    origin (3,) : the camera, both anchor axes;  least : share mirrored under which nothing shows;  real : as `add_delta`
+    plate (h, w, 3) : of the picture;  directions (h, w, 3) : viewing, z = 1, and origin (3,) : the camera, both anchor axes
+    low (3,), size : corner and side of the voxels, metres;  real : as `add_delta`
     """
+    axes, tangent = back.axes, gloss.tangent
     rows, columns = plate.shape[:2]
     out = np.zeros((rows, columns, 3), np.float32)
     zero, one = np.float32(0), np.float32(1)
     half_deg = np.float32(np.arctan(tangent) * np.float32(57.29578))
-    for y in range(max(within[1], y0), min(within[3], y0 + rows)):
-        for x in range(max(within[0], x0), min(within[2], x0 + columns)):
-            i, j = y - y0, x - x0
+    for i in range(rows):
+        for j in range(columns):
             dx, dy, dz = directions[i, j, 0], directions[i, j, 1], directions[i, j, 2]
             p, t = first_plane(axes, origin[0], origin[1], origin[2], dx, dy, dz)
             if p < 0 or not t > 0:
@@ -81,18 +94,16 @@ def mirror_in_planes(
             s = one / np.sqrt(dx * dx + dy * dy + dz * dz)
             dx, dy, dz = dx * s, dy * s, dz * s
             along = dx * nx + dy * ny + dz * nz
-            ga, gb = gloss_weights(table, roughness, -along)
-            f = (f0 * ga + gb) * share
-            if f < least:
+            ga, gb = gloss_weights(gloss.table, gloss.roughness, -along)
+            f = (gloss.f0 * ga + gb) * share
+            if f < gloss.least:
                 continue
-            mx, my, mz = dx - 2 * along * nx, dy - 2 * along * ny, dz - 2 * along * nz
-            vx, vy, vz = (px - low[0]) / size, (py - low[1]) / size, (pz - low[2]) / size
-            r, g, b, left = trace(
-                values, brick_of, meta, walk, vx, vy, vz, mx, my, mz, vx, vy, vz, zero, zero, zero, False
-            )  # fmt: skip
+            d = dx - 2 * along * nx, dy - 2 * along * ny, dz - 2 * along * nz
+            at = (px - low[0]) / size, (py - low[1]) / size, (pz - low[2]) / size
+            r, g, b, left = trace(bricks, gloss.walk, at, d, at, (zero, zero, zero), False)
             if left >= one:
                 continue
-            er, eg, eb = behind(axes, reach, textures, mips, maps, widths, turn, p, px, py, pz, mx, my, mz, tangent, half_deg)
+            er, eg, eb = behind(back, p, (px, py, pz), d, tangent, half_deg)
             out[i, j, 0] = f * (r - (one - left) * er)
             out[i, j, 1] = f * (g - (one - left) * eg)
             out[i, j, 2] = f * (b - (one - left) * eb)

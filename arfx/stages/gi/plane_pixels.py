@@ -3,7 +3,7 @@
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -16,6 +16,17 @@ _FAST = {"contract", "nsz", "arcp"}
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 _SAME = np.float32(0.02)  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
 _RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
+
+
+class Change(NamedTuple):
+    """What the object changes on the planes. delta (p, side, side, 3) : over half_m, and within radius_m of the origin
+    deeper : as delta, or (0, ...) = none;  weight : of all of it"""
+
+    delta: np.ndarray
+    deeper: np.ndarray
+    half_m: np.float32
+    radius_m: np.float32
+    weight: np.float32
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -53,14 +64,14 @@ def add_delta(shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, *rest: A
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _add_delta(
-    shadow, x0, y0, within, nodes, origin, axes, half_m, radius_m, delta, deeper, weight, real
-):  # pragma: no cover - compiled
+    shadow, x0, y0, within, nodes, origin, axes, change: Change, real
+):  # fmt: skip  # pragma: no cover - compiled
     """`add_delta` of some lines.
 
     within (4,) : x0, y0, x1, y1 of the pixels to change;  nodes (gh, gw, 3) : viewing directions every GRID_PX pixels and
-    origin (3,) : the camera, both anchor axes;  delta (p, side, side, 3);  deeper : the same, or (0, ...) = none
-    real : as `agrees`; what is not on a plane stays
+    origin (3,) : the camera, both anchor axes;  axes : of `Planes`;  real : as `agrees`; what is not on a plane stays
     """
+    delta, deeper, half_m, radius_m, weight = change
     out = shadow.copy()
     one, half = np.float32(1), np.float32(0.5)
     step = np.float32(1.0 / GRID_PX)

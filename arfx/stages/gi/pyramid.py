@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
+from arfx.stages.gi.cones import Bricks
+
 Coarser = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 BRICK = 4  # cells a side; a brick stores one more, so that values between cells need one brick
 _SIDE = BRICK + 1
@@ -61,6 +63,10 @@ class Atlas:
 
     values: np.ndarray
     structure: Structure = field(repr=False)
+
+    @property
+    def bricks(self) -> Bricks:
+        return Bricks(self.values, self.structure.brick_of, self.structure.meta)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -31,9 +31,9 @@ from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, Field, make_body
 from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field, rounded
 from arfx.stages.gi.health import furnace, seams
-from arfx.stages.gi.pixels import LOBES, chosen, light_points, reflected, spread
-from arfx.stages.gi.plane_gloss import SHARPEST, mirror_in_planes, mirror_rect
-from arfx.stages.gi.plane_pixels import DARKEST, add_delta, measured, shown_radius_m
+from arfx.stages.gi.pixels import LOBES, Anchor, ConesAround, Limits, Lobes, Surface, chosen, light_points, reflected, spread
+from arfx.stages.gi.plane_gloss import SHARPEST, Gloss, mirror_in_planes, mirror_rect
+from arfx.stages.gi.plane_pixels import DARKEST, Change, add_delta, measured, shown_radius_m
 from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.split_sum import split_sum
@@ -174,7 +174,7 @@ class Gi(Stage):
                 changed: np.ndarray = add_delta(
                     layer, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                     anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
-                    np.float32(prepared.planes.half_m), np.float32(radius), delta, whole.deeper, np.float32(weight), real,
+                    Change(delta, whole.deeper, np.float32(prepared.planes.half_m), np.float32(radius), np.float32(weight)), real,
                 )  # fmt: skip
                 return changed
 
@@ -209,28 +209,24 @@ class Gi(Stage):
         anchor = view.scene.world_from_anchor.inverse()
         f32, volume = np.float32, prepared.body.voxels.volume
         directions, weights, tan_half = six_cones()
-        structure = prepared.body.structure
-        surface: Any = [part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)]
-        axes: Any = anchor.rotation.astype(f32), anchor.translation_m.astype(f32)
+        surface = Surface(*(part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)))
         eye = anchor.apply(view.pose.inverse().translation_m).astype(f32)
+        axes = Anchor(anchor.rotation.astype(f32), anchor.translation_m.astype(f32), eye)
         cones: Any = (
-            back.atlas.values, structure.brick_of, structure.meta, np.array(volume.low_m, f32), f32(volume.voxel_m),
-            directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps, prepared.lobes,
-            prepared.tangents, prepared.counts, *back.arguments,
+            back.atlas.bricks, np.array(volume.low_m, f32), f32(volume.voxel_m),
+            ConesAround(directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps),
+            Lobes(prepared.lobes, prepared.tangents, prepared.counts), back.back,
         )  # fmt: skip
-        limits: Any = f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(back.soft, back.brightest)), split_sum()
+        limits = Limits(f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(back.soft, back.brightest)), split_sum())
         points, light = np.zeros((0, 7), f32), np.zeros((0, 6), f32)
         index = np.zeros((0, 0), np.int32)
         if block > 1:
-            choice: Any = (*surface, box.x0, box.y0, block, *axes, eye, *limits)
-            points, wanted, index = chosen(*choice)
+            points, wanted, index = chosen(surface, box.x0, box.y0, block, axes, limits)
             light = light_points(points, wanted, eye, *cones)
-        near: Any = (*surface, box.x0, box.y0, block if block > 1 else 0, *axes, eye, *limits, f32(volume.voxel_m))
-        near = (*near, points, light, index)
+        near: Any = surface, box.x0, box.y0, block if block > 1 else 0, axes, limits, f32(volume.voxel_m), points, light, index
         spread_light, points, wanted, pixels = spread(*near)
         fresh = light_points(points, wanted, eye, *cones)
-        last: Any = (*surface, *axes, eye, *limits[1:], spread_light, fresh, wanted, pixels)
-        out[box.slices_in(now.rect)] += reflected(*last)
+        out[box.slices_in(now.rect)] += reflected(surface, axes, limits, spread_light, fresh, wanted, pixels)
         return out
 
     def _mirrored(
@@ -241,17 +237,19 @@ class Gi(Stage):
         within = self._mirror_rect(facts, scene, scene.camera.rect).clip(rect)
         if within.empty:
             return virtual, shadow
-        f32, volume, structure = np.float32, prepared.body.voxels.volume, prepared.body.structure
+        f32, volume = np.float32, prepared.body.voxels.volume
         lobe = round(max(self.params.plane_roughness, SHARPEST) * (LOBES - 1))
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, within)
         bias = np.array(facts.bias_rgb, f32)
         plate = np.ascontiguousarray(now.crop(within)[Layer.PLATE])
-        arguments: Any = (
-            plate, within.x0, within.y0, np.array(within.to_json()), rays, anchor_from_camera.translation_m.astype(f32), bias,
+        gloss = Gloss(
             f32(self.params.plane_gloss), f32(self.params.plane_roughness), split_sum(),
-            prepared.lobes[lobe, : prepared.counts[lobe]], prepared.tangents[lobe], f32(SHOWS), back.atlas.values,
-            structure.brick_of, structure.meta, np.array(volume.low_m, f32), f32(volume.voxel_m), *back.arguments,
+            prepared.lobes[lobe, : prepared.counts[lobe]], prepared.tangents[lobe], f32(SHOWS),
+        )  # fmt: skip
+        arguments: Any = (
+            plate, rays, anchor_from_camera.translation_m.astype(f32), bias, gloss, back.atlas.bricks,
+            np.array(volume.low_m, f32), f32(volume.voxel_m), back.back,
             real if not real.size else np.ascontiguousarray(real[within.slices_in(rect)]),
         )  # fmt: skip
         change = self.params.strength * mirror_in_planes(*arguments)

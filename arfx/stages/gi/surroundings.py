@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -42,6 +43,19 @@ class Planes:
     def reach(self) -> np.ndarray:
         """(p, 5) float32, as `behind` takes them: half_m and bounds."""
         return np.concatenate([np.full((len(self.axes), 1), self.half_m), self.bounds], 1).astype(np.float32)
+
+
+class Behind(NamedTuple):
+    """What is behind the voxels. axes (p, 4, 3), reach (p, 5) : of `Planes`;  textures (p, texels, 3) : mips of all levels in one
+    row;  mips (levels, 2) : offset, side;  maps, widths, turn : of the environment, as of `look_at`"""
+
+    axes: np.ndarray
+    reach: np.ndarray
+    textures: np.ndarray
+    mips: np.ndarray
+    maps: np.ndarray
+    widths: np.ndarray
+    turn: np.ndarray
 
 
 @lru_cache(maxsize=1)
@@ -195,16 +209,15 @@ def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def behind(
-    axes, reach, textures, mips, maps, widths, turn, skip, x, y, z, dx, dy, dz, tan_half, half_deg
-):  # pragma: no cover - compiled
-    """(r, g, b) of what lies behind the voxels from x, y, z (metres) along d: planes nearest first, then the environment.
+def behind(back: Behind, skip, point, direction, tan_half, half_deg):  # pragma: no cover - compiled
+    """(r, g, b) of what lies behind the voxels from a point (metres) on: planes nearest first, then the environment.
 
     A cone that lies across a plane's horizon sees it with the part of its width that is under it, and the environment with
     the rest, about the middle of that and narrower.
-    Where a plane ends, what is behind it is seen. reach (p, 5) : half side of its texture, and bounds
-    textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side;  skip : a plane not to be met
+    Where a plane ends, what is behind it is seen. point, direction : x, y, z;  skip : a plane not to be met
     """
+    axes, reach, textures, mips, maps, widths, turn = back
+    (x, y, z), (dx, dy, dz) = point, direction
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     wide = tan_half / np.sqrt(one + tan_half * tan_half)
     r, g, b, left = zero, zero, zero, one
@@ -260,14 +273,10 @@ def behind(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def behind_many(
-    points, directions, skip, tan_half, half_deg, axes, reach, textures, mips, maps, widths, turn
-):  # pragma: no cover - compiled
+def behind_many(points, directions, skip, tan_half, half_deg, back: Behind):  # pragma: no cover - compiled
     """(m, 3) of `behind` from points (m, 3), metres, along directions (m, 3)."""
     out = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = behind(
-            axes, reach, textures, mips, maps, widths, turn, skip, points[i, 0], points[i, 1], points[i, 2],
-            directions[i, 0], directions[i, 1], directions[i, 2], tan_half, half_deg,
-        )  # fmt: skip
+        p, d = (points[i, 0], points[i, 1], points[i, 2]), (directions[i, 0], directions[i, 1], directions[i, 2])
+        out[i, 0], out[i, 1], out[i, 2] = behind(back, skip, p, d, tan_half, half_deg)
     return out

@@ -9,7 +9,7 @@ in bricks of 4 x 4 x 4. Source: docs/methods/gi.md#voxels. Leaves out: textures 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -54,6 +54,22 @@ class Voxels:
         return np.asarray(self.volume.low_m) + (self.cells + 0.5) * self.volume.voxel_m
 
 
+class _Material(NamedTuple):
+    """colours (n, 4) and uv (n, 2) of a part's corners, base and glow textures, emission (3,), cutoff of opacity
+
+    share (2,) : of the base colour that is reflected, and what is reflected beside it: metals count as matt, as voxels are
+    coarser than any highlight.
+    """
+
+    colours: np.ndarray
+    uv: np.ndarray
+    base: np.ndarray
+    glow: np.ndarray
+    emission: np.ndarray
+    share: np.ndarray
+    cutoff: np.float32
+
+
 def volume_around(points_m: np.ndarray, n: int) -> Volume:
     """The smallest cube with one empty voxel around the points (k, 3); voxel borders lie on z = 0, where the plane is."""
     p = points_m[np.isfinite(points_m).all(1)]
@@ -87,8 +103,7 @@ def voxelise(scene: Scene, n: int) -> Voxels:
     bricks[where] = np.arange(len(where), dtype=np.int32)
     sums = np.zeros((len(where), BRICK**3, 11), np.float32)
     for v, faces, normals, part in tables:
-        arguments: Any = (v, faces, normals, *_material(part), n, per_side, bricks, sums)
-        _accumulate(*arguments)
+        _accumulate(v, faces, normals, _material(part), n, per_side, bricks, sums)
     brick, cell = np.nonzero(sums[:, :, 0] > 0)
     s = sums[brick, cell].astype(float)
     place, inside = where[brick], cell
@@ -102,12 +117,7 @@ def voxelise(scene: Scene, n: int) -> Voxels:
     )  # fmt: skip
 
 
-def _material(part: Part) -> Any:
-    """(colours (n, 4), uv (n, 2), base texture, emission texture, emission, share (2,), cutoff) as the kernel takes them.
-
-    share : of the base colour that is reflected, and what is reflected beside it: metals count as matt, as voxels are
-    coarser than any highlight.
-    """
+def _material(part: Part) -> _Material:
     m, count = part.material, len(part.vertices)
     colours = np.tile(np.asarray(m.base_colour, np.float32), (count, 1))
     if part.colours is not None:
@@ -128,7 +138,7 @@ def _material(part: Part) -> Any:
         colours[:, 3] = 1
         base = base.copy()
         base[..., 3] = 1
-    return (
+    return _Material(
         colours, uv, np.ascontiguousarray(base), np.ascontiguousarray(glow), np.asarray(m.emissive, np.float32), share,
         np.float32(cutoff),
     )  # fmt: skip
@@ -177,10 +187,9 @@ def _barycentric(i, j, m):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _accumulate(
-    v, faces, normals, colours, uv, base, glow, emission, share, cutoff, n, per_side, bricks, sums
-):  # pragma: no cover - compiled
+def _accumulate(v, faces, normals, look: _Material, n, per_side, bricks, sums):  # pragma: no cover - compiled
     """sums (b, 64, 11) += area, and times the area: albedo (3), emission (3), normal (3), alpha."""
+    colours, uv, base, glow, emission, share, cutoff = look
     rows, columns, grows, gcolumns = base.shape[0], base.shape[1], glow.shape[0], glow.shape[1]
     for f in range(faces.shape[0]):
         i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]

@@ -27,9 +27,8 @@ from tests.unit.stages.gi_scenes import (
 
 def traced(atlas: Atlas, steps: list[list[float]], origin: list[float], direction: np.ndarray) -> np.ndarray:
     """(4,) of one cone without a surface of its own."""
-    s = atlas.structure
     out = trace_many(
-        atlas.values, s.brick_of, s.meta, np.array(steps, np.float32), np.array([origin], np.float32),
+        atlas.bricks, np.array(steps, np.float32), np.array([origin], np.float32),
         np.asarray(direction, np.float32)[None, None], np.zeros((1, 3), np.float32), np.float32(0), False,
     )  # fmt: skip
     return np.asarray(out[0])
@@ -109,7 +108,7 @@ def test_cones_begin_off_their_own_surface(normal: tuple[float, float, float]) -
     left = []
     for start, clip in ((0.0, False), (float(START), True)):
         out = trace_many(
-            atlas.values, atlas.structure.brick_of, atlas.structure.meta, steps_of(tan_half, 32), np.full((1, 3), 16, np.float32),
+            atlas.bricks, steps_of(tan_half, 32), np.full((1, 3), 16, np.float32),
             around, n[None].astype(np.float32), np.float32(start), clip,
         )  # fmt: skip
         left.append(float(out[:, 3] @ weights))

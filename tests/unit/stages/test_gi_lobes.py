@@ -16,7 +16,7 @@ from arfx.stages.gi.real_planes import filled, planes_of
 from arfx.stages.gi.reference_draw import Draw, Gloss
 from arfx.stages.gi.reference_scene import Surroundings
 from arfx.stages.gi.split_sum import gloss_weights, split_sum
-from arfx.stages.gi.surroundings import ENDLESS, HALF_ANGLES_DEG, behind_many, octahedral
+from arfx.stages.gi.surroundings import ENDLESS, HALF_ANGLES_DEG, Behind, behind_many, octahedral
 from tests.unit.stages.gi_scenes import CAMERA, MATT_WHITE, NIGHT, ball, box, inner, on_plane, plain_plate, run_gi
 
 
@@ -43,9 +43,11 @@ def test_a_cone_across_the_horizon_sees_the_sky_that_is_over_it() -> None:
     axes = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], np.float32)
     reach = np.array([[1, -ENDLESS, -ENDLESS, ENDLESS, ENDLESS]], np.float32)
     seen = behind_many(
-        np.tile(np.float32([0, 0, 0.1]), (len(d), 1)), d, -1, np.float32(tangent), np.float32(30), axes, reach,
-        np.zeros((1, 1, 3), np.float32), np.array([[0, 1]], np.int64), octahedral(cube), np.float32(HALF_ANGLES_DEG),
-        np.eye(3, dtype=np.float32),
+        np.tile(np.float32([0, 0, 0.1]), (len(d), 1)), d, -1, np.float32(tangent), np.float32(30),
+        Behind(
+            axes, reach, np.zeros((1, 1, 3), np.float32), np.array([[0, 1]], np.int64), octahedral(cube),
+            np.float32(HALF_ANGLES_DEG), np.eye(3, dtype=np.float32),
+        ),
     )  # fmt: skip
     got = (seen.reshape(-1, 6, 3)[..., 0] * weights).sum(1)
     assert got == pytest.approx((1 + normals[:, 2]) / 2, abs=0.04)

@@ -38,7 +38,7 @@ def test_the_mean_of_children_lets_light_through_a_wall(coarser: Coarser, left: 
     structure = structure_of(WALL, 16, coarser)
     atlas = atlas_of(structure, wall())
     got = trace_many(
-        atlas.values, structure.brick_of, structure.meta, np.array([[6.0, 3, 1.0]], np.float32),
+        atlas.bricks, np.array([[6.0, 3, 1.0]], np.float32),
         np.array([[-2.0, 8, 8]], np.float32), np.array([[[1, 0, 0]]], np.float32), np.zeros((1, 3), np.float32), np.float32(0),
         False,
     )  # fmt: skip
@@ -81,7 +81,7 @@ def test_values_between_voxels_are_trilinear_across_bricks(axis: int, sign: int)
     start, d = np.full(3, 0.5), np.zeros(3)
     start[axis], d[axis] = (0.5, 1.0) if sign > 0 else (7.5, -1.0)
     got = trace_many(
-        atlas.values, structure.brick_of, structure.meta, steps, start[None].astype(np.float32),
+        atlas.bricks, steps, start[None].astype(np.float32),
         d[None, None].astype(np.float32), np.zeros((1, 3), np.float32), np.float32(0), False,
     )[0, 3]  # fmt: skip
     at = start[axis] + sign * steps[:, 0]
@@ -100,9 +100,7 @@ def through(alpha: float, exponents: list[float]) -> float:
     point, direction = np.full((1, 3), 2.0, np.float32), np.array([[[1, 0, 0]]], np.float32)
     return float(
         trace_many(
-            atlas.values,
-            structure.brick_of,
-            structure.meta,
+            atlas.bricks,
             steps,
             point,
             direction,
