@@ -10,8 +10,6 @@ import pytest
 STAGES = Path(__file__).parents[2] / "arfx" / "stages"
 MOST = 10
 COMPILED = ("numba.njit", "line_kernel")
-# Still to be gathered; what is done leaves the list.
-AS_YET = {"watercolor"}
 
 
 def too_many(source: str) -> list[str]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from arfx.core.parallel import BANDS, parallel_rows
 from arfx.stages.four import add_four
+from arfx.stages.watercolor.label_kernels import Buckets
 from arfx.stages.watercolor.labels import Labels, bucketed
 from arfx.stages.watercolor.rows import Cells, Cover, Picture, labels_of, line_of, span_of
 from arfx.stages.watercolor.sites import STEPS
@@ -110,13 +111,15 @@ def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarr
     start, order = bucketed(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
     place = np.zeros((3, n + _STEP), np.float32)
     place[0, :n], place[1, :n], place[2, :n] = x[order], y[order], np.float32(1 / REACH**2) / (size[order] ** 2)
-    parallel_rows(lambda a, b: _near(place, left, top, side, order, start, gh, gw, a, b, near, share), n)
+    buckets = Buckets(place, order, start, side, gh, gw)
+    parallel_rows(lambda a, b: _near(buckets, left, top, a, b, near, share), n)
     return near, share
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _near(place, left, top, side, order, start, gh, gw, a, b, near, share):  # pragma: no cover - compiled
-    """Of the sites a ... b - 1 of the buckets' order. place (3, n) : x, y, 1 / reach^2, in that order"""
+def _near(buckets: Buckets, left, top, a, b, near, share):  # pragma: no cover - compiled
+    """Of the sites a ... b - 1 of the buckets' order; their place (3, n) : x, y, 1 / reach^2"""
+    place, order, start, side, gh, gw = buckets
     one, room = np.float32(1), start[gh * gw] + 2 * _STEP
     s, found = np.empty(room, np.float32), np.empty(room, np.int32)
     px, py, ps = place[0], place[1], place[2]
@@ -125,7 +128,7 @@ def _near(place, left, top, side, order, start, gh, gw, a, b, near, share):  # p
         x0, x1 = max(np.int64((x - own - left) / side), 0), min(np.int64((x + own - left) / side), gw - 1)
         y0, y1 = max(np.int64((y - own - top) / side), 0), min(np.int64((y + own - top) / side), gh - 1)
         n = _U(0)
-        for i in range(y0, y1 + 1):  # type: ignore[call-overload]
+        for i in range(y0, y1 + 1):  # type: ignore[call-overload, operator]
             begin, end = start[i * gw + x0], start[i * gw + x1 + 1]
             for c in range(begin, end, _STEP):
                 for q in range(_STEP):  # of fixed length; what is too much is overwritten by the next row

@@ -7,6 +7,8 @@ docs/methods/watercolor.md#labels.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -25,13 +27,45 @@ _F, _I, _U = np.float32, np.int32, np.uint64  # an index of type uint64 is not l
 _FAST = {"contract", "nsz", "nnan", "ninf"}
 
 
+class Buckets(NamedTuple):
+    """Sites by squares of `side`, (gh, gw) of them. place (3, n + STEP) : x, y from the first square's corner, weight
+    start (gh gw + 1), order (n,) : of `labels.bucketed`"""
+
+    place: np.ndarray
+    order: np.ndarray
+    start: np.ndarray
+    side: int | float
+    gh: int
+    gw: int
+
+
+class Found(NamedTuple):
+    """Sites that a block has collected, (n,) each: place, weight, number in the buckets' order"""
+
+    x: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+    number: np.ndarray
+
+
+class Packed(NamedTuple):
+    """Candidates, (PACKED,) each: a px + b py + c as of `packed`, number in the buckets' order"""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    near: np.ndarray
+
+
 @numba.njit(cache=True, nogil=True)
-def collected(place, start, gh, gw, side, y0, x0, y1, x1, mx, my, lx, ly, lw, number):  # pragma: no cover - compiled
+def collected(buckets: Buckets, y0, x0, y1, x1, mx, my, out: Found):  # pragma: no cover - compiled
     """How many sites lie in the buckets that (x0, y0) ... (x1, y1) touches; these, relative to (mx, my), by number.
 
     Places from the first bucket's corner, 1/STEPS px; buckets at the border hold what lies beyond it.
     """
-    count = 0
+    place, _, start, side_px, gh, gw = buckets
+    lx, ly, lw, number = out
+    count, side = 0, side_px * STEPS
     left, right = min(max(x0 // side, 0), gw - 1), max(min(x1 // side, gw - 1), 0) + 1
     for i in range(min(max(y0 // side, 0), gh - 1), max(min(y1 // side, gh - 1), 0) + 1):
         a, b = start[i * gw + left], start[i * gw + right]
@@ -48,16 +82,18 @@ def collected(place, start, gh, gw, side, y0, x0, y1, x1, mx, my, lx, ly, lw, nu
 
 
 @numba.njit(cache=True, nogil=True)
-def kept(count, found, lx, ly, lw, number):  # pragma: no cover - compiled
+def kept(count, found, sites: Found):  # pragma: no cover - compiled
     """Only those found (count,), ascending."""
+    lx, ly, lw, number = sites
     for m in range(count):
         k = _U(found[m])
         lx[m], ly[m], lw[m], number[m] = lx[k], ly[k], lw[k], number[k]
 
 
 @numba.njit(cache=True, nogil=True)
-def filled_up(count, lx, ly, lw):  # pragma: no cover - compiled
+def filled_up(count, sites: Found):  # pragma: no cover - compiled
     """The next multiple of STEP, up to which sites follow that are too far to matter: loops end with whole steps."""
+    lx, ly, lw, _ = sites
     for m in range(STEP):
         to = _U(count) + _U(m)
         lx[to], ly[to], lw[to] = FAR, FAR, 0
@@ -65,21 +101,22 @@ def filled_up(count, lx, ly, lw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def by_number(order, number, count, lx, ly, lw, spare):  # pragma: no cover - compiled
+def by_number(order, count, sites: Found, spare):  # pragma: no cover - compiled
     """Sort them by the number that they have outside."""
     for m in range(count):
-        spare[m] = order[number[m]]
+        spare[m] = order[sites.number[m]]
     by = np.argsort(spare[:count])
-    for a in (lx, ly, lw, number):
+    for a in sites:
         ordered = a[:count][by]
         for m in range(count):
             a[m] = ordered[m]
 
 
 @numba.njit(cache=True, nogil=True)
-def bound(lx, ly, lw, count, mx, my, hx, hy):  # pragma: no cover - compiled
+def bound(sites: Found, count, mx, my, hx, hy):  # pragma: no cover - compiled
     """A distance, squared, that no place in a box (middle, half sides) has to its nearest site: of each quarter that of
     its farthest place to its best site."""
+    lx, ly, lw, _ = sites
     b0 = b1 = b2 = b3 = _I(1 << 30)
     # the quarters' middles lie (wx, wy) off the box's; so do their own corners of them
     wx, wy = _I((hx + 1) // 2), _I((hy + 1) // 2)
@@ -95,8 +132,9 @@ def bound(lx, ly, lw, count, mx, my, hx, hy):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def within(lx, ly, lw, count, mx, my, hx, hy, most, away, found):  # pragma: no cover - compiled
+def within(sites: Found, count, mx, my, hx, hy, most, away, found):  # pragma: no cover - compiled
     """How many sites come to the box as near as `most`, squared; found : which."""
+    lx, ly, lw, _ = sites
     for m in range(count):
         dx, dy = max(_I(abs(_I(lx[m] - mx)) - hx), _I(0)), max(_I(abs(_I(ly[m] - my)) - hy), _I(0))
         away[m] = _I(dx * dx) + _I(dy * dy) - lw[m]
@@ -108,9 +146,11 @@ def within(lx, ly, lw, count, mx, my, hx, hy, most, away, found):  # pragma: no 
 
 
 @numba.njit(cache=True, nogil=True)
-def packed(lx, ly, lw, found, n, number, mx, my, reach, ca, cb, cc, near):  # pragma: no cover - compiled
+def packed(sites: Found, found, n, mx, my, reach, out: Packed):  # pragma: no cover - compiled
     """|p - s|^2 - |p|^2 - weight and the candidate's place in the list as one number that is linear in p: ca px + cb py + cc.
     Returns the largest that comes about. p : relative to (mx, my), no farther than `reach`"""
+    lx, ly, lw, number = sites
+    ca, cb, cc, near = out
     most = _F(0)
     for m in range(n):
         k = _U(found[m])
@@ -123,8 +163,9 @@ def packed(lx, ly, lw, found, n, number, mx, my, reach, ca, cb, cc, near):  # pr
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def labelled(ca, cb, cc, x, y, n, places, at, near, k1, first, top, left):  # pragma: no cover - compiled
+def labelled(candidates: Packed, x, y, n, places, at, k1, first, top, left):  # pragma: no cover - compiled
     """nearest_one of a whole tile, by its label in the picture: its places, from `at` on, relative to (x, y)."""
+    ca, cb, cc, near = candidates
     own, down = _U(at), _U(at + PIXELS)
     for q in range(PIXELS):
         k1[q] = PACKED_LIMIT
@@ -148,9 +189,10 @@ def labelled(ca, cb, cc, x, y, n, places, at, near, k1, first, top, left):  # pr
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def nearest_one(ca, cb, cc, n, p, k1, n1):  # pragma: no cover - compiled
+def nearest_one(candidates: Packed, n, p, k1, n1):  # pragma: no cover - compiled
     """n1 : candidate of each pixel of a tile. The lesser packed number is the nearer site, or the one of lower number.
     Three candidates at a time: what is kept is loaded and stored a third as often."""
+    ca, cb, cc, _ = candidates
     for q in range(PIXELS):
         k1[q] = PACKED_LIMIT
     for m in range(0, n - 2, 3):
@@ -168,8 +210,9 @@ def nearest_one(ca, cb, cc, n, p, k1, n1):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def nearest_two(ca, cb, cc, n, p, k1, k2):  # pragma: no cover - compiled
+def nearest_two(candidates: Packed, n, p, k1, k2):  # pragma: no cover - compiled
     """k1, k2 : packed numbers of the nearest two."""
+    ca, cb, cc, _ = candidates
     for q in range(PIXELS):
         k1[q], k2[q] = PACKED_LIMIT, PACKED_LIMIT
     for m in range(0, n - 2, 3):
@@ -216,8 +259,9 @@ def named(n, near):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_any(place, order, which, n, x0, y0, p, blend, n1, n2, share):  # pragma: no cover - compiled
-    """All of that for many candidates or far ones, in float64. which (n,) : of place;  x0, y0 : the tile's middle."""
+def nearest_any(buckets: Buckets, which, n, x0, y0, p, blend, n1, n2, share):  # pragma: no cover - compiled
+    """All of that for many candidates or far ones, in float64. which (n,) : of the buckets;  x0, y0 : the tile's middle."""
+    place, order = buckets.place, buckets.order
     d1, d2 = np.full(PIXELS, np.inf), np.full(PIXELS, np.inf)
     for m in range(n):
         k = which[m]

@@ -10,6 +10,7 @@ cones.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -26,6 +27,9 @@ from arfx.stages.watercolor.label_kernels import (
     SOLID,
     STEP,
     TILE,
+    Buckets,
+    Found,
+    Packed,
     any_of,
     bound,
     by_number,
@@ -68,6 +72,14 @@ def unlabelled(height: int, width: int, count: int, borders: bool) -> Labels:
     return Labels(first, first, np.full((height, width), SOLID, np.uint8), count)
 
 
+class _Rows(NamedTuple):
+    """As of `Labels`."""
+
+    first: np.ndarray
+    second: np.ndarray
+    inside: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class Wobble:
     """Displacement of pixels before they ask, repeated: the same wherever the tiles of labels begin.
@@ -99,6 +111,15 @@ def wobble_of(tile: np.ndarray) -> Wobble:
     return Wobble(tile.astype(np.int8), places, np.ascontiguousarray(boxes, np.int32))
 
 
+class _Displaced(NamedTuple):
+    """places, boxes : of a `Wobble`;  row, column : of those that the first tile takes"""
+
+    places: np.ndarray
+    boxes: np.ndarray
+    row: int
+    column: int
+
+
 STILL = wobble_of(np.zeros((2, TILE, TILE)))
 
 
@@ -115,7 +136,7 @@ def in_order(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
     if not len(sites) or rect.empty:
         return sites
     x, y, side, gh, gw = _grid(len(sites), rect, wobble)
-    _, order = bucketed(sites.x, sites.y, rect.x0 + x, rect.y0 + y, side, gh, gw)
+    _, order = bucketed(sites.x, sites.y, float(rect.x0 + x), float(rect.y0 + y), float(side), gh, gw)
     return Sites(*_reordered(order, sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v))
 
 
@@ -135,16 +156,15 @@ def label(
     second = np.empty((h, w) if borders else (0, 0), np.int32)
     inside = np.empty((h, w) if borders else (0, 0), np.uint8)
     x0, y0, side, gh, gw = _grid(n, rect, wobble)
-    start, order = bucketed(sites.x, sites.y, rect.x0 + x0, rect.y0 + y0, side, gh, gw)
+    start, order = bucketed(sites.x, sites.y, float(rect.x0 + x0), float(rect.y0 + y0), float(side), gh, gw)
     place, ordered = _places(order, sites.x, sites.y, sites.weight, STEPS * rect.x0, STEPS * rect.y0)
     mask = np.zeros((0, 0), bool) if mask is None else mask
-    row, column = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
+    at = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
+    buckets, displaced = Buckets(place, order, start, side, gh, gw), _Displaced(wobble.places, wobble.boxes, *at)
+    blend, out = np.float32(blend_px * STEPS), _Rows(first, second, inside)
 
     def one(a: int, b: int) -> None:
-        _label(
-            place, order, ordered, start, side, gh, gw, wobble.places, wobble.boxes, row, column, np.float32(blend_px * STEPS),
-            mask, x0, y0, a, b, first, second, inside,
-        )  # fmt: skip
+        _label(buckets, ordered, displaced, blend, mask, x0, y0, a, b, out)
 
     parallel_rows(one, h - y0, BLOCK)
     return Labels(first, second, inside, n)
@@ -195,25 +215,26 @@ def bucketed(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _label(
-    place, order, ordered, start, side, gh, gw, places, boxes, row, column, blend, mask, x0, y0, y_first, y_last, first,
-    second, inside,
-):  # fmt: skip  # pragma: no cover
-    """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0), of which (row, column) of `places` is the first."""
+    buckets: Buckets, ordered, displaced: _Displaced, blend, mask, x0, y0, y_first, y_last, out: _Rows
+):  # fmt: skip  # pragma: no cover - compiled
+    """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0)."""
+    order, (places, boxes, row, column), (first, second, inside) = buckets.order, displaced, out
     h, w = first.shape
     k1, k2 = np.empty(PIXELS, np.float32), np.empty(PIXELS, np.float32)
     n1, n2, share = np.empty(PIXELS, np.int32), np.empty(PIXELS, np.int32), np.empty(PIXELS, np.uint8)
     room = order.shape[0] + 2 * STEP
-    lx, ly, lw, away = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
-    number, found = np.empty(room, np.int32), np.empty(room, np.int32)
+    lx, ly, lw, number = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
+    away, found, sites = np.empty(room, np.int32), np.empty(room, np.int32), Found(lx, ly, lw, number)
     ca, cb, cc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
     ta, tb, tc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
     near, names = np.empty(PACKED, np.int32), np.empty(PACKED, np.int32)
+    block, own = Packed(ca, cb, cc, near), Packed(ta, tb, tc, names)  # candidates of all four tiles, of one
     borders, flat = blend > 0, places.reshape(-1)
     reach = np.int32((np.abs(boxes[..., :2]) + boxes[..., 2:]).max())  # of a tile's places from its middle
     half = np.int32(reach + TILE * STEPS // 2)
     every = np.arange(order.shape[0]).astype(np.int32)
     # how far around a block it looks at first: mostly enough
-    usual = side * STEPS * 1.5 + 2 * blend
+    usual = buckets.side * STEPS * 1.5 + 2 * blend
     for by in range(y_first + y0, min(y_last + y0, h), BLOCK):
         for bx in range(x0, w, BLOCK):
             mx, my = np.int32(bx * STEPS + STEPS * (BLOCK - 1) // 2), np.int32(by * STEPS + STEPS * (BLOCK - 1) // 2)
@@ -222,25 +243,25 @@ def _label(
             r, wanted, count, far = np.int64(0), np.int64(half + usual), 0, False
             while r < wanted and not far:
                 r = wanted
-                count = collected(place, start, gh, gw, side * STEPS, oy - r, ox - r, oy + r, ox + r, mx, my, lx, ly, lw, number)
-                full = filled_up(count, lx, ly, lw)
+                count = collected(buckets, oy - r, ox - r, oy + r, ox + r, mx, my, sites)
+                full = filled_up(count, sites)
                 # what may matter to one of its tiles lies no farther off the box of its places than this
-                root = np.sqrt(np.float64(bound(lx, ly, lw, full, np.int32(0), np.int32(0), half, half))) + 2 * blend
+                root = np.sqrt(np.float64(bound(sites, full, np.int32(0), np.int32(0), half, half))) + 2 * blend
                 if count > 0:
                     far = root > FAR - 2 * half
                     wanted = np.int64(root) + half + 1
                 else:
                     wanted = 2 * r
             if not far:
-                count = within(lx, ly, lw, full, np.int32(0), np.int32(0), half, half, np.int32(root * root) + 1, away, found)
-                kept(count, found, lx, ly, lw, number)
+                count = within(sites, full, np.int32(0), np.int32(0), half, half, np.int32(root * root) + 1, away, found)
+                kept(count, found, sites)
             if not ordered and not far:
-                by_number(order, number, count, lx, ly, lw, away)
-            full = filled_up(count, lx, ly, lw)
+                by_number(order, count, sites, away)
+            full = filled_up(count, sites)
             # mostly one list does for all four tiles: to look for the nearest alone costs less than to prune
             whole = ordered and not far and not borders and count <= PACKED
             if whole:
-                whole = packed(lx, ly, lw, every, count, number, 0, 0, np.float32(half), ca, cb, cc, near) < PACKED_LIMIT
+                whole = packed(sites, every, count, 0, 0, np.float32(half), block) < PACKED_LIMIT
             for tile in range(4):
                 down, right = tile >> 1, tile & 1
                 ty, tx = by + TILE * down, bx + TILE * right
@@ -255,36 +276,33 @@ def _label(
                 own_x, own_y = np.int32((2 * right - 1) * half_tile), np.int32((2 * down - 1) * half_tile)
                 if whole and end - left == TILE and bottom - top == TILE:
                     at = (i * places.shape[1] + j) * 2 * PIXELS
-                    labelled(ca, cb, cc, np.float32(own_x), np.float32(own_y), count, flat, at, near, k1, first, top, left)
+                    labelled(block, np.float32(own_x), np.float32(own_y), count, flat, at, k1, first, top, left)
                     continue
                 p, n, fits = places[i, j], 0, False
                 if not far:
                     cx, cy = np.int32(own_x + boxes[i, j, 0]), np.int32(own_y + boxes[i, j, 1])
                     hx, hy = boxes[i, j, 2], boxes[i, j, 3]
                     # a site that comes within `blend` of winning is at most 2 blend farther than the winner
-                    root = np.sqrt(np.float64(bound(lx, ly, lw, full, cx, cy, hx, hy))) + 2 * blend
-                    n = within(lx, ly, lw, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
+                    root = np.sqrt(np.float64(bound(sites, full, cx, cy, hx, hy))) + 2 * blend
+                    n = within(sites, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
                     if n <= PACKED:
-                        fits = (
-                            packed(lx, ly, lw, found, n, number, own_x, own_y, np.float32(reach), ta, tb, tc, names)
-                            < PACKED_LIMIT
-                        )
+                        fits = packed(sites, found, n, own_x, own_y, np.float32(reach), own) < PACKED_LIMIT
                 if fits:
                     if borders:
-                        nearest_two(ta, tb, tc, n, p, k1, k2)
+                        nearest_two(own, n, p, k1, k2)
                         if n == 1:
                             k2[:] = np.float32(2e9)  # there is no other near enough
                         inside_of(p, k1, k2, blend, n1, n2, share)
                         named(n2, names)
                     else:
-                        nearest_one(ta, tb, tc, n, p, k1, n1)
+                        nearest_one(own, n, p, k1, n1)
                     named(n1, names)
                 else:
                     for m in range(n):
                         found[m] = number[found[m]]
                     tile_x, tile_y = np.float64(tx * STEPS + MIDDLE), np.float64(ty * STEPS + MIDDLE)
                     which = every if far else found
-                    nearest_any(place, order, which, order.shape[0] if far else n, tile_x, tile_y, p, blend, n1, n2, share)
+                    nearest_any(buckets, which, order.shape[0] if far else n, tile_x, tile_y, p, blend, n1, n2, share)
                 if not ordered:
                     named(n1, order)
                     if borders:

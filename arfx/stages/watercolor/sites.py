@@ -123,9 +123,10 @@ def _placed(seed, level, count, bi, bj):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _candidates(seed, level, pj, i0, i1, j0, j1, least, oi, oj, importance, key):  # pragma: no cover - compiled
-    """How many of the cells i0 ... i1, j0 ... j1 in row pj of their parents are at least that important; which (oi, oj).
+def _candidates(seed, level, pj, box, least, oi, oj, importance, key):  # pragma: no cover - compiled
+    """How many of the cells in box (i0 ... i1, j0 ... j1), row pj of their parents, are at least that important; which (oi, oj).
     key : 0 where it is still to be made"""
+    i0, i1, j0, j1 = box
     n = 0
     for pi in range(i0 >> 1, (i1 >> 1) + 1):
         bits = _mixed(seed, level + 1, pi, pj)
@@ -191,7 +192,7 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                 oi, oj, bi, bj = places[0], places[1], places[2], places[3]
                 importance, key = np.empty(room, np.float64), np.empty(room, np.uint64)
             for pj in range(j0 >> 1, (j1 >> 1) + 1):
-                count = _candidates(seed, level, pj, i0, i1, j0, j1, least - 0.5 * FADE, oi, oj, importance, key)
+                count = _candidates(seed, level, pj, (i0, i1, j0, j1), least - 0.5 * FADE, oi, oj, importance, key)
                 for m in range(count):
                     bi[m], bj[m] = oi[m], oj[m]
                 fine = _placed(seed, level, count, bi, bj)

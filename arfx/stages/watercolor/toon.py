@@ -9,6 +9,7 @@ Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of the 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -44,6 +45,29 @@ def _toon_light(light: Light, up: tuple[float, ...]) -> tuple[np.ndarray, np.nda
     return best, np.clip(light.radiance(best), 0, None)
 
 
+class _Object(NamedTuple):
+    """Layers of the object."""
+
+    virtual: np.ndarray
+    coverage: np.ndarray
+    normal: np.ndarray
+    albedo: np.ndarray
+    emissive: np.ndarray
+
+
+class _Tones(NamedTuple):
+    """light (3,) : towards it;  direct, even (3,) : radiance of a white surface;  at (2,), factors (3,) : of the tones
+    opacity : of the object;  ramp : of n . l over which a step is spread"""
+
+    light: np.ndarray
+    direct: np.ndarray
+    even: np.ndarray
+    at: np.ndarray
+    factors: np.ndarray
+    opacity: np.float32
+    ramp: np.float32
+
+
 def toon(
     image: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, normal: np.ndarray, albedo: np.ndarray, emissive: np.ndarray,
     direction: np.ndarray, radiance: np.ndarray, even: np.ndarray, thresholds: tuple[float, float],
@@ -56,18 +80,19 @@ def toon(
     """
     f32 = np.float32
     out: np.ndarray = image.copy()
-    light = (
+    tones = _Tones(
         direction.astype(f32), (radiance - even).astype(f32), even.astype(f32), np.array(thresholds, f32),
         np.array(factors, f32), f32(opacity), f32(ramp),
     )  # fmt: skip
-    parallel_rows(lambda a, b: _toon(virtual, coverage, normal, albedo, emissive, *light, a, b, out), len(out))
+    layers = _Object(virtual, coverage, normal, albedo, emissive)
+    parallel_rows(lambda a, b: _toon(layers, tones, a, b, out), len(out))
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _toon(
-    virtual, coverage, normal, albedo, emissive, light, direct, even, at, factors, opacity, ramp, ya, yb, out
-):  # pragma: no cover
+def _toon(layers: _Object, tones: _Tones, ya, yb, out):  # pragma: no cover - compiled
+    virtual, coverage, normal, albedo, emissive = layers
+    light, direct, even, at, factors, opacity, ramp = tones
     zero, one = np.float32(0), np.float32(1)
     for y in range(ya, yb):
         for x in range(coverage.shape[1]):
