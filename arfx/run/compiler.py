@@ -40,10 +40,12 @@ def serve() -> None:
 def compile_kernels_only() -> None:
     """Change numba in this process: what is compiled from now on can be kept, not called."""
     from numba import _dynfunc  # type: ignore[attr-defined]
+    from numba.core import transforms
     from numba.core.caching import NullCache
     from numba.core.codegen import JITCodeLibrary
     from numba.core.cpu import CPUContext
     from numba.core.dispatcher import Dispatcher, _FunctionCompiler  # type: ignore[attr-defined]
+    from numba.core.postproc import PostProcessor, VariableLifetime
     from numba.core.sigutils import normalize_signature
     from numba.core.targetconfig import ConfigStack
     from numba.core.types.functions import BaseFunction
@@ -104,12 +106,21 @@ def compile_kernels_only() -> None:
             known[key] = infer(self, context, arguments, named_arguments)
         return known[key]
 
+    def postprocess(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+        # after every pass; without which variables a block is entered with, which generators and Python objects alone need
+        function = self.func_ir
+        function.blocks = transforms.canonicalize_cfg(function.blocks)
+        function.variable_lifetime, function.generator_info = VariableLifetime(function.blocks), None
+        if emit_dels:
+            self._insert_var_dels(extend_lifetimes=extend_lifetimes)
+
     changes: list[tuple[Any, str, Any]] = [
         (Dispatcher, "compile", compile_for_cache),
         (_FunctionCompiler, "_compile_core", compile_deeper),
         (_FunctionCompiler, "_customize_flags", with_one_entry),
         (CPUContext, "get_executable", executable_of_kernels),
         (BaseFunction, "get_call_type", infer_once),
+        (PostProcessor, "run", postprocess),
     ]
     for of, name, function in changes:
         setattr(of, name, function)

@@ -9,7 +9,7 @@ import numpy as np
 
 from arfx.core.machine import usable_cores
 from arfx.core.pose import Pose
-from arfx.synth.tracer import probe, render_rows, unhidden
+from arfx.synth.tracer import Lens, Room, probe, render_rows, unhidden
 from arfx.synth.world import Moment, World
 
 _BAND_ROWS = 24  # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
@@ -72,11 +72,9 @@ class Picture:
             else:
                 when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
                 moment, pose = world.at(when), world.camera_at(frame, when).inverse()
-            render_rows(
-                band[0], band[1], rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m,
-                lens.focus_m or 1.0, footprint, moment.rects, moment.spheres, moment.lamps, world.ambient, world.textures,
-                world.table, world.sky, seed, weight, out,
-            )  # fmt: skip
+            room = Room(moment.rects, moment.spheres, moment.lamps, world.ambient, world.textures, world.table, world.sky)
+            seen = Lens(rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m, lens.focus_m or 1.0)
+            render_rows(*band, seen, footprint, room, seed, weight, out)
 
         list(self._pool.map(one, bands))
 

@@ -69,8 +69,9 @@ def _something_behind(rects, spheres, i, above):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first_in_the_way(px, py, pz, lx, ly, lz, disc, rows, k, used, spheres):
+def _first_in_the_way(point, towards, disc, rows, k, used, spheres):
     """First rectangle that may meet a ray from a point to lamp k's disc; `used` if only spheres may, -1 if nothing."""
+    (px, py, pz), (lx, ly, lz) = point, towards
     for i in range(used):
         away = rows[k, i, 3] - (px * rows[k, i, 0] + py * rows[k, i, 1] + pz * rows[k, i, 2])
         if rows[k, i, 17] > 0.0:
@@ -111,8 +112,9 @@ def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _blocked(px, py, pz, lx, ly, lz, rows, k, first, used, spheres):
+def _blocked(point, towards, rows, k, first, used, spheres):
     """Whether a ray meets a rectangle of lamp k's rows first..used, or a sphere."""
+    (px, py, pz), (lx, ly, lz) = point, towards
     for i in range(first, used):
         rise = lx * rows[k, i, 0] + ly * rows[k, i, 1] + lz * rows[k, i, 2]
         away = rows[k, i, 3] - (px * rows[k, i, 0] + py * rows[k, i, 1] + pz * rows[k, i, 2])
@@ -149,11 +151,12 @@ def _meets_a_sphere(ox, oy, oz, dx, dy, dz, spheres):
 def visible(px, py, pz, lamps, k, rows, used, spheres, turn):
     """Fraction 0..1 of lamp k's disc that a point sees: five rays, and sixteen more where these disagree."""
     lx, ly, lz, disc = lamps[k, 0], lamps[k, 1], lamps[k, 2], lamps[k, 6]
-    first = _first_in_the_way(px, py, pz, lx, ly, lz, disc, rows, k, used, spheres)
+    point = px, py, pz
+    first = _first_in_the_way(point, (lx, ly, lz), disc, rows, k, used, spheres)
     if first < 0:
         return 1.0
     if disc == 0.0:
-        return 0.0 if _blocked(px, py, pz, lx, ly, lz, rows, k, first, used, spheres) else 1.0
+        return 0.0 if _blocked(point, (lx, ly, lz), rows, k, first, used, spheres) else 1.0
     if abs(lx) < 0.6:
         ax, ay, az = 0.0, lz, -ly
     else:
@@ -172,7 +175,7 @@ def visible(px, py, pz, lamps, k, rows, used, spheres, turn):
         else:
             radius, angle = disc * math.sqrt((j - 4.5) / _DISC_SAMPLES), turn + (j - 5) * _GOLDEN_ANGLE
         c, s = math.cos(angle) * radius, math.sin(angle) * radius
-        x, y, z = lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz
-        if not _blocked(px, py, pz, x, y, z, rows, k, first, used, spheres):
+        towards = lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz
+        if not _blocked(point, towards, rows, k, first, used, spheres):
             seen += 1
     return seen / _DISC_SAMPLES

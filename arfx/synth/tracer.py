@@ -15,6 +15,7 @@ texture    0 offset into the table, 1 columns, 2 rows, 3 smallest box in texels 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,6 +24,30 @@ from arfx.synth.shadows import blockers, visible
 
 _FAR = 1e30
 _LIFT_M = 2e-5  # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie 2e-4 m apart
+
+
+class Lens(NamedTuple):
+    """rays (h, w, 2) float: camera directions, z = 1 left out; NaN = the lens maps nothing there, stays black
+    rotation (3, 3), origin (3,): room_from_camera;  lens_m: diameter of the aperture;  focus_m: distance of focus"""
+
+    rays: np.ndarray
+    rotation: np.ndarray
+    origin: np.ndarray
+    lens_m: float
+    focus_m: float
+
+
+class Room(NamedTuple):
+    """What there is, by rows, and its ambient light (3,);  table: of the textures
+    sky (h, w, 3): radiance by direction, (0, ...) = black"""
+
+    rects: np.ndarray
+    spheres: np.ndarray
+    lamps: np.ndarray
+    ambient: np.ndarray
+    textures: np.ndarray
+    table: np.ndarray
+    sky: np.ndarray
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -135,16 +160,13 @@ def _span(centre, half, size):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def render_rows(
-    y0, y1, rays, rotation, origin, lens_m, focus_m, footprint, rects, spheres, lamps, ambient, textures, table,
-    sky, seed, weight, out,
-):  # fmt: skip
+def render_rows(y0, y1, lens: Lens, footprint, room: Room, seed, weight, out):
     """Add `weight` times one sample per pixel of rows y0..y1 to `out` (h, w, 3).
 
-    rays (h, w, 2) float: camera directions, z = 1 left out; NaN = the lens maps nothing there, stays black
-    rotation (3, 3), origin (3,): room_from_camera;  lens_m: diameter of the aperture;  focus_m: distance of focus
-    footprint: width in pixels that a sample stands for;  sky (h, w, 3): radiance by direction, (0, …) = black
+    footprint: width in pixels that a sample stands for
     """
+    rays, rotation, origin, lens_m, focus_m = lens
+    rects, spheres, lamps, ambient, textures, table, sky = room
     width = rays.shape[1]
     views = _views(origin, rects, textures)
     rows_of_lamp, used = blockers(rects, spheres, lamps)

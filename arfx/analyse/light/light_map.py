@@ -15,11 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from arfx.analyse.light.icosphere import icosphere
+from arfx.analyse.sorting import sort
 from arfx.core.numerics import arccos, divide
 
 UNKNOWN = 1e12  # variance of what no observation has reached
@@ -57,6 +59,30 @@ def weight(cosine: np.ndarray, blur_rad: float) -> np.ndarray:
     return np.where(np.asarray(cosine) > 0, np.exp(-(arccos(cosine) ** 2) / (2 * blur_rad**2)), 0.0)
 
 
+class _Map(NamedTuple):
+    """As of `LightMap`; vertices of its icosphere."""
+
+    vertices: np.ndarray
+    value: np.ndarray
+    variance: np.ndarray
+    age_s: np.ndarray
+
+
+class _Seen(NamedTuple):
+    """Observations, (k, 3) each."""
+
+    normals: np.ndarray
+    irradiance: np.ndarray
+    variance: np.ndarray
+
+
+class _Triangles(NamedTuple):
+    """corners, weights (k, 3) : of the map's triangle that holds each observation's normal"""
+
+    corners: np.ndarray
+    weights: np.ndarray
+
+
 class LightMap:
     """value, variance : (v, 3) per vertex of icosphere(level), variance UNKNOWN where nothing was seen (value 0)
     age_s : (v,) since it was last seen, NEVER_S at first;  ignored : observations that were not finite"""
@@ -71,13 +97,16 @@ class LightMap:
 
     def wait(self, seconds: float, step: bool = False) -> None:
         """Time passes, either way. step : the light has changed at once, and nothing older binds."""
-        wait(self.value, self.variance, self.age_s, float(seconds), self.params.drift_per_s, step)
+        wait(self._map, float(seconds), self.params.drift_per_s, step)
 
     def add(self, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray) -> None:
         """normals, irradiance, variance : (k, 3). One after the other, in their order."""
-        n, x, v = (np.ascontiguousarray(a, float).reshape(-1, 3) for a in (normals, irradiance, variance))
-        blur_rad = self.params.blur_rad
-        self.ignored += add(self.sphere.vertices, self.value, self.variance, self.age_s, n, x, v, 0, len(n), blur_rad)
+        seen = _Seen(*(np.ascontiguousarray(a, float).reshape(-1, 3) for a in (normals, irradiance, variance)))
+        self.ignored += add(self._map, seen, 0, len(seen.normals), self.params.blur_rad)
+
+    @property
+    def _map(self) -> _Map:
+        return _Map(self.sphere.vertices, self.value, self.variance, self.age_s)
 
     def at(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(value (..., 3), variance (..., 3)) at unit normals (..., 3), between the vertices."""
@@ -102,8 +131,8 @@ def changes(seen: Sequence[Observation], params: Params = Params()) -> np.ndarra
     corners = sphere.faces[np.maximum(face, 0)]
     return np.asarray(
         _changes(
-            sphere.vertices, corners, weights, np.array([o.time_s for o in seen], float), starts, n, x, v, params.blur_rad,
-            params.drift_per_s, params.step_sigma, params.step_least,
+            sphere.vertices, _Triangles(corners, weights), np.array([o.time_s for o in seen], float), starts, _Seen(n, x, v),
+            params.blur_rad, params.drift_per_s, params.step_sigma, params.step_least,
         )
     )  # fmt: skip
 
@@ -153,8 +182,9 @@ def _take(light: LightMap, seen: Sequence[Observation], kinds: np.ndarray, i: in
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def wait(value, variance, age_s, seconds, drift_per_s, step):  # pragma: no cover - compiled
+def wait(light: _Map, seconds, drift_per_s, step):  # pragma: no cover - compiled
     """Time passes. step : the light has changed at once"""
+    _, value, variance, age_s = light
     for i in range(len(age_s)):
         age_s[i] = min(age_s[i] + abs(seconds), NEVER_S)
     growth = drift_per_s**2 * abs(seconds) + (1.0 if step else 0.0)
@@ -181,8 +211,10 @@ def usable(n, x, v):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def add(vertices, value, variance, age_s, normals, x, v, first, last, blur_rad):  # pragma: no cover - compiled
+def add(light: _Map, seen: _Seen, first, last, blur_rad):  # pragma: no cover - compiled
     """Observations first..last-1, one after the other; how many of them do not count."""
+    vertices, value, variance, age_s = light
+    normals, x, v = seen
     ignored = 0
     sharp = 1 / (2 * blur_rad * blur_rad)
     # beyond this cosine the Gaussian is below REACH
@@ -219,15 +251,15 @@ def add(vertices, value, variance, age_s, normals, x, v, first, last, blur_rad):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _contradiction(value, variance, corners, weights, normals, x, v, first, last, sigma, share):  # pragma: no cover - compiled
-    """-1 or 1: darker or brighter than the map beyond its and the frame's uncertainty; 0: neither, or nothing known.
-
-    corners, weights (k, 3) : of the map's triangle that holds each observation's normal
-    """
+def _contradiction(light: _Map, triangles: _Triangles, seen: _Seen, first, last, sigma, share):  # pragma: no cover - compiled
+    """-1 or 1: darker or brighter than the map beyond its and the frame's uncertainty; 0: neither, or nothing known."""
+    value, variance, (corners, weights), (normals, x, v) = light.value, light.variance, triangles, seen
     most = np.empty(last - first)
     n = 0
     for k in range(first, last):
-        fine = np.isfinite(normals[k]).all() and np.isfinite(x[k]).all() and np.isfinite(v[k]).all()
+        fine = True
+        for c in range(3):
+            fine = fine and np.isfinite(normals[k, c]) and np.isfinite(x[k, c]) and np.isfinite(v[k, c])
         if not fine:
             continue
         far, sure = 0.0, True
@@ -246,35 +278,38 @@ def _contradiction(value, variance, corners, weights, normals, x, v, first, last
             n += 1
     if n == 0:
         return 0
-    middle = np.median(most[:n])
+    sort(most[:n])
+    middle = (most[(n - 1) // 2] + most[n // 2]) / 2
     return (1 if middle > 0 else -1) if abs(middle) > sigma else 0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _changes(
-    vertices, corners, weights, times_s, starts, normals, x, v, blur_rad, drift_per_s, sigma, share
-):  # pragma: no cover - compiled
+    vertices, triangles: _Triangles, times_s, starts, seen: _Seen, blur_rad, drift_per_s, sigma, share
+):  # fmt: skip  # pragma: no cover - compiled
     """(t,) STEADY, STEP or STRAY: see `changes`."""
     frames, count = len(times_s), len(vertices)
-    value, variance, age_s = np.zeros((count, 3)), np.full((count, 3), UNKNOWN), np.full(count, NEVER_S)
+    light = _Map(vertices, np.zeros((count, 3)), np.empty((count, 3)), np.empty(count))
+    for i in range(count):
+        light.age_s[i] = NEVER_S
+        for c in range(3):
+            light.variance[i, c] = UNKNOWN
     kinds = np.zeros(frames, np.int64)
     for i in range(frames):
-        wait(value, variance, age_s, times_s[i] - times_s[i - 1] if i else 0.0, drift_per_s, False)
+        wait(light, times_s[i] - times_s[i - 1] if i else 0.0, drift_per_s, np.bool_(False))
         a, b = starts[i], starts[i + 1]
-        side = _contradiction(value, variance, corners, weights, normals, x, v, a, b, sigma, share)
+        side = _contradiction(light, triangles, seen, a, b, sigma, share)
         if side != 0:
             later = side
             for j in range(i + 1, min(i + 3, frames)):
                 if starts[j + 1] > starts[j]:
-                    later = _contradiction(
-                        value, variance, corners, weights, normals, x, v, starts[j], starts[j + 1], sigma, share
-                    )
+                    later = _contradiction(light, triangles, seen, starts[j], starts[j + 1], sigma, share)
                     break
             kinds[i] = STEP if later == side else STRAY
             if kinds[i] == STRAY:
                 continue
-            wait(value, variance, age_s, 0.0, drift_per_s, True)
-        add(vertices, value, variance, age_s, normals, x, v, a, b, blur_rad)
+            wait(light, 0.0, drift_per_s, np.bool_(True))
+        add(light, seen, a, b, blur_rad)
     return kinds
 
 
@@ -284,7 +319,7 @@ def walked(times_s, value, variance, begins, order, drift_per_s, mean, spread): 
 
     value, variance (n, 3), UNKNOWN = not seen;  begins (n,) : the walk begins anew there
     """
-    m, s = np.zeros(3), np.full(3, UNKNOWN)
+    m, s = np.zeros(3), np.array([UNKNOWN, UNKNOWN, UNKNOWN])
     for i in range(len(order)):
         k = order[i]
         for c in range(3):

@@ -13,11 +13,34 @@ int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(we
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
+from arfx.analyse.pose.kernels import solve_in_place
+
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
 _SINGULAR = 1e-10  # of a column's own square: what is left of it beside the others
+
+
+class Seen(NamedTuple):
+    """What is to be explained."""
+
+    normals: np.ndarray
+    value: np.ndarray
+    weight: np.ndarray
+    starts: np.ndarray
+    lit: np.ndarray
+
+
+class Columns(NamedTuple):
+    """Which directions make which light;  lights : how many, m"""
+
+    column: np.ndarray
+    strength: np.ndarray
+    soft: np.ndarray
+    lights: int
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -62,7 +85,8 @@ def _non_negative(G, h, best):  # pragma: no cover - compiled
     m = len(h)
     x = np.zeros(4)
     lowest = 0.0
-    best[:] = 0.0
+    for i in range(m):
+        best[i] = 0.0
     for mask in range((1 << m) - 1, 0, -1):
         if not _solve_subset(G, h, mask, x):
             continue
@@ -79,11 +103,13 @@ def _non_negative(G, h, best):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _fill(normals, lit, dirs, column, strength, soft, A):  # pragma: no cover - compiled
+def _fill(seen: Seen, dirs, columns: Columns, A):  # pragma: no cover - compiled
     """A (m + 1, k) : what each column's lights give each normal, of strength 1; the first is ambient light."""
+    normals, lit, (column, strength, soft, _) = seen.normals, seen.lit, columns
     k = normals.shape[1]
-    A[0] = 1.0
-    A[1:] = 0.0
+    for p in range(len(A)):
+        for i in range(k):
+            A[p, i] = 0.0 if p else 1.0
     for q in range(len(dirs)):
         x, y, z, size, s = dirs[q, 0], dirs[q, 1], dirs[q, 2], strength[q], soft[q]
         row = A[column[q] + 1]
@@ -111,8 +137,9 @@ def _dot(a, b):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _explain(value, weight, starts, A, B, amp, residual):  # pragma: no cover - compiled
+def _explain(seen: Seen, A, B, amp, residual):  # pragma: no cover - compiled
     """Chi squared of the columns A with the best amplitudes; B (m + 1, k) is scratch, amp and residual are filled."""
+    value, weight, starts = seen.value, seen.weight, seen.starts
     m, k = A.shape
     G, h = np.empty((m, m)), np.empty(m)
     for p in range(m):
@@ -130,9 +157,9 @@ def _explain(value, weight, starts, A, B, amp, residual):  # pragma: no cover - 
                 h[p] = _dot(B[p, a:b], value[c, a:b])
             _non_negative(G, h, amp[g, c])
             r = residual[c, a:b]
-            seen = value[c, a:b]
+            v = value[c, a:b]
             for i in range(b - a):
-                r[i] = seen[i]
+                r[i] = v[i]
             for p in range(m):
                 size = amp[g, c, p]
                 if size != 0:
@@ -147,41 +174,32 @@ def _explain(value, weight, starts, A, B, amp, residual):  # pragma: no cover - 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(normals, value, weight, starts, lit, dirs, column, strength, soft, m, amp, residual):  # pragma: no cover - compiled
-    """Chi squared of one set of directions with the best amplitudes; amp and residual are filled."""
-    A = np.empty((m + 1, normals.shape[1]))
-    _fill(normals, lit, dirs, column, strength, soft, A)
-    return _explain(value, weight, starts, A, np.empty_like(A), amp, residual)
+def evaluate(seen: Seen, dirs, columns: Columns, amp, residual, given):  # pragma: no cover - compiled
+    """Chi squared of one set of directions with the best amplitudes; amp and residual are filled.
 
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def shares(normals, value, weight, starts, lit, dirs, column, strength, soft, m, out):  # pragma: no cover - compiled
-    """out (m,) = share of each column's lights in all the light that was seen."""
-    k = normals.shape[1]
-    amp, residual = np.empty((len(starts) - 1, 3, m + 1)), np.empty((3, k))
-    A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
-    _fill(normals, lit, dirs, column, strength, soft, A)
-    _explain(value, weight, starts, A, B, amp, residual)
-    total = 0.0
-    out[:] = 0.0
+    given (g, m + 1) : filled with the sum of what each column gives, times weight
+    """
+    starts, k = seen.starts, seen.normals.shape[1]
+    A, B = np.empty((columns.lights + 1, k)), np.empty((columns.lights + 1, k))
+    _fill(seen, dirs, columns, A)
+    chi = _explain(seen, A, B, amp, residual)
     for g in range(len(starts) - 1):
-        for p in range(m + 1):
-            part = amp[g, :, p].sum() * B[p, starts[g] : starts[g + 1]].sum()
-            total += part
-            if p > 0:
-                out[p - 1] += part
-    out /= max(total, 1e-300)
+        for p in range(columns.lights + 1):
+            given[g, p] = 0.0
+            for i in range(starts[g], starts[g + 1]):
+                given[g, p] += B[p, i]
+    return chi
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def scan(normals, value, weight, starts, lit, many, column, strength, soft, m, out):  # pragma: no cover - compiled
+def scan(seen: Seen, many, columns: Columns, out):  # pragma: no cover - compiled
     """out (n,) = chi squared of each of `many` (n, q, 3) sets of directions."""
-    k = normals.shape[1]
-    amp, residual = np.empty((len(starts) - 1, 3, m + 1)), np.empty((3, k))
+    k, m = seen.normals.shape[1], columns.lights
+    amp, residual = np.empty((len(seen.starts) - 1, 3, m + 1)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
     for n in range(len(many)):
-        _fill(normals, lit, many[n], column, strength, soft, A)
-        out[n] = _explain(value, weight, starts, A, B, amp, residual)
+        _fill(seen, many[n], columns, A)
+        out[n] = _explain(seen, A, B, amp, residual)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -208,43 +226,41 @@ def _turn(v, w, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def refine(
-    normals, value, weight, starts, lit, dirs, column, strength, body, soft, m, passes, gain
-):  # pragma: no cover - compiled
+def refine(seen: Seen, dirs, columns: Columns, body, passes, gain):  # pragma: no cover - compiled
     """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns chi squared.
 
     Ends after `passes`, or where one gains less than the share `gain`. The
     Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless.
     """
-    k, q = normals.shape[1], len(dirs)
+    k, q, m = seen.normals.shape[1], len(dirs), columns.lights
     bodies = 0
     for i in range(q):
         bodies = max(bodies, body[i] + 1)
     n = 3 * bodies
-    amp = np.empty((len(starts) - 1, 3, m + 1))
+    amp = np.empty((len(seen.starts) - 1, 3, m + 1))
     r0, r1 = np.empty((3, k)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
-    _fill(normals, lit, dirs, column, strength, soft, A)
-    best = _explain(value, weight, starts, A, B, amp, r0)
+    _fill(seen, dirs, columns, A)
+    best = _explain(seen, A, B, amp, r0)
     if n == 0:
         return best
     J = np.empty((n, 3 * k))
-    H, g = np.empty((n, n)), np.empty(n)
+    H, g, M, step = np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty((n, 1))
     trial = np.empty((q, 3))
     w = np.empty(3)
     damping, h = 1e-3, 5e-4
     for _ in range(passes):
         before = r0.reshape(-1)
         for p in range(n):
-            w[:] = 0.0
-            w[p % 3] = h
+            for i in range(3):
+                w[i] = h if i == p % 3 else 0.0
             for i in range(q):
                 if body[i] == p // 3:
                     _turn(dirs[i], w, trial[i])
                 else:
                     _copy(dirs[i], trial[i])
-            _fill(normals, lit, trial, column, strength, soft, A)
-            _explain(value, weight, starts, A, B, amp, r1)
+            _fill(seen, trial, columns, A)
+            _explain(seen, A, B, amp, r1)
             after = r1.reshape(-1)
             row = J[p]
             for i in range(3 * k):
@@ -260,20 +276,26 @@ def refine(
             return best
         moved = False
         for _ in range(6):
-            M = H.copy()
             for p in range(n):
+                for s in range(n):
+                    M[p, s] = H[p, s]
                 M[p, p] += damping * H[p, p] + 1e-9 * size
-            step = np.linalg.solve(M, -g)
-            length = np.sqrt((step**2).sum())
+                step[p, 0] = -g[p]
+            solve_in_place(M, step)
+            length = 0.0
+            for p in range(n):
+                length += step[p, 0] ** 2
+            length = np.sqrt(length)
             if length > 0.35:
-                step *= 0.35 / length
+                for p in range(n):
+                    step[p, 0] *= 0.35 / length
             for i in range(q):
                 if body[i] >= 0:
-                    _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3], trial[i])
+                    _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3, 0], trial[i])
                 else:
                     _copy(dirs[i], trial[i])
-            _fill(normals, lit, trial, column, strength, soft, A)
-            chi = _explain(value, weight, starts, A, B, amp, r1)
+            _fill(seen, trial, columns, A)
+            chi = _explain(seen, A, B, amp, r1)
             if chi < best:
                 moved = best - chi > gain * best + 1e-9
                 best = chi

@@ -8,6 +8,8 @@ import math
 import numba
 import numpy as np
 
+from arfx.analyse.sorting import sort
+
 PATCHES = 8
 MARGIN, MOST_MARGIN = 0.2, 0.45  # of a cell that is left out at each side: the inner 60 % remain, at least 10 %
 # A bilinear sample has 4/9 of a pixel's noise variance, on average; samples nearer than 1.5 px have that noise in common.
@@ -131,7 +133,7 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
     """
     count = len(group)
     values = np.empty((PATCHES, count, 3), np.float64)
-    grey = np.empty((PATCHES, count))
+    grey, x = np.empty((PATCHES, count)), np.empty(count)
     size = np.zeros(PATCHES, np.int64)
     for i in range(count):
         g, fx, fy = group[i], part[i, 0], part[i, 1]
@@ -156,17 +158,23 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
         n = size[g]
         if n == 0:
             continue
-        x = np.sort(grey[g, :n])
-        a, b = 0, n
+        for i in range(n):
+            x[i] = grey[g, i]
+        sort(x[:n])
+        a, b = np.int64(0), n
         centre, width = 0.0, np.inf
         for _ in range(4):
             centre = (x[(a + b - 1) // 2] + x[(a + b) // 2]) / 2
             step = half_grey * max(1 / 12.92, _GAMMA * max(centre, 0.0) ** (1 - 1 / _GAMMA))
             width = OUT * max(1.4826 * _spread_about(x, a, b, centre), step)
-            c, d = np.searchsorted(x, centre - width, "left"), np.searchsorted(x, centre + width, "right")
-            if d - c == b - a and b - a < n:
+            first, last = np.int64(0), n
+            while first < n and x[first] < centre - width:
+                first += 1
+            while last > first and x[last - 1] > centre + width:
+                last -= 1
+            if last - first == b - a and b - a < n:
                 break
-            a, b = c, d
+            a, b = first, last
         used = 0
         for i in range(n):
             if abs(grey[g, i] - centre) <= width:
@@ -176,7 +184,8 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
             elif grey[g, i] > centre:
                 tally[g, 2] += 1
         if used < FEWEST:
-            mean[g] = 0.0
+            for c in range(3):
+                mean[g, c] = 0.0
             continue
         tally[g, 0] = used
         for c in range(3):
@@ -196,18 +205,20 @@ def uncertainty(mean, spread, tally, shared, leak, half_grey, cut, out):  # prag
     cut : deviation of a mean over a sample's, for clipped shares in even steps from 0 to 1
     """
     bright, dark, whites, blacks = np.zeros(3), np.zeros(3), 0, 0
-    brightest = np.zeros(3)
+    contrast = np.zeros(3)
     for g in range(PATCHES):
         for c in range(3):
-            brightest[c] = max(brightest[c], abs(mean[g, c]))
+            contrast[c] = max(contrast[c], abs(mean[g, c]))
         if tally[g, 0] > 0:
             if g >= PATCHES // 2:
                 whites += 1
-                bright += mean[g]
             else:
                 blacks += 1
-                dark += mean[g]
-    contrast = bright / max(whites, 1) - dark / max(blacks, 1) if whites and blacks else brightest
+            for c in range(3):
+                (bright if g >= PATCHES // 2 else dark)[c] += mean[g, c]
+    if whites and blacks:
+        for c in range(3):
+            contrast[c] = bright[c] / whites - dark[c] / blacks
     for g in range(PATCHES):
         if not tally[g, 0] > 0:
             continue

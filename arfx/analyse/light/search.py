@@ -52,10 +52,10 @@ class Samples:
     lit: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
-    def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """normals, value, weight, starts and lit as light_model takes them."""
+    def data(self) -> light_model.Seen:
         normals, value = (np.ascontiguousarray(a.T) for a in (self.normals, self.value))
-        return normals, value, self.weight, self.starts, self.lit if len(self.lit) else np.ones(len(self.weight))
+        lit = self.lit if len(self.lit) else np.ones(len(self.weight))
+        return light_model.Seen(normals, value, self.weight, self.starts, lit)
 
     @property
     def groups(self) -> int:
@@ -155,23 +155,32 @@ class Model:
 
     def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
         """(ambient and lights (g, 3, q + 1) in units of the samples' scale, residuals (k, 3) in deviations)"""
-        q, s = self.count, self.at
-        amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals)))
-        light_model.evaluate(*s.data, self.dirs, *_each(q), self.soft, q, amp, residual)
+        amp, residual, _ = self._evaluated
         return amp, residual.T
 
     @cached_property
     def shares(self) -> np.ndarray:
         """(q,) of each light in all the light that was seen."""
-        out = np.empty(self.count)
-        light_model.shares(*self.at.data, self.dirs, *_each(self.count), self.soft, self.count, out)
-        return out
+        amp, _, given = self._evaluated
+        part = amp.sum(1) * given
+        return np.asarray(part.sum(0)[1:] / max(float(part.sum()), 1e-300))
+
+    @cached_property
+    def _evaluated(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        q, s = self.count, self.at
+        amp, residual, given = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals))), np.empty((s.groups, q + 1))
+        light_model.evaluate(s.data, self.dirs, _each(q, self.soft), amp, residual, given)
+        return amp, residual, given
 
 
 @cache
-def _each(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """column and strength of lights that are each their own."""
+def _own(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(count), np.ones(count)
+
+
+def _each(count: int, soft: np.ndarray) -> light_model.Columns:
+    """Of lights of one direction each."""
+    return light_model.Columns(*_own(count), soft, count)
 
 
 def refine(
@@ -186,7 +195,7 @@ def refine(
     if held is not None:
         body[held + 1 :] -= 1
         body[held] = -1
-    chi = light_model.refine(*s.data, d, *_each(q), body, soft, q, passes, gain)
+    chi = light_model.refine(s.data, d, _each(q, soft), body, passes, gain)
     return Model(d, float(chi), s, soft)
 
 
@@ -217,7 +226,7 @@ def search_sky(s: Samples, first: list[Model]) -> list[Model]:
 
 def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[Model]:
     count = len(soft)
-    chi = _scan(s, many, *_each(count), soft, count)
+    chi = _scan(s, many, _each(count, soft))
     rough: list[Model] = []
     free, near = np.ones(len(many), bool), np.cos(np.radians(_APART_DEG))
     for i in np.argsort(chi, kind="stable"):
@@ -282,16 +291,16 @@ def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound:
     body = np.concatenate([[-1, 0], np.arange(1, q)])
     best, apart = np.inf, 0.0
     for ratio in RATIOS:
-        strength = np.concatenate([[1, ratio], np.ones(q - 1)])
+        columns = light_model.Columns(column, np.concatenate([[1, ratio], np.ones(q - 1)]), soft, q)
         for radius in least_deg * RADII:
             sine = np.sin(np.radians(radius)) / ratio  # the two balance about the light that they replace
             if sine >= 1:
                 continue
             a, b = around(place, radius), around(place, float(np.degrees(np.arcsin(sine))), np.pi)
             many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
-            for i in np.argsort(_scan(s, many, column, strength, soft, q), kind="stable")[:2]:
+            for i in np.argsort(_scan(s, many, columns), kind="stable")[:2]:
                 d = np.array(many[i])
-                chi = float(light_model.refine(*s.data, d, column, strength, body, soft, q, 12, FINE_GAIN))
+                chi = float(light_model.refine(s.data, d, columns, body, 12, FINE_GAIN))
                 # one that has moved to where the light was leaves it in its place, beside one that no normal sees
                 if chi < best and np.degrees(angle_between(d[1], place)) > 0.9 * least_deg:
                     best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
@@ -311,7 +320,7 @@ def around(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
     return np.cos(a) * d + np.sin(a) * (np.stack([np.cos(azimuth), np.sin(azimuth)], -1) @ basis)
 
 
-def _scan(s: Samples, many: np.ndarray, column: np.ndarray, strength: np.ndarray, soft: np.ndarray, lights: int) -> np.ndarray:
+def _scan(s: Samples, many: np.ndarray, columns: light_model.Columns) -> np.ndarray:
     out = np.empty(len(many))
-    light_model.scan(*s.data, np.array(many, order="C"), column, strength, soft, lights, out)
+    light_model.scan(s.data, np.array(many, order="C"), columns, out)
     return out

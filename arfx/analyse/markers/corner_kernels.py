@@ -9,6 +9,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.analyse.sorting import sort
+
 SAMPLES = 32  # normals per side
 STEPS = 33  # samples along a normal
 # Where along a side: its rounded and occluded ends are left out. Uneven, lest the samples keep step with the pixels that a
@@ -142,7 +144,8 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset
     for side in range(4):
         for s in range(steps - 1):
             near[s] = mean[side, s] * np.exp(-0.5 * (at[s] / (1.5 * blur_px)) ** 2)
-        third += _moment(near, at, _moment(near, at, 0.0, 1, 0.0), 3, 0.0) / 4
+        cube = _moments(near, at)[1]
+        third += (cube if np.isfinite(cube) else 0.0) / 4
     return gain, blur_px, third / blur_px**3, inverted
 
 
@@ -153,32 +156,26 @@ def _width(mean, at, half):  # pragma: no cover - compiled
     for side in range(4):
         for s in range(len(at)):
             wide[s] = max(mean[side, s], 0.0) * np.exp(-0.5 * (at[s] / (half / 2)) ** 2)
-        seen[side] = _moment(wide, at, _moment(wide, at, 0.0, 1, 0.0), 2, 1.0)
-    _sort(seen)
+        square = _moments(wide, at)[0]
+        seen[side] = square if np.isfinite(square) else 1.0
+    sort(seen)
     own = 1 / (1 / ((seen[1] + seen[2]) / 2) - 1 / (half / 2) ** 2)
     return np.sqrt(min(max(own, 0.04), half**2)) if np.isfinite(own) and own > 0 else half
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _moment(profile, at, centre, power, where_zero):  # pragma: no cover - compiled
-    """Mean of (at - centre)^power under a profile."""
-    total, moment = 0.0, 0.0
+def _moments(profile, at):  # pragma: no cover - compiled
+    """Means of the square and of the cube of `at` about its mean, under a profile; not finite where that sums up to nothing."""
+    total, first, square, cube = 0.0, 0.0, 0.0, 0.0
     for s in range(len(at)):
         total += profile[s]
-        moment += profile[s] * (at[s] - centre) ** power
-    q = moment / total
-    return q if np.isfinite(q) else where_zero
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sort(v):  # pragma: no cover - compiled
-    """In place, by insertion: a few numbers, and numpy's sort takes a second to compile."""
-    for i in range(1, len(v)):
-        x, j = v[i], i - 1
-        while j >= 0 and v[j] > x:
-            v[j + 1] = v[j]
-            j -= 1
-        v[j + 1] = x
+        first += profile[s] * at[s]
+    centre = first / total if np.isfinite(first / total) else 0.0
+    for s in range(len(at)):
+        d = at[s] - centre
+        square += profile[s] * (d * d)
+        cube += profile[s] * (d * (d * d))
+    return square / total, cube / total
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -206,13 +203,13 @@ def _fit(offset, f, ends):  # pragma: no cover - compiled
             if k < 2:  # the last round only needs the line
                 for m in range(samples):
                     size[m] = ordered[m] = abs(v[m] - at0 - grade * f[m])
-                _sort(ordered)
+                sort(ordered)
                 scale = 1.4826 * ordered[samples // 2] + 1e-3
                 for m in range(samples):
                     weight[m] = 1.0 / (1.0 + (size[m] / (2.5 * scale)) ** 2) ** 2
                 scales[side] = scale
         ends[side, 0], ends[side, 1] = at0, at0 + grade
-    _sort(scales)
+    sort(scales)
     return (scales[1] + scales[2]) / 2
 
 

@@ -78,8 +78,7 @@ def smooth_chain(measured: np.ndarray, pull: np.ndarray, links: Links, density: 
     """
     n = len(measured)
     means, covs = np.empty((n, DIM)), np.empty((n, DIM, DIM))
-    m, g, move, gate, shift, shake, dt, q = _arrays(measured, pull, links, density)
-    kernels.filter_and_smooth(m, g, move, gate, shift, shake, dt, q, _START, means, covs)
+    kernels.filter_and_smooth(_chain(measured, pull, links), np.array(density, float, order="C"), means, covs)
     if not (np.isfinite(means).all() and np.isfinite(covs).all()):
         raise np.linalg.LinAlgError("the smoother's chain is singular")
     return means, covs
@@ -88,15 +87,15 @@ def smooth_chain(measured: np.ndarray, pull: np.ndarray, links: Links, density: 
 def evidence(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray) -> np.ndarray:
     """(c,) log evidence, up to a constant, of c candidates of noise density (c, n - 1, 7) on one chain."""
     out = np.empty(len(density))
-    m, g, move, gate, shift, shake, dt, q = _arrays(measured, pull, links, density)
-    kernels.log_evidence(m, g, move, gate, shift, shake, dt, q, _START, out)
+    kernels.log_evidence(_chain(measured, pull, links), np.array(density, float, order="C"), out)
     return out
 
 
-def _arrays(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray) -> list[np.ndarray]:
-    """Copies, all of one type to the compiler: contiguous and writable."""
-    given = (measured, pull, links.move, links.gate, links.shift, links.shake, links.dt_s, density)
-    return [np.array(a, float, order="C") for a in given]
+def _chain(measured: np.ndarray, pull: np.ndarray, links: Links) -> kernels.Chain:
+    """Of copies, all of one type to the compiler: contiguous and writable."""
+    given = (measured, pull, links.move, links.gate, links.shift, links.shake, links.dt_s)
+    m, g, move, gate, shift, shake, dt = (np.array(a, float, order="C") for a in given)
+    return kernels.Chain(m, g, move, gate, shift, shake, dt, _START)
 
 
 def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density: np.ndarray | None, local: bool) -> np.ndarray:

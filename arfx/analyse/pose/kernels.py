@@ -8,6 +8,8 @@ measurements are taken in one by one. Float64 throughout.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -17,6 +19,20 @@ DIM = 12
 _UNFIXED = 1e-14  # share of an axis's information below which what the other axes leave of it is rounding
 HUBER_SIGMA = 3.0  # residuals beyond it count linearly
 _SETTLED = 1e-9  # change of the cost, relative to 1 + cost
+
+
+class Chain(NamedTuple):
+    """Of n states. measured (n, 6, 6), pull (n, 6) : as of smooth_chain;  move ... dt (n - 1, ...) : of its links
+    start : standard deviations of the first state"""
+
+    measured: np.ndarray
+    pull: np.ndarray
+    move: np.ndarray
+    gate: np.ndarray
+    shift: np.ndarray
+    shake: np.ndarray
+    dt: np.ndarray
+    start: np.ndarray
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -169,8 +185,9 @@ def _update(x, p, root, value, t):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def filter_and_smooth(measured, pull, move, gate, shift, shake, dt, density, start, means, covs):  # pragma: no cover - compiled
+def filter_and_smooth(chain: Chain, density, means, covs):  # pragma: no cover - compiled
     """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the rest as for smooth_chain."""
+    measured, pull, move, gate, shift, shake, dt, start = chain
     n = len(measured)
     x, p, none = np.zeros(DIM), np.empty((DIM, DIM)), np.zeros(DIM)
     _keep(none, start, x, p)
@@ -216,8 +233,9 @@ def filter_and_smooth(measured, pull, move, gate, shift, shake, dt, density, sta
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def log_evidence(measured, pull, move, gate, shift, shake, dt, density, start, out):  # pragma: no cover - compiled
+def log_evidence(chain: Chain, density, out):  # pragma: no cover - compiled
     """Fill out (c,): log evidence, up to a constant, of c candidates of density (c, n - 1, 6)."""
+    measured, pull, move, gate, shift, shake, dt, start = chain
     x, p, none, upper = np.empty(DIM), np.empty((DIM, DIM)), np.zeros(DIM), np.empty((6, DIM))
     n = len(measured)
     roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
@@ -240,7 +258,7 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
     for n in range(len(rotation)):
         r, t = rotation[n], translation[n]
         damping, still = 1e-4, 0
-        best = _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, True)
+        best = _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(True))
         for _ in range(iterations):
             for i in range(6):
                 for j in range(6):
@@ -253,7 +271,7 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
                 for j in range(3):
                     new_r[i, j] = turn[i, 0] * r[0, j] + turn[i, 1] * r[1, j] + turn[i, 2] * r[2, j]
                 new_t[i] = turn[i, 0] * t[0] + turn[i, 1] * t[1] + turn[i, 2] * t[2] + step[i + 3, 0]
-            now = _system(new_r, new_t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, False)
+            now = _system(new_r, new_t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(False))
             # settled twice in a row: a refused step may by chance cost the same as the place it came from
             still = still + 1 if abs(best - now) < _SETTLED * (1 + best) else 0
             if now < best:
@@ -268,7 +286,7 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
             if still > 1 or not np.isfinite(best):
                 break
             if now <= best:
-                _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, True)
+                _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(True))
         cost[n] = best
 
 
