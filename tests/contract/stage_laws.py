@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch, neutral
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.pixels import Pixels
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
 
@@ -51,7 +52,7 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
 
 def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndarray]:
     made = at.stage.run(at.view(layers, f, before=(at.view(layers, f),) * at.stage.history), at.prepared)
-    return {name: a.over(name, layers.rect) if isinstance(a, Patch) else a for name, a in made.items()}
+    return {name: Layers(layers.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
 
 
 def check_roi_law(at: ReadyStage, f: FrameFacts, seed: int, atol: float = 1e-6) -> None:

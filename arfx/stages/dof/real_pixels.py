@@ -41,7 +41,7 @@ class RealPixels:
 
             parallel_map(fill, strips(box))
             box = box.shift(-now.rect.x0, -now.rect.y0)
-        image = now.within(Layer.IMAGE, parts)
+        image = now.written[Layer.IMAGE].over(now.rect, parts)
         if not image.flags.c_contiguous:
             seen, image = image, np.empty(image.shape, np.float32)
             for needed in parts:

@@ -9,8 +9,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch
+from arfx.core.layers import Layer, Layers
 from arfx.core.model import Material
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
@@ -77,7 +78,7 @@ def blurred(
     out = ready.run(at.layers, at.facts)[Layer.IMAGE]
     if seconds is not None:
         seconds.append(time.perf_counter() - start)
-    return out.array if isinstance(out, Patch) else out
+    return out(at.layers.rect) if isinstance(out, Pixels) else out
 
 
 def with_layers(at: Shot, **arrays: np.ndarray) -> Shot:

@@ -10,9 +10,10 @@ import trimesh
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch, neutral
+from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
@@ -66,7 +67,7 @@ def run_stage(
     if layers is None:
         layers = Layers(s.camera.rect).adding({name: neutral(name, s.camera.rect) for name in Lightmap.reads})
     made = (ready or ReadyStage.of(stage, s, level_named(stage.levels, level))).run(layers, f)
-    return {name: a.over(name, s.camera.rect) if isinstance(a, Patch) else a for name, a in made.items()}
+    return {name: Layers(s.camera.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
 
 
 def ground_points(s: Scene, pose: Pose) -> np.ndarray:
