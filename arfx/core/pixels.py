@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,7 @@ class Region:
     @property
     def bounds(self) -> Rect:
         """Smallest rectangle that holds all."""
-        out = EMPTY
-        for r in self.rects:
-            out = out.union(r)
-        return out
+        return reduce(Rect.union, self.rects, EMPTY)
 
     def columns(self, rect: Rect) -> np.ndarray:
         """(h, 2) int32 of the rows of a rectangle that holds all: first and behind the last, from the rectangle's left."""
@@ -74,18 +72,14 @@ class Pixels:
     """
 
     def __init__(
-        self,
-        rect: Rect,
-        array: np.ndarray | None = None,
-        rest: Callable[[Rect], np.ndarray] | None = None,
-        part: Rect | None = None,
-        written: Sequence[Rect] | None = None,
-    ) -> None:
+        self, rect: Rect, array: np.ndarray | None = None, rest: Callable[[Rect], np.ndarray] | None = None,
+        part: Rect | None = None, written: Sequence[Rect] | None = None,
+    ) -> None:  # fmt: skip
         self.rect, self.rest, self.seconds = rect, rest, 0.0
         self.part = EMPTY if array is None else rect if part is None else part
         self.array = np.empty((0, 0, 3), np.float32) if array is None else array
         self.written = Region([self.part] if written is None else written)
-        self._made = Region(self.written.rects)
+        self._made: Region | None = None  # `written` and what `rest` made since
 
     @property
     def painted(self) -> Rect:
@@ -95,6 +89,8 @@ class Pixels:
 
     def clip(self, rect: Rect) -> Pixels:
         """Nothing written outside of a rectangle."""
+        if rect.contains(self.part):
+            return self
         if self.written.rects == [self.part]:  # whoever made the array may keep it: what is left of it is never filled in
             part = self.part.clip(rect)
             return Pixels(self.rect, self.array[part.slices_in(self.part)], self.rest, part)
@@ -109,15 +105,16 @@ class Pixels:
         parts = [p.clip(rect) for p in parts]
         if sum(p.area for p in parts) >= NEARLY_ALL * rect.area:
             parts = [rect]
-        if parts == [rect] and not self._made.rects:  # most often nothing else is asked for
-            self.part, self.array, self._made = rect, self._make(rect), Region([rect])
+        made = self._made = self._made or Region(self.written.rects)
+        if parts == [rect] and not made.rects:  # most often nothing else is asked for
+            self.part, self.array, made.rects = rect, self._make(rect), [rect]
         if not self.part.contains(rect):
             array = np.empty((self.rect.height, self.rect.width, *self.array.shape[2:]), self.array.dtype)
-            for r in self._made.rects:
+            for r in made.rects:
                 array[r.slices_in(self.rect)] = self.array[r.slices_in(self.part)]
             self.part, self.array = self.rect, array
         for p in parts:
-            for missing in self._made.grow(p.align(1, BAND_PX).clip(Rect(p.x0, self.part.y0, p.x1, self.part.y1))):
+            for missing in made.grow(p.align(1, BAND_PX).clip(Rect(p.x0, self.part.y0, p.x1, self.part.y1))):
                 self.array[missing.slices_in(self.part)] = self._make(missing)
         return self.array[rect.slices_in(self.part)]
 

@@ -152,8 +152,9 @@ def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> Non
     if array.strides[-1] == 0:  # one value for all channels
         array = array[..., 0]
     if array.dtype == np.float32 and array.flags.c_contiguous:
-        bits = array.reshape(len(array), -1).view(np.int32)
-        if _finite(bits, region.columns(rect) * np.int32(bits.shape[1] // rect.width)):
+        bits, n = array.reshape(len(array), -1).view(np.int32), array.size // rect.area
+        rows = ((r.y0 - rect.y0, r.y1 - rect.y0, n * (r.x0 - rect.x0), n * (r.x1 - rect.x0)) for r in region.rects)
+        if all(_finite(bits[top:bottom], a, b) for top, bottom, a, b in rows):
             return
     kept = np.zeros(array.shape[:2], bool)
     for part in region.rects:
@@ -169,11 +170,11 @@ def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> Non
 
 
 @numba.njit(cache=True, nogil=True)
-def _finite(bits: np.ndarray, columns: np.ndarray) -> bool:  # pragma: no cover - compiled
-    """Whether all float32 with these bits (h, n) in columns (h, 2) are finite: none has all bits of its exponent set."""
+def _finite(bits: np.ndarray, a: int, b: int) -> bool:  # pragma: no cover - compiled
+    """Whether all float32 with these bits (h, n) in columns a to b are finite: none has all bits of its exponent set."""
     highest = np.int32(0)
     for y in range(bits.shape[0]):
-        row = bits[y, columns[y, 0] : columns[y, 1]]
+        row = bits[y, a:b]
         for k in range(row.shape[0]):
             highest = max(highest, row[k] & np.int32(0x7F800000))
     return bool(highest < np.int32(0x7F800000))

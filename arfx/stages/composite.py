@@ -43,7 +43,7 @@ class Composite(Stage):
         if not box.rect.empty:
             virtual, left = box[Layer.VIRTUAL], box.one_channel(Layer.SHADOW)
             _over(box[Layer.PLATE], virtual, box[Layer.COVERAGE], left, opacity, bias, made)
-        rest = Attenuated(plate, dark.rect, dark.one_channel(Layer.SHADOW), opacity, bias, _shade)
+        rest = Attenuated(plate, dark.rect, dark.one_channel(Layer.SHADOW), opacity, bias, shade)
         return {Layer.IMAGE: Pixels(now.rect, made, rest, box.rect)}
 
 
@@ -51,7 +51,7 @@ class Composite(Stage):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
+def shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
     """The plane's pixels without an object before it: the same as `_over` with coverage 0. shadow : (h, w, 3 or 1)"""
     width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
     line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)

@@ -11,6 +11,7 @@ from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.pixels import Pixels
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
+from tests.scenes import layers_of
 
 
 def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
@@ -30,7 +31,7 @@ def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
             out[name] = g.integers(0, 3, (h, w)).astype(np.int32)
         else:
             out[name] = g.random(neutral(name, rect).shape, dtype=np.float32)
-    return Layers(rect).adding(out)
+    return layers_of(rect, out)
 
 
 def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
@@ -47,7 +48,7 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
         for k, v in enumerate(values):
             b[pick == k] = v
         out[name] = b
-    return Layers(rect).adding(out)
+    return layers_of(rect, out)
 
 
 def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndarray]:

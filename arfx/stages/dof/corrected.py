@@ -119,11 +119,8 @@ def render(
     parts = []  # of the real scene, that are looked at
     for (top, bottom), (a, b) in zip(rows, lit, strict=True):
         strip = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
-        part = Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1)
         under = EMPTY if boxed is None else boxed.rect.clip(strip)
-        part = Rect(part.x0, strip.y0, part.x1, strip.y1).union(Rect(under.x0, strip.y0, under.x1, strip.y1))
-        if not part.empty:
-            parts.append(part)
+        parts += [Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1).union(Rect(under.x0, strip.y0, under.x1, strip.y1))]
     sharp = RealPixels.of(now, facts, parts)
     measured = _measured(now, sharp, real, at) if real_blurs else None
     cuts, kept = _real_cut_outs(rect, sharp, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)

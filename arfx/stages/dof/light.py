@@ -21,25 +21,6 @@ KEPT, TRIED, LAID = np.uint8(0), np.uint8(1), np.uint8(2)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def behind(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
-    """out (h, w, 3): the real scene with the shadow and without the object, as `composite` has it where nothing covers it.
-
-    shadow : (h, w, 3), or (h, w, 1) of all channels
-    """
-    width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
-    line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    for n in range(width):
-        below[n] = bias[n % 3]
-    for y in range(out.shape[0]):
-        for x in range(plate.shape[1]):
-            for c in range(3):
-                line[3 * x + c], left[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
-        to = out[y].reshape(-1)
-        for n in range(width):
-            to[n] = line[n] + opacity * (line[n] * (left[n] - one) + below[n] * (one - left[n]))
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def _all_blurred(light, radius, y, lo, hi):  # pragma: no cover - compiled
     """Whether every pixel of row y, columns lo..hi, has a blur circle and got light."""
     bits, faintest = radius[y, lo:hi].view(np.int32), np.float32(np.inf)

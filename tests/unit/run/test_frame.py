@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.core.layers import Layer, Layers
-from arfx.core.pixels import Pixels
+from arfx.core.pixels import Attenuated, Pixels
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, Stage
@@ -18,7 +18,7 @@ from arfx.plan.planner import plan_frame
 from arfx.run.chunks import borders
 from arfx.run.frame import Canvas, made_ready, run_frame
 from arfx.stages.composite import Composite
-from tests.scenes import facts, scene
+from tests.scenes import facts, layers_of, scene
 from tests.unit.media.test_dimming import samples
 from tests.unit.media.test_frame import frame
 
@@ -41,6 +41,18 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
     untouched = image.copy()
     untouched[at] = plate[at]
     assert np.array_equal(untouched, plate), "and the plate itself was not written to"
+
+
+def test_what_a_stage_wrote_of_image_lies_over_what_was_there() -> None:
+    whole, inner, dark = Rect(0, 0, 40, 30), Rect(5, 5, 20, 20), Rect(10, 10, 30, 25)
+    canvas = Canvas(np.ones((30, 40, 3), np.float32), whole)
+    canvas.put(Layer.IMAGE, np.full((15, 15, 3), 3, np.float32), inner, inner)
+    plate, left = canvas.stored[Layer.PLATE], np.full((15, 20, 1), 0.5, np.float32)
+    light = Attenuated(plate, dark, left, np.float32(1), np.zeros(3, np.float32), lambda p, k, _, __, out: np.multiply(p, k, out))
+    canvas.put(Layer.IMAGE, Pixels(dark, rest=light), dark, dark)
+    expected = np.ones((30, 40, 3), np.float32)
+    expected[inner.slices], expected[dark.slices] = 3, 0.5
+    assert np.array_equal(canvas.view(frozenset({Layer.IMAGE}), whole)[Layer.IMAGE], expected)
 
 
 class Bad(Stage):
@@ -207,8 +219,9 @@ def test_composite_leaves_bare_pixels_bit_identical() -> None:
 
     rect = Rect(0, 0, 50, 40)
     plate = np.random.default_rng(2).random((40, 50, 3), dtype=np.float32)
-    layers = Layers(rect).adding(
-        {Layer.PLATE: plate, Layer.IMAGE: plate, **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)}}
+    layers = layers_of(
+        rect,
+        {Layer.PLATE: plate, Layer.IMAGE: plate, **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)}},
     )
     out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE](rect)
     assert np.array_equal(out, plate)

@@ -19,7 +19,7 @@ from arfx.plan.planner import plan_frame
 from arfx.run.frame import made_ready, run_frame
 from arfx.stages import STAGES
 from arfx.stages.dof import Dof
-from tests.scenes import box_model, camera, facts, look_at, scene
+from tests.scenes import box_model, camera, facts, layers_of, look_at, scene
 
 MAKING = ("raster", "lightmap", "composite")
 
@@ -84,7 +84,7 @@ def blurred(
 def with_layers(at: Shot, **arrays: np.ndarray) -> Shot:
     """Some layers replaced, by name; PLATE also as IMAGE unless that is given."""
     new = {Layer(k): v for k, v in arrays.items()}
-    return Shot(at.scene, at.facts, at.layers.adding(new))
+    return Shot(at.scene, at.facts, layers_of(at.layers.rect, new, at.layers))
 
 
 def moved(at: Shot, pose: Pose) -> Shot:
