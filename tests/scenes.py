@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.layers import Layer, Layers
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Material, Model, Part
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.core.scene import Placement, Scene
@@ -62,3 +65,8 @@ def facts(s: Scene, pose: Pose | None = None, index: int = 0, opacity: float = 1
         index, index / 30, status=MEASURED, camera_from_world=pose, opacity=opacity, model_box=box,
         depth_range_m=(float(z.min()), float(z.max())),
     )  # fmt: skip
+
+
+def layers_of(rect: Rect, arrays: Mapping[Layer, np.ndarray], others: Layers | None = None) -> Layers:
+    """Layers written all over a rectangle, in place of `others` or beside them."""
+    return Layers(rect, {**(others.written if others else {}), **{name: Pixels(rect, array) for name, array in arrays.items()}})

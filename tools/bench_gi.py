@@ -42,7 +42,7 @@ def layers_of(at: BenchScene) -> Layers:
         step = steps[s.name]
         made = ReadyStage.of(s, at.scene, levels[s.name]).run(canvas.view(s.reads, step.need), at.facts)
         for layer, array in made.items():
-            canvas.take(layer, array, step.need, step.out)
+            canvas.put(layer, array, step.need, step.out)
     return canvas.view(Gi.reads, steps["gi"].need)
 
 

@@ -68,9 +68,3 @@ def finite(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return finite(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def count_non_finite(array: np.ndarray) -> int:
-    """Number of pixels (all trailing channels together) with a NaN or an infinity."""
-    bad = ~np.isfinite(array)
-    return int(bad.reshape(*array.shape[:2], -1).any(-1).sum()) if array.ndim > 2 else int(bad.sum())

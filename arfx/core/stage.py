@@ -10,10 +10,11 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.health import Check, JobView
-from arfx.core.layers import Dimmed, Layer, Layers, Patch
+from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
 from arfx.core.memo import Memos
 from arfx.core.noise import noise, noise_key
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -41,7 +42,6 @@ class View:
     out : the pixels that are kept of what it makes: a slow stage may leave the others as they are
     key : of its random numbers, from seed, frame and stage;  memo : what it keeps from frame to frame
     before : earlier frames, oldest first, at most `history`; those have no earlier ones themselves
-    last : nobody reads what it makes but the edit of the frame, so IMAGE may be left as `Dimmed`
     """
 
     layers: Layers
@@ -52,7 +52,6 @@ class View:
     key: int
     memo: Memos
     before: tuple[View, ...] = ()
-    last: bool = False
 
     def __getitem__(self, name: Layer) -> np.ndarray:
         return self.layers[name]
@@ -145,7 +144,7 @@ class Stage:
         """What it estimated in a job, for the report."""
         return ()
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Patch | Dimmed]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         """What it writes, over the rectangle of the view. prepared : what `prepare` returned"""
         raise NotImplementedError
 
@@ -164,14 +163,12 @@ class ReadyStage:
     def of(stage: Stage, scene: Scene, level: str) -> ReadyStage:
         return ReadyStage(stage, scene, level, stage.prepare(scene, level))
 
-    def view(
-        self, layers: Layers, facts: FrameFacts, out: Rect | None = None, before: tuple[View, ...] = (), last: bool = False
-    ) -> View:
+    def view(self, layers: Layers, facts: FrameFacts, out: Rect | None = None, before: tuple[View, ...] = ()) -> View:
         """out : None = all"""
         key = noise_key(self.scene.seed, facts.index, self.stage.name)
-        return View(layers, facts, self.scene, self.level, layers.rect if out is None else out, key, self.memo, before, last)
+        return View(layers, facts, self.scene, self.level, layers.rect if out is None else out, key, self.memo, before)
 
-    def run(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> Mapping[Layer, np.ndarray | Patch | Dimmed]:
+    def run(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> Mapping[Layer, np.ndarray | Pixels]:
         """One frame by itself."""
         return self.stage.run(self.view(layers, facts, out), self.prepared)
 

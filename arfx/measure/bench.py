@@ -123,7 +123,7 @@ def _cells(at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], l
         raise ConfigError(f"the standard scene does not use {stage!r}: {why}", f"one of {', '.join(steps)}")
     canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
     if at.real_depth_m is not None:
-        canvas.put(Layer.REAL_DEPTH, plan.rect, at.real_depth_m[plan.rect.slices])
+        canvas.put(Layer.REAL_DEPTH, at.real_depth_m[plan.rect.slices], plan.rect, plan.rect)
     cells = []
     for name, step in steps.items():
         s = made[name]
@@ -132,7 +132,7 @@ def _cells(at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], l
         if name == timed[-1]:
             break
         for layer, array in _run(ReadyStage.of(s, at.scene, standard[name]), step, canvas, at.facts).items():
-            canvas.take(layer, array, step.need, step.out)
+            canvas.put(layer, array, step.need, step.out)
     return cells
 
 

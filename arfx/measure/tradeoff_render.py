@@ -73,7 +73,7 @@ class FrameBench:
         """The frame as it was, before any step."""
         canvas = Canvas(self.plate, self.shop.scene.camera.rect)
         if self.real_depth_m is not None:
-            canvas.put(Layer.REAL_DEPTH, canvas.rect, self.real_depth_m)
+            canvas.put(Layer.REAL_DEPTH, self.real_depth_m, canvas.rect, canvas.rect)
         return canvas
 
     def image(self, chain: Chain) -> np.ndarray:
@@ -125,7 +125,7 @@ class FrameBench:
         began = time.process_time()
         at = self.shop.at(step.stage, step.level)
         for layer, array in at.run(canvas.view(at.stage.reads, step.need), self.facts, step.out).items():
-            canvas.take(layer, array, step.need, step.out)
+            canvas.put(layer, array, step.need, step.out)
         told = f"{step.stage}/{step.level}"
         self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.process_time() - began
 

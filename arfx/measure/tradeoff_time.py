@@ -150,7 +150,7 @@ def time_frame(
             runner = _Runner(times, ready(step.stage, level), facts, canvas)
             runner.run(step.out)
             for layer, array in runner.made.items():
-                canvas.take(layer, array, runner.need, step.out)
+                canvas.put(layer, array, runner.need, step.out)
 
 
 @dataclass

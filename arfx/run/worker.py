@@ -20,6 +20,7 @@ from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.pixels import Pixels
 from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
@@ -32,7 +33,7 @@ from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
 from arfx.run.ahead import Behind
 from arfx.run.depth import job_depth, real_depth_layer
 from arfx.run.folder import JobFolder, content_digest, disk_error, read_lines
-from arfx.run.frame import Canvas, Plate, run_frame
+from arfx.run.frame import Canvas, run_frame
 from arfx.run.inputs import job_model
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
@@ -201,18 +202,18 @@ def _frame(
 ) -> Frame:
     if not plan.steps or plan.changed.empty:
         return frame
-    plate = Plate(plan.rect, frame.linear)
+    plate = Pixels(plan.rect, rest=frame.linear)
     depth = None
     if context.depth is not None and any(Layer.REAL_DEPTH in context.stages[s.stage].reads for s in plan.steps):
         start = time.perf_counter()
         depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
         seconds["decode"] += time.perf_counter() - start
     ready = {s.stage: context.ready[s.stage, s.level] for s in plan.steps}
-    result = run_frame(plate, facts, plan, ready, tuple(past) if context.history else None, depth)
+    result = run_frame(plate, facts, plan, ready, tuple(past), depth)
     past.append((result.canvas, facts))
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s
     start = time.perf_counter()
-    out = result.onto(frame, plan.changed)
+    out = result.onto(frame)
     seconds["edit"] += time.perf_counter() - start + plate.seconds
     return out

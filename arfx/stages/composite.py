@@ -17,7 +17,8 @@ import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Dimmed, Layer, Layers, Patch
+from arfx.core.layers import Layer
+from arfx.core.pixels import Attenuated, Pixels
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -32,45 +33,39 @@ class Composite(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         return Demand(frame, "something virtual is in view", within_earlier=True)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Dimmed]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
+        """The object's box; beside it nothing is mixed: the light alone is less, and worked out where somebody asks for it."""
         now, facts = view.layers, view.facts
-        if view.last:  # beside the object nothing is mixed: the light alone is less
-            part = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.drawn_box))
-            dark = now.crop(now.extent(Layer.SHADOW))
-            over = Patch(part.rect, _composed(part, facts) if not part.rect.empty else np.empty((0, 0, 3), np.float32))
-            return {Layer.IMAGE: Dimmed(over, dark.rect, dark.one_channel(Layer.SHADOW), facts.opacity, np.array(facts.bias_rgb))}
-        return {Layer.IMAGE: _composed(now, facts)}
-
-
-def _composed(now: Layers, facts: FrameFacts) -> np.ndarray:
-    virtual = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)))
-    opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-    plate = now[Layer.PLATE]
-    out = np.empty_like(plate)
-    if virtual.rect != now.rect:
-        shadow = now[Layer.SHADOW]
-        _shade(plate.reshape(len(plate), -1), shadow.reshape(len(plate), -1), opacity, bias, out.reshape(len(plate), -1))
-    if not virtual.rect.empty:
-        inside = virtual.rect.slices_in(now.rect)
-        left = virtual.one_channel(Layer.SHADOW)
-        _over(plate[inside], virtual[Layer.VIRTUAL], virtual[Layer.COVERAGE], left, opacity, bias, out[inside])
-    return out
+        box = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.drawn_box))
+        dark, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
+        opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
+        made = np.empty((box.rect.height, box.rect.width, 3), np.float32)
+        if not box.rect.empty:
+            virtual, left = box[Layer.VIRTUAL], box.one_channel(Layer.SHADOW)
+            _over(box[Layer.PLATE], virtual, box[Layer.COVERAGE], left, opacity, bias, made)
+        rest = Attenuated(plate, dark.rect, dark.one_channel(Layer.SHADOW), opacity, bias, shade)
+        return {Layer.IMAGE: Pixels(now.rect, made, rest, box.rect)}
 
 
 # Both take differences, so that a pixel with nothing virtual keeps its exact value.
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
-    """The plane's pixels without an object before it: the same as `_over` with coverage 0. Lines of 3 x width values."""
-    below = np.empty(plate.shape[1], np.float32)
-    for k in range(plate.shape[1]):
+def shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
+    """The plane's pixels without an object before it: the same as `_over` with coverage 0. shadow : (h, w, 3 or 1)"""
+    width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
+    line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    for k in range(width):
         below[k] = bias[k % 3]
-    one = np.float32(1)
     for y in range(plate.shape[0]):
-        for k in range(plate.shape[1]):
-            p, left = plate[y, k], shadow[y, k]
-            out[y, k] = p + opacity * (p * (left - one) + below[k] * (one - left))
+        for x in range(plate.shape[1]):
+            for c in range(3):
+                line[3 * x + c], left[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
+        for k in range(width):
+            line[k] += opacity * (line[k] * (left[k] - one) + below[k] * (one - left[k]))
+        for x in range(plate.shape[1]):
+            for c in range(3):
+                out[y, x, c] = line[3 * x + c]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

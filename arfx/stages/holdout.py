@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Patch
+from arfx.core.layers import Layer
 from arfx.core.numerics import divide
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -64,11 +65,11 @@ class Holdout(Stage):
     def prepare(self, scene: Scene, level: str) -> np.ndarray:
         return direction_grid(scene.camera)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, Patch]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         now, scene = view.layers, view.scene
         inside = now.extent(Layer.SHADOW)
         if inside.empty:
-            return {Layer.SHADOW: Patch(inside, np.empty((0, 0, 3), np.float32))}
+            return {Layer.SHADOW: Pixels(inside, np.empty((0, 0, 3), np.float32))}
         around = inside.pad(reach_px(scene)).clip(now.rect)
         part, told = now.crop(around), view.facts.real_depth
         tolerance = max(self.params.tolerance, 0.0 if told is None else _SIGMAS * told.noise)
@@ -78,7 +79,7 @@ class Holdout(Stage):
         share = share[inside.slices_in(around)]
         shadow = now.crop(inside).one_channel(Layer.SHADOW)
         left = shadow + (1 - shadow) * (1 - share[..., None])  # the same bits where share is 1
-        return {Layer.SHADOW: Patch(inside, np.broadcast_to(left, (*share.shape, 3)))}
+        return {Layer.SHADOW: Pixels(inside, np.broadcast_to(left, (*share.shape, 3)))}
 
 
 def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.ndarray:

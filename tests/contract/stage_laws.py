@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch, neutral
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.pixels import Pixels
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
+from tests.scenes import layers_of
 
 
 def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
@@ -29,7 +31,7 @@ def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
             out[name] = g.integers(0, 3, (h, w)).astype(np.int32)
         else:
             out[name] = g.random(neutral(name, rect).shape, dtype=np.float32)
-    return Layers(rect).adding(out)
+    return layers_of(rect, out)
 
 
 def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
@@ -46,12 +48,12 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
         for k, v in enumerate(values):
             b[pick == k] = v
         out[name] = b
-    return Layers(rect).adding(out)
+    return layers_of(rect, out)
 
 
 def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndarray]:
     made = at.stage.run(at.view(layers, f, before=(at.view(layers, f),) * at.stage.history), at.prepared)
-    return {name: a.over(name, layers.rect) if isinstance(a, Patch) else a for name, a in made.items()}
+    return {name: Layers(layers.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
 
 
 def check_roi_law(at: ReadyStage, f: FrameFacts, seed: int, atol: float = 1e-6) -> None:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Spans
+from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.parallel import parallel_map
+from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import deposit, light
 from arfx.stages.dof.cutout import continue_outside, object_radius
@@ -100,7 +101,7 @@ def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
 def render(
     now: Layers, facts: FrameFacts, frame: Rect, out: Rect, real: Real, grid: np.ndarray, at: Circles, ladder: Ladder,
     params: DofParams,
-) -> Spans:  # fmt: skip
+) -> Pixels:  # fmt: skip
     """IMAGE of a frame with a pose over `out`, and somewhat more of the same rows. frame : the whole picture"""
     optics = np.float32(at.px_per_dioptre), np.float32(at.focus), np.float32(at.limit_px)
     largest = float(at.radius_px(np.array(real.dioptre_range(grid))).max()) if params.scope == "all" else 0.0
@@ -117,11 +118,8 @@ def render(
     parts = []  # of the real scene, that are looked at
     for (top, bottom), (a, b) in zip(rows, lit, strict=True):
         strip = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
-        part = Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1)
         under = EMPTY if boxed is None else boxed.rect.clip(strip)
-        part = Rect(part.x0, strip.y0, part.x1, strip.y1).union(Rect(under.x0, strip.y0, under.x1, strip.y1))
-        if not part.empty:
-            parts.append(part)
+        parts += [Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1).union(Rect(under.x0, strip.y0, under.x1, strip.y1))]
     sharp = RealPixels.of(now, facts, parts)
     measured = _measured(now, sharp, real, at) if real_blurs else None
     cuts, kept = _real_cut_outs(rect, sharp, real, grid, optics, ladder, params) if real_blurs else ([], _NONE)
@@ -145,9 +143,9 @@ def render(
 
     parallel_map(start, [k for k, (a, b) in enumerate(lit) if a < b])
     parallel_map(lambda job: job[0].deposit(job[1]), [(c, s) for c in cuts for s in strips(c.rect)])
-    result, columns = np.empty(image.shape, np.float32), np.zeros((rect.height, 2), np.int32)
+    result = np.empty(image.shape, np.float32)
 
-    def finish(strip: tuple[int, int]) -> None:
+    def finish(strip: tuple[int, int]) -> Rect:
         top, bottom = strip
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
         spread = base.rows(top, bottom, "base")
@@ -157,8 +155,7 @@ def render(
             left = cut.rect.x0 - rect.x0
             a, b = hull((a, b), (shed.columns[0] + left, shed.columns[1] + left))
         if a >= b:
-            return
-        columns[top:bottom] = a, b
+            return EMPTY
         out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
         if spread.lo < spread.hi:
             light.lay_real(out, state, top, a, b, spread, base.radius, sharp, kept)
@@ -166,10 +163,11 @@ def render(
             out[:, a:b] = image[top:bottom, a:b]
         if any([cut.lay(shed, out, state, here, top, sharp) for cut, shed in lights]):
             light.restore(out, state, image, top, a, b)
+        return Rect(rect.x0 + a, here.y0, rect.x0 + b, here.y1)
 
     first, last = out.y0 - rect.y0, out.y1 - rect.y0
-    parallel_map(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
-    return Spans(rect, result, columns, lambda part: now.crop(part)[Layer.IMAGE])
+    made = parallel_map(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
+    return Pixels(rect, result, now.written[Layer.IMAGE], written=made)
 
 
 def _hot_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarray) -> list[tuple[int, int]]:

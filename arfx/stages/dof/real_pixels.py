@@ -13,6 +13,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
+from arfx.stages.composite import shade
 from arfx.stages.dof.layer import strips
 from arfx.stages.dof.spread import TILE_PX
 
@@ -37,15 +38,11 @@ class RealPixels(NamedTuple):
             patch = np.empty(plate.shape, np.float32)
 
             def fill(strip: tuple[int, int]) -> None:
-                behind(plate[slice(*strip)], shadow[slice(*strip)], opacity, bias, patch[slice(*strip)])
+                shade(plate[slice(*strip)], shadow[slice(*strip)], opacity, bias, patch[slice(*strip)])
 
             parallel_map(fill, strips(box))
             box = box.shift(-now.rect.x0, -now.rect.y0)
-        image = now.within(Layer.IMAGE, parts)
-        if not image.flags.c_contiguous:
-            seen, image = image, np.empty(image.shape, np.float32)
-            for needed in parts:
-                image[needed.slices_in(now.rect)] = seen[needed.slices_in(now.rect)]
+        image = now.written[Layer.IMAGE].over(now.rect, parts)
         return RealPixels(_frozen(image), _frozen(patch), (box.x0, box.y0, box.x1, box.y1))
 
     def with_all(self, real: np.ndarray) -> RealPixels:

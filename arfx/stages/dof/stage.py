@@ -18,8 +18,9 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.health import Check, JobView
-from arfx.core.layers import Layer, Patch
+from arfx.core.layers import Layer
 from arfx.core.numerics import divide
+from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -86,7 +87,7 @@ class Dof(Stage):
             return reference.prepare(scene)
         return grid_of(scene.camera)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Patch]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         now, facts, scene = view.layers, view.facts, view.scene
         if not facts.present or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}

@@ -17,7 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch, neutral
+from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -106,11 +107,11 @@ class Lightmap(Stage):
         ambient = ground.ambient_picture(self.params.faint, PLANE_LEVELS[level])
         return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), grid)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Patch]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         light = self._light(view.facts, view.scene)
         lit = view.layers.crop(view.facts.drawn_box.clip(view.rect))
         return {
-            Layer.VIRTUAL: Patch(lit.rect, self._virtual(lit, view, prepared, light)),
+            Layer.VIRTUAL: Pixels(lit.rect, self._virtual(lit, view, prepared, light)),
             Layer.SHADOW: self._shadow(view, prepared, light),
         }
 

@@ -5,7 +5,7 @@ import pytest
 
 from arfx.core.colour import Transfer, yuv_from_rgb
 from arfx.core.marker import FAMILIES, MarkerSpec, canonical_family
-from arfx.core.numerics import angle_between, condition, count_non_finite, divide, normalise
+from arfx.core.numerics import angle_between, condition, divide, normalise
 from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError
 
@@ -89,4 +89,3 @@ def test_guarded_operations_on_hard_values() -> None:
         assert angle_between(a, -b) == pytest.approx(np.pi - delta, abs=1e-12)
     assert condition(np.zeros((2, 2))) == np.inf and condition(np.full((2, 2), np.nan)) == np.inf
     assert condition(np.diag([4.0, 2])) == 2
-    assert count_non_finite(np.array([[[1, np.nan, np.nan], [1, 1, 1]]])) == 1

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arfx.core.layers import Layer, Layers, Spans
+from arfx.core.layers import Layer, Layers
+from arfx.core.pixels import Attenuated, Pixels
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, Stage
 from arfx.errors import RenderError
 from arfx.plan.planner import plan_frame
 from arfx.run.chunks import borders
-from arfx.run.frame import Canvas, Plate, made_ready, run_frame
+from arfx.run.frame import Canvas, made_ready, run_frame
 from arfx.stages.composite import Composite
-from tests.scenes import facts, scene
+from tests.scenes import facts, layers_of, scene
 from tests.unit.media.test_dimming import samples
 from tests.unit.media.test_frame import frame
 
@@ -30,16 +31,28 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
     plate = np.random.default_rng(0).random((20, 30, 3), dtype=np.float32)
     canvas = Canvas(plate, Rect(10, 10, 40, 30))
     inner = Rect(15, 12, 20, 18)
-    canvas.put(Layer.COVERAGE, inner, np.ones((6, 5), np.float32))
+    canvas.put(Layer.COVERAGE, np.ones((6, 5), np.float32), inner, inner)
     view = canvas.view(frozenset({Layer.COVERAGE, Layer.SHADOW, Layer.IMAGE}), Rect(14, 11, 21, 19))
     assert view[Layer.COVERAGE].sum() == 30 and view[Layer.COVERAGE][0].sum() == 0
     assert (view[Layer.SHADOW] == 1).all()
-    canvas.put(Layer.IMAGE, inner, np.zeros((6, 5, 3), np.float32))
-    where, image = canvas.stored[Layer.IMAGE]
-    assert where == canvas.rect and image[inner.slices_in(where)].max() == 0
+    canvas.put(Layer.IMAGE, np.zeros((6, 5, 3), np.float32), inner, inner)
+    image, at = canvas.view(frozenset({Layer.IMAGE}), canvas.rect)[Layer.IMAGE], inner.slices_in(canvas.rect)
+    assert image[at].max() == 0
     untouched = image.copy()
-    untouched[inner.slices_in(where)] = plate[inner.slices_in(where)]
+    untouched[at] = plate[at]
     assert np.array_equal(untouched, plate), "and the plate itself was not written to"
+
+
+def test_what_a_stage_wrote_of_image_lies_over_what_was_there() -> None:
+    whole, inner, dark = Rect(0, 0, 40, 30), Rect(5, 5, 20, 20), Rect(10, 10, 30, 25)
+    canvas = Canvas(np.ones((30, 40, 3), np.float32), whole)
+    canvas.put(Layer.IMAGE, np.full((15, 15, 3), 3, np.float32), inner, inner)
+    plate, left = canvas.stored[Layer.PLATE], np.full((15, 20, 1), 0.5, np.float32)
+    light = Attenuated(plate, dark, left, np.float32(1), np.zeros(3, np.float32), lambda p, k, _, __, out: np.multiply(p, k, out))
+    canvas.put(Layer.IMAGE, Pixels(dark, rest=light), dark, dark)
+    expected = np.ones((30, 40, 3), np.float32)
+    expected[inner.slices], expected[dark.slices] = 3, 0.5
+    assert np.array_equal(canvas.view(frozenset({Layer.IMAGE}), whole)[Layer.IMAGE], expected)
 
 
 class Bad(Stage):
@@ -120,13 +133,16 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
         asked.append(rect)
         return picture.linear(rect)
 
-    found = run_frame(Plate(plan.rect, linear), f, plan, made_ready(plan, stages, SCENE))
-    whole = run_frame(picture.linear(plan.rect), f, plan, made_ready(plan, stages, SCENE))
-    assert found.dimmed is not None and whole.dimmed is None
-    assert all(Rect(40, 30, 60, 50).contains(r) for r in asked) and plan.changed == Rect(20, 20, 90, 80)
-    for a, b in zip(samples(found.onto(picture, plan.changed)), samples(whole.onto(picture, plan.changed)), strict=True):
+    found = run_frame(Pixels(plan.rect, rest=linear), f, plan, made_ready(plan, stages, SCENE))
+    assert plan.changed == Rect(20, 20, 90, 80)
+    dimmed = samples(found.onto(picture))
+    assert asked and all(Rect(40, 30, 60, 50).contains(r) for r in asked)
+    whole = picture.edited(plan.changed, picture.linear(plan.changed), found.image)
+    for a, b in zip(dimmed, samples(whole), strict=True):
         assert np.abs(a - b).max() <= 1
-    assert np.abs(samples(found.onto(picture, plan.changed))[0] - samples(picture)[0]).max() > 10
+    assert np.abs(dimmed[0] - samples(picture)[0]).max() > 10
+    for a, b in zip(dimmed, samples(found.onto(picture)), strict=True):
+        np.testing.assert_array_equal(a, b, err_msg="the same when IMAGE was asked for meanwhile")
 
 
 class Streak(Stage):
@@ -142,17 +158,13 @@ class Streak(Stage):
     def needs(self, out: Rect, *_: Any) -> Rect:
         return out
 
-    def run(self, view: Any, prepared: Any) -> dict[Layer, Spans]:
+    def run(self, view: Any, prepared: Any) -> dict[Layer, Pixels]:
         now = view.layers
-        made, columns = (
-            np.full((now.rect.height, now.rect.width, 3), np.nan, np.float32),
-            np.zeros((now.rect.height, 2), np.int32),
-        )
+        made, rows = np.full((now.rect.height, now.rect.width, 3), np.nan, np.float32), []
         for y in range(20, 60):
-            columns[y] = 11 + y // 2, 57 + y // 3
-            part = Rect(now.rect.x0 + columns[y, 0], now.rect.y0 + y, now.rect.x0 + columns[y, 1], now.rect.y0 + y + 1)
-            made[y, columns[y, 0] : columns[y, 1]] = 1.3 * now.crop(part)[Layer.IMAGE][0] + np.float32(0.02)
-        return {Layer.IMAGE: Spans(now.rect, made, columns, lambda r: now.crop(r)[Layer.IMAGE])}
+            rows.append(Rect(11 + y // 2, y, 57 + y // 3, y + 1).shift(now.rect.x0, now.rect.y0))
+            made[rows[-1].slices_in(now.rect)] = 1.3 * now.crop(rows[-1])[Layer.IMAGE] + np.float32(0.02)
+        return {Layer.IMAGE: Pixels(now.rect, made, now.written[Layer.IMAGE], written=rows)}
 
 
 @pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p10le", "gbrp"])
@@ -162,13 +174,13 @@ def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_mad
     f = FACTS.with_(model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
-    found = run_frame(Plate(plan.rect, picture.linear), f, plan, made_ready(plan, stages, SCENE))
-    whole = run_frame(picture.linear(plan.rect), f, plan, made_ready(plan, stages, SCENE))
-    assert isinstance(found.made, Spans) and not isinstance(whole.made, Spans)
-    for a, b in zip(samples(found.onto(picture, plan.changed)), samples(whole.onto(picture, plan.changed)), strict=True):
+    found = run_frame(Pixels(plan.rect, rest=picture.linear), f, plan, made_ready(plan, stages, SCENE))
+    out = samples(found.onto(picture))
+    assert np.isfinite(found.image).all()
+    whole = picture.edited(plan.changed, picture.linear(plan.changed), found.image)
+    for a, b in zip(out, samples(whole), strict=True):
         np.testing.assert_array_equal(a, b)
-    np.testing.assert_array_equal(found.image, whole.image)
-    assert np.abs(samples(found.onto(picture, plan.changed))[0] - samples(picture)[0]).max() > 10
+    assert np.abs(out[0] - samples(picture)[0]).max() > 10
 
 
 def test_a_plate_is_converted_once() -> None:
@@ -178,11 +190,13 @@ def test_a_plate_is_converted_once() -> None:
         asked.append(rect)
         return np.full((rect.height, rect.width, 3), len(asked), np.float32)
 
-    plate = Plate(Rect(0, 0, 50, 40), read)
+    plate = Pixels(Rect(0, 0, 50, 40), rest=read)
     assert plate(Rect(5, 5, 20, 20)).shape == (15, 15, 3) and plate(Rect(6, 6, 9, 9)).shape == (3, 3, 3)
+    assert asked == [Rect(5, 5, 20, 20)], "first what was asked for"
     assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(Rect(40, 30, 50, 40)).shape == (10, 10, 3)
-    assert asked == [Rect(5, 5, 20, 20), Rect(0, 0, 30, 40), Rect(30, 0, 50, 40)], "first what was asked for, then bands"
-    assert plate.within(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3) and len(asked) == 3
+    assert sum(r.area for r in asked) == 50 * 40 and plate.seconds > 0, "then bands, and nothing twice"
+    count = len(asked)
+    assert plate.over(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3) and len(asked) == count
     gone = weakref.ref(plate)
     del plate
     assert gone() is None, "freed at once, not when Python next looks for cycles: it is as large as a picture"
@@ -192,7 +206,7 @@ def test_a_plate_is_converted_once() -> None:
 def test_composite_over_the_plate_with_opacity(opacity: float) -> None:
     stages: dict[str, Any] = {"paint": Paint(), "composite": Composite()}
     levels = {n: LEVEL for n in stages}
-    f = FACTS.with_(opacity=opacity)
+    f = FACTS.with_(opacity=opacity, model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     plate = np.random.default_rng(1).random((plan.rect.height, plan.rect.width, 3), dtype=np.float32)
     result = run_frame(plate, f, plan, made_ready(plan, stages, SCENE))
@@ -205,10 +219,11 @@ def test_composite_leaves_bare_pixels_bit_identical() -> None:
 
     rect = Rect(0, 0, 50, 40)
     plate = np.random.default_rng(2).random((40, 50, 3), dtype=np.float32)
-    layers = Layers(rect).adding(
-        {Layer.PLATE: plate, Layer.IMAGE: plate, **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)}}
+    layers = layers_of(
+        rect,
+        {Layer.PLATE: plate, Layer.IMAGE: plate, **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)}},
     )
-    out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE]
+    out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE](rect)
     assert np.array_equal(out, plate)
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch
+from arfx.core.layers import Layer, Layers
 from arfx.core.model import Material
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
@@ -18,7 +19,7 @@ from arfx.plan.planner import plan_frame
 from arfx.run.frame import made_ready, run_frame
 from arfx.stages import STAGES
 from arfx.stages.dof import Dof
-from tests.scenes import box_model, camera, facts, look_at, scene
+from tests.scenes import box_model, camera, facts, layers_of, look_at, scene
 
 MAKING = ("raster", "lightmap", "composite")
 
@@ -77,13 +78,13 @@ def blurred(
     out = ready.run(at.layers, at.facts)[Layer.IMAGE]
     if seconds is not None:
         seconds.append(time.perf_counter() - start)
-    return out.array if isinstance(out, Patch) else out
+    return out(at.layers.rect) if isinstance(out, Pixels) else out
 
 
 def with_layers(at: Shot, **arrays: np.ndarray) -> Shot:
     """Some layers replaced, by name; PLATE also as IMAGE unless that is given."""
     new = {Layer(k): v for k, v in arrays.items()}
-    return Shot(at.scene, at.facts, at.layers.adding(new))
+    return Shot(at.scene, at.facts, layers_of(at.layers.rect, new, at.layers))
 
 
 def moved(at: Shot, pose: Pose) -> Shot:

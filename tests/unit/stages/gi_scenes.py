@@ -10,7 +10,7 @@ import trimesh
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose
@@ -19,7 +19,7 @@ from arfx.core.stage import ReadyStage, level_named
 from arfx.run.parameters import stage_of
 from arfx.stages.gi import Gi, GiParams
 from arfx.stages.triangles import Triangles
-from tests.scenes import box_model, facts
+from tests.scenes import box_model, facts, layers_of
 from tests.unit.stages.lightmap_scenes import from_above, ground_points, on_plane
 
 __all__ = ["box_model", "from_above", "ground_points", "on_plane"]
@@ -90,7 +90,7 @@ def run_gi(
     """VIRTUAL (indirect light alone) and SHADOW (its ratio alone), with COVERAGE, over the whole picture."""
     f = facts(s, pose or from_above()).with_(**changes)
     layers = surface(s, f) | {Layer.PLATE: plain_plate(s.camera) if plate is None else plate}
-    made = ready(s, level, params).run(Layers(s.camera.rect).adding(layers), f)
+    made = ready(s, level, params).run(layers_of(s.camera.rect, layers), f)
     return dict(made) | {Layer.COVERAGE: layers[Layer.COVERAGE], Layer.NORMAL: layers[Layer.NORMAL]}
 
 

@@ -10,15 +10,16 @@ import trimesh
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, Patch, neutral
+from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
 from arfx.run.parameters import stage_of
 from arfx.stages.lightmap import Lightmap, LightmapParams
-from tests.scenes import box_model, facts
+from tests.scenes import box_model, facts, layers_of
 
 RADIUS_M = 0.06
 DARK = Light((0.0, 0.0, 0.0), ())
@@ -64,9 +65,9 @@ def run_stage(
     stage = stage_of("lightmap", params or LightmapParams())
     f: FrameFacts = facts(s, pose or from_above()).with_(**changes)
     if layers is None:
-        layers = Layers(s.camera.rect).adding({name: neutral(name, s.camera.rect) for name in Lightmap.reads})
+        layers = layers_of(s.camera.rect, {name: neutral(name, s.camera.rect) for name in Lightmap.reads})
     made = (ready or ReadyStage.of(stage, s, level_named(stage.levels, level))).run(layers, f)
-    return {name: a.over(name, s.camera.rect) if isinstance(a, Patch) else a for name, a in made.items()}
+    return {name: Layers(s.camera.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
 
 
 def ground_points(s: Scene, pose: Pose) -> np.ndarray:

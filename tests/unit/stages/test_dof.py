@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from arfx.core.colour import SRGB
-from arfx.core.layers import Layer, Spans
+from arfx.core.layers import Layer
 from arfx.core.numerics import divide
+from arfx.core.pixels import Pixels
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, level_named
 from arfx.errors import InputError
@@ -157,10 +158,10 @@ def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(params: dict)
     out = Rect(101, 67, 230, 187)
     need = stage.needs(out, at.facts, at.scene, le).union(out)
     made = ReadyStage.of(stage, at.scene, le).run(at.layers.crop(need), at.facts, out)[Layer.IMAGE]
-    assert isinstance(made, Spans) and made.rect.contains(out)
-    assert all(out.y0 <= part.y0 and part.y1 <= out.y1 for part in made.parts()), "no other rows"
+    assert isinstance(made, Pixels) and made.rect.contains(out)
+    assert all(out.y0 <= part.y0 and part.y1 <= out.y1 for part in made.written.rects), "no other rows"
     whole = blurred(at, "standard", **params)
-    np.testing.assert_array_equal(made.array[out.slices_in(made.rect)], whole[out.slices])
+    np.testing.assert_array_equal(made(out), whole[out.slices])
     assert np.abs(whole - at.layers[Layer.IMAGE])[out.slices].max() > 0.1
 
 

@@ -22,7 +22,7 @@ from arfx.stages import STAGES, stages_with
 from arfx.stages.gi import Gi, GiParams
 from arfx.stages.gi import stage as stage_module
 from arfx.stages.gi.frame_light import LevelSettings
-from tests.scenes import box_model, facts
+from tests.scenes import box_model, facts, layers_of
 from tests.unit.stages.gi_scenes import (
     BLACK,
     CAMERA,
@@ -234,12 +234,11 @@ def test_environment_of_the_facts_is_seen_from_the_right_side() -> None:
 
 def test_kept_light_is_used_again_and_another_is_not() -> None:
     s = on(box, MATT_RED)
-    from arfx.core.layers import Layers
     from arfx.core.stage import ReadyStage
     from tests.unit.stages.gi_scenes import surface
 
     ready, f = ReadyStage.of(Gi(), s, "standard"), facts(s, from_above())
-    layers = Layers(CAMERA.rect).adding(surface(s, f) | {Layer.PLATE: plain_plate()})
+    layers = layers_of(CAMERA.rect, surface(s, f) | {Layer.PLATE: plain_plate()})
     out = []
     for light in (LAMP, LAMP, EVEN, LAMP):
         out.append(ready.run(layers, f.with_(light=light)))

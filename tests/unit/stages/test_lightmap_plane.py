@@ -23,7 +23,7 @@ from arfx.stages.lightmap.caster import make_caster
 from arfx.stages.lightmap.plane import PLANE_LEVELS, beam_texture
 from arfx.stages.lightmap.silhouette import hidden_share, highest
 from arfx.stages.triangles import Triangles
-from tests.scenes import box_model
+from tests.scenes import box_model, layers_of
 from tests.unit.stages.lightmap_scenes import (
     HIDES,
     MODELS,
@@ -112,14 +112,15 @@ def test_half_the_light_makes_146_of_200() -> None:
     layers = random_layers(s.camera.rect, 0, composite.stage.reads)
     ones = np.ones_like(shadow)
     plate = (SRGB.decode(np.array(200 / 255)) * ones).astype(np.float32)
-    layers = layers.adding(
+    layers = layers_of(
+        layers.rect,
         {
             Layer.PLATE: plate,
             Layer.IMAGE: plate,
             Layer.VIRTUAL: 0 * ones,
             Layer.COVERAGE: 0 * ones[..., 0],
             Layer.SHADOW: 0.5 * ones,
-        }
+        },
     )
     made = run_law(composite, layers, facts(s))[Layer.IMAGE]
     assert np.round(255 * SRGB.encode(made[y, x])).tolist() == [146] * 3

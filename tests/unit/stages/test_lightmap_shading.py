@@ -19,7 +19,7 @@ from arfx.run.parameters import stage_of
 from arfx.stages import STAGES
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from tests.contract.stage_laws import run as run_law
-from tests.scenes import box_model, facts
+from tests.scenes import box_model, facts, layers_of
 from tests.unit.stages.lightmap_scenes import (
     DARK,
     RADIUS_M,
@@ -57,7 +57,7 @@ def surface(
         arrays[name] = np.ascontiguousarray(values, np.float32)
     arrays[Layer.ALBEDO] = np.full_like(arrays[Layer.ALBEDO], albedo)
     arrays[Layer.MATERIAL][..., :3] = material
-    return Layers(s.camera.rect).adding(arrays)
+    return layers_of(s.camera.rect, arrays)
 
 
 def shaded(s: Scene, layers: Layers, params: LightmapParams = BARE, level: str = "standard", **changes: object) -> np.ndarray:
@@ -221,7 +221,7 @@ def test_outside_the_demand_nothing_changes(light: Light) -> None:
         assert (made[Layer.SHADOW][outside] == 1).mean() > 0.99
     plate = np.random.default_rng(0).random((s.camera.height, s.camera.width, 3), np.float32)
     none = {name: neutral(name, s.camera.rect) for name in (Layer.VIRTUAL, Layer.COVERAGE)}
-    layers = Layers(s.camera.rect).adding({**none, Layer.PLATE: plate, Layer.IMAGE: plate, Layer.SHADOW: made[Layer.SHADOW]})
+    layers = layers_of(s.camera.rect, {**none, Layer.PLATE: plate, Layer.IMAGE: plate, Layer.SHADOW: made[Layer.SHADOW]})
     composite = STAGES["composite"]()
     f = facts(s).with_(bias_rgb=(0.1, 0.05, 0.02))
     image = run_law(ReadyStage.of(composite, s, "standard"), layers, f)[Layer.IMAGE]

@@ -28,7 +28,7 @@ from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import density
 from arfx.stages.watercolor.sites import Field, still_field
-from tests.scenes import camera, facts, scene
+from tests.scenes import camera, facts, layers_of, scene
 
 SCENE = scene(camera(160, 120))
 SEEN = facts(SCENE)
@@ -39,7 +39,7 @@ PLAIN = WatercolorParams(pigment=False, wash=0, lines=0, lightness=0, saturation
 def layers(image: np.ndarray, rect: Rect | None = None, **more: np.ndarray) -> Layers:
     rect = rect or Rect.of(image.shape[1], image.shape[0])
     made = {name: neutral(name, rect) for name in Watercolor.reads if name is not Layer.IMAGE}
-    return Layers(rect).adding({**made, Layer.IMAGE: image.astype(np.float32), **{Layer(k): v for k, v in more.items()}})
+    return layers_of(rect, {**made, Layer.IMAGE: image.astype(np.float32), **{Layer(k): v for k, v in more.items()}})
 
 
 def painted(
