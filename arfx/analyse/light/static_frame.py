@@ -80,8 +80,7 @@ class RoomLight:
             light_map.Observation(facts[k].time_s, self.normals[a:b], self.y[a:b], self.variance[a:b])
             for k, (a, b) in zip(self.lit, pairwise([*first.tolist(), len(mine)]), strict=True)
         ]
-        map_params = light_map.Params(params.map_level, params.map_blur_rad, params.drift_per_s)
-        self.kinds = light_map.changes(self.observations, map_params) if self.lit else np.zeros(0, int)
+        self.kinds = light_map.changes(self.observations, params.map_level, params.map_blur_rad, params.drift_per_s)
 
     def told(self, rests: bool, looks: Sequence[Look]) -> tuple[Lights, dict[str, Any]]:
         """The light that the markers tell, or the softer cue that takes its place. rests : a light can rest in the room"""
@@ -97,10 +96,6 @@ class RoomLight:
         )  # fmt: skip
         if better is not None:
             self.y, self.variance = better.y, better.variance
-            self.observations = [
-                replace(o, irradiance=self.y[self.which == i], variance=self.variance[self.which == i])
-                for i, o in enumerate(self.observations)
-            ]  # fmt: skip
         told = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
         normals = self.about_normals(told.span_deg)
         known = [s for s in spans if s.fit.verdict == MEASURED]
