@@ -1,9 +1,6 @@
-"""Real depth to the facts, with its scale from the markers: their distance is known in metres, so a map's values on a print
-tell its unit.
+"""Real depth to the facts, with one factor for the whole clip, from the markers: their distance is known in metres.
 
-One factor for the whole clip: the median over frames of each frame's median of known over measured distance. What one
-factor leaves (a map that is not proportional to distance, or another unit in every frame) is its spread, by which it is
-refused.
+Source: docs/methods/calibration.md#depth.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
 """The real scene's planes over a clip: those of several depth maps brought together in one frame, and the one to stand on.
 
-Which way is up nobody tells: a camera is held upright and not turned down by more than 60 degrees, so a plane that faces up
-leans less than that against the pictures' mean upward direction, and no wall does.
-What was seen of a plane is a mesh: its points moved onto it, in cells, the rim (half level of the occupancy) smoothed, small
-holes closed.
+What was seen of a plane is a mesh: its points moved onto it, in cells, the rim smoothed, small holes closed.
 Source: docs/methods/calibration.md#planes.
 """
 

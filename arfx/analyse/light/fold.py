@@ -1,11 +1,6 @@
 """The light of every frame: from the markers in the picture if they tell it, else the next best cue, out loud.
 
-`LightOfMarkers` keeps what each frame tells: patches of the markers' cells, and now and then a small picture of the
-surroundings; some hundred numbers per marker and frame, and no pixels. `lighted` makes the light of it.
-Cues in order: a light that is given (`assumed`); a direction that the markers' normals tell (`measured`); else `refused`:
-the surroundings folded from the picture, as soft light without a direction; ambient light alone. Whatever the cue,
-brightness and colour of each frame are those that the markers show (exposure and light together: from one normal the two
-cannot be told apart, and only their product is used).
+Whatever the cue, brightness and colour of each frame are those that the markers show (exposure and light together).
 The frame in which lights are fixed is the room's: the camera's where the camera stands still, else the marker map's.
 Source: docs/methods/light.md#cues.
 """

@@ -1,24 +1,12 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. switched: the lamps are all on or all off between one step of the light and the next; without them the ambient light is
-   seen alone, which tells more than the light with them;
-3. segments: the directions of the clip, and colours and brightness of their own between one step of the light and the next;
-4. shared: the same, with a factor for every frame where frames show several normals (exposure that pumps), else in windows
-   of a few seconds (lamps that fade, exposure that drifts);
-5. windows: a fit for each window alone (a light that swings).
-The next one is tried where the one before does not explain the observations: its model error is large (explain.Params).
-A light that is refused for another reason stays refused: cut into pieces, its evidence only gets less.
-
-The freer an account, the better a light that moves while the marker turns can pose as one that rests elsewhere. So
-whatever does not explain the observations well with few freedoms has to be found by both halves of its time as well; the
-cone grows to hold all answers, and what is found once only is refused. One marker turned by hand beside a light that swings
-ends there; several markers at different tilts, that show many normals at once, do not.
-
-`gains` are the factors where several normals are seen at once (exposure that pumps, all lamps faded together): one per frame
-and one irradiance over normals explain such a clip, E(n, t) = g_t E(n). Where a frame shows one normal only, the two cannot be
-told apart, and nothing is tried. `drift` is what speaks against any account that rests: the same normal seen at different
-times, in different light.
+2. switched: the lamps are all on or all off between one step of the light and the next;
+3. segments: the directions of the clip, colours and brightness of their own between one step and the next;
+4. shared: the same, with a factor for every frame where frames show several normals, else in windows of a few seconds;
+5. windows: a fit for each window alone.
+The next one is tried where the one before does not explain the observations. A light that is refused for another reason stays
+refused: cut into pieces, its evidence only gets less. Source: docs/methods/light.md#time.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
 """Light and camera bias out of the patches of many frames: I = g rho x_t + b per channel, shared b, one light per frame.
 
-The free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber), each channel by
-itself. The normal matrix is an arrow: every y_t is eliminated and a 1 x 1 Schur complement remains (2 x 2 where the ink's
-albedo is unknown too), O(frames x patches). As printed: papers/s1_light.py.
-What cannot be solved is told by its rank and by the uncertainty that it would have, and reported as `degenerate`; then
-b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
-Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); corrections: docs/methods/light.md#bias.
-Cost: 10,000 frames x 8 patches x 3 channels about .25 s.
+The free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber). What cannot be solved is `degenerate`:
+then b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
+Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); docs/methods/light.md#bias. Cost: 10,000 frames about .25 s.
 """
 
 from __future__ import annotations

@@ -4,16 +4,10 @@ The direction's angle from the line of sight is the distance from the picture's 
 behind. That gives colour and soft shading, never a direction: a picture of a third of the surroundings says little about the
 rest, and lamps in it are clipped.
 
-`soft_light` is what is used where no direction is known: the surroundings above the anchor's plane, the plane itself below.
-The fold knows a third of what is around, mirrors it, and cannot know what lights the plane: so only its colours and its broad
-bright and dark sides are taken, evened out by half, and scaled to what the markers show. What an object's underside sees is
-the plane, whose radiance is in the picture.
-
-`with_environment` is for reflections: one cube per shot, in the facts. Looks at the surroundings are brought to the axes in
-which the room stands still and averaged over their shot, so that nothing flickers and what is seen from several sides adds up.
-A panorama that the user gave takes their place.
-Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16. Leaves out: the four
-corners of the picture.
+`soft_light` is for where no direction is known: the surroundings above the anchor's plane, evened out by half and scaled to what
+the markers show, the plane itself below. `with_environment` is for reflections: one cube per shot, or the panorama that the user
+gave. Leaves out the four corners of the picture.
+Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
 """Decides where to look in each frame, so that a tracked marker costs little and nothing is missed.
 
-* A tracked marker is looked for in its predicted rectangle, at full resolution, among squares not much smaller than it
-  was: the cells of its code and the texture around it are squares too, and decoding those is most of a search's time.
-* If one is not there, the same frame is searched whole, at full resolution, and so are the next few frames.
-* Later, frames are searched on a reduced image (a hit there is looked up at full resolution), and whole at a
-  stated interval. Frames as small as the reduced image are searched whole while any marker is missing or very small.
-* While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that comes
-  is found in its first frame, one that shows in a single frame may not be.
-The detector's corners in a part are those in the whole frame, so that where it was looked does not show in the result.
+* A tracked marker is looked for in its predicted rectangle, among squares not much smaller than it was.
+* If one is not there, this frame and the next few are searched whole, at full resolution; later ones on a reduced image (a hit
+  there is looked up at full resolution), and whole at a stated interval.
+* While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that shows in a
+  single frame may be missed.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
 """The field of sites of every frame: motion steps chained over the clip, around the markers through the known poses.
 
-field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
-motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
-that nothing of the old pattern is seen again.
-A pattern carried along by a motion is bent more and more. As the clip is known, a second one begins unbent at the end of each
-stretch and is carried back (`both_ways`); whoever paints both (`high` does), the first fading out and the second in, always
-sees one that is little bent, and sees the same in a clip that is run backwards (Bousseau et al. 2007). Stretches end where a
-shot does, and in a long one at a key frame every PERIOD sets. The fade goes by sets, not by time: nothing fades where nothing
-moves.
+field(new set, node) = field(key frame, where the node lay then). A cut begins anew, elsewhere. A second pattern begins unbent at
+the end of each stretch and is carried back (`both_ways`): whoever paints both, fading from one to the other, sees one that is
+little bent. The fade goes by sets, not by time.
 Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per set.
 """
 
@@ -49,7 +44,7 @@ class Advection(Fold):
         self._motion = BackgroundMotion()
 
     def step(self, frame: AnalysisFrame) -> None:
-        self._motion.step(frame.index, frame.time_s, frame.luma)
+        self._motion.step(frame.index, frame.luma)
 
     def finish(self, clip: Analysis) -> Analysis:
         camera = self.job.camera.scaled_to(*self._motion.size)
@@ -113,10 +108,9 @@ def with_anchors(
             sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
         last = f
         of_frame.append(len(sets) - 1)
-    other = both_ways(sets, gx, gy)
     made = [
-        replace(m, share=round(o.share, 4), forward=packed_places(*o.forward), backward=packed_places(*o.backward))
-        for m, o in zip(made, other, strict=True)
+        replace(m, share=round(share, 4), forward=packed_places(*forward), backward=packed_places(*backward))
+        for m, (forward, backward, share) in zip(made, both_ways(sets, gx, gy), strict=True)
     ]
     return tuple(f.with_(advection=made[k]) for f, k in zip(facts, of_frame, strict=True))
 
@@ -199,18 +193,9 @@ class SetStep:
     begins: bool
 
 
-@dataclass(frozen=True, eq=False)
-class BothWays:
-    """Of one set. forward, backward : (u, v) at its nodes;  share : of the second, 0..1"""
-
-    forward: Field
-    backward: Field
-    share: float
-
-
-def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[BothWays]:
-    """Of every set."""
-    out: list[BothWays] = []
+def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[tuple[Field, Field, float]]:
+    """Of every set the two patterns at its nodes, and the share of the second, 0..1."""
+    out: list[tuple[Field, Field, float]] = []
     ends = _ends(sets)
     number = -1
     for a, b in pairwise(ends):
@@ -220,7 +205,7 @@ def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[B
         patterns = [(gx + _APART_PX * (number + k), gy) for k in (1, 2)]
         forward = _carried(sets, a, last, patterns[0], gx, gy)
         backward = _carried_back(sets, a, last, patterns[1], gx, gy)
-        out += [BothWays(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
+        out += [(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
     return out
 
 

@@ -1,18 +1,9 @@
-"""How the picture moves: dense optical flow on a small frame, folded into what paint needs to stay where it lies.
+"""How the picture moves: dense optical flow (DIS) on a small frame, folded into what paint needs to stay where it lies.
 
-`BackgroundMotion` compares each frame with a key frame. While the picture has moved by less than HOLD_PX since the last set
-of sites was made the set stays, so that a resting camera gathers no drift and nothing is labelled anew; else a new set begins,
-and where each of its nodes lay in the key frame is kept. A frame becomes the next key when the picture has moved by
-KEY_SHARE of its width, or has changed: errors add up from key to key only. `advection.with_anchors` chains the keys.
-Flow: DIS (Kroeger et al. 2016, OpenCV), forward and backward; where both disagree, or there is nothing to see, an affine
-motion of the whole and its neighbours stand in. The flow is good to a tenth of a px of the small frame; `refined` makes that
-some hundredths, or borders of cells would tremble: a step of Gauss and Newton on the nodes, bilinear between them. Each pixel
-says along its slope how far the two pictures are still apart; a node hears those around it, weighted by how near they lie and
-how well they fit. What all ask for together (an affine motion) is taken first, what is left node by node, drawn towards
-nothing where there is little to see. That one of the two is brighter around a node does not count. Motion of more than
-_MOST_PX beyond what was found is the flow's work.
-Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame, most of it flow, some 2 ms the step.
-Source: docs/methods/watercolor.md#advection.
+`BackgroundMotion` compares each frame with a key frame: while the picture has moved by less than HOLD_PX the set of sites stays,
+so that a resting camera gathers no drift. The flow is good to a tenth of a px of the small frame; `refined` makes that some
+hundredths, by a step of Gauss and Newton on the nodes: what all nodes ask for together (an affine motion) first, then each one.
+Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame.
 """
 
 from __future__ import annotations
@@ -77,16 +68,13 @@ def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
 class BackgroundMotion(Stateful):
     """Collects MotionSteps, in order. size : width, height of the frames"""
 
-    given = frozenset({"hold_px"})
-
-    def __init__(self, hold_px: float = HOLD_PX) -> None:
-        self.hold_px = hold_px
+    def __init__(self) -> None:
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
         self._last: np.ndarray | None = None  # back of the last set, None where that is the key frame
         self.size = (0, 0)
 
-    def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
+    def step(self, index: int, luma: np.ndarray) -> None:
         """Take the next frame. luma : (h, w) uint8."""
         h, w = luma.shape
         small = _shrunk(luma)
@@ -102,7 +90,7 @@ class BackgroundMotion(Stateful):
         back = np.round(back * STEPS) / STEPS
         inside = (slice(BORDER, -BORDER),) * 2
         moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
-        if float(np.quantile(moved, 0.9)) <= self.hold_px:
+        if float(np.quantile(moved, 0.9)) <= HOLD_PX:
             return
         far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_SHARE * w or agreed < _CHANGED
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))

@@ -1,13 +1,8 @@
-"""Many poses at once: projection, Jacobians and robust least squares over marker corners, vectorised over frames; and
-both planar poses of each marker sighting.
+"""Many poses at once: projection, Jacobians and robust least squares over marker corners; and both planar poses of a sighting.
 
-Corners are kept as ideal normalised coordinates together with the lens's local scale (how many picture pixels one unit
-of them is, a 2 x 2 matrix): residuals are then in picture pixels through the distorted camera, to first order
-in the residual, without evaluating the lens again.
+Corners are ideal normalised coordinates with the lens's local scale (2 x 2), so residuals are picture pixels, to first order.
 Poses are pairs rotation (n, 3, 3), translation (n, 3); perturbations multiply from the left in the camera frame,
-[rotation rad, translation m].
-A square seen from far looks nearly the same tilted one way or the other: IPPE (Collins & Bartoli, 2014) gives both
-solutions in closed form; each is then refined to its own least-squares minimum in picture pixels.
+[rotation rad, translation m]. Source: docs/methods/pose.md#planar.
 """
 
 from __future__ import annotations
