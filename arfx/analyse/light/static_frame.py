@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -175,7 +175,7 @@ class RoomLight:
         out: Lights = {}
         for i, model in enumerate(models):
             rows = np.flatnonzero(of_frame == i)
-            out |= zip((self.frames[r] for r in rows), _scaled(model, every[rows]), strict=True)
+            out |= {self.frames[r]: model.scaled(every[r]) for r in rows}
         return out
 
     def about_normals(self, span_deg: float | None = None) -> dict[str, Any]:
@@ -241,16 +241,6 @@ def _span_at(spans: Sequence[Span], times_s: np.ndarray) -> np.ndarray:
     start, stop = np.array([s.start_s for s in spans]), np.array([s.stop_s for s in spans])
     away = np.maximum(np.maximum(start - times_s[:, None], times_s[:, None] - stop), 0)
     return np.asarray(away.argmin(1))
-
-
-def _scaled(light: Light, factors: np.ndarray) -> Iterator[Light]:
-    """The light times each of factors (n, 3), one per channel."""
-    ambient = (factors * np.array(light.ambient_rgb)).tolist()
-    rows = (factors[:, None] * np.array([*light.soft, *(li.rgb for li in light.lights)]).reshape(1, -1, 3)).tolist()
-    parts = len(light.soft)
-    for rgb, row in zip(ambient, rows, strict=True):
-        lamps = tuple(replace(li, rgb=tuple(c)) for li, c in zip(light.lights, row[parts:], strict=True))
-        yield Light(tuple(rgb), lamps, light.source, tuple(map(tuple, row[:parts])))
 
 
 def report_of(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:
