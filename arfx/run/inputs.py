@@ -147,19 +147,15 @@ def make_scene(
     surface ends a little beyond the print.
     """
     stand = world_from_marker.get(anchor, Pose.identity())
+    size_m = {m.key: m.size_m for m in config.markers}
+    half = (0.5 + CARD) * size_m.get(anchor, next(iter(size_m.values()), 0.0))
     world_from_model = stand.matrix @ placement(config).world_from_model(model, config.model.up)
     return Scene(
         camera, model, world_from_model, config.markers, dict(world_from_marker), stand,
         Light().turned(stand.rotation), config.pipeline.seed,
-        _card_m(config, anchor) if static == "camera" else None,
+        (-half, -half, half, half) if static == "camera" else None,
         tuple(real_planes),
     )  # fmt: skip
-
-
-def _card_m(config: JobConfig, anchor: str) -> tuple[float, float, float, float]:
-    size_m = next((m.size_m for m in config.markers if m.key == anchor), config.markers[0].size_m)
-    half = size_m * (0.5 + CARD)
-    return -half, -half, half, half
 
 
 def marker_map(config: JobConfig) -> dict[str, Pose] | None:

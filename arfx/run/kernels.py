@@ -99,7 +99,12 @@ def compile_ahead(parts: Collection[str] | None, progress: Progress, notice: Cal
 
     progress : phase "compile", functions done, of how many;  notice : told where none of it can be kept
     """
-    with compiling(listed(parts), (), progress, notice) as count:
+    return compile_missing(listed(parts), progress, notice)
+
+
+def compile_missing(kernels: Sequence[Kernel], progress: Progress, notice: Callable[[str], None] = print) -> int:
+    """Those of these kernels that were not compiled yet; as `compile_ahead`."""
+    with compiling(kernels, (), progress, notice) as count:
         return count
 
 

@@ -21,7 +21,9 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     """The report of a job whose output is written. join_s : seconds that it took to put the chunks together"""
     info, done, facts = job.inputs.info, job.analysed, job.facts
     pts = np.array(done.pts, dtype=object) * info.time_base
-    last_s = float(np.median(np.diff(pts).astype(float))) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
+    steps = np.diff(pts).astype(float)
+    uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
+    last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
     spent = job.log.spent(job.analysis_key, [c.key for c in chunks])
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
@@ -34,7 +36,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     return {
         "input": {
             "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
-            "fps": info.fps, "vfr": _irregular(pts), "rotation": info.rotation_deg,
+            "fps": info.fps, "vfr": uneven, "rotation": info.rotation_deg,
             "audio": [str(s) for s in info.audio], "truncated": done.truncated,
             "camera": job.inputs.camera.source, "camera_guessed": job.inputs.camera.guessed, "stream": stream,
         },
@@ -67,11 +69,6 @@ def _timing(spent: Spent, plan_s: float, join_s: float, chunks: Sequence[Chunk])
         "resumed": spent.processes > 1, "processes": spent.processes,
         "frames_untimed": sum(c.frames for c in chunks if c.key in spent.untimed),
     }  # fmt: skip
-
-
-def _irregular(pts: np.ndarray) -> bool:
-    steps = np.diff(pts).astype(float)
-    return bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
 
 
 def _pose(job: Job) -> dict[str, Any]:

@@ -190,14 +190,9 @@ def with_depth(
             tiles = (tiles / scale.scale).astype(np.float32)
             out[n] = out[n].with_(real_depth=RealDepth.of(k, scale.scale, told[k].digest, tiles, scale.noise))
             got += 1
+    paired = "one map for all" if maps.still else "order" if maps.times_s is None else "time"
     summary = {
-        "path": str(maps.path), "maps": maps.count, "paired_by": _paired(maps), "frames_with": got,
+        "path": str(maps.path), "maps": maps.count, "paired_by": paired, "frames_with": got,
         "frames_without": len(facts) - got, "holes": float(np.mean([t.holes for t in told.values()])), **scale.to_json(),
     }  # fmt: skip
     return tuple(out), summary
-
-
-def _paired(maps: Maps) -> str:
-    if maps.still:
-        return "one map for all"
-    return "order" if maps.times_s is None else "time"

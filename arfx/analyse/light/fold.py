@@ -36,7 +36,7 @@ from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.health import Check
-from arfx.core.light import Light
+from arfx.core.light import Light, triple
 from arfx.core.rect import Rect
 
 Reading = tuple[int, str, Patches]
@@ -214,10 +214,6 @@ def lighted(
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
     turns = analysis.static == "camera"
-    lit = tuple(
-        f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
-        for k, f in enumerate(facts)
-    )
     shaded = {
         frame: found
         for frame, key, patches in taken
@@ -225,22 +221,23 @@ def lighted(
         and key == anchor.key
         and (found := real_shadow(quarters(patches.mean, patches.count, bias), anchor.size_m))
     }
-    lit = tuple(f.with_(plane_shadow=shaded[k]) if k in shaded else f for k, f in enumerate(lit))
+    lit = (
+        f if k not in out else f.with_(
+            light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=triple(bias), plane_shadow=shaded.get(k)
+        )
+        for k, f in enumerate(facts)
+    )  # fmt: skip
     about = (
         {"frames_shaded": len(shaded)}
         | _about_photometry(photometry, params)
-        | {"frame": "camera" if analysis.static == "camera" else "marker"}
+        | {"frame": "camera" if turns else "marker"}
         | report
     )
-    refused = report and report["verdict"] == REFUSED
-    notice = f"light: no direction is known: {report['reason']}. {_ways(report)}" if refused else None
+    notice = None
+    if report and report["verdict"] == REFUSED:
+        one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
+        notice = f"light: no direction is known: {report['reason']}. --light AZ,EL or --environment FILE gives one{one}"
     return analysis.adding(lit, notice, light=about)
-
-
-def _ways(report: dict[str, Any]) -> str:
-    """What a user can do about a light that is refused."""
-    one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
-    return f"--light AZ,EL or --environment FILE gives one{one}"
 
 
 def _certain_bias(photometry: Photometry) -> np.ndarray:

@@ -194,8 +194,8 @@ class RoomLight:
 
 
 def explained(
-    times_s: np.ndarray, normals: np.ndarray, told: Told, alone: Told | None, breaks_s: Sequence[float], window_s: float = 2.0,
-    params: FitParams | None = None,
+    times_s: np.ndarray, normals: np.ndarray, told: Told, alone: Told | None, breaks_s: Sequence[float],
+    window_s: float = 2.0, params: FitParams = FitParams(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span], Told | None]:  # fmt: skip
     """(account, spans, the readings that tell it if not the first): `alone` where the light is refused by what all cells tell."""
     account, spans = fit_over_time(times_s, normals, told.y, told.variance, breaks_s, window_s, params)

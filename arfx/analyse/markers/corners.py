@@ -99,9 +99,8 @@ def aliasing_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) 
     """(n,) standard deviation of a corner coordinate from the steps of the pixels, beside Corners.sigma_px.
 
     corners_px : (n, 4, 2);  blur_px : (n,) of Corners, NaN gives 0;  cells : (n,) cells along a side, border included
-    The position of a step between pixels is known as well as the blur spreads it over several: to .3 px in a picture with
-    one sample per pixel, to .04 px where pixels integrate. A side that crosses many rows of pixels averages that away;
-    one that keeps within a row, be it a diagonal one, does not.
+    The position of a step between pixels is known as well as the blur spreads it over several. A side that crosses many rows of
+    pixels averages that away; one that keeps within a row, be it a diagonal one, does not.
     """
     side = np.roll(corners_px, -1, 1) - corners_px
     shared = np.zeros(side.shape[:2])

@@ -122,7 +122,10 @@ def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density:
 
 def _of_shot(measured: np.ndarray, pull: np.ndarray, links: Links) -> np.ndarray:
     """(groups,) one value each for a shot: the likelier of a marker that moves on its own and of a camera that shakes."""
-    blocks = _blocks(len(measured))
+    n = len(measured)
+    blocks = [(0, n)]
+    if n > _BLOCK * _BLOCKS:
+        blocks = [(int(a), int(a) + _BLOCK) for a in np.linspace(0, n - _BLOCK, _BLOCKS)]
 
     def climbed(shot: np.ndarray, order: Sequence[int], grid: np.ndarray | None = None) -> tuple[float, np.ndarray]:
         """Evidence and values when one group after the other has taken its best; grid : factors, None = the whole range"""
@@ -148,12 +151,6 @@ def _of_shot(measured: np.ndarray, pull: np.ndarray, links: Links) -> np.ndarray
 
 def _around(value: float, factors: np.ndarray) -> np.ndarray:
     return np.unique(np.clip(value * factors, LEAST, MOST))
-
-
-def _blocks(n: int) -> list[tuple[int, int]]:
-    if n <= _BLOCK * _BLOCKS:
-        return [(0, n)]
-    return [(int(a), int(a) + _BLOCK) for a in np.linspace(0, n - _BLOCK, _BLOCKS)]
 
 
 def _axes(groups: np.ndarray) -> np.ndarray:

@@ -143,7 +143,7 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
     assert len(both.rivals) == 1 and both.sightings[0].side_px > both.rivals[0].side_px
     tracker.tracks[M.key].quad_px = both.rivals[0].quad_px
     tracker.last_whole_s = -9.0
-    again = tracker._choose(3.03, [*both.sightings, *both.rivals], True, 0)
+    again = tracker._choose(3.03, [*both.sightings, *both.rivals], True)
     assert np.array_equal(again.sightings[0].quad_px, both.rivals[0].quad_px)
 
 
