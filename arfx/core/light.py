@@ -102,8 +102,7 @@ def harmonics(n: np.ndarray) -> np.ndarray:
 def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree. rotation : as in Light.turned"""
     at, inverse = _evenly()
-    out: np.ndarray = inverse @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
-    return out
+    return inverse @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
 
 
 @lru_cache(maxsize=1)

@@ -174,8 +174,7 @@ class Environment(Fold):
 
 def folded(job: AnalysisJob) -> Folded:
     """How a picture becomes a cube."""
-    found: Folded = job.kinds.get(Environment.name, Environment).folded
-    return found
+    return job.kinds.get(Environment.name, Environment).folded
 
 
 def solved(

@@ -52,8 +52,7 @@ def changes(seen: Sequence[Observation], level: int = 3, blur_rad: float = 0.2, 
     face, weights = sphere.locate(np.where(np.isfinite(n), n, 0))
     corners = sphere.faces[np.maximum(face, 0)]
     times = np.array([o.time_s for o in seen], float)
-    kinds: np.ndarray = _changes(sphere.vertices, corners, weights, times, starts, n, x, v, blur_rad, drift_per_s)
-    return kinds
+    return _changes(sphere.vertices, corners, weights, times, starts, n, x, v, blur_rad, drift_per_s)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -80,8 +80,7 @@ def with_anchors(
             else:
                 if rays is not None:
                     back = _with_pose(back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m)
-                u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in key[:2])
-                u, v = relaxed(u, v)
+                u, v = relaxed(*_at(key[:2], gx + back[..., 0], gy + back[..., 1], gx, gy))
             if step is not None:
                 seen = step.detail.astype(float)
                 if back is not None:  # carried along with the things, a little of what is seen now each time
@@ -95,10 +94,9 @@ def with_anchors(
                 key = u, v, f.camera_from_world
             elif back is None:
                 # a cut that the flow did not notice: the key frame's nodes lie where this frame's flow says
-                key = (u, v, f.camera_from_world) if step is None or step.back is None else (
-                    _sampled(u, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy),
-                    _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
-                )  # fmt: skip
+                key = (u, v, f.camera_from_world)
+                if step is not None and step.back is not None:
+                    key = (*_at((u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None)
             origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
             made.append(
                 AdvectionField(number, GRID_PX, origin, shape, packed_places(u, v), packed_detail(detail), f.camera_from_world)
@@ -123,8 +121,11 @@ def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np
     s, t = s - i, t - j
     top = a[j, i] + s * (a[j, i + 1] - a[j, i])
     bottom = a[j + 1, i] + s * (a[j + 1, i + 1] - a[j + 1, i])
-    out: np.ndarray = top + t * (bottom - top)
-    return out
+    return top + t * (bottom - top)
+
+
+def _at(field: Field, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> Field:
+    return _sampled(field[0], x, y, gx, gy), _sampled(field[1], x, y, gx, gy)
 
 
 def _with_pose(
@@ -143,8 +144,7 @@ def _with_pose(
     step = before - np.stack([gx, gy], -1)
     known = np.isfinite(distance) & np.isfinite(step).all(-1)
     share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[..., None]
-    out: np.ndarray = back + share * (np.where(known[..., None], step, back) - back)
-    return out
+    return back + share * (np.where(known[..., None], step, back) - back)
 
 
 def relaxed(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,8 +171,7 @@ def _straight(a: np.ndarray) -> np.ndarray:
     y, x = np.indices(a.shape)
     terms = np.stack([np.ones(a.size), x.ravel(), y.ravel()], -1)
     fit, *_ = np.linalg.lstsq(terms, a.ravel(), rcond=None)
-    out: np.ndarray = (terms @ fit).reshape(a.shape)
-    return out
+    return (terms @ fit).reshape(a.shape)
 
 
 def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -223,7 +222,7 @@ def _at_set(key: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
     if step.back is None:
         return key
     x, y = gx + step.back[..., 0], gy + step.back[..., 1]
-    return _sampled(key[0], x, y, gx, gy), _sampled(key[1], x, y, gx, gy)
+    return _at(key, x, y, gx, gy)
 
 
 def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
@@ -233,7 +232,7 @@ def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
     x, y = gx, gy
     for _ in range(_ROUNDS):
         x, y = gx - _sampled(step.back[..., 0], x, y, gx, gy), gy - _sampled(step.back[..., 1], x, y, gx, gy)
-    return _sampled(own[0], x, y, gx, gy), _sampled(own[1], x, y, gx, gy)
+    return _at(own, x, y, gx, gy)
 
 
 def _carried(sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:

@@ -102,20 +102,19 @@ class BackgroundMotion(Stateful):
         """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both directions agree), or None
         where the two frames have nothing in common."""
         assert self._reference is not None
-        if np.array_equal(small, self._reference):
-            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
         h, w = small.shape
-        if min(h, w) < 16:  # DIS needs a patch or two
+        if min(h, w) < 16 or np.array_equal(small, self._reference):  # DIS needs a patch or two
             return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
         dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
         dis.setFinestScale(0)
         back = dis.calc(small, self._reference, None)
         there = dis.calc(self._reference, small, None)
         x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
-        again = cv2.remap(there, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        to_x, to_y = x + back[..., 0], y + back[..., 1]
+        again = cv2.remap(there, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         apart = np.linalg.norm(back + again, axis=-1)
         agree = apart < _AGREE_PX + _AGREE_SHARE * np.linalg.norm(back, axis=-1)
-        before = cv2.remap(self._reference, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        before = cv2.remap(self._reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         agree &= np.abs(before.astype(np.float32) - small) < 40
         slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
         textured = slope > _GRADIENT
@@ -123,10 +122,11 @@ class BackgroundMotion(Stateful):
         if agreed < _LOST:
             return None
         # of what has come into view since, the flow can only guess
-        to_x, to_y = x + back[..., 0], y + back[..., 1]
         agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
         trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
-        return _refined_at_nodes(_at_nodes(back, trust, width, height), small, self._reference, trust, width, height), agreed
+        scale = np.array([width / w, height / h])
+        first, rough = (0.5 - BORDER * GRID_PX) / scale - 0.5, _at_nodes(back, trust, width, height) / scale
+        return (refined(rough, small, self._reference, trust, first, GRID_PX / scale) * scale).astype(np.float32), agreed
 
 
 def _shrunk(luma: np.ndarray) -> np.ndarray:
@@ -164,17 +164,6 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     return np.clip(out, -2000, 2000)
 
 
-def _refined_at_nodes(
-    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, width: int, height: int
-) -> np.ndarray:
-    """(gh, gw, 2) float32 px of the frame. back : of `_at_nodes`, the flow's"""
-    h, w = small.shape
-    scale = np.array([width / w, height / h])
-    first = (0.5 - BORDER * GRID_PX) / scale - 0.5
-    out: np.ndarray = (refined(back / scale, small, reference, trust, first, GRID_PX / scale) * scale).astype(np.float32)
-    return out
-
-
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP; slopes of noise count nothing."""
     slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
@@ -185,8 +174,7 @@ def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     gx, gy = node_places(width, height)
     column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
     row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
-    out: np.ndarray = np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
-    return out
+    return np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
 
 
 def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarray:
@@ -212,7 +200,8 @@ def refined(
     """
     back = np.asarray(back, float)
     sums = np.zeros((*back.shape[:2], 9))
-    _hear(_smooth(small), _smooth(reference), trust > 0, back, first, pitch, sums)
+    now, then = (cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference))
+    _hear(now, then, trust > 0, back, first, pitch, sums)
     heard = _centred(sums)
     affine = _affine_of(heard)
     spread = cv2.GaussianBlur(heard, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
@@ -221,21 +210,14 @@ def refined(
     xx, yy = xx + _PRIOR, yy + _PRIOR
     det = xx * yy - xy * xy  # _PRIOR^2 at least: without it a sum of squares
     step = affine + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / det[..., None]
-    out: np.ndarray = back + np.clip(step, -_MOST_PX, _MOST_PX)
-    return out
-
-
-def _smooth(a: np.ndarray) -> np.ndarray:
-    out: np.ndarray = cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX)
-    return out
+    return back + np.clip(step, -_MOST_PX, _MOST_PX)
 
 
 def _centred(sums: np.ndarray) -> np.ndarray:
     """(gh, gw, 5) sums of xx, xy, yy, xe, ye without the means around each node. sums : of `_hear`"""
     x, y, e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
     of_x, of_y = sums[..., 5], sums[..., 6]
-    out: np.ndarray = sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
-    return out
+    return sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
 
 
 def _affine_of(heard: np.ndarray) -> np.ndarray:
@@ -247,8 +229,7 @@ def _affine_of(heard: np.ndarray) -> np.ndarray:
     of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
     normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
     motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
-    out: np.ndarray = (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
-    return out
+    return (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
 
 
 @numba.njit(cache=True, nogil=True)
