@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.pose.visibility import trembling_px
-from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
 from arfx.run.chunks import Chunk
 from arfx.run.health import health
@@ -73,7 +72,6 @@ def _timing(spent: Spent, plan_s: float, join_s: float, chunks: Sequence[Chunk])
 
 def _pose(job: Job) -> dict[str, Any]:
     facts, summary = job.facts, job.analysed.summary
-    count = {k: sum(f.status == k for f in facts) for k in (MEASURED, INTERPOLATED, ABSENT)}
     corners, camera = job.scene.model_corners_m, job.inputs.camera
     before, after = (
         [float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in trembling_px(facts, corners, camera, raw)]
@@ -87,9 +85,6 @@ def _pose(job: Job) -> dict[str, Any]:
         "jitter_before_smoothing_px": before[1],
         "jitter_with_camera_px": after[0],
         "jitter_with_camera_before_smoothing_px": before[0],
-        "frames_measured": count[MEASURED],
-        "frames_interpolated": count[INTERPOLATED],
-        "frames_absent": count[ABSENT],
         "static": job.analysed.static,
         "world_from_marker": {k: p.to_json() for k, p in job.analysed.world_from_marker.items()},
     }

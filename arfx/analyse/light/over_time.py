@@ -55,22 +55,21 @@ def fit_over_time(
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
     window_s : length of a window, at most. Observations without a finite time are left out.
     """
-    p = params
     times = np.asarray(times_s, float).ravel()
     n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
     v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
     fine = np.isfinite(times) & np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
     n, E, v = n[fine], E[fine], v[fine]
     if not fine.any():
-        return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, p), ignored=len(fine)), 0)]
+        return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, params), ignored=len(fine)), 0)]
     times = times[fine]
 
     def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None) -> LightFit:
-        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit)
+        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], params, lit)
 
     # where most frames show normals that are apart, light that changes is told from a direction that does
     several = np.mean(_mean_lengths(times, n) < np.cos(np.radians(_APART_DEG / 2))) > 0.5
-    agree_deg = p.limit_deg if several else min(p.limit_deg, _AGREE_DEG)
+    agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
 
     def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
         return _confirmed(found, [run(rows, group) for rows in halves], agree_deg) if found.verdict == MEASURED else found
@@ -97,7 +96,7 @@ def fit_over_time(
         if name == SEGMENTS and len(edges) < 3:
             continue
         if name == SHARED:
-            pumped = _pumped(times, n, E, v, p)
+            pumped = _pumped(times, n, E, v, params)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
                 return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
