@@ -122,14 +122,13 @@ def cut_off(share: np.ndarray) -> np.ndarray:
     return np.where(p > 0, 3 * lost, 0.0)
 
 
-def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN where nothing was measured."""
     shape = (len(patches), PATCHES, 3)
     intensity, variance, clipped = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape[:2])
     for i, p in enumerate(patches):
-        if p is not None:
-            seen = p.count > 0
-            intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
+        seen = p.count > 0
+        intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
     return intensity, variance, clipped
 
 

@@ -19,6 +19,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from arfx.analyse.light.given import STANDS_OUT
 from arfx.analyse.light.icosphere import icosphere
 from arfx.core.codec import stored
 from arfx.core.cube import CubeMap, face_directions, solid_angles
@@ -60,33 +61,31 @@ def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     across = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
     x = (1 + out * d[..., 0] / across) / 2 * small.shape[1] - 0.5
     y = (1 + out * d[..., 1] / across) / 2 * small.shape[0] - 0.5
-    rows = [
-        cv2.remap(small, a.astype(np.float32), b.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for a, b in zip(x, y, strict=True)
-    ]
-    return np.stack(rows)
+    return _looked_up(small, x, y, cv2.BORDER_REPLICATE)
 
 
-def from_panorama(picture: np.ndarray, size: int = SIZE, stands_out: float = 6.0) -> np.ndarray:
+def _looked_up(picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
+    """(6, n, n, 3) of the picture at places (6, n, n)."""
+    places = zip(x.astype(np.float32), y.astype(np.float32), strict=True)
+    return np.stack([cv2.remap(picture, a, b, cv2.INTER_LINEAR, borderMode=border) for a, b in places])
+
+
+def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of given.py (z up, middle column x).
 
-    What is more than `stands_out` times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
+    What is more than STANDS_OUT times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
     """
     a = np.asarray(picture, np.float32)
     solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
     grey = a.mean(-1)
-    limit = stands_out * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
+    limit = STANDS_OUT * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
     a = np.ascontiguousarray(a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None], np.float32)
     a = np.asarray(cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32)
     d = face_directions(size)
     x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
     y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
     y = np.clip(y, 0, a.shape[0] - 1)
-    rows = [
-        cv2.remap(a, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        for u, v in zip(x, y, strict=True)
-    ]
-    return np.stack(rows).astype(float)
+    return _looked_up(a, x, y, cv2.BORDER_WRAP).astype(float)
 
 
 def mip_chain(faces: np.ndarray) -> list[np.ndarray]:

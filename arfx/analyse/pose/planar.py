@@ -72,13 +72,13 @@ def view_jacobian(q: np.ndarray) -> np.ndarray:
     return out
 
 
-def huber_cost(r: np.ndarray, weight: np.ndarray, limit: float = HUBER_SIGMA) -> tuple[np.ndarray, np.ndarray]:
-    """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual exceeds `limit` sigma."""
+def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual exceeds HUBER_SIGMA."""
     d2 = (r * r).sum(-1) * weight
     d = np.sqrt(d2)
-    over = d > limit
-    rho = np.where(over, 2 * limit * d - limit**2, d2)
-    return 0.5 * rho.sum(-1), np.where(over, limit / np.where(over, d, 1.0), 1.0)
+    over = d > HUBER_SIGMA
+    rho = np.where(over, 2 * HUBER_SIGMA * d - HUBER_SIGMA**2, d2)
+    return 0.5 * rho.sum(-1), np.where(over, HUBER_SIGMA / np.where(over, d, 1.0), 1.0)
 
 
 def refine_poses(

@@ -182,7 +182,7 @@ def test_blur_leads_away_from_the_edges() -> None:
 
 def test_stack() -> None:
     p = measure(rendered(), (0, 0), QUAD, cells("36h11", 3))
-    intensity, variance, clipped = stack([p, None])
+    intensity, variance, clipped = stack([p, Patches(p.mean, p.variance, 0 * p.count, p.clipped)])
     assert np.array_equal(intensity[0], p.mean) and np.isnan(intensity[1]).all() and np.isnan(variance[1]).all()
     assert clipped.shape == (2, 8)
 
