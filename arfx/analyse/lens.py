@@ -1,11 +1,8 @@
 """The lens that a clip was filmed with, from the blur of its markers' sides against their distance (core/lens_fit.py).
 
-`FootageLens` keeps how blurred each side of a marker's print is: four numbers per marker and frame. Across each side the
-light is sampled on normals, the normals are shifted onto their common edge (the side may bend), and averaged; of the mean
-profile's gradient the standard deviation is taken under a Gaussian window of about twice and a half its width, whose own
-narrowing is taken out. In linear light: a lens blurs light.
-Sides that move across themselves count less, and not at all if they move far: motion blurs them too. A focus that is
-pulled is refused: both halves of the clip have to tell the same lens.
+Blur is the standard deviation of a side's mean profile of gradients, under a Gaussian window whose own narrowing is taken out, in
+linear light. Sides that move across themselves count less, or not at all: motion blurs them too. Both halves of the clip have to
+give the same lens.
 """
 
 from __future__ import annotations

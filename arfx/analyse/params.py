@@ -27,8 +27,6 @@ class AnalyseParams:
     detect_inverted : also find white-on-black prints
     transfer : how luma relates to light ("srgb", "gamma:2.2", ...): blurred edges are located in linear light. "auto"
         takes sRGB unless the first sightings show edges symmetric in coded values (sharpened in the camera)
-    refine : False keeps the detector's pixel-accurate corners (for comparisons)
-    survey : look for other families while no configured marker was ever seen, for the error message
     """
 
     search_interval_s: float = 1.0
@@ -42,8 +40,6 @@ class AnalyseParams:
     static: str = "auto"
     detect_inverted: bool = True
     transfer: str = "auto"
-    refine: bool = True
-    survey: bool = True
 
     def __post_init__(self) -> None:
         if self.static not in STATIC:

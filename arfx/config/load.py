@@ -20,6 +20,7 @@ from arfx.core.opener import parse_toml, read_text
 from arfx.errors import ConfigError
 
 Parameters = Mapping[str, Mapping[str, type]]
+_TYPE_TAGS = ("constrained-str", "function-before")  # parts of pydantic's places that are no keys
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
 
@@ -69,7 +70,7 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
         job = JobConfig.model_validate({**{k: merged[k] for k in sections if k in merged}, **own})
     except ValidationError as e:
         for error in e.errors(include_url=False):
-            path = tuple(p for p in error["loc"] if not _is_type_tag(p))
+            path = tuple(p for p in error["loc"] if not (isinstance(p, str) and ("[" in p or p in _TYPE_TAGS)))
             known = [s.key for s in settings() if s.section == path[0]]
             if error["type"] == "extra_forbidden" and known:
                 problem(path, f"section {path[0]!r} has no setting {path[-1]!r}", near(str(path[-1]), known))
@@ -157,10 +158,6 @@ def _absurd(value: Any) -> float | None:
 
 def _plain(message: str) -> str:
     return message.removeprefix("Value error, ")
-
-
-def _is_type_tag(part: Any) -> bool:
-    return isinstance(part, str) and ("[" in part or part in ("constrained-str", "function-before"))
 
 
 def near(name: str, known: Any) -> str:

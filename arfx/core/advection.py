@@ -47,8 +47,7 @@ class AdvectionField(Document):
 
     def detail_at_nodes(self) -> np.ndarray:
         """(rows, columns) float64, 0..255."""
-        out: np.ndarray = np.frombuffer(_unpacked(self.detail), "<u2").reshape(self.shape) / 16.0
-        return out
+        return np.frombuffer(_unpacked(self.detail), "<u2").reshape(self.shape) / 16.0
 
 
 def packed_places(u: np.ndarray, v: np.ndarray) -> str:

@@ -24,13 +24,8 @@ FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant"
 class Camera(Document):
     """Intrinsics of one picture size.
 
-    width, height : px
-    matrix : (3, 3) float64, zero skew
+    width, height : px;  matrix : (3, 3) float64, zero skew;  source : where it came from, for messages
     distortion : (n,) float64, n in 0, 4, 5, 8, 12, 14 for `brown`, 4 for `fisheye`
-    model : "brown" or "fisheye"
-    source : where it came from, for messages
-    guessed : True when no calibration was given
-
     Raises InputError for non-finite values, a focal length <= 0 or a wrong number of coefficients.
     """
 

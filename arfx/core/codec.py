@@ -137,15 +137,13 @@ class Document:
 
     def to_json(self) -> dict[str, Any]:
         kind: Any = type(self)
-        out: dict[str, Any] = _of_class(kind)[0](self)
-        return out
+        return _of_class(kind)[0](self)
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
         """Raises TypeError, ValueError, KeyError or AttributeError for what is not of this class."""
         kind: Any = cls
-        out: Self = _of_class(kind)[1](document)
-        return out
+        return _of_class(kind)[1](document)
 
 
 @dataclass(frozen=True)

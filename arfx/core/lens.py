@@ -56,10 +56,7 @@ class Lens:
 def circle_of_confusion_mm(distance_mm: np.ndarray | float, lens: Lens) -> np.ndarray:
     """Diameter of the blur circle of a thin lens, on the sensor.
 
-    distance_mm : (...) float, > 0; inf allowed
-    Returns (...) float64 mm, >= 0, finite for every input: nearer than NEAREST_SHARE of the focal length counts as
-    there; a NaN or a distance <= 0 gives 0 (no surface).
-    Source: docs/methods/dof.md#lens.
+    distance_mm : (...) > 0, inf allowed; a NaN or a distance <= 0 gives 0 (no surface). Finite for every input.
     """
     d = np.asarray(distance_mm, float)
     known = d > 0

@@ -64,9 +64,10 @@ class Light(Document):
 
     def scaled(self, factor: np.ndarray) -> Light:
         """The light times a factor (3,), one per channel."""
-        lights = tuple(replace(li, rgb=triple(np.array(li.rgb) * factor)) for li in self.lights)
-        soft = tuple(triple(np.array(row) * factor) for row in self.soft)
-        return Light(triple(np.array(self.ambient_rgb) * factor), lights, self.source, soft)
+        rows = np.array([self.ambient_rgb, *(li.rgb for li in self.lights), *self.soft]) * factor
+        ambient, *rgb = map(tuple, rows.tolist())
+        lights = tuple(replace(li, rgb=c) for li, c in zip(self.lights, rgb, strict=False))
+        return Light(ambient, lights, self.source, tuple(rgb[len(lights) :]))
 
     def turned(self, rotation: np.ndarray) -> Light:
         """The light in other axes. rotation : (3, 3), to those from the light's."""
@@ -101,8 +102,7 @@ def harmonics(n: np.ndarray) -> np.ndarray:
 def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree. rotation : as in Light.turned"""
     at, inverse = _evenly()
-    out: np.ndarray = inverse @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
-    return out
+    return inverse @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
 
 
 @lru_cache(maxsize=1)

@@ -41,11 +41,6 @@ class FramePlan(Document):
     steps: tuple[Step, ...]
     skipped: tuple[Skip, ...]
 
-    @property
-    def seconds(self) -> float | None:
-        parts = [s.seconds for s in self.steps]
-        return None if any(p is None for p in parts) else float(sum(p for p in parts if p is not None))
-
 
 def levels_of(plans: Iterable[FramePlan]) -> set[tuple[str, str]]:
     """(stage, level) of everything that runs."""

@@ -31,7 +31,7 @@ from arfx.measure.bench import check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
 from arfx.measure.timed_runs import WALL, Runs, Watch
-from arfx.run.folder import write_text
+from arfx.run.folder import write
 from arfx.run.job import MOST_THREADS, default_workers
 from arfx.stages import STAGES
 
@@ -137,7 +137,7 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
     """Keep a price list for the next jobs on this machine. Returns where. Raises RenderError where it cannot be written."""
     path = file or prices_file()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(prices.to_json(), indent=1))
+    write(path, json.dumps(prices.to_json(), indent=1))
     return path
 
 

@@ -21,7 +21,7 @@ from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
-from arfx.run.folder import JobFolder, write_text
+from arfx.run.folder import JobFolder, write
 from arfx.run.preview import load_previews
 
 Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
@@ -47,8 +47,8 @@ def write_report(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise RenderError(f"report folder {folder} cannot be made: {e.strerror}", "name another place") from None
-    write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-    write_text(folder / "report.html", html)
+    write(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write(folder / "report.html", html)
     return folder / "report.html"
 
 

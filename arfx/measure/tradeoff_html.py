@@ -14,7 +14,7 @@ from arfx.measure.difference import delta_e
 from arfx.measure.report_html import html_table, jpeg, number, plot_image, section, whole_page
 from arfx.measure.tradeoff import Found, Row
 from arfx.measure.tradeoff_plots import effect_plot, pipeline_plot
-from arfx.run.folder import write_text
+from arfx.run.folder import write
 
 TIMES, MOST_DELTA_E = 8, 10
 MOST_BYTES = 5_000_000
@@ -30,7 +30,7 @@ def write_tradeoff(folder: Path, found: Found, document: Mapping[str, Any]) -> P
             break
     else:
         raise RenderError("tradeoff.html would be larger than 5 MB", "--frames 2 measures fewer")
-    write_text(folder / "tradeoff.html", html)
+    write(folder / "tradeoff.html", html)
     return folder / "tradeoff.html"
 
 

@@ -149,7 +149,7 @@ def gain_and_bias(
             spread = float((residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1))
             own = np.where(seen, divide(spread, (weight * rho * rho).sum(1)), part["var_y_own"])
             part |= {
-                "y": found.y, "var_y": own, "var_y_own": own, "bias": b, "bias_95": (b, b), "determined": True, "reason": "",
+                "y": found.y, "var_y_own": own, "bias": b, "bias_95": (b, b), "determined": True, "reason": "",
                 "misfit": float(np.sqrt(spread)),
             }  # fmt: skip
         parts.append(part | {"unknowns": int(seen.sum()) + 2})

@@ -6,17 +6,16 @@ Right where making or taking one lets other threads run (a decoder, an encoder) 
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Generic, TypeVar
 
 from arfx.core import interrupt
 
 T = TypeVar("T")
-_LOOK_S = 0.05  # how soon a thread whose items nobody takes any more sees that
 
 
 class Ahead(Generic[T]):
@@ -29,49 +28,34 @@ class Ahead(Generic[T]):
     def __init__(self, items: Iterator[T], depth: int = 4) -> None:
         self.seconds = 0.0
         self._items = items
-        self._waiting: queue.Queue[tuple[T | None, BaseException | None, float]] = queue.Queue(depth)
-        self._left = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="read-ahead", daemon=True)
+        self._pool = ThreadPoolExecutor(1, "read-ahead")
+        self._coming = deque(self._pool.submit(self._made) for _ in range(depth + 1))
 
     def __enter__(self) -> Ahead[T]:
-        self._thread.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None) -> None:
-        self._left.set()
         with interrupt.held():  # what it reads from is closed behind this
-            self._thread.join()
+            self._pool.shutdown(cancel_futures=True)
 
     def __iter__(self) -> Ahead[T]:
         return self
 
     def __next__(self) -> T:
-        item, error, seconds = self._waiting.get()
-        self.seconds += seconds
+        item, error, seconds = self._coming[0].result()
         if error is not None:
-            self._waiting.put((None, error, 0.0))  # asked again, it says the same again
-            raise error
+            raise error  # it stays the next one: asked again, it says the same again
+        self._coming.popleft()
+        self._coming.append(self._pool.submit(self._made))
+        self.seconds += seconds
         return item  # type: ignore[return-value]
 
-    def _work(self) -> None:
-        error: BaseException | None = None
-        while error is None:
-            start, item = time.perf_counter(), None
-            try:
-                item = next(self._items)
-            except BaseException as e:  # StopIteration too: it ends the other side's loop
-                error = e
-            if not self._put((item, error, time.perf_counter() - start)):
-                return
-
-    def _put(self, entry: tuple[T | None, BaseException | None, float]) -> bool:
-        while not self._left.is_set():
-            try:
-                self._waiting.put(entry, timeout=_LOOK_S)
-            except queue.Full:
-                continue
-            return True
-        return False
+    def _made(self) -> tuple[T | None, BaseException | None, float]:
+        start = time.perf_counter()
+        try:
+            return next(self._items), None, time.perf_counter() - start
+        except BaseException as e:  # StopIteration too: it ends the other side's loop
+            return None, e, 0.0
 
 
 class Behind(Generic[T]):
@@ -82,35 +66,35 @@ class Behind(Generic[T]):
     """
 
     def __init__(self, take: Callable[[T], None], depth: int = 2) -> None:
-        self._take = take
-        self._error: BaseException | None = None
-        self._waiting: queue.Queue[tuple[T] | None] = queue.Queue(depth)
-        self._thread = threading.Thread(target=self._work, name="write-behind", daemon=True)
-        self._left = False
+        self._take, self._depth = take, depth
+        self._pool = ThreadPoolExecutor(1, "write-behind")
+        self._given: deque[Future[None]] = deque()
+        self._over = False
 
     def __enter__(self) -> Behind[T]:
-        self._thread.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None) -> None:
-        self._left = kind is not None
+        self._over |= kind is not None
         with interrupt.held():
-            self._waiting.put(None)
-            self._thread.join()
-        if kind is None and self._error is not None:
-            raise self._error
+            self._pool.shutdown()
+        if kind is None:
+            self._wait(0)
 
     def put(self, item: T) -> None:
         """Waits while `depth` items wait."""
-        if self._error is not None:
-            raise self._error
-        self._waiting.put((item,))
+        self._wait(self._depth)
+        self._given.append(self._pool.submit(self._one, item))
 
-    def _work(self) -> None:
-        while (entry := self._waiting.get()) is not None:
-            if self._error is not None or self._left:
-                continue  # so that nobody waits for a place
-            try:
-                self._take(entry[0])
-            except BaseException as e:
-                self._error = e
+    def _wait(self, most: int) -> None:
+        while len(self._given) > most:
+            self._given.popleft().result()
+
+    def _one(self, item: T) -> None:
+        if self._over:
+            return
+        try:
+            self._take(item)
+        except BaseException:
+            self._over = True
+            raise

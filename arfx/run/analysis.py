@@ -17,7 +17,7 @@ from arfx.media.clip import ClipInfo
 from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
 from arfx.run.ahead import Ahead
-from arfx.run.folder import JobFolder, write_bytes
+from arfx.run.folder import JobFolder, write
 from arfx.run.span import Span
 
 CHECKPOINT_S = 20.0  # at most this much analysis is lost to a kill, or as many times what it takes to write it down
@@ -94,7 +94,7 @@ class Checkpoint:
     def write(self, state: dict[str, Any]) -> None:
         """Raises RenderError where the disk is full."""
         start = time.monotonic()
-        write_bytes(self._path, codec.dumps({"of": self._of, "state": state}))
+        write(self._path, codec.dumps({"of": self._of, "state": state}))
         self._last = time.monotonic()
         self._cost_s = self._last - start
 

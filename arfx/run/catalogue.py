@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import re
 from collections.abc import Mapping
 from itertools import pairwise
@@ -154,7 +155,9 @@ def text(d: dict[str, Any], prices: bool = True) -> str:
     if "levels" in d:
         lines.append(f"- Runs: {_when(d)}" + ("" if d["always"] else f" (`--pipeline {name}`, or any of its settings)"))
         lines += [f"- {key.capitalize()}: {', '.join(d[key]) or 'nothing'}" for key in ("reads", "writes", "facts")]
-        lines += [f"- Takes over: `{o}.{k} = {_toml(v)}`" for o, changes in d["overrides"].items() for k, v in changes.items()]
+        lines += [
+            f"- Takes over: `{o}.{k} = {json.dumps(v)}`" for o, changes in d["overrides"].items() for k, v in changes.items()
+        ]
         lines += [f"- Level `{e['level']}`: {_of_level(e, prices)}" for e in d["levels"]]
         if prices:
             lines.append(
@@ -162,7 +165,7 @@ def text(d: dict[str, Any], prices: bool = True) -> str:
             )
         lines.append("")
     for s in d["settings"]:
-        value = "" if s["default"] is None else f" = {_toml(s['default'])}"
+        value = "" if s["default"] is None else f" = {json.dumps(s['default'])}"
         option = f" (`{s['option']}`)" if s.get("option") else ""
         formula = f', with `formula = "{s["formula"]}"`' if "formula" in s else ""
         lines.append(f"- `{name}.{s['name']}{value}`, {s['type']}{option}{formula}: {s['text']}")
@@ -176,12 +179,6 @@ def _of_level(entry: dict[str, Any], prices: bool) -> str:
     if entry["price_ms"] is None:
         return f"{error}; price unknown"
     return f"{error}; {' + '.join(f'{ms:.3g} {term}' for term, ms in entry['price_ms'].items()) or '0'} ms"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, list):
-        return f"[{', '.join(_toml(v) for v in value)}]"
-    return f'"{value}"' if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else f"{value}"
 
 
 def page() -> str:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -96,7 +96,7 @@ class JobFolder:
 
     def seal(self, job_key: str) -> None:
         """The analysis and the plan of this job are written, whole."""
-        write_text(self._seal, json.dumps({"job_key": job_key, "files": self._digests()}))
+        write(self._seal, json.dumps({"job_key": job_key, "files": self._digests()}))
 
     def unseal(self) -> None:
         self._seal.unlink(missing_ok=True)
@@ -111,7 +111,7 @@ class JobFolder:
     def note_placed(self, part: Path) -> None:
         """The files of `part` are about to become the output."""
         files = sorted(part.iterdir()) if part.is_dir() else [part]
-        write_text(self.placed, json.dumps([fingerprint(f) for f in files]))
+        write(self.placed, json.dumps([fingerprint(f) for f in files]))
 
     def outputs(self) -> frozenset[Fingerprint]:
         """Files that were put in place, or were about to be, by a job that was killed before it had ended."""
@@ -152,16 +152,11 @@ class JobFolder:
             return False
 
 
-def write_text(path: Path, text: str) -> None:
+def write(path: Path, data: str | bytes) -> None:
     """Write aside, then rename: the file is whole or absent. Raises RenderError."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """As `write_text`."""
     try:
         with aside(path) as part:
-            part.write_bytes(data)
+            part.write_bytes(data.encode() if isinstance(data, str) else data)
     except OSError as e:
         raise disk_error(e, path) from None
 
@@ -169,10 +164,6 @@ def write_bytes(path: Path, data: bytes) -> None:
 def disk_error(e: OSError, path: Path) -> RenderError:
     """One clear message for a full disk, a read-only place and the like."""
     return RenderError(f"cannot write {path}: {e.strerror or e}", "free space or name another place; --resume goes on from there")
-
-
-def write_lines(path: Path, documents: Iterable[Any]) -> None:
-    write_text(path, "".join(json.dumps(d) + "\n" for d in documents))
 
 
 def read_lines(path: Path, first: int = 0, last: int | None = None) -> Iterator[Any]:
@@ -201,8 +192,7 @@ def file_digest(path: Path, whole_up_to: int = 256 << 20) -> str:
     h.update(str(stat.st_size).encode())
     with path.open("rb") as f:
         if stat.st_size <= whole_up_to:
-            while block := f.read(1 << 22):
-                h.update(block)
+            hashlib.file_digest(f, lambda: h)
         else:
             h.update(str(stat.st_mtime_ns).encode())
             for at in (0, stat.st_size // 2, stat.st_size - (4 << 20)):
@@ -217,8 +207,7 @@ def content_digest(path: Path) -> str:
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
         h.update(b"" if file == path else file.name.encode() + b"\0")
         with file.open("rb") as f:
-            while block := f.read(1 << 22):
-                h.update(block)
+            hashlib.file_digest(f, lambda: h)
     return h.hexdigest()
 
 

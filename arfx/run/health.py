@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from arfx.core.scene import Scene
 from arfx.errors import InputError
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import made_ready, run_frame
+from arfx.run.parameters import stages_of
 from arfx.run.planned import Job
 from arfx.stages import STAGES
 
@@ -47,11 +47,7 @@ def health(job: Job) -> list[dict[str, Any]]:
 def picture(scene: Scene, facts: FrameFacts, levels: Mapping[str, str]) -> Layers | None:
     """One frame by these stages with their usual settings: see `JobView`."""
     (facts,) = with_model([facts], scene)
-    settings = {name: STAGES[name].Params() for name in levels}
-    for name in levels:
-        for other, changes in STAGES[name].overrides.items():
-            settings[other] = replace(settings[other], **changes)
-    stages = {name: STAGES[name](settings[name]) for name in levels}
+    stages = stages_of({name: STAGES[name].Params() for name in levels}, levels)
     plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
     if not plan.steps:
         return None

@@ -12,7 +12,7 @@ import numpy as np
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
-from arfx.core.light import DirectionalLight, Light
+from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.opener import parse_json, parse_toml, read_text, regular
@@ -60,19 +60,14 @@ def open_inputs(config: JobConfig) -> Inputs:
     output = plan_output(clip, config.output.path, settings)
     model = job_model(config)
     Scene(camera, model, placement(config).world_from_model(model, config.model.up)).check_extent()
+    maps = job_depth(config)
+    if maps is not None:  # its first map is read, so that what is wrong with all of them is said before the clip is analysed
+        maps.load(0, clip.width, clip.height)
     return Inputs(
         on_this_machine(config), clip, camera, model, marker_map(config), output,
-        (*notices, *model.notices, *output.notices), panorama(config), open_maps(config, clip),
+        (*notices, *model.notices, *output.notices), panorama(config), maps,
         None if config.input.poses is None else load_poses(config.input.poses),
     )  # fmt: skip
-
-
-def open_maps(config: JobConfig, clip: ClipInfo) -> DepthMaps | None:
-    """The job's depth, its first map read, so that what is wrong with all of them is said before the clip is analysed."""
-    maps = job_depth(config)
-    if maps is not None:
-        maps.load(0, clip.width, clip.height)
-    return maps
 
 
 def panorama(config: JobConfig) -> np.ndarray | None:
@@ -152,23 +147,15 @@ def make_scene(
     surface ends a little beyond the print.
     """
     stand = world_from_marker.get(anchor, Pose.identity())
-    light = Light()
-    lights = tuple(
-        DirectionalLight(tuple(stand.rotation @ li.unit), li.rgb, li.angular_size_deg, li.confidence_deg) for li in light.lights
-    )
+    size_m = {m.key: m.size_m for m in config.markers}
+    half = (0.5 + CARD) * size_m.get(anchor, next(iter(size_m.values()), 0.0))
     world_from_model = stand.matrix @ placement(config).world_from_model(model, config.model.up)
     return Scene(
         camera, model, world_from_model, config.markers, dict(world_from_marker), stand,
-        Light(light.ambient_rgb, lights, light.source), config.pipeline.seed,
-        _card_m(config, anchor) if static == "camera" else None,
+        Light().turned(stand.rotation), config.pipeline.seed,
+        (-half, -half, half, half) if static == "camera" else None,
         tuple(real_planes),
     )  # fmt: skip
-
-
-def _card_m(config: JobConfig, anchor: str) -> tuple[float, float, float, float]:
-    size_m = next((m.size_m for m in config.markers if m.key == anchor), config.markers[0].size_m)
-    half = size_m * (0.5 + CARD)
-    return -half, -half, half, half
 
 
 def marker_map(config: JobConfig) -> dict[str, Pose] | None:

@@ -29,7 +29,7 @@ from arfx.run.analysis import analyse_clip
 from arfx.run.choose import choose, wish_of
 from arfx.run.chunks import Chunk, borders
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write_lines, write_text
+from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, unlisted_told
 from arfx.run.parameters import folds_wanted, kinds_of_folds, make_stages, pipeline
@@ -94,7 +94,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         if left_out := _join(job, files, places):
             options.notice(f"damaged packets of sound, subtitles or data that were left out: {left_out}")
         report = build_report(job, chunks, time.perf_counter() - start)
-        write_text(folder.report, json.dumps(report, indent=1))
+        write(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
         folder.checkpoint.unlink(missing_ok=True)
         if options.finish is not None:
@@ -141,12 +141,8 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         sorted(folds_wanted(config)),
         sorted(kinds_of_folds(config)),
     ]
-    if config.input.marker_map:
-        base.append(file_digest(config.input.marker_map))
-    if config.input.poses:
-        base.append(file_digest(config.input.poses))
-    if config.params["light"].environment:
-        base.append(file_digest(config.params["light"].environment))
+    more = (config.input.marker_map, config.input.poses, config.params["light"].environment)
+    base += [file_digest(path) for path in more if path]
     analysis_key = digest(*base)
     maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
     plugins = [code_digest(*STAGES.source(name)) for name in pipeline(config) if name in STAGES.plugins]
@@ -154,8 +150,8 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     stages, prices = make_stages(config), load_prices()
     wish = wish_of(config, stages, prices)
     errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
-    write_text(folder.job, MARK + to_toml({**tree, "output": output}))
-    write_text(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
+    write(folder.job, MARK + to_toml({**tree, "output": output}))
+    write(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
@@ -167,8 +163,8 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     if fresh:
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
         plans, document = choose(config, stages, facts, scene, wish, errors, prices, size, options.notice)
-        write_text(folder.plan_summary, json.dumps(document, indent=1))
-        write_lines(folder.plan, (p.to_json() for p in plans))
+        write(folder.plan_summary, json.dumps(document, indent=1))
+        write(folder.plan, "".join(json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]

@@ -36,7 +36,10 @@ def locked(folder: Path, option: str, passing: bool = False) -> Iterator[None]:
     lock = _acquire(folder, option)
     try:
         with contextlib.suppress(OSError), aside(folder / HOLDER) as part:  # a full disk: then nobody is told who
-            part.write_text(json.dumps(_self()), encoding="utf-8")
+            command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
+            since = time.strftime("%Y-%m-%d %H:%M:%S")
+            me = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "command": command}
+            part.write_text(json.dumps(me), encoding="utf-8")
         yield
     finally:
         _release(lock, folder)
@@ -79,11 +82,6 @@ def _release(lock: BaseFileLock, folder: Path) -> None:
     if os.name == "nt":
         with contextlib.suppress(OSError):
             files[1].unlink(missing_ok=True)
-
-
-def _self() -> dict[str, str | int]:
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
-    return {"pid": os.getpid(), "host": socket.gethostname(), "since": time.strftime("%Y-%m-%d %H:%M:%S"), "command": command}
 
 
 def _holder(folder: Path) -> str:

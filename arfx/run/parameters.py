@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
@@ -74,8 +74,12 @@ def _set(config: JobConfig, name: str) -> bool:
 
 def make_stages(config: JobConfig) -> dict[str, Stage]:
     """One instance per stage, in running order."""
-    names = pipeline(config)
-    settings = dict(config.params)
+    return stages_of(config.params, pipeline(config))
+
+
+def stages_of(params: Mapping[str, Any], names: Collection[str]) -> dict[str, Stage]:
+    """The same for these stages and settings."""
+    settings = dict(params)
     for effect in names:
         for name, changes in STAGES[effect].overrides.items():
             settings[name] = replace(settings[name], **changes)

@@ -18,7 +18,7 @@ from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
-from arfx.run.folder import JobFolder, write_text
+from arfx.run.folder import JobFolder, write
 from arfx.run.inputs import Inputs, make_scene
 from arfx.run.times import WorkLog
 
@@ -48,7 +48,7 @@ class Analysed(Document):
         return make_scene(config, camera, model, self.world_from_marker, self.anchor, self.static, self.real_planes)
 
     def write(self, folder: JobFolder) -> None:
-        write_text(folder.frames, json.dumps(self.to_json(), default=float))
+        write(folder.frames, json.dumps(self.to_json(), default=float))
 
     @staticmethod
     def read(folder: JobFolder) -> Analysed:

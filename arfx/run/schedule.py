@@ -50,18 +50,15 @@ def elapsed(
         busy = [w for w in crew if w.left_s > 0]
         if not busy:
             return now, lead
-        speed = 1 / _slowness(len(busy), workers, alone)
+        # beside all others a worker takes its own time, alone the share `alone` of it; linear between these
+        slowness = 1.0 if len(busy) >= max(workers, 2) else alone + (1 - alone) * (len(busy) - 1) / max(workers - 1, 1)
+        speed = 1 / slowness
         step = min(w.left_s for w in busy) / speed
         now += step
         for w in busy:
             w.left_s -= step * speed
             if w.left_s < 1e-12:
                 w.left_s = 0.0
-
-
-def _slowness(busy: int, workers: int, alone: float) -> float:
-    """Time of a worker beside `busy` - 1 others as a share of its time when all are busy: linear between the ends."""
-    return 1.0 if busy >= max(workers, 2) else alone + (1 - alone) * (busy - 1) / max(workers - 1, 1)
 
 
 def _key(keys: Sequence[int], frame: int) -> int:

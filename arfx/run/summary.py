@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.pose.visibility import trembling_px
-from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED
 from arfx.plan.explain import summarise
 from arfx.run.chunks import Chunk
 from arfx.run.health import health
@@ -21,7 +20,9 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     """The report of a job whose output is written. join_s : seconds that it took to put the chunks together"""
     info, done, facts = job.inputs.info, job.analysed, job.facts
     pts = np.array(done.pts, dtype=object) * info.time_base
-    last_s = float(np.median(np.diff(pts).astype(float))) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
+    steps = np.diff(pts).astype(float)
+    uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
+    last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
     spent = job.log.spent(job.analysis_key, [c.key for c in chunks])
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
@@ -34,7 +35,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     return {
         "input": {
             "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
-            "fps": info.fps, "vfr": _irregular(pts), "rotation": info.rotation_deg,
+            "fps": info.fps, "vfr": uneven, "rotation": info.rotation_deg,
             "audio": [str(s) for s in info.audio], "truncated": done.truncated,
             "camera": job.inputs.camera.source, "camera_guessed": job.inputs.camera.guessed, "stream": stream,
         },
@@ -69,14 +70,8 @@ def _timing(spent: Spent, plan_s: float, join_s: float, chunks: Sequence[Chunk])
     }  # fmt: skip
 
 
-def _irregular(pts: np.ndarray) -> bool:
-    steps = np.diff(pts).astype(float)
-    return bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
-
-
 def _pose(job: Job) -> dict[str, Any]:
     facts, summary = job.facts, job.analysed.summary
-    count = {k: sum(f.status == k for f in facts) for k in (MEASURED, INTERPOLATED, ABSENT)}
     corners, camera = job.scene.model_corners_m, job.inputs.camera
     before, after = (
         [float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in trembling_px(facts, corners, camera, raw)]
@@ -90,9 +85,6 @@ def _pose(job: Job) -> dict[str, Any]:
         "jitter_before_smoothing_px": before[1],
         "jitter_with_camera_px": after[0],
         "jitter_with_camera_before_smoothing_px": before[0],
-        "frames_measured": count[MEASURED],
-        "frames_interpolated": count[INTERPOLATED],
-        "frames_absent": count[ABSENT],
         "static": job.analysed.static,
         "world_from_marker": {k: p.to_json() for k, p in job.analysed.world_from_marker.items()},
     }

@@ -153,7 +153,10 @@ def render_chunk(
                     frame = source.next()
                     seconds["decode"] += time.perf_counter() - start
                     if frame is None:
-                        raise _changed(context, index)
+                        raise RenderError(
+                            f"{context.info.path}: frame {index} could not be decoded again where the analysis saw it",
+                            "the file has changed, or seeking in it is broken: copy it to another container and try again",
+                        )
                     out = _frame(context, frame, facts[index], plans[index], past, seconds, stage_seconds)
                     if index < first:
                         continue
@@ -182,13 +185,6 @@ def _told(context: Context, place: JobFolder, first: int, last: int) -> tuple[di
         facts = [FrameFacts.from_json(d) for d in read_lines(place.facts, first + 1, last + 1)]  # line 0: header
         plans = [FramePlan.from_json(d) for d in read_lines(place.plan, first, last)]
     return {f.index: f for f in facts}, {p.index: p for p in plans}
-
-
-def _changed(context: Context, index: int) -> RenderError:
-    return RenderError(
-        f"{context.info.path}: frame {index} could not be decoded again where the analysis saw it",
-        "the file has changed, or seeking in it is broken: copy it to another container and try again",
-    )
 
 
 def _frame(

@@ -39,7 +39,7 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_document import document
     from arfx.measure.tradeoff_html import write_tradeoff
-    from arfx.run.folder import write_text
+    from arfx.run.folder import write
     from arfx.run.place import PAGE_START, files_locked, files_read
 
     def check(inputs: Inputs) -> None:
@@ -54,7 +54,7 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
             found = measure(job, frames, progress)
         told = finite(document(found, job, time.perf_counter() - began))
         if report_dir is not None:
-            write_text(report_dir / "tradeoff.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
+            write(report_dir / "tradeoff.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
             say(f"report: {write_tradeoff(report_dir, found, told)}")
     if as_json:
         emit_json(told)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.light.fit import REFUSED, fit
-from arfx.analyse.light.light_map import weight
+from arfx.analyse.light.light_map import add
 from arfx.analyse.light.photometry import MEASURED, solve
 from arfx.analyse.pose.planar import hypotheses
 from arfx.core.camera import Camera
@@ -115,7 +115,19 @@ def _between(at: float) -> Callable[[float, str, Round], float]:
 def _light_weight(delta: float, formula: str, rounded: Round) -> float:
     """Eq. (8) at an angle delta from the normal, against the exponential itself."""
     s = 0.2
-    found = float((weight if formula == "corrected" else eq8_weight)(rounded(np.cos(delta)), s))
+    cosine, variance = rounded(np.cos(delta)), np.full((1, 3), 1e12)
+    add(
+        np.array([[0.0, 0, cosine]]),
+        np.zeros((1, 3)),
+        variance,
+        np.array([[0.0, 0, 1]]),
+        np.zeros((1, 3)),
+        np.ones((1, 3)),
+        0,
+        1,
+        s,
+    )
+    found = 1 / float(variance[0, 0]) if formula == "corrected" else float(eq8_weight(cosine, s))
     return abs(found - float(np.exp(-(delta**2) / (2 * s * s))))
 
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.depth.scene_planes import ScenePlane, facing_up, scene_planes
-from arfx.analyse.fold import PLANE, PLANE_MARKER, Analysis, AnalysisFrame, AnalysisJob, Fold, Maps
+from arfx.analyse.fold import PLANE, PLANE_MARKER, Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.pose.fold import figures
-from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
@@ -75,22 +74,14 @@ class RealPlanes(Fold):
         maps = self.job.depth
         if maps is None or not clip.summary["depth"]["known"]:
             return clip
-        return replace(clip, real_planes=tuple(measured_planes(maps, clip.facts, self.job.camera)))
-
-
-def measured_planes(maps: Maps, facts: Sequence[FrameFacts], camera: Camera) -> list[RealPlane]:
-    """The real scene's planes in the world of facts that have poses and depth; those seen most first."""
-    with_both = [f for f in facts if f.camera_from_world is not None and f.real_depth is not None]
-    some: list[tuple[np.ndarray, Pose]] = []
-    used: set[int] = set()
-    for f in spread(with_both):
-        depth, pose = f.real_depth, f.camera_from_world
-        assert depth is not None and pose is not None
-        if maps.still and depth.map in used and f.camera_from_world == some[0][1]:
-            continue
-        used.add(depth.map)
-        some.append((maps.load(depth.map, camera.width, camera.height) * np.float32(depth.scale), pose))
-    return [p.meshed()[0] for p in scene_planes(some, camera)]
+        camera, some = self.job.camera, list[tuple[np.ndarray, Pose]]()
+        used: set[int] = set()
+        for f in spread([f for f in clip.facts if f.camera_from_world is not None and f.real_depth is not None]):
+            depth, pose = f.real_depth, f.camera_from_world
+            if not (maps.still and depth.map in used and pose == some[0][1]):
+                used.add(depth.map)
+                some.append((maps.load(depth.map, camera.width, camera.height) * np.float32(depth.scale), pose))
+        return replace(clip, real_planes=tuple(p.meshed()[0] for p in scene_planes(some, camera)))
 
 
 def spread(items: Sequence[Any]) -> list[Any]:

@@ -1,12 +1,7 @@
-"""Planes of the real scene in a measured depth map: several, robust, each with what its points miss of it.
+"""Planes of the real scene in a measured depth map: several, robust, each with what its points miss of it (sequential RANSAC).
 
-`cloud_of` makes points with normals of the map: those of the plane through the nearest neighbours (scipy's k-d tree), turned
-towards the camera. What they miss tells the sensor's noise, which grows with the square of the distance (triangulation).
-`find_planes`: hypotheses are points whose neighbours agree (region seeds), fitted to their neighbourhood; the one that most
-points lie on is refined by reweighted least squares on connected points, taken out, and the search goes on (sequential
-RANSAC). Thresholds are multiples of the cloud's own noise. Deterministic.
-Source: docs/methods/calibration.md#planes. Cost: O(points x log points), and O(hypotheses x points) per plane; points, not
-pixels.
+Thresholds are multiples of the cloud's own noise. Deterministic. Source: docs/methods/calibration.md#planes.
+Cost: O(points x log points), and O(hypotheses x points) per plane.
 """
 
 from __future__ import annotations
@@ -22,7 +17,7 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise
 
 NEIGHBOURS = 24
-MOST_POINTS = 14000
+MOST_POINTS = 14000  # about so many are taken, evenly over the picture
 LEAST_NOISE_M = 1e-3  # no sensor is better, and rounding to millimetres alone is a third of it
 JUMP = 0.05  # of the distance: neighbours farther apart in depth lie on another surface
 MOST_PLANES = 6
@@ -50,13 +45,12 @@ class Cloud:
     pixels: np.ndarray
 
 
-def cloud_of(depth_m: np.ndarray, camera: Camera, most: int = MOST_POINTS) -> Cloud | None:
-    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured;  most : about so many points are taken,
-    evenly over the picture. None where too little is measured to tell a plane."""
+def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
+    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured. None where too little is."""
     with np.errstate(all="ignore"):
         known = np.isfinite(depth_m) & (depth_m > 0)
     h, w = depth_m.shape
-    step = max(1, int(np.sqrt(known.sum() / max(most, 1))))
+    step = max(1, int(np.sqrt(known.sum() / MOST_POINTS)))
     y, x = np.mgrid[step // 2 : h : step, step // 2 : w : step]
     keep = known[y, x]
     if keep.sum() < 4 * NEIGHBOURS:
@@ -86,24 +80,20 @@ def cloud_of(depth_m: np.ndarray, camera: Camera, most: int = MOST_POINTS) -> Cl
 
 @dataclass(frozen=True, eq=False)
 class FoundPlane:
-    """normal (3,) unit, towards the camera; normal . x = offset_m, CAMERA axes;  inliers : indices into the cloud
-    residual_mm : root mean square of their distances;  typical_mm : median of their sizes;  share : of all points"""
+    """normal (3,) unit, towards the camera; normal . x = offset_m, CAMERA axes;  inliers : indices into the cloud"""
 
     normal: np.ndarray
     offset_m: float
     inliers: np.ndarray
-    residual_mm: float
-    typical_mm: float
-    share: float
 
 
-def find_planes(cloud: Cloud, most: int = MOST_PLANES, seed: int = 0) -> list[FoundPlane]:
+def find_planes(cloud: Cloud) -> list[FoundPlane]:
     """The planes, that with the most points first; none where nothing is flat."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     count = len(cloud.points)
     free = np.ones(count, bool)
     out: list[FoundPlane] = []
-    while len(out) < most:
+    while len(out) < MOST_PLANES:
         seeds = np.flatnonzero(free & (cloud.flat >= FLAT))
         if len(seeds) < LEAST_SHARE * count:
             break
@@ -112,15 +102,12 @@ def find_planes(cloud: Cloud, most: int = MOST_PLANES, seed: int = 0) -> list[Fo
         if found is None:
             break
         normal, offset, rows = found
-        distance = cloud.points @ normal - offset
-        free &= np.abs(distance) > TAKEN * cloud.noise_m
+        free &= np.abs(cloud.points @ normal - offset) > TAKEN * cloud.noise_m
         free[rows] = False
         if len(rows) < LEAST_SHARE * count:
             break
-        off = 1e3 * distance[rows]
-        rms, typical = float(np.sqrt((off**2).mean())), float(np.median(np.abs(off)))
-        out.append(FoundPlane(normal, offset, rows, rms, typical, len(rows) / count))
-    return sorted(out, key=lambda p: -p.share)
+        out.append(FoundPlane(normal, offset, rows))
+    return sorted(out, key=lambda p: -len(p.inliers))
 
 
 def _fit(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:

@@ -1,9 +1,6 @@
-"""Real depth to the facts, with its scale from the markers: their distance is known in metres, so a map's values on a print
-tell its unit.
+"""Real depth to the facts, with one factor for the whole clip, from the markers: their distance is known in metres.
 
-One factor for the whole clip: the median over frames of each frame's median of known over measured distance. What one
-factor leaves (a map that is not proportional to distance, or another unit in every frame) is its spread, by which it is
-refused.
+Source: docs/methods/calibration.md#depth.
 """
 
 from __future__ import annotations
@@ -193,14 +190,9 @@ def with_depth(
             tiles = (tiles / scale.scale).astype(np.float32)
             out[n] = out[n].with_(real_depth=RealDepth.of(k, scale.scale, told[k].digest, tiles, scale.noise))
             got += 1
+    paired = "one map for all" if maps.still else "order" if maps.times_s is None else "time"
     summary = {
-        "path": str(maps.path), "maps": maps.count, "paired_by": _paired(maps), "frames_with": got,
+        "path": str(maps.path), "maps": maps.count, "paired_by": paired, "frames_with": got,
         "frames_without": len(facts) - got, "holes": float(np.mean([t.holes for t in told.values()])), **scale.to_json(),
     }  # fmt: skip
     return tuple(out), summary
-
-
-def _paired(maps: Maps) -> str:
-    if maps.still:
-        return "one map for all"
-    return "order" if maps.times_s is None else "time"

@@ -1,9 +1,6 @@
 """The real scene's planes over a clip: those of several depth maps brought together in one frame, and the one to stand on.
 
-Which way is up nobody tells: a camera is held upright and not turned down by more than 60 degrees, so a plane that faces up
-leans less than that against the pictures' mean upward direction, and no wall does.
-What was seen of a plane is a mesh: its points moved onto it, in cells, the rim (half level of the occupancy) smoothed, small
-holes closed.
+What was seen of a plane is a mesh: its points moved onto it, in cells, the rim smoothed, small holes closed.
 Source: docs/methods/calibration.md#planes.
 """
 
@@ -90,11 +87,6 @@ def mesh_of(places_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMesh:
     return PlaneMesh(smooth, low - pad * cell, cell)
 
 
-def spacing_on(spacing_m: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Distance of neighbouring points along a plane that is seen under that cosine."""
-    return np.asarray(divide(spacing_m, np.clip(cosine, 0.2, 1)))
-
-
 @dataclass(frozen=True, eq=False)
 class ScenePlane:
     """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on it, world;  up : world;
@@ -158,7 +150,7 @@ def _in_world(cloud: Cloud, found: FoundPlane, world_from_camera: Pose, size: tu
     cosine = np.abs(normalise(cloud.points[rows]) @ found.normal)
     return ScenePlane(
         world_from_camera.rotation @ found.normal, world_from_camera.apply(cloud.points[rows]),
-        spacing_on(cloud.spacing_m[rows], cosine), cut, world_from_camera.rotation[:, 0],
+        divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)), cut, world_from_camera.rotation[:, 0],
         float(np.median(cloud.noise_m[rows])), 1,
     )  # fmt: skip
 

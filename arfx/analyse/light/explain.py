@@ -29,38 +29,29 @@ from arfx.analyse.light.search import (
 from arfx.core.numerics import angle_between
 
 LEAST_CONE_DEG = 0.5
+PAIR_DEG = 10.0  # two lights nearer than this to their middle are as good as one
+LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
+LEAST_LIGHT = 0.015  # share of the light seen below which a directional light counts as none
+MODEL_ERROR, MOST_ERROR = 0.002, 0.03  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 _WORSE, _WORSE_BY, _MOST_MODELS = 3.0, 50.0, 5  # other minima that are kept: chi squared, times the best's and more; number
-_GAMMA_STEPS = (0.0, -0.08, 0.08, -0.16, 0.16)  # of ln gamma
+_GAMMA_STEPS = (-0.08, 0.08, -0.16, 0.16)  # of ln gamma
 
 
 @dataclass(frozen=True)
 class Params:
     """most_lights : 0 to 2;  limit_deg : widest cone that counts as measured
-    pair_deg : two lights nearer than this to their middle are as good as one; if only pairs wider than limit_deg can be
-        ruled out, the cone is limit_deg
-    model_error : systematic error of irradiance over its bright level, at least: the fit's own misfit raises it
-    most_error : the same, beyond which the model is wrong
-    gamma_sigma : standard deviation of the exponent's logarithm that a wrong transfer function leaves, 0 = exact
-    least_evidence : BIC that one more light must gain
-    least_light : share of the light seen below which a directional light counts as none"""
+    gamma_sigma : standard deviation of the exponent's logarithm that a wrong transfer function leaves, 0 = exact"""
 
     most_lights: int = 2
     limit_deg: float = 15.0
-    pair_deg: float = 10.0
-    model_error: float = 0.002
-    most_error: float = 0.03
     gamma_sigma: float = 0.08
-    least_evidence: float = 10.0
-    least_light: float = 0.015
 
 
 class Explanations:
     """All models of 0 to 2 lights under all exponents; cost = chi squared + the exponent's prior.
 
-    best, best_cost, bic : by number of lights;  count : the number that the criterion chose;  plain : samples as they came
+    best, best_cost : by number of lights;  count : the number that the criterion chose;  plain : samples as they came
     """
-
-    plain_models: list[list[Model]]
 
     def __init__(self, s: Samples, params: Params, start: Explanations | None = None) -> None:
         """start : of the same observations under other weights; its minima are followed, none is searched again."""
@@ -72,19 +63,16 @@ class Explanations:
                 break
             s = calmer
             found = self._follow(s, found, 0.0)
-        self.plain_models = found
+        self.plain_models: list[list[Model]] = found
         self.plain, self.groups, self.effective = s, s.groups, s.effective
-        self.nodes: list[tuple[float, list[list[Model]]]] = [(0.0, found)]  # (prior's cost, models by count)
-        steps = _GAMMA_STEPS[1:] if params.gamma_sigma > 0 else ()
         curve = {0.0: found}
-        for step in steps:
-            curve[step] = self._follow(s, found, step)
-        if steps:
+        if params.gamma_sigma > 0:
+            curve |= {step: self._follow(s, found, step) for step in _GAMMA_STEPS}
             for count in range(most + 1):  # where the costs of three steps have their least
-                at = _lowest({k: self._cost(k, m[count][0]) for k, m in curve.items()})
+                at = _lowest({k: self._prior(k) + m[count][0].chi2 for k, m in curve.items()})
                 if min(abs(at - k) for k in curve) > 0.01:
                     curve[at] = self._follow(s, found, at)
-        self.nodes = [(self._prior(k), m) for k, m in curve.items()]
+        self.nodes = [(self._prior(k), m) for k, m in curve.items()]  # (prior's cost, models by count)
         self.best: list[Model] = []
         self.best_cost: list[float] = []
         for count in range(most + 1):
@@ -95,10 +83,9 @@ class Explanations:
         bic = [c / wide + self._parameters(k) * np.log(max(self.effective, 2.0)) for k, c in enumerate(self.best_cost)]
         self.count = 0
         for k in range(1, most + 1):
-            sound = (self.best[k].shares >= params.least_light).all()
-            if sound and bic[k] < bic[self.count] - params.least_evidence:
+            sound = (self.best[k].shares >= LEAST_LIGHT).all()
+            if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
                 self.count = k
-        self.bic = tuple(float(b) for b in bic)
 
     def _search(self, s: Samples, most: int) -> list[list[Model]]:
         found = [search(s, 0)]
@@ -112,7 +99,7 @@ class Explanations:
 
     def _ranked(self, models: list[Model]) -> list[Model]:
         """Best first; last those with a light that hardly any normal sees, which explains noise and no more. None far worse."""
-        ranked = sorted(models, key=lambda m: (bool((m.shares < self.params.least_light).any()), m.chi2))
+        ranked = sorted(models, key=lambda m: (bool((m.shares < LEAST_LIGHT).any()), m.chi2))
         limit = _WORSE * ranked[0].chi2 + _WORSE_BY
         return [m for i, m in enumerate(ranked[:_MOST_MODELS]) if i == 0 or m.chi2 <= limit]
 
@@ -122,9 +109,6 @@ class Explanations:
 
     def _prior(self, step: float) -> float:
         return (step / self.params.gamma_sigma) ** 2 if step else 0.0
-
-    def _cost(self, step: float, model: Model) -> float:
-        return self._prior(step) + model.chi2
 
     def _parameters(self, count: int) -> int:
         return 3 * self.groups * (1 + count) + 2 * count
@@ -158,8 +142,8 @@ class Explanations:
         if cone > self.params.limit_deg:
             return cone, doubt or f"the direction is uncertain by {cone:.3g} degrees"
         if not doubt:
-            doubt = self._rival_pair(light, self.params.pair_deg)
-            if doubt and self.params.limit_deg > self.params.pair_deg:  # a wider cone may hold any such pair
+            doubt = self._rival_pair(light, PAIR_DEG)
+            if doubt and self.params.limit_deg > PAIR_DEG:  # a wider cone may hold any such pair
                 cone, doubt = self.params.limit_deg, self._rival_pair(light, self.params.limit_deg)
         return cone, doubt
 

@@ -1,17 +1,7 @@
 """Which lights make the irradiance that was seen: E(n) = a + sum_l Omega_l max(n.d_l, 0), with 0, 1 or 2 lights.
 
-`fit` searches the whole sphere (no local minimum is missed), chooses the number of lights by the Bayesian information
-criterion (not AICc: a light too many throws a shadow that is not there, so the dearer criterion is right), and calls the
-result `measured` only if
-* the direction's 95 % cone (profile likelihood, widened by the fit's own misfit) is narrow, over all exponents that a
-  wrong transfer function may have left in the values, and no other direction explains the data as well;
-* two lights of one colour in the place of any one light are ruled out. Where every seen normal faces both, their sum is
-  exactly one light's: E is affine in n whatever the number of lights. Only normals that turn away from the light show
-  that it is one (its terminator). `most_lights = 1` is for a user who knows that there is one lamp.
-Everything else is `refused`, in words; then `guess` is the best explanation all the same, and the ambient light the
-mean of what was seen. Light that is the same for every normal is refused too: there is no direction to be had.
-Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps.
-Cost: 20 to 150 ms.
+A direction that is not known for certain is `refused`, in words; then the ambient light is the mean of what was seen.
+Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms.
 """
 
 from __future__ import annotations
@@ -21,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.light.explain import Explanations, Params
+from arfx.analyse.light.explain import MODEL_ERROR, MOST_ERROR, Explanations, Params
 from arfx.analyse.light.search import NO_CONE_DEG, SKY, Model, Samples, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import condition
@@ -39,14 +29,13 @@ class FittedLight:
     """direction : (3,) unit, towards it, frame of the normals;  rgb : (g, 3) irradiance on a surface that faces it, per group
 
     confidence_deg : half-angle of its 95 % cone given the number of lights (180 = none)
-    angular_size_deg : full angle of its disc;  size_known : False = a default, or what the data allow if that is smaller
+    angular_size_deg : full angle of its disc, a default or what the data allow where they do not show it
     """
 
     direction: np.ndarray
     rgb: np.ndarray
     confidence_deg: float
     angular_size_deg: float = DEFAULT_SIZE_DEG
-    size_known: bool = False
 
     @property
     def sky(self) -> bool:
@@ -56,15 +45,14 @@ class FittedLight:
 
 @dataclass(frozen=True, eq=False)
 class LightFit:
-    """verdict : "measured" (lights) or "refused" (no light; `guess` holds the best explanation, for reports)
+    """verdict : "measured" (lights) or "refused" (no light)
 
     reason : in words;  ambient_rgb : (g, 3) per group, seen_rgb where refused;  seen_rgb : (g, 3) mean of what was seen
-    lights, guess : the one that gives most of what was seen first; of two only that must be known well: one
+    lights : the one that gives most of what was seen first; of two only that must be known well: one
         whose direction is not has confidence_deg 180, and is soft light in `light()`
-    count : lights of the model that the criterion chose
-    bic : for 0, 1, 2 lights;  misfit : chi squared over its degrees of freedom, under a systematic error of model_error
+    misfit : chi squared over its degrees of freedom, under a systematic error of model_error
     gamma : exponent found in the values
-    condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;  used, ignored : observations
+    condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;  ignored : observations
     """
 
     verdict: str
@@ -72,15 +60,11 @@ class LightFit:
     ambient_rgb: np.ndarray
     seen_rgb: np.ndarray
     lights: tuple[FittedLight, ...] = ()
-    guess: tuple[FittedLight, ...] = ()
-    count: int = 0
-    bic: tuple[float, ...] = (0.0, 0.0, 0.0)
     misfit: float = 0.0
     model_error: float = 0.0
     gamma: float = 1.0
     condition: float = 1e12
     span_deg: float = 0.0
-    used: int = 0
     ignored: int = 0
 
     def irradiance(self, normals: np.ndarray, group: int = 0) -> np.ndarray:
@@ -122,38 +106,33 @@ def fit(
     (an error that all share, as the bias has, is ambient light here);  group : (k,) int: directions are shared by all
     groups, amplitudes are each group's own. What is not finite is left out and counted. Nothing non-finite leaves.
     lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes are shared by all groups too"""
-    s = gather(normals, irradiance, variance, group, params.model_error, lit)
+    s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
     if s is None:
         count = int(np.size(normals) // 3)
         return LightFit(REFUSED, "no usable observation", np.zeros((1, 3)), np.zeros((1, 3)), ignored=count)
-    about: dict[str, Any] = {
-        "condition": min(condition(s.design()), 1e12),
-        "span_deg": s.span_deg(),
-        "used": s.used,
-        "ignored": s.ignored,
-    }
+    about: dict[str, Any] = {"condition": min(condition(s.design()), 1e12), "span_deg": s.span_deg(), "ignored": s.ignored}
     seen = _mean_rgb(s)
     if about["span_deg"] < LEAST_SPAN_DEG:
         return LightFit(REFUSED, f"one normal only: all lie within {about['span_deg']:.2g} degrees", seen, seen, **about)
     if len(s.normals) < 4:
         return LightFit(REFUSED, f"{len(s.normals)} normals only: a direction beside ambient light takes 4", seen, seen, **about)
-    error, found = params.model_error, Explanations(s, params)
+    error, found = MODEL_ERROR, Explanations(s, params)
     for _ in range(4):  # what no lights explain is an error of the model, and not one that averages out
         misfit = min(found.misfit(k) for k in range(len(found.best)))
         if misfit <= 1.5:
             break
         error = max(error, 1e-4) * float(np.sqrt(misfit))
-        if error > params.most_error:
+        if error > MOST_ERROR:
             break
         s = gather(normals, irradiance, variance, group, error, lit) or s
         found = Explanations(s, params, found)
     about["model_error"] = error
-    if error > params.most_error:
+    if error > MOST_ERROR:
         why = f"no lights explain what was seen to better than {error:.1%}: exposure or light changed, or the surface is glossy"
         return LightFit(REFUSED, why, seen, seen, misfit=misfit, **about)
     model, count = found.best[found.count], found.count
     s = model.at
-    about |= {"bic": found.bic, "misfit": found.misfit(count), "gamma": s.gamma, "count": count}
+    about |= {"misfit": found.misfit(count), "gamma": s.gamma}
     if count == 0:
         why = "the light is even: no direction stands out, or it comes from behind all normals"
         return LightFit(REFUSED, why, seen, seen, **about)
@@ -161,23 +140,22 @@ def fit(
     amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
     sky = model.soft >= SKY
     order = np.lexsort([-model.shares, sky])
-    guess = tuple(
-        FittedLight(model.dirs[i], amp[:, :, 1 + i], NO_CONE_DEG, *((180.0, True) if sky[i] else (DEFAULT_SIZE_DEG, False)))
-        for i in order
+    lights = tuple(
+        FittedLight(model.dirs[i], amp[:, :, 1 + i], NO_CONE_DEG, 180.0 if sky[i] else DEFAULT_SIZE_DEG) for i in order
     )
     cone, doubt = found.judged(int(order[0]))
-    guess = (replace(guess[0], confidence_deg=cone), *guess[1:])
+    lights = (replace(lights[0], confidence_deg=cone), *lights[1:])
     if doubt:
-        return LightFit(REFUSED, doubt, seen, seen, guess=guess, **about)
+        return LightFit(REFUSED, doubt, seen, seen, **about)
     told = f"{count} light{'s' * (count > 1)}, within {cone:.2g} degrees"
     if count == 2:
         other, doubt = found.judged(int(order[1]))
-        guess = (guess[0], replace(guess[1], confidence_deg=NO_CONE_DEG if doubt else other))
+        lights = (lights[0], replace(lights[1], confidence_deg=NO_CONE_DEG if doubt else other))
         told += f"; the second's direction is not known: {doubt}" if doubt else f" and {other:.2g} degrees"
     told += f"; normals over {about['span_deg']:.0f} degrees"
-    size, known = _angular_size(model, found.bound() - found.best_cost[count] + model.chi2)
-    lights = tuple(g if g.sky else replace(g, angular_size_deg=size, size_known=known) for g in guess)
-    return LightFit(MEASURED, told, amp[:, :, 0], seen, lights, lights, **about)
+    size = _angular_size(model, found.bound() - found.best_cost[count] + model.chi2)
+    lights = tuple(li if li.sky else replace(li, angular_size_deg=size) for li in lights)
+    return LightFit(MEASURED, told, amp[:, :, 0], seen, lights, **about)
 
 
 def _mean_rgb(s: Samples) -> np.ndarray:
@@ -186,13 +164,11 @@ def _mean_rgb(s: Samples) -> np.ndarray:
     return np.array([np.average(s.value[a:b], axis=0, weights=s.weight[a:b]) for a, b in pairs]) * s.scale
 
 
-def _angular_size(model: Model, bound: float) -> tuple[float, bool]:
-    """(full angle in degrees, whether the data show it). bound : chi squared that is no worse than the best."""
+def _angular_size(model: Model, bound: float) -> float:
+    """Full angle in degrees. bound : chi squared that is no worse than the best."""
     tried = [np.where(model.soft < SKY, np.sin(np.radians(a)), model.soft) for a in _SIZES_DEG]
     chi = np.array([refine(model.at, model.dirs, soft, passes=6).chi2 for soft in tried])
     inside = np.flatnonzero(chi <= max(bound, chi.min()))
     best = float(_SIZES_DEG[chi.argmin()])
-    if inside[0] > 0 and inside[-1] < len(chi) - 1:
-        return 2 * best, True
     most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, len(chi) - 1)])
-    return min(DEFAULT_SIZE_DEG, most) if inside[0] == 0 else 2 * best, False
+    return min(DEFAULT_SIZE_DEG, most) if inside[0] == 0 else 2 * best

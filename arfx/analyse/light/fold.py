@@ -1,11 +1,6 @@
 """The light of every frame: from the markers in the picture if they tell it, else the next best cue, out loud.
 
-`LightOfMarkers` keeps what each frame tells: patches of the markers' cells, and now and then a small picture of the
-surroundings; some hundred numbers per marker and frame, and no pixels. `lighted` makes the light of it.
-Cues in order: a light that is given (`assumed`); a direction that the markers' normals tell (`measured`); else `refused`:
-the surroundings folded from the picture, as soft light without a direction; ambient light alone. Whatever the cue,
-brightness and colour of each frame are those that the markers show (exposure and light together: from one normal the two
-cannot be told apart, and only their product is used).
+Whatever the cue, brightness and colour of each frame are those that the markers show (exposure and light together).
 The frame in which lights are fixed is the room's: the camera's where the camera stands still, else the marker map's.
 Source: docs/methods/light.md#cues.
 """
@@ -41,7 +36,7 @@ from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.health import Check
-from arfx.core.light import Light
+from arfx.core.light import Light, triple
 from arfx.core.rect import Rect
 
 Reading = tuple[int, str, Patches]
@@ -179,8 +174,7 @@ class Environment(Fold):
 
 def folded(job: AnalysisJob) -> Folded:
     """How a picture becomes a cube."""
-    found: Folded = job.kinds.get(Environment.name, Environment).folded
-    return found
+    return job.kinds.get(Environment.name, Environment).folded
 
 
 def solved(
@@ -219,10 +213,6 @@ def lighted(
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
     turns = analysis.static == "camera"
-    lit = tuple(
-        f.with_(light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=tuple(float(b) for b in bias)) if k in out else f
-        for k, f in enumerate(facts)
-    )
     shaded = {
         frame: found
         for frame, key, patches in taken
@@ -230,22 +220,23 @@ def lighted(
         and key == anchor.key
         and (found := real_shadow(quarters(patches.mean, patches.count, bias), anchor.size_m))
     }
-    lit = tuple(f.with_(plane_shadow=shaded[k]) if k in shaded else f for k, f in enumerate(lit))
+    lit = (
+        f if k not in out else f.with_(
+            light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=triple(bias), plane_shadow=shaded.get(k)
+        )
+        for k, f in enumerate(facts)
+    )  # fmt: skip
     about = (
         {"frames_shaded": len(shaded)}
         | _about_photometry(photometry, params)
-        | {"frame": "camera" if analysis.static == "camera" else "marker"}
+        | {"frame": "camera" if turns else "marker"}
         | report
     )
-    refused = report and report["verdict"] == REFUSED
-    notice = f"light: no direction is known: {report['reason']}. {_ways(report)}" if refused else None
+    notice = None
+    if report and report["verdict"] == REFUSED:
+        one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
+        notice = f"light: no direction is known: {report['reason']}. --light AZ,EL or --environment FILE gives one{one}"
     return analysis.adding(lit, notice, light=about)
-
-
-def _ways(report: dict[str, Any]) -> str:
-    """What a user can do about a light that is refused."""
-    one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
-    return f"--light AZ,EL or --environment FILE gives one{one}"
 
 
 def _certain_bias(photometry: Photometry) -> np.ndarray:

@@ -1,9 +1,7 @@
 """The compiled part of fit.py: E(n) = a + sum_l Omega_l max(n.d_l, 0), amplitudes at least 0, for given directions.
 
-Directions are nonlinear parameters, amplitudes linear ones that are solved exactly for every set of directions (variable
-projection): a small non-negative least squares per group of observations and channel. Groups share the directions and
-have amplitudes of their own. Several directions may form one light (`column`) with fixed relative `strength`, and turn
-together as one `body`: so a light is replaced by a rigid pair, to see whether the data would have noticed.
+Amplitudes are solved exactly for every set of directions (variable projection). Several directions may form one light (`column`)
+with fixed relative `strength`, and turn together as one `body`.
 
 Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of
 unit vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on;

@@ -1,24 +1,12 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. switched: the lamps are all on or all off between one step of the light and the next; without them the ambient light is
-   seen alone, which tells more than the light with them;
-3. segments: the directions of the clip, and colours and brightness of their own between one step of the light and the next;
-4. shared: the same, with a factor for every frame where frames show several normals (exposure that pumps), else in windows
-   of a few seconds (lamps that fade, exposure that drifts);
-5. windows: a fit for each window alone (a light that swings).
-The next one is tried where the one before does not explain the observations: its model error is large (explain.Params).
-A light that is refused for another reason stays refused: cut into pieces, its evidence only gets less.
-
-The freer an account, the better a light that moves while the marker turns can pose as one that rests elsewhere. So
-whatever does not explain the observations well with few freedoms has to be found by both halves of its time as well; the
-cone grows to hold all answers, and what is found once only is refused. One marker turned by hand beside a light that swings
-ends there; several markers at different tilts, that show many normals at once, do not.
-
-`gains` are the factors where several normals are seen at once (exposure that pumps, all lamps faded together): one per frame
-and one irradiance over normals explain such a clip, E(n, t) = g_t E(n). Where a frame shows one normal only, the two cannot be
-told apart, and nothing is tried. `drift` is what speaks against any account that rests: the same normal seen at different
-times, in different light.
+2. switched: the lamps are all on or all off between one step of the light and the next;
+3. segments: the directions of the clip, colours and brightness of their own between one step and the next;
+4. shared: the same, with a factor for every frame where frames show several normals, else in windows of a few seconds;
+5. windows: a fit for each window alone.
+The next one is tried where the one before does not explain the observations. A light that is refused for another reason stays
+refused: cut into pieces, its evidence only gets less. Source: docs/methods/light.md#time.
 """
 
 from __future__ import annotations
@@ -38,6 +26,7 @@ from arfx.core.numerics import angle_between, divide
 _APART_DEG = 10.0
 _AGREE_DEG = 3.0  # between the halves of a clip whose brightness wanders while one normal is seen at a time
 CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = "constant", "switched", "segments", "shared", "windows"
+_GOOD_ERROR = 0.006  # model error up to which an account holds
 _MOST_DRIFT = 0.02  # of the level, `drift`: an account under which normals change more does not hold
 _CELL_LEVEL = 4  # 4 degrees: within, normals count as one
 _WINDOW_S = 0.25
@@ -58,29 +47,29 @@ class Span:
 
 def fit_over_time(
     times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None = None,
-    breaks_s: Sequence[float] = (), window_s: float = 2.0, params: Params | None = None, good_error: float = 0.006,
+    breaks_s: Sequence[float] = (), window_s: float = 2.0, params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span]]:  # fmt: skip
     """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to the last observation).
 
     times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in fit.fit
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
-    window_s : length of a window, at most;  good_error : model error up to which an account holds
-    Observations without a finite time are left out.
+    window_s : length of a window, at most. Observations without a finite time are left out.
     """
-    p = params or Params()
     times = np.asarray(times_s, float).ravel()
     n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
     v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
     fine = np.isfinite(times) & np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
     n, E, v = n[fine], E[fine], v[fine]
     if not fine.any():
-        return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, p), ignored=len(fine)), 0)]
+        return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, params), ignored=len(fine)), 0)]
     times = times[fine]
 
     def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None) -> LightFit:
-        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit)
+        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], params, lit)
 
-    agree_deg = p.limit_deg if _several(times, n) else min(p.limit_deg, _AGREE_DEG)
+    # where most frames show normals that are apart, light that changes is told from a direction that does
+    several = np.mean(_mean_lengths(times, n) < np.cos(np.radians(_APART_DEG / 2))) > 0.5
+    agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
 
     def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
         return _confirmed(found, [run(rows, group) for rows in halves], agree_deg) if found.verdict == MEASURED else found
@@ -89,7 +78,7 @@ def fit_over_time(
     start, stop = float(times.min()), float(times.max())
     late = times > (start + stop) / 2
     constant = run(every, None)
-    if constant.model_error <= good_error and drift(times, n, E) <= _MOST_DRIFT:
+    if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
         return CONSTANT, [Span(start, stop, constant, 0)]
     segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
     held = constant  # the account whose refusal says most: the first that explains what was seen
@@ -97,7 +86,7 @@ def fit_over_time(
         group = _group(times, segments)
         found = run(every, group, lit)
         alike = drift(times, n, E, lit[group].astype(int)) <= _MOST_DRIFT
-        if found.verdict == MEASURED and found.model_error <= good_error and alike:
+        if found.verdict == MEASURED and found.model_error <= _GOOD_ERROR and alike:
             dark = replace(found, lights=tuple(li for li in found.lights if li.sky))
             return SWITCHED, [
                 Span(a, b, found if on else dark, 0) for on, (a, b) in zip(lit, pairwise(segments), strict=True)
@@ -107,12 +96,12 @@ def fit_over_time(
         if name == SEGMENTS and len(edges) < 3:
             continue
         if name == SHARED:
-            pumped = _pumped(times, n, E, v, p)
-            if pumped is not None and pumped.model_error <= good_error:
+            pumped = _pumped(times, n, E, v, params)
+            if pumped is not None and pumped.model_error <= _GOOD_ERROR:
                 return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
-        held = shared if shared.model_error <= good_error < held.model_error else held
-        if shared.verdict == MEASURED and shared.model_error <= good_error and drift(times, n, E, group) <= _MOST_DRIFT:
+        held = shared if shared.model_error <= _GOOD_ERROR < held.model_error else held
+        if shared.verdict == MEASURED and shared.model_error <= _GOOD_ERROR and drift(times, n, E, group) <= _MOST_DRIFT:
             if name == SHARED:
                 shared = confirmed(shared, [~late, late], group)
             if shared.verdict == MEASURED:
@@ -159,12 +148,11 @@ def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], windo
     return out
 
 
-def _several(times: np.ndarray, n: np.ndarray) -> bool:
-    """Whether most frames show normals that are apart: then light that changes is told from a direction that does."""
+def _mean_lengths(times: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """(frames,) length of each frame's mean normal: below 1 where its normals are apart."""
     frame = np.unique(times, return_inverse=True)[1]
-    count = np.bincount(frame)
-    mean = np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1) / count[:, None]
-    return float(np.mean(np.linalg.norm(mean, axis=1) < np.cos(np.radians(_APART_DEG / 2)))) > 0.5
+    mean = np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1) / np.bincount(frame)[:, None]
+    return np.asarray(np.linalg.norm(mean, axis=1))
 
 
 def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
@@ -191,16 +179,10 @@ def _pumped(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, para
 def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) -> LightFit:
     """`found` with its first light's cone widened to what the halves say, or refused."""
     first = found.lights[0]
-    off = (
-        max(
-            float(np.degrees(angle_between(np.array([li.direction for li in h.lights]), first.direction).min()))
-            if h.verdict == MEASURED
-            else np.inf
-            for h in halves
-        )
-        if halves
-        else np.inf
-    )
+    off = 0.0
+    for half in halves:
+        apart = angle_between(np.array([li.direction for li in half.lights]), first.direction) if half.lights else np.inf
+        off = max(off, float(np.degrees(np.min(apart))))
     if off > limit_deg:
         why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
         return replace(found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb)
@@ -234,13 +216,11 @@ def gains(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray) -> n
 
     Alternating least squares of the factors and of the irradiance in harmonics up to degree 2.
     """
-    _, frame = np.unique(times_s, return_inverse=True)
-    count = np.bincount(frame)
-    mean = np.stack([np.bincount(frame, normals[:, i]) for i in range(3)], 1) / count[:, None]
-    if np.mean(np.linalg.norm(mean, axis=1) < _APART) < _LEAST_FRAMES:
+    if np.mean(_mean_lengths(times_s, normals) < _APART) < _LEAST_FRAMES:
         return None
+    frame = np.unique(times_s, return_inverse=True)[1]
     light, H = np.asarray(irradiance, float).mean(1), harmonics(normals)
-    g = np.ones(len(count))
+    g = np.ones(frame.max() + 1)
     for _ in range(_PASSES):
         rows = g[frame, None] * H
         model = H @ np.linalg.lstsq(rows, light, rcond=1e-6)[0]

@@ -90,18 +90,6 @@ def around(corner, last_x, last_y, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def gathered(image, corner, out):  # pragma: no cover - compiled
-    """out (4 k, 3) float32 = the four pixels of each sample, read from image (rows, columns, 3)."""
-    rows, columns = image.shape[:2]
-    for i in range(len(corner)):
-        x0, y0 = corner[i, 0], corner[i, 1]
-        x1, y1 = min(x0 + 1, columns - 1), min(y0 + 1, rows - 1)
-        for c in range(3):
-            out[4 * i, c], out[4 * i + 1, c] = image[y0, x0, c], image[y0, x1, c]
-            out[4 * i + 2, c], out[4 * i + 3, c] = image[y1, x0, c], image[y1, x1, c]
-
-
-@numba.njit(cache=True, nogil=True)
 def _spread_about(x, low, high, middle):  # pragma: no cover - compiled
     """Median distance of the sorted x[low:high] from their median."""
     n = high - low
@@ -127,7 +115,7 @@ def _spread_about(x, low, high, middle):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # pragma: no cover - compiled
-    """Means, deviations (8, 3) and tally (8, 5: used, clipped, bright, not finite, all) of the samples of each patch.
+    """Means, deviations (8, 3) and tally (8, 3: used, clipped, all) of the samples of each patch.
 
     pixels (4 k, 3) of the samples;  low, high : linear levels at which any channel of any of the four is clipped
     """
@@ -137,7 +125,7 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
     size = np.zeros(PATCHES, np.int64)
     for i in range(count):
         g, fx, fy = group[i], part[i, 0], part[i, 1]
-        tally[g, 4] += 1
+        tally[g, 2] += 1
         finite, clip, total = True, False, 0.0
         n = size[g]
         for c in range(3):
@@ -147,11 +135,9 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
             value = (a * (1 - fx) + b * fx) * (1 - fy) + (e * (1 - fx) + f * fx) * fy
             values[g, n, c] = value
             total += value
-        if not finite:
-            tally[g, 3] += 1
-        elif clip:
+        if finite and clip:
             tally[g, 1] += 1
-        else:
+        elif finite:
             grey[g, n] = total / 3
             size[g] += 1
     for g in range(PATCHES):
@@ -181,8 +167,6 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
                 used += 1
                 for c in range(3):
                     mean[g, c] += values[g, i, c]
-            elif grey[g, i] > centre:
-                tally[g, 2] += 1
         if used < FEWEST:
             for c in range(3):
                 mean[g, c] = 0.0
@@ -222,7 +206,7 @@ def uncertainty(mean, spread, tally, shared, leak, half_grey, cut, out):  # prag
     for g in range(PATCHES):
         if not tally[g, 0] > 0:
             continue
-        clipped = tally[g, 1] / max(tally[g, 4], 1.0) * (len(cut) - 1)
+        clipped = tally[g, 1] / max(tally[g, 2], 1.0) * (len(cut) - 1)
         i = min(int(clipped), len(cut) - 2)
         lost = cut[i] + (clipped - i) * (cut[i + 1] - cut[i])
         for c in range(3):

@@ -1,22 +1,9 @@
 """The marker as a light meter: robust means of its black and white cells in one frame, in linear light.
 
-Samples lie on a grid inside every cell, away from its edges, placed by the homography of the refined corners and read
-bilinearly at exact coordinates (pixel centres at integers). Clipped and non-finite samples are dropped; the others are
-grouped by colour and quarter of the marker, and each group's mean leaves out what does not belong to it (a highlight,
-a finger). What biases a mean beyond its noise goes into its variance: blur from the neighbouring cells, the truncation
-that dropping clipped samples is, and 8-bit steps without noise to dither them.
-
-`comparable` takes care of prints that are partly overexposed. Where the paper is clipped the ink tells the light, and where
-it is not the paper tells it better. But the two have one scale only as far as the camera's curve is known: some per cent of
-difference between frames of either kind would pass for the shape of the light over its normals. So a fit gets readings of one
-kind: the paper's, where few are clipped, else the ink's. (Even where nothing tells the bias: light with a constant added has
-the same directions.)
-
-`already_blocked` is the real shadow on the anchor's print, told by the quarters of its paper, so that the object's shadow is
-not taken twice there. Quarters are compared with the brightest one, which is taken for lit: a shadow over the whole print
-cannot be told from less light, and counts as that.
-Source: Tan, Chen, Sun 2009 ("dynamic light map"), section 2.1: the patch's pixel brightness I of eq. (2);
-docs/methods/light.md#meter. Cost: about .2 ms for a marker of 270 px.
+Samples lie on a grid inside every cell, away from its edges, read bilinearly (pixel centres at integers). What biases a mean
+beyond its noise goes into its variance. `comparable` gives a fit readings of one kind where prints are partly overexposed;
+`real_shadow` is what lies on the anchor's print already, against the brightest quarter, which is taken for lit.
+Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about .2 ms for a marker of 270 px.
 """
 
 from __future__ import annotations
@@ -49,20 +36,13 @@ LEAST_LEFT = 0.7  # of the brightest quarter's light; above it vignetting, a nea
 @stored
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """One marker in one frame. white : (8,) bool, paper cells
-
-    mean : (8, 3) linear RGB, 0 where count is 0;  variance : (8, 3) of that mean, noise and known biases
-    count : (8,) samples used;  clipped : (8,) share of all samples that were clipped
-    highlight : (8,) share of all samples that were dropped as brighter than their patch;  not_finite : samples dropped
-    """
+    """One marker in one frame. mean : (8, 3) linear RGB, 0 where count is 0
+    variance : (8, 3) of that mean, noise and known biases;  count : (8,) samples used;  clipped : (8,) share of all samples"""
 
     mean: np.ndarray
     variance: np.ndarray
-    white: np.ndarray
     count: np.ndarray
     clipped: np.ndarray
-    highlight: np.ndarray
-    not_finite: int = 0
 
 
 WHITE = np.arange(PATCHES) >= PATCHES // 2
@@ -78,25 +58,6 @@ def cells(family: str, number: int) -> np.ndarray:
     out = cv2.aruco.generateImageMarker(dictionary(family), number, n) > 127
     out.setflags(write=False)
     return out
-
-
-def measure(
-    linear: np.ndarray, origin: tuple[int, int], corners_px: np.ndarray, cells: np.ndarray, inverted: bool = False,
-    clip_low: float = CLIP_LOW, clip_high: float = CLIP_HIGH, blur_px: float = 0.7,
-) -> Patches:  # fmt: skip
-    """Means of the patches of one marker.
-
-    linear : (h, w, 3) float32 linear RGB of the rectangle whose first pixel is `origin` (x, y) of the frame; samples
-        outside it are left out without being counted
-    corners_px : (4, 2) in the frame, order of MarkerSpec.corners_m;  cells : `cells(family, id)`
-    inverted : white on black print;  clip_low, clip_high : linear levels at which any channel is taken for clipped
-    blur_px : standard deviation of the edges' blur
-    """
-    image = np.ascontiguousarray(linear, np.float32)
-    spots = place(np.asarray(corners_px, float) - np.asarray(origin, float), cells, inverted, blur_px, image.shape[:2])
-    pixels = np.empty((4 * len(spots.group), 3), np.float32)
-    kernels.gathered(image, spots.corner, pixels)
-    return reduced(pixels, spots, clip_low, clip_high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +80,13 @@ class Spots:
         return out
 
 
-def place(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, ...]) -> Spots:
-    """Samples of a marker in a picture of shape (rows, columns); arguments as for `measure`. None for a quad that is bent."""
-    rows, columns = shape[:2]
+def place(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, int]) -> Spots:
+    """Samples of a marker in a picture of shape (rows, columns); none for a quad that is bent.
+
+    quad_px : (4, 2) order of MarkerSpec.corners_m;  cells : `cells(family, id)`;  inverted : white on black print
+    blur_px : standard deviation of the edges' blur
+    """
+    rows, columns = shape
     most = len(cells) ** 2 * kernels.MOST_SAMPLES**2
     corner, part, group = np.empty((most, 2), np.int32), np.empty((most, 2)), np.empty(most, np.int32)
     about = np.array([1.0, 0.0])
@@ -131,14 +96,13 @@ def place(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float
     return Spots(corner[:count], part[:count], group[:count], last, float(about[0]), float(about[1]))
 
 
-def reduced(pixels: np.ndarray, spots: Spots, clip_low: float = CLIP_LOW, clip_high: float = CLIP_HIGH) -> Patches:
+def reduced(pixels: np.ndarray, spots: Spots) -> Patches:
     """Patches of the samples. pixels : (4 k, 3) float32 linear RGB at `spots.pixels()`"""
-    mean, spread, variance, tally = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 5))
-    kernels.reduce(pixels, spots.part, spots.group, clip_low, clip_high, HALF_GREY, mean, spread, tally)
+    mean, spread, variance, tally = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3))
+    kernels.reduce(pixels, spots.part, spots.group, CLIP_LOW, CLIP_HIGH, HALF_GREY, mean, spread, tally)
     kernels.uncertainty(mean, spread, tally, spots.shared, spots.leak, HALF_GREY, _cut(), variance)
-    used, clipped, bright, bad, every = tally.T
-    share = np.maximum(every, 1)
-    return Patches(mean, variance, WHITE.copy(), used.astype(int), clipped / share, bright / share, int(bad.sum()))
+    used, clipped, every = tally.T
+    return Patches(mean, variance, used.astype(int), clipped / np.maximum(every, 1))
 
 
 @cache
@@ -158,14 +122,13 @@ def cut_off(share: np.ndarray) -> np.ndarray:
     return np.where(p > 0, 3 * lost, 0.0)
 
 
-def stack(patches: Sequence[Patches | None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN where nothing was measured."""
     shape = (len(patches), PATCHES, 3)
     intensity, variance, clipped = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape[:2])
     for i, p in enumerate(patches):
-        if p is not None:
-            seen = p.count > 0
-            intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
+        seen = p.count > 0
+        intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
     return intensity, variance, clipped
 
 

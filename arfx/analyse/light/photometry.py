@@ -1,12 +1,8 @@
 """Light and camera bias out of the patches of many frames: I = g rho x_t + b per channel, shared b, one light per frame.
 
-The free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber), each channel by
-itself. The normal matrix is an arrow: every y_t is eliminated and a 1 x 1 Schur complement remains (2 x 2 where the ink's
-albedo is unknown too), O(frames x patches). As printed: papers/s1_light.py.
-What cannot be solved is told by its rank and by the uncertainty that it would have, and reported as `degenerate`; then
-b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
-Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); corrections: docs/methods/light.md#bias.
-Cost: 10,000 frames x 8 patches x 3 channels about .25 s.
+The free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber). What cannot be solved is `degenerate`:
+then b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
+Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); docs/methods/light.md#bias. Cost: 10,000 frames about .25 s.
 """
 
 from __future__ import annotations
@@ -40,7 +36,7 @@ class Photometry:
     """Solution over t observations (a marker in a frame). All finite.
 
     y : (t, 3) light g x_t, in units of the radiance of a white diffuse surface; noise may bring it below 0
-    var_y : (t, 3) its variance with that of the bias;  var_y_own : (t, 3) without (errors of b are shared by all frames)
+    var_y_own : (t, 3) its variance without that of the bias, whose error is shared by all frames
     seen : (t,) False where nothing was usable (y 0, variance UNKNOWN_VARIANCE)
     bias : (3,);  bias_95 : (3, 2) interval, the ink's tolerance included;  ink : (3,) albedo used or found
     determined : (3,) False where the channel's bias is assumed, not solved
@@ -52,7 +48,6 @@ class Photometry:
     verdict: str
     reason: str
     y: np.ndarray
-    var_y: np.ndarray
     var_y_own: np.ndarray
     seen: np.ndarray
     bias: np.ndarray
@@ -162,7 +157,7 @@ def assemble(parts: list[dict], clipped: float, ignored: int) -> Photometry:
     if not fine:
         channels = "".join(name for name, p in zip("RGB", parts, strict=True) if not p["determined"])
         text = f"{channels}: {text}; bias 0 assumed, light from the bright patches alone"
-    columns = {k: np.stack([p[k] for p in parts], -1) for k in ("y", "var_y", "var_y_own")}
+    columns = {k: np.stack([p[k] for p in parts], -1) for k in ("y", "var_y_own")}
     rows = {k: np.array([p[k] for p in parts]) for k in ("bias", "ink", "determined", "rank", "unknowns", "condition", "misfit")}
     return Photometry(
         MEASURED if fine else DEGENERATE, text, seen=np.any([p["seen"] for p in parts], 0), **columns, **rows,
@@ -272,7 +267,7 @@ def solved(
         return fallback(grey, w0, rho, why, rank, condition)
     return {
         "y": np.where(seen, y, 0.0), "var_y_own": np.where(seen, own, UNKNOWN_VARIANCE), "seen": seen, "bias": b,
-        "var_y": np.where(seen, own + lean**2 * noise_b, UNKNOWN_VARIANCE), "bias_95": (b - half, b + half),
+        "bias_95": (b - half, b + half),
         "ink": k if one_ink else float(rho[dark].mean()) if dark.any() else float(rho.min()), "determined": True, "rank": rank,
         "unknowns": unknowns, "condition": min(condition, 1e12), "misfit": scale, "reason": "",
     }  # fmt: skip
@@ -304,7 +299,7 @@ def normalised(
     apart = np.where(seen, rb - rd, 1.0)
     y = np.where(seen, (bright - black) / apart, 0.0)
     own = np.where(seen, divide(divide(1, wb) + divide(1, wd), apart**2), UNKNOWN_VARIANCE)
-    return shared | {"y": y, "var_y": own, "var_y_own": own, "seen": seen}
+    return shared | {"y": y, "var_y_own": own, "seen": seen}
 
 
 def _ink_step(
@@ -339,10 +334,9 @@ def fallback(grey: np.ndarray, w: np.ndarray, rho: np.ndarray, why: str, rank: i
     take = w * (usable >= usable.max(1, keepdims=True) * (1 - 1e-2)) if rho.size else w
     information = (take * rho * rho).sum(1)
     y = divide((take * rho * grey).sum(1), information)
-    lean = divide((take * rho).sum(1), information)
     own = np.where(seen & (information > 0), divide(1.0, information), UNKNOWN_VARIANCE)
     return {
-        "y": y, "var_y_own": own, "var_y": np.minimum(own + (lean * ASSUMED_BIAS) ** 2, UNKNOWN_VARIANCE), "seen": seen,
+        "y": y, "var_y_own": own, "seen": seen,
         "bias": 0.0, "bias_95": (-1.96 * ASSUMED_BIAS, 1.96 * ASSUMED_BIAS), "ink": float(rho.min()) if rho.size else 0.0,
         "determined": False, "rank": rank, "unknowns": int(seen.sum()) + 1, "condition": min(condition, 1e12),
         "misfit": 1.0, "reason": why,

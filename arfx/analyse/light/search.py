@@ -36,7 +36,7 @@ class Samples:
 
     normals : (k, 3) mean of unit vectors;  value : (k, 3) irradiance over `scale` (3,), the channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective : number of independent values
-    used, ignored : observations;  gamma : exponent that has been taken out of the values
+    ignored : observations;  gamma : exponent that has been taken out of the values
     lit : (k,) share of the lamps that is on, 0..1; empty = 1
     """
 
@@ -46,7 +46,6 @@ class Samples:
     starts: np.ndarray
     scale: np.ndarray
     effective: float
-    used: int
     ignored: int
     gamma: float = 1.0
     lit: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -123,7 +122,7 @@ def gather(
     starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
     if lit is not None:
         starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
-    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, int(fine.sum()), int((~fine).sum()), 1.0, on)
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, int((~fine).sum()), 1.0, on)
 
 
 def _mean(n: np.ndarray, E: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -80,8 +80,7 @@ class RoomLight:
             light_map.Observation(facts[k].time_s, self.normals[a:b], self.y[a:b], self.variance[a:b])
             for k, (a, b) in zip(self.lit, pairwise([*first.tolist(), len(mine)]), strict=True)
         ]
-        map_params = light_map.Params(params.map_level, params.map_blur_rad, params.drift_per_s)
-        self.kinds = light_map.changes(self.observations, map_params) if self.lit else np.zeros(0, int)
+        self.kinds = light_map.changes(self.observations, params.map_level, params.map_blur_rad, params.drift_per_s)
 
     def told(self, rests: bool, looks: Sequence[Look]) -> tuple[Lights, dict[str, Any]]:
         """The light that the markers tell, or the softer cue that takes its place. rests : a light can rest in the room"""
@@ -97,10 +96,6 @@ class RoomLight:
         )  # fmt: skip
         if better is not None:
             self.y, self.variance = better.y, better.variance
-            self.observations = [
-                replace(o, irradiance=self.y[self.which == i], variance=self.variance[self.which == i])
-                for i, o in enumerate(self.observations)
-            ]  # fmt: skip
         told = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
         normals = self.about_normals(told.span_deg)
         known = [s for s in spans if s.fit.verdict == MEASURED]
@@ -180,7 +175,7 @@ class RoomLight:
         out: Lights = {}
         for i, model in enumerate(models):
             rows = np.flatnonzero(of_frame == i)
-            out |= zip((self.frames[r] for r in rows), _scaled(model, every[rows]), strict=True)
+            out |= {self.frames[r]: model.scaled(every[r]) for r in rows}
         return out
 
     def about_normals(self, span_deg: float | None = None) -> dict[str, Any]:
@@ -199,8 +194,8 @@ class RoomLight:
 
 
 def explained(
-    times_s: np.ndarray, normals: np.ndarray, told: Told, alone: Told | None, breaks_s: Sequence[float], window_s: float = 2.0,
-    params: FitParams | None = None,
+    times_s: np.ndarray, normals: np.ndarray, told: Told, alone: Told | None, breaks_s: Sequence[float],
+    window_s: float = 2.0, params: FitParams = FitParams(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span], Told | None]:  # fmt: skip
     """(account, spans, the readings that tell it if not the first): `alone` where the light is refused by what all cells tell."""
     account, spans = fit_over_time(times_s, normals, told.y, told.variance, breaks_s, window_s, params)
@@ -246,16 +241,6 @@ def _span_at(spans: Sequence[Span], times_s: np.ndarray) -> np.ndarray:
     start, stop = np.array([s.start_s for s in spans]), np.array([s.stop_s for s in spans])
     away = np.maximum(np.maximum(start - times_s[:, None], times_s[:, None] - stop), 0)
     return np.asarray(away.argmin(1))
-
-
-def _scaled(light: Light, factors: np.ndarray) -> Iterator[Light]:
-    """The light times each of factors (n, 3), one per channel."""
-    ambient = (factors * np.array(light.ambient_rgb)).tolist()
-    rows = (factors[:, None] * np.array([*light.soft, *(li.rgb for li in light.lights)]).reshape(1, -1, 3)).tolist()
-    parts = len(light.soft)
-    for rgb, row in zip(ambient, rows, strict=True):
-        lamps = tuple(replace(li, rgb=tuple(c)) for li, c in zip(light.lights, row[parts:], strict=True))
-        yield Light(tuple(rgb), lamps, light.source, tuple(map(tuple, row[:parts])))
 
 
 def report_of(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:

@@ -4,16 +4,10 @@ The direction's angle from the line of sight is the distance from the picture's 
 behind. That gives colour and soft shading, never a direction: a picture of a third of the surroundings says little about the
 rest, and lamps in it are clipped.
 
-`soft_light` is what is used where no direction is known: the surroundings above the anchor's plane, the plane itself below.
-The fold knows a third of what is around, mirrors it, and cannot know what lights the plane: so only its colours and its broad
-bright and dark sides are taken, evened out by half, and scaled to what the markers show. What an object's underside sees is
-the plane, whose radiance is in the picture.
-
-`with_environment` is for reflections: one cube per shot, in the facts. Looks at the surroundings are brought to the axes in
-which the room stands still and averaged over their shot, so that nothing flickers and what is seen from several sides adds up.
-A panorama that the user gave takes their place.
-Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16. Leaves out: the four
-corners of the picture.
+`soft_light` is for where no direction is known: the surroundings above the anchor's plane, evened out by half and scaled to what
+the markers show, the plane itself below. `with_environment` is for reflections: one cube per shot, or the panorama that the user
+gave. Leaves out the four corners of the picture.
+Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16.
 """
 
 from __future__ import annotations
@@ -25,6 +19,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from arfx.analyse.light.given import STANDS_OUT
 from arfx.analyse.light.icosphere import icosphere
 from arfx.core.codec import stored
 from arfx.core.cube import CubeMap, face_directions, solid_angles
@@ -66,33 +61,31 @@ def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     across = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
     x = (1 + out * d[..., 0] / across) / 2 * small.shape[1] - 0.5
     y = (1 + out * d[..., 1] / across) / 2 * small.shape[0] - 0.5
-    rows = [
-        cv2.remap(small, a.astype(np.float32), b.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for a, b in zip(x, y, strict=True)
-    ]
-    return np.stack(rows)
+    return _looked_up(small, x, y, cv2.BORDER_REPLICATE)
 
 
-def from_panorama(picture: np.ndarray, size: int = SIZE, stands_out: float = 6.0) -> np.ndarray:
+def _looked_up(picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
+    """(6, n, n, 3) of the picture at places (6, n, n)."""
+    places = zip(x.astype(np.float32), y.astype(np.float32), strict=True)
+    return np.stack([cv2.remap(picture, a, b, cv2.INTER_LINEAR, borderMode=border) for a, b in places])
+
+
+def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of given.py (z up, middle column x).
 
-    What is more than `stands_out` times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
+    What is more than STANDS_OUT times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
     """
     a = np.asarray(picture, np.float32)
     solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
     grey = a.mean(-1)
-    limit = stands_out * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
+    limit = STANDS_OUT * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
     a = np.ascontiguousarray(a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None], np.float32)
     a = np.asarray(cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32)
     d = face_directions(size)
     x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
     y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
     y = np.clip(y, 0, a.shape[0] - 1)
-    rows = [
-        cv2.remap(a, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        for u, v in zip(x, y, strict=True)
-    ]
-    return np.stack(rows).astype(float)
+    return _looked_up(a, x, y, cv2.BORDER_WRAP).astype(float)
 
 
 def mip_chain(faces: np.ndarray) -> list[np.ndarray]:

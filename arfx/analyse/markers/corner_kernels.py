@@ -1,7 +1,6 @@
 """The compiled inner loop of corners.py: edges along the sides of one quad, lines through them, where the lines meet.
 
-All in float64, one marker after the other, so that a marker's result does not depend on its company. Nothing here
-divides by zero to an exception; what is not finite is told by the caller's flags and never becomes an index.
+One marker after the other, so that a result does not depend on its company. What is not finite never becomes an index.
 """
 
 from __future__ import annotations

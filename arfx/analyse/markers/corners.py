@@ -1,26 +1,14 @@
 """Sub-pixel corners of square markers: lines through the four sides' edges, met at the corners.
 
-Along each side the luma is sampled on short normals, in linear light (optical blur is a convolution of light, so a
-blurred black-white edge is symmetric there and only there: in coded values corners come out .5 px too large at
-.7 px blur). The edge is the centre of the gradient under a Gaussian window (mean shift), a robust line runs
-through it, the lines meet in the corners; repeated until it stands still. Straight sides are bent by the lens: the
-samples follow the bend. Measured against exact renderings (side 40 / 80 / 160 px, noise 3 grey levels):
-rms .04 / .02 / .02 px, bias below .01 px; cv2.cornerSubPix on the same images .66 / .65 / .82 px.
-Two errors are told apart: what scatters along a side (sigma_px), and what all of its samples share because a side that
-runs along the pixels meets each at the same place (aliasing_px).
-
-`EdgeRefiner` decides once per clip, from the first sightings, in which values edges are symmetric, light or code. Cameras
-that sharpen their picture do so in coded values, and the edges they leave are symmetric there: taken for light, they move by
-a tenth of a pixel or more, always outwards. The skew of the edges' gradient tells: until it has been decided, both are
-computed and both are kept.
-Cost: about .2 ms per marker (corner_kernels.py). Leaves out: rolling shutter.
+Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples share because the side runs along
+the pixels (aliasing_px). `EdgeRefiner` decides once per clip in which values edges are symmetric, light or code: until then both
+are computed and kept. Leaves out: rolling shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import cv2
 import numpy as np
@@ -111,9 +99,8 @@ def aliasing_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) 
     """(n,) standard deviation of a corner coordinate from the steps of the pixels, beside Corners.sigma_px.
 
     corners_px : (n, 4, 2);  blur_px : (n,) of Corners, NaN gives 0;  cells : (n,) cells along a side, border included
-    The position of a step between pixels is known as well as the blur spreads it over several: to .3 px in a picture with
-    one sample per pixel, to .04 px where pixels integrate. A side that crosses many rows of pixels averages that away;
-    one that keeps within a row, be it a diagonal one, does not.
+    The position of a step between pixels is known as well as the blur spreads it over several. A side that crosses many rows of
+    pixels averages that away; one that keeps within a row, be it a diagonal one, does not.
     """
     side = np.roll(corners_px, -1, 1) - corners_px
     shared = np.zeros(side.shape[:2])
@@ -162,25 +149,20 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
 
 
 class EdgeRefiner(Stateful):
-    """Refines sightings; `transfer` is "auto" until decided."""
+    """Refines sightings. transfer : "auto" until decided;  table : (256,) coded luma to linear light, as decided so far"""
 
     def __init__(self, transfer: str = AUTO) -> None:
         self.transfer = transfer
-        self._table = linear_table(LIGHT if transfer == AUTO else transfer)
+        self.table = linear_table(LIGHT if transfer == AUTO else transfer)
         self._skews: list[tuple[float, float]] = []
         self._other: list[tuple[int, tuple[Seen, ...]]] = []  # what frames would be in code
         self._ready = False
-
-    @property
-    def table(self) -> np.ndarray:
-        """(256,) coded luma to linear light, as decided so far."""
-        return self._table
 
     def refine(self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera) -> tuple[Seen, ...]:
         """frame : number of the record, for `corrections`."""
         if not found:
             return ()
-        first, skew = _refined(luma, found, self._table, camera)
+        first, skew = _refined(luma, found, self.table, camera)
         if self.transfer == AUTO:
             second, skew_code = _refined(luma, found, linear_table(CODE), camera)
             both = np.stack([skew, skew_code], -1)
@@ -193,7 +175,7 @@ class EdgeRefiner(Stateful):
     def _decide(self) -> None:
         light, code = np.abs(np.median(np.array(self._skews or [(0.0, 0.0)]), axis=0))
         self.transfer = CODE if light > _SKEWED and code < 0.5 * light else LIGHT
-        self._table = linear_table(self.transfer)
+        self.table = linear_table(self.transfer)
         self._ready = self.transfer == CODE
         if not self._ready:
             self._other = []
@@ -206,16 +188,11 @@ class EdgeRefiner(Stateful):
         return out
 
 
-@cache
-def _cells(family: str) -> int:
-    return cells_per_side(family)
-
-
 def _refined(
     luma: np.ndarray, found: Sequence[Candidate], table: np.ndarray, camera: Camera
 ) -> tuple[tuple[Seen, ...], np.ndarray]:
     quads = np.stack([c.quad_px for c in found])
-    r = refine_corners(luma, quads, np.array([_cells(c.family) for c in found]), table, camera)
+    r = refine_corners(luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera)
     seen = tuple(
         Seen(c.key, r.corners_px[i], float(r.sigma_px[i]), float(r.blur_px[i]), bool(r.inverted[i])) for i, c in enumerate(found)
     )

@@ -1,10 +1,7 @@
-"""Finds printed markers of known families in a luma image: pixel-accurate corners, whole frame, part or reduced.
+"""Finds printed markers of known families in a luma image, by OpenCV's ArucoDetector without its corner refinement (corners.py).
 
-OpenCV's ArucoDetector does the finding and decoding; its own corner refinement stays off (see corners.py: it is
-off by .25 to .9 px on blurred edges). Thresholds that OpenCV takes relative to the image are set so that they mean
-the same number of pixels in a part as in the whole frame: a search of the part that holds a marker gives exactly
-the corners of a search of the whole frame.
-`Survey` tells what is in a clip in which no configured marker is found: a sparse look with every family.
+OpenCV's relative thresholds are set to mean the same pixels in a part as in the whole frame: a search of the part that holds a
+marker gives exactly the corners of a search of the whole frame.
 Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms at 1080p (two threads).
 """
 
@@ -13,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -81,6 +79,7 @@ def dictionary(family: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, opencv_name(family)))
 
 
+@cache
 def cells_per_side(family: str) -> int:
     """Cells along a marker's side, black border included."""
     return int(dictionary(family).markerSize) + 2
@@ -143,9 +142,6 @@ class Survey(Stateful):
         if frame != self.next_frame:
             return
         self.next_frame *= _GROWTH
-        self.look(luma)
-
-    def look(self, luma: np.ndarray) -> None:
         self.looked += 1
         # 14 px: smaller squares of weak dictionaries are found in any texture
         found = MarkerDetector(SURVEY_FAMILIES, min_side_px=14.0, inverted=False).search(luma)

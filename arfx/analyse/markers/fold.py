@@ -9,8 +9,8 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.corners import EdgeRefiner
-from arfx.analyse.markers.detect import Candidate, Record, Seen, Survey
-from arfx.analyse.markers.tracker import Found, Tracker
+from arfx.analyse.markers.detect import Record, Seen, Survey
+from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.presence import CutSignal
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
@@ -50,11 +50,11 @@ class Markers(Fold):
     def step(self, frame: AnalysisFrame) -> None:
         luma = self._checked(frame)
         found = self._tracker.step(frame.time_s, luma, frame.following)
-        self.prints = self._refined(luma, found)
+        self.prints = self._refiner.refine(frame.index, luma, (*found.sightings, *found.rivals), self.camera)
         self.seen = self.prints[: len(found.sightings)]
         self._others.update(found.others)
         self._ever_seen |= bool(self.seen)
-        if self.job.params.survey and not self._ever_seen:
+        if not self._ever_seen:
             self._survey.step(frame.index, luma)
         rivals = self.prints[len(self.seen) :]
         self.records.append(Record(frame.index, frame.time_s, self.seen, rivals, found.whole, self._cut.step(luma)))
@@ -76,12 +76,6 @@ class Markers(Fold):
             last = f" after frame {records[-1].index} at {records[-1].time_s:g} s" if records else ", which is not the first"
             raise InputError(f"frame {index} at {time_s:g} s comes{last}")
         return luma
-
-    def _refined(self, luma: np.ndarray, found: Found) -> tuple[Seen, ...]:
-        every: tuple[Candidate, ...] = (*found.sightings, *found.rivals)
-        if not self.job.params.refine:
-            return tuple(Seen(c.key, c.quad_px, 1.0, float("nan"), False) for c in every)
-        return self._refiner.refine(len(self.records), luma, every, self.camera)
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError if no configured marker was ever seen, saying what was."""

@@ -1,13 +1,10 @@
 """Decides where to look in each frame, so that a tracked marker costs little and nothing is missed.
 
-* A tracked marker is looked for in its predicted rectangle, at full resolution, among squares not much smaller than it
-  was: the cells of its code and the texture around it are squares too, and decoding those is most of a search's time.
-* If one is not there, the same frame is searched whole, at full resolution, and so are the next few frames.
-* Later, frames are searched on a reduced image (a hit there is looked up at full resolution), and whole at a
-  stated interval. Frames as small as the reduced image are searched whole while any marker is missing or very small.
-* While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that comes
-  is found in its first frame, one that shows in a single frame may not be.
-The detector's corners in a part are those in the whole frame, so that where it was looked does not show in the result.
+* A tracked marker is looked for in its predicted rectangle, among squares not much smaller than it was.
+* If one is not there, this frame and the next few are searched whole, at full resolution; later ones on a reduced image (a hit
+  there is looked up at full resolution), and whole at a stated interval.
+* While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that shows in a
+  single frame may be missed.
 """
 
 from __future__ import annotations
@@ -60,14 +57,12 @@ class Found:
 
     sightings : the chosen candidate per configured key;  rivals : further candidates with the same key
     others : ids of the families that are not configured;  whole : the whole frame was searched at full resolution
-    searched_px : pixels given to the detector
     """
 
     sightings: tuple[Candidate, ...]
     rivals: tuple[Candidate, ...]
     others: tuple[str, ...]
     whole: bool
-    searched_px: int
 
 
 class Tracker(Stateful):
@@ -92,7 +87,7 @@ class Tracker(Stateful):
         frame = Rect.of(width, height)
         factor = max(1, math.ceil(math.sqrt(frame.area / self.params.reduced_px)))
         every: list[Candidate] = []
-        searched, whole = 0, False
+        whole = False
         followed = list(self.tracks.values())
         sure = all(t.missing == 0 and t.sides_px.min() >= SURE_PX for t in followed)
         if factor == 1 and (len(followed) < len(self.keys) or not sure):
@@ -101,7 +96,6 @@ class Tracker(Stateful):
         for part in _merged(rects):
             sides = [t.sides_px.min() for t, r in zip(followed, rects, strict=True) if not r.clip(part).empty]
             every += self.detector.search(luma, part, min_side_px=SHRINK * float(min(sides)))
-            searched += part.area
         missing = [k for k in self.keys if k not in {c.key for c in every}]
         newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)
         nothing_here, self.nothing_here = self.nothing_here, False
@@ -110,34 +104,31 @@ class Tracker(Stateful):
         due = time_s - self.last_whole_s >= self.params.search_interval_s
         if missing and (factor == 1 or due or newly_lost or self.lost_frames > 0):
             every, whole = self.detector.search(luma), True
-            searched += frame.area
             self.last_whole_s = time_s
             self.lost_frames = max(0, self.lost_frames - 1)
         elif missing and (len(missing) == len(self.keys) or self.frames % self.params.reduced_search_every == 0):
             ahead = following if self.nothing_before and len(missing) == len(self.keys) else None
-            hits, looks = ([], 0) if nothing_here else self._glance(luma, ahead, factor, missing)
-            searched += looks * (frame.area // factor**2)
+            hits = [] if nothing_here else self._glance(luma, ahead, factor, missing)
             for part in _merged(Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)).clip(frame) for c in hits):
                 every += self.detector.search(luma, part)
-                searched += part.area
         self.frames += 1
         self.nothing_before = not any(c.key in self.keys for c in every)
-        return self._choose(time_s, every, whole, searched)
+        return self._choose(time_s, every, whole)
 
     def _glance(
         self, luma: np.ndarray, ahead: Callable[[], np.ndarray] | None, factor: int, keys: Sequence[str]
-    ) -> tuple[list[Candidate], int]:
-        """Markers on the reduced image, and how many images were searched. ahead : the next frame, if it may speak for this"""
+    ) -> list[Candidate]:
+        """Markers on the reduced image. ahead : the next frame, if it may speak for this"""
 
         def on_reduced(image: np.ndarray) -> list[Candidate]:
             return [c for c in self.detector.search(image, None, factor) if c.key in keys]
 
         if ahead is None:
-            return on_reduced(luma), 1
+            return on_reduced(luma)
         self.nothing_here = not on_reduced(ahead())
-        return ([], 1) if self.nothing_here else (on_reduced(luma), 2)
+        return [] if self.nothing_here else on_reduced(luma)
 
-    def _choose(self, time_s: float, every: list[Candidate], whole: bool, searched: int) -> Found:
+    def _choose(self, time_s: float, every: list[Candidate], whole: bool) -> Found:
         chosen, rivals = [], []
         for key in self.keys:
             seen = _distinct([c for c in every if c.key == key])
@@ -161,7 +152,7 @@ class Tracker(Stateful):
                 speed = (best.quad_px.mean(0) - track.quad_px.mean(0)) / max(time_s - track.time_s, 1e-3)
             self.tracks[key] = Track(best.quad_px, speed, time_s)
         others = tuple(sorted({c.key for c in every} - set(self.keys)))
-        return Found(tuple(chosen), tuple(rivals), others, whole, searched)
+        return Found(tuple(chosen), tuple(rivals), others, whole)
 
 
 def _merged(rects: Iterable[Rect]) -> list[Rect]:

@@ -1,13 +1,8 @@
 """The field of sites of every frame: motion steps chained over the clip, around the markers through the known poses.
 
-field(new set, node) = field(key frame, where the node lay then). A linear field (zoom, roll, pan) is carried exactly; what a
-motion border tears apart is slowly drawn together, so that no cell is sheared without end. A cut begins anew, elsewhere, so
-that nothing of the old pattern is seen again.
-A pattern carried along by a motion is bent more and more. As the clip is known, a second one begins unbent at the end of each
-stretch and is carried back (`both_ways`); whoever paints both (`high` does), the first fading out and the second in, always
-sees one that is little bent, and sees the same in a clip that is run backwards (Bousseau et al. 2007). Stretches end where a
-shot does, and in a long one at a key frame every PERIOD sets. The fade goes by sets, not by time: nothing fades where nothing
-moves.
+field(new set, node) = field(key frame, where the node lay then). A cut begins anew, elsewhere. A second pattern begins unbent at
+the end of each stretch and is carried back (`both_ways`): whoever paints both, fading from one to the other, sees one that is
+little bent. The fade goes by sets, not by time.
 Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per set.
 """
 
@@ -49,7 +44,7 @@ class Advection(Fold):
         self._motion = BackgroundMotion()
 
     def step(self, frame: AnalysisFrame) -> None:
-        self._motion.step(frame.index, frame.time_s, frame.luma)
+        self._motion.step(frame.index, frame.luma)
 
     def finish(self, clip: Analysis) -> Analysis:
         camera = self.job.camera.scaled_to(*self._motion.size)
@@ -85,8 +80,7 @@ def with_anchors(
             else:
                 if rays is not None:
                     back = _with_pose(back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m)
-                u, v = (_sampled(a, gx + back[..., 0], gy + back[..., 1], gx, gy) for a in key[:2])
-                u, v = relaxed(u, v)
+                u, v = relaxed(*_at(key[:2], gx + back[..., 0], gy + back[..., 1], gx, gy))
             if step is not None:
                 seen = step.detail.astype(float)
                 if back is not None:  # carried along with the things, a little of what is seen now each time
@@ -100,10 +94,9 @@ def with_anchors(
                 key = u, v, f.camera_from_world
             elif back is None:
                 # a cut that the flow did not notice: the key frame's nodes lie where this frame's flow says
-                key = (u, v, f.camera_from_world) if step is None or step.back is None else (
-                    _sampled(u, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy),
-                    _sampled(v, gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None,
-                )  # fmt: skip
+                key = (u, v, f.camera_from_world)
+                if step is not None and step.back is not None:
+                    key = (*_at((u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None)
             origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
             made.append(
                 AdvectionField(number, GRID_PX, origin, shape, packed_places(u, v), packed_detail(detail), f.camera_from_world)
@@ -113,10 +106,9 @@ def with_anchors(
             sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
         last = f
         of_frame.append(len(sets) - 1)
-    other = both_ways(sets, gx, gy)
     made = [
-        replace(m, share=round(o.share, 4), forward=packed_places(*o.forward), backward=packed_places(*o.backward))
-        for m, o in zip(made, other, strict=True)
+        replace(m, share=round(share, 4), forward=packed_places(*forward), backward=packed_places(*backward))
+        for m, (forward, backward, share) in zip(made, both_ways(sets, gx, gy), strict=True)
     ]
     return tuple(f.with_(advection=made[k]) for f, k in zip(facts, of_frame, strict=True))
 
@@ -129,8 +121,11 @@ def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np
     s, t = s - i, t - j
     top = a[j, i] + s * (a[j, i + 1] - a[j, i])
     bottom = a[j + 1, i] + s * (a[j + 1, i + 1] - a[j + 1, i])
-    out: np.ndarray = top + t * (bottom - top)
-    return out
+    return top + t * (bottom - top)
+
+
+def _at(field: Field, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> Field:
+    return _sampled(field[0], x, y, gx, gy), _sampled(field[1], x, y, gx, gy)
 
 
 def _with_pose(
@@ -149,8 +144,7 @@ def _with_pose(
     step = before - np.stack([gx, gy], -1)
     known = np.isfinite(distance) & np.isfinite(step).all(-1)
     share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[..., None]
-    out: np.ndarray = back + share * (np.where(known[..., None], step, back) - back)
-    return out
+    return back + share * (np.where(known[..., None], step, back) - back)
 
 
 def relaxed(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -177,8 +171,7 @@ def _straight(a: np.ndarray) -> np.ndarray:
     y, x = np.indices(a.shape)
     terms = np.stack([np.ones(a.size), x.ravel(), y.ravel()], -1)
     fit, *_ = np.linalg.lstsq(terms, a.ravel(), rcond=None)
-    out: np.ndarray = (terms @ fit).reshape(a.shape)
-    return out
+    return (terms @ fit).reshape(a.shape)
 
 
 def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -199,18 +192,9 @@ class SetStep:
     begins: bool
 
 
-@dataclass(frozen=True, eq=False)
-class BothWays:
-    """Of one set. forward, backward : (u, v) at its nodes;  share : of the second, 0..1"""
-
-    forward: Field
-    backward: Field
-    share: float
-
-
-def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[BothWays]:
-    """Of every set."""
-    out: list[BothWays] = []
+def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[tuple[Field, Field, float]]:
+    """Of every set the two patterns at its nodes, and the share of the second, 0..1."""
+    out: list[tuple[Field, Field, float]] = []
     ends = _ends(sets)
     number = -1
     for a, b in pairwise(ends):
@@ -220,7 +204,7 @@ def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[B
         patterns = [(gx + _APART_PX * (number + k), gy) for k in (1, 2)]
         forward = _carried(sets, a, last, patterns[0], gx, gy)
         backward = _carried_back(sets, a, last, patterns[1], gx, gy)
-        out += [BothWays(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
+        out += [(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
     return out
 
 
@@ -238,7 +222,7 @@ def _at_set(key: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
     if step.back is None:
         return key
     x, y = gx + step.back[..., 0], gy + step.back[..., 1]
-    return _sampled(key[0], x, y, gx, gy), _sampled(key[1], x, y, gx, gy)
+    return _at(key, x, y, gx, gy)
 
 
 def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
@@ -248,7 +232,7 @@ def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
     x, y = gx, gy
     for _ in range(_ROUNDS):
         x, y = gx - _sampled(step.back[..., 0], x, y, gx, gy), gy - _sampled(step.back[..., 1], x, y, gx, gy)
-    return _sampled(own[0], x, y, gx, gy), _sampled(own[1], x, y, gx, gy)
+    return _at(own, x, y, gx, gy)
 
 
 def _carried(sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:

@@ -1,18 +1,9 @@
-"""How the picture moves: dense optical flow on a small frame, folded into what paint needs to stay where it lies.
+"""How the picture moves: dense optical flow (DIS) on a small frame, folded into what paint needs to stay where it lies.
 
-`BackgroundMotion` compares each frame with a key frame. While the picture has moved by less than HOLD_PX since the last set
-of sites was made the set stays, so that a resting camera gathers no drift and nothing is labelled anew; else a new set begins,
-and where each of its nodes lay in the key frame is kept. A frame becomes the next key when the picture has moved by
-KEY_SHARE of its width, or has changed: errors add up from key to key only. `advection.with_anchors` chains the keys.
-Flow: DIS (Kroeger et al. 2016, OpenCV), forward and backward; where both disagree, or there is nothing to see, an affine
-motion of the whole and its neighbours stand in. The flow is good to a tenth of a px of the small frame; `refined` makes that
-some hundredths, or borders of cells would tremble: a step of Gauss and Newton on the nodes, bilinear between them. Each pixel
-says along its slope how far the two pictures are still apart; a node hears those around it, weighted by how near they lie and
-how well they fit. What all ask for together (an affine motion) is taken first, what is left node by node, drawn towards
-nothing where there is little to see. That one of the two is brighter around a node does not count. Motion of more than
-_MOST_PX beyond what was found is the flow's work.
-Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame, most of it flow, some 2 ms the step.
-Source: docs/methods/watercolor.md#advection.
+`BackgroundMotion` compares each frame with a key frame: while the picture has moved by less than HOLD_PX the set of sites stays,
+so that a resting camera gathers no drift. The flow is good to a tenth of a px of the small frame; `refined` makes that some
+hundredths, by a step of Gauss and Newton on the nodes: what all nodes ask for together (an affine motion) first, then each one.
+Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame.
 """
 
 from __future__ import annotations
@@ -77,16 +68,13 @@ def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
 class BackgroundMotion(Stateful):
     """Collects MotionSteps, in order. size : width, height of the frames"""
 
-    given = frozenset({"hold_px"})
-
-    def __init__(self, hold_px: float = HOLD_PX) -> None:
-        self.hold_px = hold_px
+    def __init__(self) -> None:
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
         self._last: np.ndarray | None = None  # back of the last set, None where that is the key frame
         self.size = (0, 0)
 
-    def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
+    def step(self, index: int, luma: np.ndarray) -> None:
         """Take the next frame. luma : (h, w) uint8."""
         h, w = luma.shape
         small = _shrunk(luma)
@@ -102,7 +90,7 @@ class BackgroundMotion(Stateful):
         back = np.round(back * STEPS) / STEPS
         inside = (slice(BORDER, -BORDER),) * 2
         moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
-        if float(np.quantile(moved, 0.9)) <= self.hold_px:
+        if float(np.quantile(moved, 0.9)) <= HOLD_PX:
             return
         far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_SHARE * w or agreed < _CHANGED
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
@@ -114,20 +102,19 @@ class BackgroundMotion(Stateful):
         """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both directions agree), or None
         where the two frames have nothing in common."""
         assert self._reference is not None
-        if np.array_equal(small, self._reference):
-            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
         h, w = small.shape
-        if min(h, w) < 16:  # DIS needs a patch or two
+        if min(h, w) < 16 or np.array_equal(small, self._reference):  # DIS needs a patch or two
             return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
         dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
         dis.setFinestScale(0)
         back = dis.calc(small, self._reference, None)
         there = dis.calc(self._reference, small, None)
         x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
-        again = cv2.remap(there, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        to_x, to_y = x + back[..., 0], y + back[..., 1]
+        again = cv2.remap(there, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         apart = np.linalg.norm(back + again, axis=-1)
         agree = apart < _AGREE_PX + _AGREE_SHARE * np.linalg.norm(back, axis=-1)
-        before = cv2.remap(self._reference, x + back[..., 0], y + back[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        before = cv2.remap(self._reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         agree &= np.abs(before.astype(np.float32) - small) < 40
         slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
         textured = slope > _GRADIENT
@@ -135,10 +122,11 @@ class BackgroundMotion(Stateful):
         if agreed < _LOST:
             return None
         # of what has come into view since, the flow can only guess
-        to_x, to_y = x + back[..., 0], y + back[..., 1]
         agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
         trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
-        return _refined_at_nodes(_at_nodes(back, trust, width, height), small, self._reference, trust, width, height), agreed
+        scale = np.array([width / w, height / h])
+        first, rough = (0.5 - BORDER * GRID_PX) / scale - 0.5, _at_nodes(back, trust, width, height) / scale
+        return (refined(rough, small, self._reference, trust, first, GRID_PX / scale) * scale).astype(np.float32), agreed
 
 
 def _shrunk(luma: np.ndarray) -> np.ndarray:
@@ -176,17 +164,6 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     return np.clip(out, -2000, 2000)
 
 
-def _refined_at_nodes(
-    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, width: int, height: int
-) -> np.ndarray:
-    """(gh, gw, 2) float32 px of the frame. back : of `_at_nodes`, the flow's"""
-    h, w = small.shape
-    scale = np.array([width / w, height / h])
-    first = (0.5 - BORDER * GRID_PX) / scale - 0.5
-    out: np.ndarray = (refined(back / scale, small, reference, trust, first, GRID_PX / scale) * scale).astype(np.float32)
-    return out
-
-
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP; slopes of noise count nothing."""
     slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
@@ -197,8 +174,7 @@ def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     gx, gy = node_places(width, height)
     column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
     row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
-    out: np.ndarray = np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
-    return out
+    return np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
 
 
 def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarray:
@@ -224,7 +200,8 @@ def refined(
     """
     back = np.asarray(back, float)
     sums = np.zeros((*back.shape[:2], 9))
-    _hear(_smooth(small), _smooth(reference), trust > 0, back, first, pitch, sums)
+    now, then = (cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference))
+    _hear(now, then, trust > 0, back, first, pitch, sums)
     heard = _centred(sums)
     affine = _affine_of(heard)
     spread = cv2.GaussianBlur(heard, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
@@ -233,21 +210,14 @@ def refined(
     xx, yy = xx + _PRIOR, yy + _PRIOR
     det = xx * yy - xy * xy  # _PRIOR^2 at least: without it a sum of squares
     step = affine + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / det[..., None]
-    out: np.ndarray = back + np.clip(step, -_MOST_PX, _MOST_PX)
-    return out
-
-
-def _smooth(a: np.ndarray) -> np.ndarray:
-    out: np.ndarray = cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX)
-    return out
+    return back + np.clip(step, -_MOST_PX, _MOST_PX)
 
 
 def _centred(sums: np.ndarray) -> np.ndarray:
     """(gh, gw, 5) sums of xx, xy, yy, xe, ye without the means around each node. sums : of `_hear`"""
     x, y, e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
     of_x, of_y = sums[..., 5], sums[..., 6]
-    out: np.ndarray = sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
-    return out
+    return sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
 
 
 def _affine_of(heard: np.ndarray) -> np.ndarray:
@@ -259,8 +229,7 @@ def _affine_of(heard: np.ndarray) -> np.ndarray:
     of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
     normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
     motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
-    out: np.ndarray = (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
-    return out
+    return (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
 
 
 @numba.njit(cache=True, nogil=True)

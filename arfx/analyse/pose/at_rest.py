@@ -1,13 +1,7 @@
-"""Which of camera and marker stands still: told from picture corners outside the markers.
+"""Which of camera and marker stands still, from picture corners outside the markers, followed over about a third of a second.
 
-A few times a second corners are followed (pyramidal Lucas-Kanade) over about a third of a second on a reduced image.
-Points are taken twice, from the image and from its contrast against the neighbourhood, which a change of light leaves.
-* They rest: the camera stands still.
-* They move as points of the marker's world do, anywhere from a third of the marker's distance to infinity along the
-  epipolar line of the two camera poses: the marker stands still.
-* Neither: both move.
-Where there is no marker, `RestCheck` tells whether the camera stands still over a clip: corners of the first picture, looked
-for again in later ones, about 2 ms each time. Things that move before a camera at rest take some with them; most stay.
+Corners are taken twice, from the image and from its contrast against the neighbourhood, which a change of light leaves.
+Where there is no marker, `RestCheck` looks for the first picture's corners in later ones, about 2 ms each time.
 Source: docs/methods/pose.md#rest.
 """
 
@@ -75,8 +69,7 @@ class BackgroundFlow(Stateful):
             mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
         self._points = []
         for view in (small, _evened(small)):
-            found = cv2.goodFeaturesToTrack(view, POINTS, 0.02, 8, mask=mask)
-            self._points.append(np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32))
+            self._points.append(_corners(view, POINTS, mask))
         self._image, self._index, self._time_s = small, index, time_s
 
     def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
@@ -101,6 +94,12 @@ class BackgroundFlow(Stateful):
         if len(self.samples) > MAX_SAMPLES:
             self.samples = self.samples[::2]
             self._stride *= 2
+
+
+def _corners(image: np.ndarray, most: int, mask: np.ndarray) -> np.ndarray:
+    """(n, 2) float32"""
+    found = cv2.goodFeaturesToTrack(image, most, 0.02, 8, mask=mask)
+    return np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
 
 
 def _tracked(before: np.ndarray, now: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -173,16 +172,12 @@ class RestCheck(Stateful):
         self._first: np.ndarray | None = None
         self._points = np.zeros((0, 2), np.float32)
         self._next_s = -np.inf
-        self._rests = True
+        self.rests = True
         self.moved_px = 0.0
-
-    @property
-    def rests(self) -> bool:
-        return self._rests
 
     def step(self, time_s: float, luma: np.ndarray) -> None:
         """luma : (h, w) uint8"""
-        if time_s < self._next_s and self._first is not None and self._rests:
+        if time_s < self._next_s and self._first is not None and self.rests:
             return
         self._next_s = time_s + INTERVAL_S
         factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
@@ -191,9 +186,7 @@ class RestCheck(Stateful):
             value = small.astype(np.float32)
             off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
             contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
-            found = cv2.goodFeaturesToTrack(small, REST_POINTS, 0.02, 8, mask=contrast.astype(np.uint8))
-            self._first = small
-            self._points = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+            self._first, self._points = small, _corners(small, REST_POINTS, contrast.astype(np.uint8))
             return
         if len(self._points) < _LEAST_POINTS:  # nothing to see: nothing that could tell of a motion
             return
@@ -203,4 +196,4 @@ class RestCheck(Stateful):
         seen = away[np.isfinite(away)]
         self.moved_px = max(self.moved_px, factor * float(np.median(seen)) if len(seen) else 0.0)
         if (away < REST_PX).mean() < REST_SHARE:
-            self._rests = False
+            self.rests = False

@@ -1,17 +1,8 @@
 """A Gauss-Markov chain over one shot: Kalman filter, Rauch-Tung-Striebel smoother, and its noise by maximum likelihood.
 
-State per frame: 6 position-like and 6 velocity-like numbers. Between frames white noise accelerates each axis with
-its own density q (units^2 / s^3), covariance q (dt^3/3, dt^2/2; dt^2/2, dt): exact for irregular frame times; a seventh
-density accelerates several axes at once (Links.shake).
-Measurements come as information on the first six numbers, zero where nothing was seen. Covariance form: stays regular
-for a density of nearly zero (a marker at rest) and for directions that no measurement fixes.
-
-How restless is the motion? `learn_density` compares candidates by the evidence of the chain, one axis group after the other:
-first one value for the whole shot, then one per window of about a second, held near the shot's. A marker at rest thereby
-stands rock-steady in the same clip in which it moves fast at another time. A shot is taken for one of a camera that shakes in
-the hand if that explains it better than a marker that moves on its own: the shake is then seen in where the marker is, far
-more exactly than in its tilt.
-Source: Barfoot, State Estimation for Robotics, 2nd ed., sections 3.1-3.3 and 11.
+State per frame: 6 position-like and 6 velocity-like numbers, each axis accelerated by noise of its own density; a seventh density
+accelerates several axes at once (Links.shake). Measurements are information on the first six numbers. Covariance form: regular
+for a density of nearly zero, and for directions that no measurement fixes. Source: docs/methods/pose.md#smoothing.
 """
 
 from __future__ import annotations
@@ -131,7 +122,10 @@ def learn_density(measured: np.ndarray, pull: np.ndarray, links: Links, density:
 
 def _of_shot(measured: np.ndarray, pull: np.ndarray, links: Links) -> np.ndarray:
     """(groups,) one value each for a shot: the likelier of a marker that moves on its own and of a camera that shakes."""
-    blocks = _blocks(len(measured))
+    n = len(measured)
+    blocks = [(0, n)]
+    if n > _BLOCK * _BLOCKS:
+        blocks = [(int(a), int(a) + _BLOCK) for a in np.linspace(0, n - _BLOCK, _BLOCKS)]
 
     def climbed(shot: np.ndarray, order: Sequence[int], grid: np.ndarray | None = None) -> tuple[float, np.ndarray]:
         """Evidence and values when one group after the other has taken its best; grid : factors, None = the whole range"""
@@ -157,12 +151,6 @@ def _of_shot(measured: np.ndarray, pull: np.ndarray, links: Links) -> np.ndarray
 
 def _around(value: float, factors: np.ndarray) -> np.ndarray:
     return np.unique(np.clip(value * factors, LEAST, MOST))
-
-
-def _blocks(n: int) -> list[tuple[int, int]]:
-    if n <= _BLOCK * _BLOCKS:
-        return [(0, n)]
-    return [(int(a), int(a) + _BLOCK) for a in np.linspace(0, n - _BLOCK, _BLOCKS)]
 
 
 def _axes(groups: np.ndarray) -> np.ndarray:

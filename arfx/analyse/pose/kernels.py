@@ -1,9 +1,7 @@
-"""Compiled loops: Kalman prediction and update, smoother and evidence of chain.py, for one chain of small matrices; and
-planar.refine_poses, Levenberg-Marquardt over the corners of one pose at a time.
+"""Compiled loops of chain.py, for one chain of small matrices, and planar.refine_poses. Float64 throughout.
 
 Every link of a chain has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes:
-only those blocks are multiplied. The smoother's systems are solved by elimination with pivoting, as LAPACK does;
-measurements are taken in one by one. Float64 throughout.
+only those blocks are multiplied.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
-"""The layout of several markers from the clip: relative poses by vote, then bundle adjustment.
+"""The layout of several markers from the clip: relative poses by vote, then bundle adjustment, O(frames * markers^2).
 
-world = the axes of the first configured marker that was seen. Pairs seen together vote for their relative pose over
-both planar solutions of both markers (the wrong ones agree with nothing); a spanning tree of the best pairs starts a
-bundle adjustment over all frames with two or more markers: Gauss-Newton with Huber weights, frame poses eliminated by
-the Schur complement (O(frames * markers^2)). Markers never seen together with a mapped one stay out, and are named.
+world = the axes of the first configured marker that was seen. Source: docs/methods/pose.md#map.
 """
 
 from __future__ import annotations
@@ -191,13 +188,9 @@ def _first_frames(frames: list[dict[str, View]], start: dict[str, Pose], seen: O
     best: list[Pose] = []
     for k, frame in enumerate(frames):
         ways = [p @ start[key].inverse() for key, v in frame.items() if key in start for p in v.solutions]
-        one = Observed(*(np.repeat(x[k : k + 1], len(ways), 0) for x in _arrays(seen)))
+        one = seen.take(np.full(len(ways), k))
         r = residuals(np.stack([p.rotation for p in ways]), np.stack([p.translation_m for p in ways]), one)
         best.append(ways[int(huber_cost(r, one.weight)[0].argmin())])
     rotation, translation = np.stack([p.rotation for p in best]), np.stack([p.translation_m for p in best])
     rotation, translation, _ = refine_poses(rotation, translation, seen)
     return rotation, translation
-
-
-def _arrays(seen: Observed) -> tuple[np.ndarray, ...]:
-    return seen.points_m, seen.ideal, seen.px_per_ideal, seen.weight

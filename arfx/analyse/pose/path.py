@@ -1,8 +1,6 @@
-"""One world pose per frame from all mapped markers in it, the right planar solution chosen over the whole clip.
+"""One world pose per frame from all mapped markers in it, the right planar solution chosen over the whole clip (Viterbi).
 
-`choose_path` takes one of several poses per frame: Viterbi with a motion cost. The cost of a path is the sum of the poses' own
-misfit and of a robust cost of every move. A flip of a planar pose moves the marker's normal by tens of degrees and back; a
-path through the wrong solution has to pay that twice.
+Source: docs/methods/pose.md#path.
 """
 
 from __future__ import annotations

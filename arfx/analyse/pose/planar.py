@@ -1,13 +1,8 @@
-"""Many poses at once: projection, Jacobians and robust least squares over marker corners, vectorised over frames; and
-both planar poses of each marker sighting.
+"""Many poses at once: projection, Jacobians and robust least squares over marker corners; and both planar poses of a sighting.
 
-Corners are kept as ideal normalised coordinates together with the lens's local scale (how many picture pixels one unit
-of them is, a 2 x 2 matrix): residuals are then in picture pixels through the distorted camera, to first order
-in the residual, without evaluating the lens again.
+Corners are ideal normalised coordinates with the lens's local scale (2 x 2), so residuals are picture pixels, to first order.
 Poses are pairs rotation (n, 3, 3), translation (n, 3); perturbations multiply from the left in the camera frame,
-[rotation rad, translation m].
-A square seen from far looks nearly the same tilted one way or the other: IPPE (Collins & Bartoli, 2014) gives both
-solutions in closed form; each is then refined to its own least-squares minimum in picture pixels.
+[rotation rad, translation m]. Source: docs/methods/pose.md#planar.
 """
 
 from __future__ import annotations
@@ -77,13 +72,13 @@ def view_jacobian(q: np.ndarray) -> np.ndarray:
     return out
 
 
-def huber_cost(r: np.ndarray, weight: np.ndarray, limit: float = HUBER_SIGMA) -> tuple[np.ndarray, np.ndarray]:
-    """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual exceeds `limit` sigma."""
+def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual exceeds HUBER_SIGMA."""
     d2 = (r * r).sum(-1) * weight
     d = np.sqrt(d2)
-    over = d > limit
-    rho = np.where(over, 2 * limit * d - limit**2, d2)
-    return 0.5 * rho.sum(-1), np.where(over, limit / np.where(over, d, 1.0), 1.0)
+    over = d > HUBER_SIGMA
+    rho = np.where(over, 2 * HUBER_SIGMA * d - HUBER_SIGMA**2, d2)
+    return 0.5 * rho.sum(-1), np.where(over, HUBER_SIGMA / np.where(over, d, 1.0), 1.0)
 
 
 def refine_poses(

@@ -1,9 +1,6 @@
 """When the object is there: measured frames, bridged gaps, absence and the fades at its ends; and where a new shot begins.
 
-Cuts: where one frame has nothing to do with the one before it. Each frame leaves two numbers behind, from thumbnails
-normalised for brightness and contrast (so that a flash or a change of exposure is no cut): its unlikeness to the frame before
-and to the one before that. A cut is unlike both, alone among its neighbours (a whip pan is unlike for many frames), and no
-marker was followed across it.
+Source: docs/methods/pose.md#presence.
 """
 
 from __future__ import annotations

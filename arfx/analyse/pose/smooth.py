@@ -1,14 +1,7 @@
-"""Smooths the poses of one shot with past and future, in the metric of the measurement.
+"""Smooths the poses of one shot with past and future, in the metric of the measurement: Gauss-Newton on SE(3).
 
-What is minimised is not a distance between poses but the misfit of the marker corners in picture pixels plus the
-unlikeliness of the motion: a direction that the corners hardly fix (the tilt of a frontal marker) is filled in from
-the neighbours, one that they fix well (its place in the picture) is left alone, so nothing swims. Gauss-Newton on
-SE(3), linearised anew in every pass; each pass is one RTS smoother (chain.py).
-
-The motion's noise is learned from the clip (chain.py): of each axis, and of a camera that turns about itself in the
-hand, which turns and moves the marker at once. Without the latter a hand's shake counts as the marker's sideways motion, and
-what stands off the marker's plane trembles against the picture by a parallax that is not there.
 Axes: rotation about the camera's x, y, z; the place of the markers' centre as x/z, y/z and ln z.
+Source: docs/methods/pose.md#smoothing.
 """
 
 from __future__ import annotations

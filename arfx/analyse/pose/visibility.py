@@ -85,8 +85,7 @@ def _rms(offsets_px: np.ndarray) -> float:
 
 def _centre(f: FrameFacts, keys: set[str]) -> np.ndarray:
     corners = [m.corners_px for m in f.markers if m.key in keys]
-    out: np.ndarray = np.sum(corners, axis=(0, 1)) / (4 * len(corners))
-    return out
+    return np.sum(corners, axis=(0, 1)) / (4 * len(corners))
 
 
 def _seen_from(poses: Sequence[Pose | None], points_m: np.ndarray) -> np.ndarray:

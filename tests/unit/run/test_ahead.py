@@ -45,7 +45,7 @@ def test_no_more_than_depth_wait_and_the_thread_ends_on_leaving():
             time.sleep(0.01)
         time.sleep(0.1)
         assert len(made) == 6  # one taken, four waiting, one in the hand
-        thread = ahead._thread
+        (thread,) = ahead._pool._threads
     assert not thread.is_alive()
     source.close()  # would raise if the thread still ran in it
     assert closed.is_set()
@@ -57,8 +57,9 @@ def test_what_is_put_is_taken_in_order_in_another_thread():
         for k in range(50):
             behind.put(k)
     assert [k for k, _ in taken] == list(range(50))
-    assert {i for _, i in taken} == {behind._thread.ident} != {threading.get_ident()}
-    assert not behind._thread.is_alive()
+    (thread,) = behind._pool._threads
+    assert {i for _, i in taken} == {thread.ident} != {threading.get_ident()}
+    assert not thread.is_alive()
 
 
 def test_an_error_in_the_thread_comes_out_once_and_nothing_is_taken_after_it():
@@ -86,7 +87,7 @@ def test_after_an_error_outside_what_waits_is_left():
         taken.append(k)
 
     def open_when_left(behind):
-        while not behind._left:
+        while not behind._over:
             time.sleep(0.001)
         gate.set()
 
@@ -97,4 +98,4 @@ def test_after_an_error_outside_what_waits_is_left():
         threading.Thread(target=open_when_left, args=(behind,)).start()
         raise ValueError("stop")
     assert taken == [0]
-    assert not behind._thread.is_alive()
+    assert not any(thread.is_alive() for thread in behind._pool._threads)

@@ -297,7 +297,7 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
     frames = [world[30:150, 40 + step * k : 200 + step * k] + g.normal(0, 2 / 255, (120, 160, 3)) for k in range(4)]
     nodes, motion = still_field(*size, 8, 96), BackgroundMotion()
     for k, frame in enumerate(frames):
-        motion.step(k, k / 30, np.clip(255 * frame.mean(-1), 0, 255).astype(np.uint8))
+        motion.step(k, np.clip(255 * frame.mean(-1), 0, 255).astype(np.uint8))
     given = [FrameFacts(k, k / 30, advection=fact_of(nodes, nodes.u + step * k, nodes.v)) for k in range(4)]
     measured = with_anchors([FrameFacts(k, k / 30) for k in range(4)], motion.steps, camera(*size), Pose.identity(), 0.0)
     ours, error = WatercolorParams(grain=0, dry_brush=0), []

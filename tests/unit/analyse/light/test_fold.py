@@ -64,9 +64,7 @@ class Clip:
             light = (self.gain[k] if self.gain else 1.0) * (AMBIENT + DIRECT * max(float(n @ lamp), 0.0))
             mean = np.where(WHITE[:, None], 0.88, 0.05) * light + self.bias
             noise = 0.002 * mean + 1e-4
-            patches = Patches(
-                mean + noise * rng.normal(size=mean.shape), noise**2, WHITE, np.full(8, 50), np.zeros(8), np.zeros(8)
-            )
+            patches = Patches(mean + noise * rng.normal(size=mean.shape), noise**2, np.full(8, 50), np.zeros(8))
             meter.readings.append((k, KEY, patches))
             if k % 10 == 0:
                 cube = np.full((6, 6, 6, 3), 0.2)
@@ -219,9 +217,7 @@ def test_no_reading_at_all_still_gives_a_light() -> None:
 
 def test_a_black_clip_is_finite() -> None:
     analysis, meter = Clip(frames=8).made()
-    black = [
-        (k, key, Patches(p.mean * 0, p.variance, WHITE, p.count, p.clipped + 1, p.highlight)) for k, key, p in meter.readings
-    ]
+    black = [(k, key, Patches(p.mean * 0, p.variance, p.count, p.clipped + 1)) for k, key, p in meter.readings]
     meter.readings = black
     done = lighted(analysis, meter.readings, meter.looks, LightParams())
     for f in done.facts:

@@ -93,7 +93,7 @@ def told(off_deg: float, tilts: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> 
         error = 0.02 if args[1] is None else 0.001  # one light for all explains less than one for each window
         if args[1] is None and len(n) < 100 * len(tilts):
             return LightFit(REFUSED, "too little of the clip", np.ones((1, 3)), np.ones((1, 3)))
-        return LightFit(MEASURED, "made up", np.ones((9, 3)), np.ones((9, 3)), (light,), (light,), 1, model_error=error)
+        return LightFit(MEASURED, "made up", np.ones((9, 3)), np.ones((9, 3)), (light,), model_error=error)
 
     monkeypatch.setattr(over_time, "fit", made_up)
     times = np.repeat(np.arange(100) / 25, len(tilts))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
-from arfx.analyse.markers.detect import MarkerDetector
+from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.markers.fold import Markers
-from arfx.analyse.markers.tracker import Tracker
+from arfx.analyse.markers.tracker import Found, Tracker
 from arfx.analyse.params import AnalyseParams
 from arfx.core import codec
 from arfx.core.camera import Camera
@@ -42,21 +44,38 @@ def test_part_gives_the_corners_of_the_whole() -> None:
     assert reduced.keys() == whole.keys() and np.abs(reduced[M.key] - whole[M.key]).max() < 5
 
 
+class Counted(Tracker):
+    """searched_px : pixels that the detector was given in the last step"""
+
+    searched_px = 0
+
+    def step(self, *frame: Any) -> Found:
+        self.searched_px = 0
+        search = MarkerDetector(self.detector.families, self.detector.min_side_px).search
+
+        def counted(luma: np.ndarray, rect: Rect | None = None, factor: int = 1, **more: float) -> list[Candidate]:
+            self.searched_px += (luma.size if rect is None else rect.area) // factor**2
+            return search(luma, rect, factor, **more)
+
+        self.detector.search = counted  # type: ignore[method-assign]
+        return super().step(*frame)
+
+
 def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
-    tracker = Tracker([M.key], AnalyseParams())
+    tracker = Counted([M.key], AnalyseParams())
     whole = []
     for k in range(12):
         found = tracker.step(k / 30, frame((M, at(300 + 8 * k, 200)), seed=k))
         assert [c.key for c in found.sightings] == [M.key]
         whole.append(found.whole)
         if k:
-            assert found.searched_px < 960 * 540 / 10
+            assert tracker.searched_px < 960 * 540 / 10
     assert sum(whole) == 1
     jump = tracker.step(12 / 30, frame((M, at(800, 430))))  # out of its part: the same frame is searched whole
     assert jump.whole and len(jump.sightings) == 1
-    empty = [tracker.step((13 + k) / 30, frame(seed=k)) for k in range(60)]
-    assert 5 <= sum(f.whole for f in empty) <= 5 + 3 and all(f.whole for f in empty[:5])  # after the loss, then once a second
-    assert all(f.searched_px <= 960 * 540 / 3 for f in empty if not f.whole)
+    empty = [(tracker.step((13 + k) / 30, frame(seed=k)), tracker.searched_px) for k in range(60)]
+    assert 5 <= sum(f.whole for f, _ in empty) <= 5 + 3 and all(f.whole for f, _ in empty[:5])  # then once a second
+    assert all(px <= 960 * 540 / 3 for f, px in empty if not f.whole)
     back = tracker.step(73 / 30, frame((M, at(500, 300))))
     assert len(back.sightings) == 1 and not back.whole  # found on the reduced image
     assert np.abs(back.sightings[0].quad_px - CAM.project(at(500, 300).apply(M.corners_m))).max() < 4
@@ -65,21 +84,21 @@ def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
 def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_is_found_where_it_comes() -> None:
     clip = [frame((M, at(300, 200)), seed=k) if k in (0, 1) or k >= came else frame(seed=k) for came in (22,) for k in range(27)]
 
-    def seen(tracker: Tracker, first: int, ahead: bool) -> list[tuple[bool, int]]:
+    def seen(tracker: Counted, first: int, ahead: bool) -> list[tuple[bool, int]]:
         found = []
         for k in range(first, len(clip)):
             following = (lambda k=k: clip[k + 1]) if ahead and k + 1 < len(clip) else None  # type: ignore[misc]
             got = tracker.step(k / 30, clip[k], following)
-            found.append((bool(got.sightings), got.searched_px))
+            found.append((bool(got.sightings), tracker.searched_px))
         return found
 
-    every, ahead = seen(Tracker([M.key], AnalyseParams()), 0, False), seen(Tracker([M.key], AnalyseParams()), 0, True)
+    every, ahead = seen(Counted([M.key], AnalyseParams()), 0, False), seen(Counted([M.key], AnalyseParams()), 0, True)
     assert [s for s, _ in ahead] == [s for s, _ in every] == [k < 2 or k >= 22 for k in range(27)]
     gone = slice(2 + AnalyseParams().loss_search_frames, 21)
     assert all(px > 0 for _, px in every[gone])
     assert sum(px for _, px in ahead[gone]) < 0.7 * sum(px for _, px in every[gone])
     for stop in (12, 13):  # a checkpoint at either of the two frames
-        first, second = Tracker([M.key], AnalyseParams()), Tracker([M.key], AnalyseParams())
+        first, second = Tracker([M.key], AnalyseParams()), Counted([M.key], AnalyseParams())
         for k in range(stop):
             first.step(k / 30, clip[k], lambda k=k: clip[k + 1])  # type: ignore[misc]
         second.restore(codec.loads(codec.dumps(first.state())))
@@ -98,7 +117,7 @@ def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
         return picture(cam, shown, back, seed=k)
 
     for side_px, keys, parts in ((70, [M.key], True), (18, [M.key], False), (70, [M.key, OTHER.key], False)):
-        tracker = Tracker(keys, AnalyseParams())
+        tracker = Counted(keys, AnalyseParams())
         for k in range(8):
             image = clip_frame(k, side_px, second=k < 4)
             found = tracker.step(k / 30, image)
@@ -106,9 +125,9 @@ def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
             assert {c.key for c in found.sightings} == whole.keys()
             assert all(np.array_equal(c.quad_px, whole[c.key]) for c in found.sightings)
             if k and parts:
-                assert found.searched_px < 0.4 * image.size and not found.whole
+                assert tracker.searched_px < 0.4 * image.size and not found.whole
             if k > 4 and not parts:
-                assert found.whole and found.searched_px == image.size  # one is missing, or all are tiny
+                assert found.whole and tracker.searched_px == image.size  # one is missing, or all are tiny
 
 
 def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
@@ -124,7 +143,7 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
     assert len(both.rivals) == 1 and both.sightings[0].side_px > both.rivals[0].side_px
     tracker.tracks[M.key].quad_px = both.rivals[0].quad_px
     tracker.last_whole_s = -9.0
-    again = tracker._choose(3.03, [*both.sightings, *both.rivals], True, 0)
+    again = tracker._choose(3.03, [*both.sightings, *both.rivals], True)
     assert np.array_equal(again.sightings[0].quad_px, both.rivals[0].quad_px)
 
 

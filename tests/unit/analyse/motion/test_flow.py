@@ -54,7 +54,7 @@ def still(t: int) -> np.ndarray:
 def folded(frames: list[np.ndarray]) -> BackgroundMotion:
     motion = BackgroundMotion()
     for k, frame in enumerate(frames):
-        motion.step(k, k / 30, frame)
+        motion.step(k, frame)
     return motion
 
 
@@ -149,7 +149,7 @@ def test_any_size(size: tuple[int, int]) -> None:
     g = np.random.default_rng(0)
     motion = BackgroundMotion()
     for k in range(3):
-        motion.step(k, k / 30, g.integers(0, 256, size).astype(np.uint8))
+        motion.step(k, g.integers(0, 256, size).astype(np.uint8))
     frames = [FrameFacts(k, k / 30) for k in range(3)]
     for f in with_anchors(frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0):
         assert np.isfinite(field_of(f)).all()
