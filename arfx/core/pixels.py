@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
 
 import numpy as np
 
@@ -140,7 +139,7 @@ class Attenuated:
     left: np.ndarray
     opacity: np.float32
     bias: np.ndarray
-    make: Callable[..., Any]
+    make: Callable[..., object]
 
     @property
     def painted(self) -> Rect:

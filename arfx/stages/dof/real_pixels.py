@@ -1,12 +1,10 @@
 """The sharp real scene of a frame without the object, under its shadow: the composite's own pixels but for a part of them."""
 
-# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
@@ -68,22 +66,3 @@ def _frozen(a: np.ndarray) -> np.ndarray:
     a = np.ascontiguousarray(a)
     a.setflags(write=False)
     return a
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def behind(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
-    """out (h, w, 3): the real scene with the shadow and without the object, as `composite` has it where nothing covers it.
-
-    shadow : (h, w, 3), or (h, w, 1) of all channels
-    """
-    width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
-    line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    for n in range(width):
-        below[n] = bias[n % 3]
-    for y in range(out.shape[0]):
-        for x in range(plate.shape[1]):
-            for c in range(3):
-                line[3 * x + c], left[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
-        to = out[y].reshape(-1)
-        for n in range(width):
-            to[n] = line[n] + opacity * (line[n] * (left[n] - one) + below[n] * (one - left[n]))
