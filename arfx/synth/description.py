@@ -6,10 +6,12 @@ lengths carry a unit when written as text ("120mm") and are metres when written 
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
@@ -18,38 +20,25 @@ from arfx.core.units import length_m
 from arfx.errors import ArfxError, ConfigError
 
 
-def _length(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    try:
-        return length_m(value)
-    except ArfxError as e:
-        raise ValueError(e.message) from None
+def _read(parse: Callable[[str], Any]) -> BeforeValidator:
+    """Texts through `parse`, whose ArfxError becomes one of pydantic's; other values as they are."""
 
+    def read(value: Any) -> Any:
+        try:
+            return parse(value) if isinstance(value, str) else value
+        except ArfxError as e:
+            raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
 
-def _marker(value: Any) -> Any:
-    if isinstance(value, MarkerSpec):
-        return value
-    try:
-        return MarkerSpec.parse(str(value))
-    except ArfxError as e:
-        raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
-
-
-def _transfer(value: Any) -> Any:
-    try:
-        return Transfer(str(value)).name
-    except ArfxError as e:
-        raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+    return BeforeValidator(read)
 
 
 DEMO_SCENE = Path(__file__).with_name("demo.toml")  # a desk with an AprilTag and a cube of markers, filmed hand-held on an orbit
 
-Length = Annotated[float, BeforeValidator(_length)]
+Length = Annotated[float, _read(length_m)]
 Vector = tuple[Length, Length, Length]
 Angles = tuple[float, float, float]
 Colour = tuple[float, float, float]
-TransferName = Annotated[str, BeforeValidator(_transfer)]
+TransferName = Annotated[str, _read(lambda text: Transfer(text).name)]
 
 
 class Part(BaseModel):
@@ -79,6 +68,16 @@ class Key(Part):
     target_m: Vector = (0.0, 0.0, 0.0)
 
 
+def _rising(keys: tuple[Key, ...]) -> tuple[Key, ...]:
+    for before, after in itertools.pairwise(keys):
+        if not before.time_s < after.time_s:
+            raise ValueError(f"the times of keys must increase: {after.time_s:g} s stands behind {before.time_s:g} s")
+    return keys
+
+
+Keys = Annotated[tuple[Key, ...], AfterValidator(_rising)]
+
+
 class Motion(Part):
     """How an object moves; added to its pose. turn and sway act in the object's own axes, keys replace the pose."""
 
@@ -90,7 +89,7 @@ class Motion(Part):
     period_s: float = Field(default=2.0, gt=0)
     tremor_deg: float = Field(default=0.0, ge=0, description="rms of a hand's tremor, smooth noise")
     tremor_m: Length = Field(default=0.0, ge=0)
-    keys: tuple[Key, ...] = ()
+    keys: Keys = ()
 
 
 class CameraPath(Part):
@@ -107,7 +106,7 @@ class CameraPath(Part):
     roll_deg: float = 0.0
     hand_deg: float = Field(default=0.0, ge=0, description="rms of hand-held shake, smooth noise about 4 Hz")
     hand_m: Length = Field(default=0.0, ge=0)
-    keys: tuple[Key, ...] = Field(default=(), description="position_m and target_m are used")
+    keys: Keys = Field(default=(), description="position_m and target_m are used")
 
 
 class Shot(Part):
@@ -168,7 +167,7 @@ class Sphere(Placed):
 class Marker(Placed):
     """A printed marker on a sheet of paper: exact cells, one ink, one paper."""
 
-    spec: Annotated[MarkerSpec, BeforeValidator(_marker)]
+    spec: Annotated[MarkerSpec, _read(MarkerSpec.parse)]
     margin_cells: float = Field(default=1.5, ge=0, description="white border of the sheet, in cells")
     ink: float = Field(default=0.05, ge=0, le=1, description="linear albedo")
     paper: float = Field(default=0.88, ge=0, le=1)

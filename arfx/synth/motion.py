@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
@@ -100,21 +101,11 @@ def _tremor(motion: Motion, time_s: float, seed: int, name: str) -> Pose:
 
 
 def _between(keys: tuple[Key, ...], name: str, time_s: float) -> np.ndarray:
-    """Catmull-Rom through the keys' values, constant before the first and after the last."""
+    """Catmull-Rom through the keys' values, at rest in the first and the last, constant beyond them."""
+    if len(keys) < 2:
+        return np.array(getattr(keys[0], name), float) if keys else np.zeros(3)
     times = np.array([k.time_s for k in keys], float)
     values = np.array([getattr(k, name) for k in keys], float)
-    if not len(keys):
-        return np.zeros(3)
-    if len(keys) == 1 or time_s <= times[0]:
-        return values[0]
-    if time_s >= times[-1]:
-        return values[-1]
-    i = int(np.searchsorted(times, time_s, side="right")) - 1
-    span = times[i + 1] - times[i]
-    s = (time_s - times[i]) / span
-    slopes = [np.zeros(3), np.zeros(3)]
-    for k, j in enumerate((i, i + 1)):
-        if 0 < j < len(keys) - 1:
-            slopes[k] = (values[j + 1] - values[j - 1]) / (times[j + 1] - times[j - 1]) * span
-    h = np.array([2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, -2 * s**3 + 3 * s**2, s**3 - s**2])
-    return h[0] * values[i] + h[1] * slopes[0] + h[2] * values[i + 1] + h[3] * slopes[1]
+    slopes = np.zeros_like(values)
+    slopes[1:-1] = (values[2:] - values[:-2]) / (times[2:] - times[:-2])[:, None]
+    return np.asarray(CubicHermiteSpline(times, values, slopes)(np.clip(time_s, times[0], times[-1])))

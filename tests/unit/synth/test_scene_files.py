@@ -34,6 +34,7 @@ def test_every_sample_scene_reads_and_is_small_enough() -> None:
         ("[[box]]\nattached_to = 'nobody'\n", "names nothing"),
         ("[hidden]\ntransfer = 'rec2020'\n", "transfer"),
         ("[clip]\nfile = '../clip.mp4'\n", r"s\.toml:2: clip\.file"),
+        ("[[box]]\nmotion.keys = [{ time_s = 1 }, { time_s = 1 }]\n", "times of keys must increase: 1 s stands behind 1 s"),
         ("[clip\n", "not TOML"),
     ],
 )
