@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -16,16 +17,14 @@ import numpy as np
 
 from arfx.config.load import near
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
-from arfx.core.plan import Step
 from arfx.core.rect import Rect
-from arfx.core.stage import ReadyStage, Stage, level_named
+from arfx.core.stage import Stage, level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
+from arfx.measure.steps import Chain, FrameBench, Run, Shop, chain_of
 from arfx.measure.timed_runs import WALL
 from arfx.plan.planner import plan_frame
 from arfx.plan.work import terms_of
-from arfx.run.frame import Canvas
 from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
@@ -38,18 +37,38 @@ Progress = Callable[[str, int, int], None]
 class Cell:
     """One stage at one level on the standard scene. seconds : of each run;  yardstick_s : of the blurs beside them
 
-    terms : of its price (plan/work.py);  prepare : what is made once per clip;  go : one run, of other facts where given
+    chain : of steps, itself the last;  out : what it makes
     """
 
-    stage: str
-    level: str
-    size: tuple[int, int]
-    area_px: int
-    terms: Mapping[str, float]
-    prepare: Callable[[], Any]
-    go: Callable[..., Any]
+    frame: FrameBench
+    chain: Chain
+    out: Rect
     seconds: list[float] = field(default_factory=list)
     yardstick_s: list[float] = field(default_factory=list)
+
+    @property
+    def stage(self) -> str:
+        return self.chain[-1][0]
+
+    @property
+    def level(self) -> str:
+        return self.chain[-1][1]
+
+    @cached_property
+    def run(self) -> Run:
+        """Threads share it. What comes before is rendered, and itself prepared, when it is first asked for."""
+        return self.frame.run(self.chain)
+
+    def prepare(self) -> None:
+        """What is made once per clip."""
+        self.frame.shop.at(self.stage, self.level)
+
+    def go(self, facts: FrameFacts | None = None) -> None:
+        self.run.anew(self.out, facts)
+
+    def terms(self, facts: FrameFacts | None = None) -> dict[str, float]:
+        """Of its price (plan/work.py)."""
+        return terms_of(self.run.need(self.out), facts or self.run.facts, self.run.at.scene)
 
     @property
     def done(self) -> bool:
@@ -57,10 +76,11 @@ class Cell:
         return len(self.seconds) >= MOST or (len(self.seconds) >= fewest and sum(self.seconds) > BUDGET_S)
 
     def to_json(self) -> dict[str, Any]:
+        camera = self.frame.shop.scene.camera
         ms, yard = 1e3 * float(np.median(self.seconds)), 1e3 * float(np.median(self.yardstick_s))
         return {
-            "stage": self.stage, "level": self.level, "size": f"{self.size[0]}x{self.size[1]}", "ms": ms,
-            "yardstick_ms": yard, "ratio": ms / yard, "runs": len(self.seconds), "area_px": self.area_px,
+            "stage": self.stage, "level": self.level, "size": f"{camera.width}x{camera.height}", "ms": ms,
+            "yardstick_ms": yard, "ratio": ms / yard, "runs": len(self.seconds), "area_px": self.out.area,
         }  # fmt: skip
 
 
@@ -112,52 +132,22 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
 
 def _cells(at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], level: str | None) -> list[Cell]:
     """Of the stages with these names."""
-    size = (at.scene.camera.width, at.scene.camera.height)
     standard = {name: level_named(s.levels, "standard") for name, s in made.items()}
-    plan = plan_frame(list(made.values()), standard, at.facts, at.scene, at.scene.camera.rect)
-    steps = {s.stage: s for s in plan.steps}
-    timed = [name for name in steps if name in wanted]
-    if not timed:
+    whole = at.scene.camera.rect
+    plan = plan_frame(list(made.values()), standard, at.facts, at.scene, whole)
+    if not any(s.stage in wanted for s in plan.steps):
         stage = next(iter(wanted))
         why = next((s.reason for s in plan.skipped if s.stage == stage), "")
-        raise ConfigError(f"the standard scene does not use {stage!r}: {why}", f"one of {', '.join(steps)}")
-    canvas = Canvas(at.plate[plan.rect.slices], plan.rect)
-    if at.real_depth_m is not None:
-        canvas.put(Layer.REAL_DEPTH, at.real_depth_m[plan.rect.slices], plan.rect, plan.rect)
-    cells = []
-    for name, step in steps.items():
-        s = made[name]
-        if name in wanted:
-            cells += [_cell(s, le, step, canvas, at, size) for le in s.levels if level in (None, le)]
-        if name == timed[-1]:
-            break
-        for layer, array in _run(ReadyStage.of(s, at.scene, standard[name]), step, canvas, at.facts).items():
-            canvas.put(layer, array, step.need, step.out)
-    return cells
-
-
-def _cell(s: Stage, le: str, step: Step, canvas: Canvas, at: BenchScene, size: tuple[int, int]) -> Cell:
-    need: Rect = s.needs(step.out, at.facts, at.scene, le).union(step.out).clip(at.scene.camera.rect)
-    here = Step(step.stage, le, step.out, need, step.reason, None)
-    frozen = Canvas(canvas.plate, canvas.rect)
-    frozen.stored = dict(canvas.stored)  # later steps must not change what this one reads
-    ready: list[ReadyStage] = []
-
-    def prepare() -> None:
-        if not ready:
-            ready.append(ReadyStage.of(s, at.scene, le))
-
-    def go(facts: FrameFacts = at.facts) -> None:
-        prepare()
-        ready[0].memo.of_frame.clear()  # with what is kept of the last run the next one would cost nothing
-        _run(ready[0], here, frozen, facts)
-
-    return Cell(s.name, le, size, step.out.area, terms_of(need, at.facts, at.scene), prepare, go)
-
-
-def _run(at: ReadyStage, step: Step, canvas: Canvas, facts: FrameFacts) -> Any:
-    need = step.need if canvas.rect.contains(step.need) else step.need.clip(canvas.rect)
-    return at.run(canvas.view(at.stage.reads, need), facts)
+        raise ConfigError(f"the standard scene does not use {stage!r}: {why}", f"one of {', '.join(s.stage for s in plan.steps)}")
+    frame = FrameBench(at.facts, at.plate, plan, whole, Shop(at.scene, made), real_depth_m=at.real_depth_m)
+    chain = chain_of(plan, standard)
+    return [
+        Cell(frame, (*chain[:k], (step.stage, le)), step.out)
+        for k, step in enumerate(plan.steps)
+        if step.stage in wanted
+        for le in made[step.stage].levels
+        if level in (None, le)
+    ]
 
 
 def _take_turns(cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]) -> None:

@@ -27,7 +27,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.core.stage import Stage
-from arfx.measure.bench import check, make_cells
+from arfx.measure.bench import Cell, check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
 from arfx.measure.timed_runs import WALL, Runs, Watch
@@ -149,40 +149,39 @@ def _time_scene(
 
     Returns what one thread alone took, as a share of what it took among `crowd`: of the runs that are long enough to tell.
     """
-    every = make_cells(at, stage, None, stages)
     best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}
     alone = []
-    for cell in (c for c in every if (best.get(c.stage) == c.level) == slow):
-        made = f"prepare {cell.stage}/{cell.level}"
-        if sum(timed[made].seconds) < PREPARE_S:
-            timed[made].add({**cell.terms, "frames": 1.0}, watch.of(cell.prepare))
+    for cell in (c for c in make_cells(at, stage, None, stages) if (best.get(c.stage) == c.level) == slow):
         key = f"{cell.stage}/{cell.level}"
-        own = set(stages[cell.stage].terms)
+        prepared, runs = timed[f"prepare {key}"], timed[key]
+        if sum(prepared.seconds) < PREPARE_S:
+            seconds = watch.of(cell.prepare)
+            prepared.add(cell.terms(), seconds)
+        terms = cell.terms()
+        own = stages[cell.stage].terms
+        new = [t for t in own if t.startswith("new_")]
         if slow:  # seconds long: what loading it takes hardly shows
-            once: dict[str, float] = {t: 1.0 for t in ("new_directions", "new_lights") if t in own}
-            for new in [once, {}] if once else [{}]:
-                timed[key].add({**cell.terms, **new}, watch.of(cell.go))
+            for once in [dict.fromkeys(new, 1.0), {}] if new else [{}]:
+                runs.add({**terms, **once}, watch.of(cell.go))
             continue
         seen = _shimmering(at)
 
-        def go(go: Callable[..., Any] = cell.go, seen: Callable[[], FrameFacts] = seen) -> None:
-            go(seen())
+        def go(cell: Cell = cell, seen: Callable[[], FrameFacts] = seen) -> None:
+            cell.go(seen())
 
         go()  # compiles, loads, makes what is kept for this light
-        timed[key].add(cell.terms, watch.of_each(go, pool, crowd))
-        if timed[key].seconds[-1] < DEAR_S:
-            timed[key].add(cell.terms, watch.of_each(go, pool, crowd))
-        if LONG_S < timed[key].seconds[-1] < DEAR_S:
-            alone.append(watch.of(go) / timed[key].seconds[-1])
-        if "lamps" in own:
-            dull = replace(seen(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
+        runs.add(terms, watch.of_each(go, pool, crowd))
+        if runs.seconds[-1] < DEAR_S:
+            runs.add(terms, watch.of_each(go, pool, crowd))
+        if LONG_S < runs.seconds[-1] < DEAR_S:
+            alone.append(watch.of(go) / runs.seconds[-1])
+        dull = replace(seen(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
+        if any(cell.terms(dull)[t] != terms[t] for t in own if t not in new):
             cell.go(dull)
-            seconds = watch.of_each(partial(cell.go, dull), pool, crowd)
-            timed[key].add({**cell.terms, "lamps": 0.0, "lamp_mpx": 0.0}, seconds)
-        for term in ("new_directions", "new_lights"):
-            if term in own:
-                seconds = watch.of_each(partial(cell.go, _under_another_light(at, timed[key])), pool, crowd)
-                timed[key].add({**cell.terms, term: 1.0}, seconds)
+            runs.add(cell.terms(dull), watch.of_each(partial(cell.go, dull), pool, crowd))
+        for term in new:
+            seconds = watch.of_each(partial(cell.go, _under_another_light(at, runs)), pool, crowd)
+            runs.add({**terms, term: 1.0}, seconds)
     return alone
 
 

@@ -1,30 +1,29 @@
-"""One frame rendered again and again with other levels, in a window; what steps have in common is rendered once.
+"""One frame on which any level of any stage is run by itself, upon what the steps before it make; those are made once.
 
-A reference costs minutes over a whole picture, so all is rendered in a window only: what a stage computes on a crop is what it
-computes on the whole (tests/contract, the ROI law). What it costs is measured elsewhere (tradeoff_time.py).
+A reference costs minutes over a whole picture, so that pictures are rendered in a window only: what a stage computes on a crop
+is what it computes on the whole (tests/contract, the ROI law).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from arfx.core.colour import Transfer
+from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.plan import FramePlan, Step
+from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
-from arfx.measure.tradeoff_time import Times, areas_of
 from arfx.run.frame import Canvas
 
 NEAR_PX = 16
 KEPT = 40
-SRGB = Transfer("srgb")
 Chain = tuple[tuple[str, str], ...]  # (stage, level) in running order; a stage left out is absent
 
 
@@ -36,7 +35,6 @@ class Shop:
     stages: Mapping[str, Stage]
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
-    spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the pictures took, processor time
 
     def at(self, stage: str, level: str) -> ReadyStage:
         key = (stage, level)
@@ -45,6 +43,28 @@ class Shop:
             self.ready[key] = ReadyStage.of(self.stages[stage], self.scene, level)
             self.prepare_s[key] = time.process_time() - start
         return self.ready[key]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One level of one stage on a frame. upon : the layers that it finds"""
+
+    at: ReadyStage
+    facts: FrameFacts
+    upon: Canvas
+
+    def need(self, out: Rect) -> Rect:
+        scene = self.at.scene
+        return self.at.stage.needs(out, self.facts, scene, self.at.level).union(out).clip(scene.camera.rect)
+
+    def __call__(self, out: Rect, facts: FrameFacts | None = None) -> Mapping[Layer, Any]:
+        """What it makes of `out`. facts : others than the frame's"""
+        return self.at.run(self.upon.view(self.at.stage.reads, self.need(out)), facts or self.facts, out)
+
+    def anew(self, out: Rect, facts: FrameFacts | None = None) -> None:
+        """For timing: with what is kept of this picture from a run before it would cost nothing."""
+        self.at.memo.of_frame.clear()
+        self(out, facts)
 
 
 @dataclass
@@ -60,26 +80,19 @@ class FrameBench:
     plan: FramePlan
     window: Rect
     shop: Shop
-    slow: frozenset[tuple[str, str]]
+    slow: frozenset[tuple[str, str]] = frozenset()
     real_depth_m: np.ndarray | None = None
-    made: dict[Chain, Canvas] = field(default_factory=dict)
-    shown: dict[Chain, np.ndarray] = field(default_factory=dict)
+    made: dict[Chain, Canvas] = field(default_factory=dict, init=False)
+    shown: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
 
-    def under(self, shop: Shop) -> FrameBench:
-        """The same frame with other stages."""
-        return FrameBench(self.facts, self.plate, self.plan, self.window, shop, self.slow, self.real_depth_m)
-
-    def canvas(self) -> Canvas:
-        """The frame as it was, before any step."""
-        canvas = Canvas(self.plate, self.shop.scene.camera.rect)
-        if self.real_depth_m is not None:
-            canvas.put(Layer.REAL_DEPTH, self.real_depth_m, canvas.rect, canvas.rect)
-        return canvas
+    def run(self, chain: Chain) -> Run:
+        """Its last step, upon those before it."""
+        return Run(self.shop.at(*chain[-1]), self.facts, self.after(chain[:-1]))
 
     def image(self, chain: Chain) -> np.ndarray:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
         if chain not in self.shown:
-            canvas = self._run(chain)
+            canvas = self.after(chain)
             self.shown[chain] = _srgb8(canvas.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE])
         return self.shown[chain]
 
@@ -89,65 +102,42 @@ class FrameBench:
 
     def coverage(self, chain: Chain) -> np.ndarray:
         """(h, w) of the window."""
-        return np.asarray(self._run(chain).view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE])
+        return np.asarray(self.after(chain).view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE])
 
-    def predicted_s(self, chains: Iterable[Chain], times: Times) -> float:
-        """What the slow steps of these chains' pictures will take."""
-        steps = {chain[: k + 1] for chain in chains for k, at in enumerate(chain) if at in self.slow}
-        total = 0.0
-        for chain in steps:
-            step = self._step(chain)
-            if step is not None and chain[-1] in times.tiles:
-                total += times.tiles[chain[-1]].over(areas_of(step.out, self.facts.model_box)).seconds
-        return total
-
-    def _run(self, chain: Chain) -> Canvas:
-        """The steps before the last are looked up, or made and kept."""
+    def after(self, chain: Chain) -> Canvas:
+        """The frame after these steps; those before the last are looked up, or made and kept."""
         if chain in self.made:
             self.made[chain] = self.made.pop(chain)  # used last
             return self.made[chain]
-        if not chain:
-            canvas = self.canvas()
-        else:
-            before = self._run(chain[:-1])
-            canvas = Canvas(before.plate, before.rect)
-            canvas.stored = dict(before.stored)
-            step = self._step(chain)
-            if step is not None:
-                self._do(canvas, step)
+        canvas = Canvas(self.plate, self.shop.scene.camera.rect)
+        if chain:
+            canvas.stored = dict(self.after(chain[:-1]).stored)
+            out = self.out(chain)
+            if not out.empty:
+                run = self.run(chain)
+                for layer, array in run(out).items():
+                    canvas.put(layer, array, run.need(out), out)
+        elif self.real_depth_m is not None:
+            canvas.put(Layer.REAL_DEPTH, self.real_depth_m, canvas.rect, canvas.rect)
         self.made[chain] = canvas
         cheap = [c for c in self.made if not self.slow.intersection(c)]
         if len(cheap) > KEPT:
             del self.made[cheap[0]]
         return canvas
 
-    def _do(self, canvas: Canvas, step: Step) -> None:
-        began = time.process_time()
-        at = self.shop.at(step.stage, step.level)
-        for layer, array in at.run(canvas.view(at.stage.reads, step.need), self.facts, step.out).items():
-            canvas.put(layer, array, step.need, step.out)
-        told = f"{step.stage}/{step.level}"
-        self.shop.spent_s[told] = self.shop.spent_s.get(told, 0.0) + time.process_time() - began
-
-    def _step(self, chain: Chain) -> Step | None:
+    def out(self, chain: Chain) -> Rect:
         """Of what the plan asks of the chain's last stage, that which the later stages need for the window."""
-        name, level = chain[-1]
-        planned = {s.stage: s for s in self.plan.steps}
-        if name not in planned:
-            return None
-        stage, facts, scene = self.shop.stages[name], self.facts, self.shop.scene
-        want, order = self.window, list(planned)
+        name, _ = chain[-1]
+        planned = {s.stage: s.out for s in self.plan.steps}
+        want, order, scene = self.window, list(planned), self.shop.scene
         for later in reversed(order[order.index(name) + 1 :]):
             s = self.shop.stages[later]
-            reach = want.clip(planned[later].out)
+            reach = want.clip(planned[later])
             if not reach.empty:
-                need = s.needs(reach, facts, scene, s.levels[-1])
+                need = s.needs(reach, self.facts, scene, s.levels[-1])
                 # who does not read the composited picture takes the real frame alone from far away
                 want = want.union(need if Layer.IMAGE in s.reads else need.clip(reach.pad(NEAR_PX)))
-        out = planned[name].out.clip(want)
-        if out.empty:
-            return None
-        return Step(name, level, out, stage.needs(out, facts, scene, level).union(out).clip(scene.camera.rect), "", None)
+        return planned[name].clip(want)
 
 
 def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -> Rect:

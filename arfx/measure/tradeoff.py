@@ -8,9 +8,8 @@ Cost: the references; the window of the pictures is made so small that they take
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,13 +18,13 @@ from arfx.core.cost import Prediction, Prices, exactly, together
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
 from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, touched, unrest
+from arfx.measure.steps import Chain, FrameBench, Shop, chain_of, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
-from arfx.measure.tradeoff_render import FrameBench, Shop, chain_of, window_of
-from arfx.measure.tradeoff_time import Times, time_frame
+from arfx.measure.tradeoff_time import Times, areas_of, time_frame
 from arfx.media.frames import ClipReader
 from arfx.plan.work import what_is_new
 from arfx.run.depth import real_depth_layer
@@ -78,9 +77,7 @@ class Row:
 
 @dataclass
 class Found:
-    """samples : the frames;  effects, pipelines : rows;  windows : what the pictures show, by frame
-    spent_s : processor time of the measuring, by what for
-    """
+    """samples : the frames;  effects, pipelines : rows;  windows : what the pictures show, by frame"""
 
     samples: list[Sample]
     effects: list[Row]
@@ -88,7 +85,6 @@ class Found:
     windows: dict[int, Any]
     places: dict[tuple[str, str], str] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
-    spent_s: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -118,7 +114,6 @@ class _Work:
 
 def measure(job: Job, frames: int, progress: Progress) -> Found:
     """job : up to its plan. Raises NothingToDoError where no frame shows the object."""
-    began = time.process_time()
     stages = job.stages
     plans = {p.index: p for p in job.plan.frames}
     samples = [s for s in pick_frames(job.facts, job.inputs.camera.rect, frames) if plans[s.index].steps]
@@ -141,7 +136,7 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     total = len(samples) + len(effects) + len(QUALITIES) + 2
     for k, sample in enumerate(samples):
         progress("times", k, total)
-        _time(work, work.times, sample, work.shop, [(n, level) for n in names for level in stages[n].levels])
+        _time(work, work.times, work.benches[sample.index], [(n, level) for n in names for level in stages[n].levels])
     _choose_windows(work, effects, following)
     found = work.found
     for k, name in enumerate(effects):
@@ -152,11 +147,6 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     found.pipelines = _whole(work)
     found.pipelines += _other_pipeline(work, other)
     found.prepare_s = work.shop.prepare_s
-    found.spent_s = {
-        "all": time.process_time() - began,
-        **{f"picture {k}": s for k, s in work.shop.spent_s.items()},
-        **{f"time {k}": s for k, s in work.times.spent_s.items()},
-    }
     progress("pipelines", total, total)
     return found
 
@@ -190,13 +180,11 @@ def _open_benches(work: _Work, wanted: Sequence[int], plans: Mapping[int, FrameP
                 i = pts[frame.pts]
                 depth = real_depth_layer(maps, facts[i], frame, camera, camera.rect) if deep and maps is not None else None
                 plate = frame.linear(camera.rect)
-                work.benches[i] = FrameBench(facts[i], plate, plans[i], EMPTY, shop, work.slow, depth)
+                work.benches[i] = FrameBench(facts[i], plate, plans[i], camera.rect, shop, work.slow, depth)
 
 
-def _time(work: _Work, times: Times, sample: Sample, shop: Shop, wanted: Sequence[tuple[str, str]]) -> None:
-    b = work.benches[sample.index]
-    ground = _levels(shop, work.ground)
-    time_frame(times, b.facts, b.canvas(), b.plan, shop.stages, shop.at, ground, frozenset(wanted), work.slow, work.new)
+def _time(work: _Work, times: Times, b: FrameBench, wanted: Sequence[tuple[str, str]]) -> None:
+    time_frame(times, b, _levels(b.shop, work.ground), frozenset(wanted), work.new)
 
 
 def _levels(shop: Shop, levels: Mapping[str, str]) -> dict[str, str]:
@@ -210,15 +198,22 @@ def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) 
     camera: Rect = work.job.inputs.camera.rect
     area = float(min(max(b.plan.changed.area for b in work.benches.values()), MOST_PX))
     while True:
-        for b in work.benches.values():
-            b.window = window_of(b.plan, b.facts, camera, area)
-        if following is not None:
-            work.benches[following].window = work.benches[following - 1].window
-        cost = sum(b.predicted_s([chain_of(b.plan, c) for c in chains], work.times) for b in work.benches.values())
-        if cost <= REFERENCE_S or area <= LEAST_PX:
+        for i, b in work.benches.items():
+            of = work.benches[i - 1] if i == following else b
+            work.benches[i] = replace(b, window=window_of(of.plan, of.facts, camera, area))
+        if sum(_pictures_s(work, b, chains) for b in work.benches.values()) <= REFERENCE_S or area <= LEAST_PX:
             break
         area = max(area * 0.8, LEAST_PX)
     work.found.windows = {i: b.window for i, b in work.benches.items()}
+
+
+def _pictures_s(work: _Work, b: FrameBench, levels: Sequence[Mapping[str, str]]) -> float:
+    """What the slow steps of the frame's pictures will take."""
+    chains = [chain_of(b.plan, of) for of in levels]
+    slow: set[Chain] = {c[: k + 1] for c in chains for k, at in enumerate(c) if at in b.slow and at in work.times.tiles}
+    outs = {c: b.out(c) for c in slow}
+    box = b.facts.model_box
+    return sum(work.times.tiles[c[-1]].over(areas_of(out, box)).seconds for c, out in outs.items() if not out.empty)
 
 
 def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
@@ -284,13 +279,12 @@ def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
         if not work.has(sample, name):
             continue
         b = work.benches[sample.index]
-        _time(work, times, sample, shop, [(name, usual[name])])
-        reference, image = b.image(chain_of(b.plan, {**usual, name: best})), b.under(shop).image(chain_of(b.plan, usual))
+        there = replace(b, shop=shop)
+        _time(work, times, replace(there, window=work.job.inputs.camera.rect), [(name, usual[name])])
+        reference, image = b.image(chain_of(b.plan, {**usual, name: best})), there.image(chain_of(b.plan, usual))
         where = touched((reference, b.image(chain_of(b.plan, usual, (name,)))), (reference, image))
         row.note(sample.index, reference, image, where)
     row.time = times.of((name, usual[name])) or exactly(0.0)
-    for told, s in times.spent_s.items():
-        work.times.spent_s[told] = work.times.spent_s.get(told, 0.0) + s
     work.other_s[name] = row.time
     return [row] if row.by_frame else []
 
@@ -346,7 +340,7 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=usual)
     for sample in work.samples:
         b = work.benches[sample.index]
-        image, reference = b.under(there).image(chain_of(b.plan, usual)), b.image(chain_of(b.plan, work.best))
+        image, reference = replace(b, shop=there).image(chain_of(b.plan, usual)), b.image(chain_of(b.plan, work.best))
         row.note(sample.index, reference, image, touched((reference, b.original()), (reference, image)))
     timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
     row.time = together(p for p in timed if p is not None)

@@ -29,7 +29,6 @@ def document(found: Found, job: Job, seconds: float) -> dict[str, Any]:
         "effects": [_row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))],
         "pipelines": [_row(r, found) for r in found.pipelines],
         "recommendation": recommendation(found), "seconds": seconds,
-        "seconds_spent": found.spent_s,
         "source": f"measured on {len(found.samples)} frames of {job.inputs.info.path.name}", "errors": stages,
     }  # fmt: skip
 

@@ -14,16 +14,13 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from arfx.core.cost import Prediction, exactly, together, with_spread
-from arfx.core.facts import FrameFacts
-from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.core.stage import ReadyStage, Stage
-from arfx.run.frame import Canvas
+from arfx.measure.steps import FrameBench, Run, chain_of
 
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = 4, 0.6, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
@@ -32,8 +29,6 @@ DEAR_S, FEW = 1.0, 2  # a level that takes so long for next to nothing is timed 
 LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
 OFTEN = 0.02  # share of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
-# Student's t, nine in ten two-sided, for 1, 2, ... degrees of freedom; 1.7 beyond
-_T = (6.3, 2.9, 2.4, 2.1, 2.0, 1.9, 1.9, 1.9, 1.8)
 
 
 @dataclass
@@ -68,7 +63,7 @@ class Tiles:
         middle = alone + total * math.sqrt(rim)
         if not free:
             return with_spread(middle, 1.0)
-        wide = (_T[free - 1] if free <= len(_T) else 1.7) * math.sqrt(variance)
+        wide = stats.t.ppf(0.95, free) * math.sqrt(variance)  # nine in ten
         ends = sorted((alone + total, alone + total * rim))
         least = with_spread(middle, LEAST_SPREAD)
         return Prediction(middle, max(min(ends[0] - wide, least.low_s), alone), max(ends[1] + wide, least.high_s))
@@ -87,7 +82,6 @@ class Times:
     tiles: dict[At, Tiles] = field(default_factory=dict)
     areas: dict[At, list[dict[str, int]]] = field(default_factory=dict)
     new_s: dict[At, list[float]] = field(default_factory=dict)
-    spent_s: dict[str, float] = field(default_factory=dict)  # by "stage/level": what the timing took
 
     def of(self, at: At) -> Prediction | None:
         """Mean over the frames; None = not timed."""
@@ -106,6 +100,17 @@ class Times:
         """Of all steps of a frame; what was not timed counts as nothing."""
         return together([self.of(at) or exactly(0.0) for at in chain])
 
+    def run(self, run: Run, out: Rect) -> float:
+        start = self.clock()
+        run.anew(out)
+        return self.clock() - start
+
+    def under_new_light(self, at: At, run: Run, out: Rect, known_s: float, share: float) -> None:
+        """share : of the clip's frames under a light that was not met before;  known_s : under one that was"""
+        if share > OFTEN:
+            run.at.memo.of_light.clear()
+            self.new_s.setdefault(at, []).append(share * max(self.run(run, out) - known_s, 0.0))
+
 
 def areas_of(out: Rect, box: Rect) -> dict[str, int]:
     """Pixels of a step's parts: in the object's box, and outside."""
@@ -114,113 +119,57 @@ def areas_of(out: Rect, box: Rect) -> dict[str, int]:
 
 
 def time_frame(
-    times: Times,
-    facts: FrameFacts,
-    canvas: Canvas,
-    plan: FramePlan,
-    stages: Mapping[str, Stage],
-    ready: Callable[[str, str], ReadyStage],
-    usual: Mapping[str, str],
-    wanted: Collection[At],
-    slow: Collection[At],
-    new: Mapping[str, float],
-) -> None:
-    """Time `wanted` on one frame, each upon what the steps before it make at their `usual` level.
+    times: Times, frame: FrameBench, usual: Mapping[str, str], wanted: Collection[At], new: Mapping[str, float]
+) -> None:  # fmt: skip
+    """Time `wanted`, each upon what the steps before it make at their `usual` level; the slow ones of the frame on tiles.
 
-    canvas : the plate, whole frame (and what was measured of it);  slow : those to be timed on tiles
     new : by stage, share of the clip's frames under a light that was not met before
     """
-    for at, step in enumerate(plan.steps):
-        stage = stages[step.stage]
-        later = any((s.stage, level) in wanted for s in plan.steps[at + 1 :] for level in stages[s.stage].levels)
-        for level in stage.levels:
-            key = (step.stage, level)
-            if key not in wanted and not (later and level == usual[step.stage]):
-                continue
-            began = times.clock()
-            runner = _Runner(times, ready(step.stage, level), facts, canvas)
-            if key in wanted and key in slow:
-                _on_tiles(runner, step, facts.model_box, key, new.get(step.stage, 0.0))
-            elif key in wanted:
-                _whole(runner, step, key, new.get(step.stage, 0.0))
-            told = "/".join(key)
-            times.spent_s[told] = times.spent_s.get(told, 0.0) + times.clock() - began
-        if later:
-            level = usual[step.stage]
-            runner = _Runner(times, ready(step.stage, level), facts, canvas)
-            runner.run(step.out)
-            for layer, array in runner.made.items():
-                canvas.put(layer, array, runner.need, step.out)
+    chain = chain_of(frame.plan, usual)
+    for k, step in enumerate(frame.plan.steps):
+        for level in frame.shop.stages[step.stage].levels:
+            at = (step.stage, level)
+            if at in wanted:
+                time_one = _on_tiles if at in frame.slow else _whole
+                time_one(times, at, frame.run((*chain[:k], at)), step.out, new.get(step.stage, 0.0))
 
 
-@dataclass
-class _Runner:
-    """One level of one stage on one frame."""
-
-    times: Times
-    at: ReadyStage
-    facts: FrameFacts
-    canvas: Canvas
-    made: Mapping[Any, Any] = field(default_factory=dict)
-    need: Rect = field(default_factory=lambda: Rect(0, 0, 0, 0))
-
-    def run(self, out: Rect) -> float:
-        """Seconds of one run that makes `out`, with nothing kept of this picture from a run before."""
-        self.at.memo.of_frame.clear()
-        self.need = self.needed(out)
-        layers = self.canvas.view(self.at.stage.reads, self.need)
-        start = self.times.clock()
-        self.made = self.at.run(layers, self.facts, out)
-        return self.times.clock() - start
-
-    def needed(self, out: Rect) -> Rect:
-        scene = self.at.scene
-        return self.at.stage.needs(out, self.facts, scene, self.at.level).union(out).clip(scene.camera.rect)
-
-    def anew(self, out: Rect) -> float:
-        """The same under a light that was not met before."""
-        self.at.memo.of_light.clear()
-        return self.run(out)
-
-
-def _whole(runner: _Runner, step: Step, key: At, new: float) -> None:
-    first = runner.run(step.out)  # the first loads code, and makes what is kept for this light
-    known = runner.times.whole.setdefault(key, [])
-    seconds = first if known and first > ONCE_S else runner.run(step.out)  # code that is compiled may take longer than ONCE_S
+def _whole(times: Times, at: At, run: Run, out: Rect, new: float) -> None:
+    first = times.run(run, out)  # loads code, and makes what is kept for this light
+    known = times.whole.setdefault(at, [])
+    seconds = first if known and first > ONCE_S else times.run(run, out)  # code that is compiled may take longer than ONCE_S
     known.append(seconds)
-    if new > OFTEN and seconds <= ONCE_S:
-        runner.times.new_s.setdefault(key, []).append(new * max(runner.anew(step.out) - seconds, 0.0))
+    if seconds <= ONCE_S:
+        times.under_new_light(at, run, out, seconds, new)
 
 
-def _on_tiles(runner: _Runner, step: Step, box: Rect, key: At, new: float) -> None:
-    times, out = runner.times, step.out
+def _on_tiles(times: Times, at: At, run: Run, out: Rect, new: float) -> None:
+    box = run.facts.model_box
     inside = box.clip(out)
-    times.areas.setdefault(key, []).append(areas_of(out, box))
-    tiles = times.tiles.setdefault(key, Tiles())
+    times.areas.setdefault(at, []).append(areas_of(out, box))
+    tiles = times.tiles.setdefault(at, Tiles())
     if tiles.empty_s and tiles.empty_s[0] > DEAR_S:
-        return  # nothing but one frame's tiles: their interval is all that is told
+        return  # nothing but one frame's tiles: their interval is all that is known
     tiny = _tile(inside if not inside.empty else out, 0.5, 0.5, TINY_PX)
-    alone = runner.run(tiny)  # loads code, and makes what is kept for this light
+    alone = times.run(run, tiny)  # loads code, and makes what is kept for this light
     dear = alone > DEAR_S
     if not dear:
-        alone = runner.run(tiny)
+        alone = times.run(run, tiny)
     tiles.empty_s.append(alone)
-    least_px, made_px, read_px = runner.need.area, 0, 0
-    if new > OFTEN:
-        times.new_s.setdefault(key, []).append(new * max(runner.anew(tiny) - alone, 0.0))
-    rng = np.random.default_rng(runner.facts.index)
+    times.under_new_light(at, run, tiny, alone, new)
+    least_px, made_px, read_px = run.need(tiny).area, 0, 0
+    rng = np.random.default_rng(run.facts.index)
     for part, rects in (("box", [inside]), ("rest", without(out, inside))):
         side = FEWEST_PX
         for place in _places(rng, rects, FEW if dear else TILES):
             tile = _tile(*place, side)
-            seconds = runner.run(tile)
+            seconds = times.run(run, tile)
             tiles.by_part.setdefault(part, []).append((tile.area, seconds))
-            made_px, read_px = made_px + tile.area, read_px + runner.need.area - least_px
+            made_px, read_px = made_px + tile.area, read_px + run.need(tile).area - least_px
             rate = max(seconds - alone, 1e-6) / tile.area
             side = int(np.clip(math.sqrt(max(TILE_S / TILES, 0.3 * alone) / rate), FEWEST_PX, MOST_PX))
-
     if read_px > 0:
-        whole_px = runner.needed(out).area - least_px
+        whole_px = run.need(out).area - least_px
         tiles.rims.append(float(np.clip(whole_px / out.area * made_px / read_px, 0.1, 1.0)))
 
 

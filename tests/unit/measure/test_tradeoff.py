@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 
+from arfx.core.colour import SRGB
 from arfx.core.cost import Prediction, exactly
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, touched, unrest
+from arfx.measure.steps import FrameBench, Shop, chain_of, window_of
 from arfx.measure.tradeoff import Found, Row
 from arfx.measure.tradeoff_document import _share, front, recommendation
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import MOST_BYTES, error_map, page
-from arfx.measure.tradeoff_render import SRGB, FrameBench, Shop, chain_of, window_of
 from arfx.plan.planner import plan_frame
 from arfx.stages import STAGES
 from tests.scenes import camera, facts, look_at, scene

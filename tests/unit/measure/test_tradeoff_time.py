@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,9 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import EMPTY, Rect
-from arfx.core.stage import ReadyStage, Stage, View
+from arfx.core.stage import Stage, View
+from arfx.measure.steps import FrameBench, Shop
 from arfx.measure.tradeoff_time import Tiles, Times, time_frame
-from arfx.run.frame import Canvas
 from tests.scenes import camera, facts, look_at, scene
 
 ALONE_S, BOX_S, REST_S, NEW_S = 0.05, 60e-6, 2e-6, 0.4
@@ -55,13 +54,12 @@ def measured(seed: int, new: float = 0.0, frames: int = 2, reads: bool = False) 
     out = seen.model_box.pad(60).clip(s.camera.rect)
     stage = Slow(seen.model_box, seed, reads)
     plan = FramePlan(seed, out, out, (Step("slow", "draft", out, out.pad(9).clip(s.camera.rect), "", None),), ())
-    times, ready = Times(clock=lambda: stage.now_s), ReadyStage.of(stage, s, "draft")
-    wanted = frozenset({("slow", "draft"), ("slow", "reference")})
+    times, shop = Times(clock=lambda: stage.now_s), Shop(s, {"slow": stage})
+    wanted, slow = frozenset({("slow", "draft"), ("slow", "reference")}), frozenset({("slow", "reference")})
     for k in range(frames):
-        canvas = Canvas(np.zeros((480, 640, 3), np.float32), s.camera.rect)
         at = seen.with_(index=100 * seed + k)
-        time_frame(times, at, canvas, plan, {"slow": stage}, lambda _, le: replace(ready, level=le), {"slow": "draft"}, wanted,
-                   frozenset({("slow", "reference")}), {"slow": new})  # type: ignore[dict-item]  # fmt: skip
+        frame = FrameBench(at, np.zeros((480, 640, 3), np.float32), plan, s.camera.rect, shop, slow)
+        time_frame(times, frame, {"slow": "draft"}, wanted, {"slow": new})
     whole = out.pad(9).clip(s.camera.rect) if reads else out
     return times, stage, ALONE_S + float(stage.seconds[whole.slices].sum())
 
