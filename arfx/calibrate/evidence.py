@@ -39,9 +39,9 @@ class Evidence:
         return float(np.sqrt(np.mean(self.held_out_px**2)))
 
 
-def choose_model(views: Sequence[View], models: Sequence[LensModel] = MODELS) -> tuple[Evidence, list[Evidence]]:
+def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
     """The chosen model's evidence, and that of all. Raises NothingToDoError if no model can be fitted."""
-    table = [weigh(views, m) for m in models]
+    table = [weigh(views, m) for m in MODELS]
     usable = [e for e in table if not e.rejected]
     if not usable:
         raise NothingToDoError(

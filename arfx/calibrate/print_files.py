@@ -1,10 +1,8 @@
-"""A sheet as a file, true to scale: PDF in points, SVG in millimetres, PNG with its resolution."""
+"""A sheet as a file, true to scale: PDF and SVG in points, PNG with its resolution."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -23,39 +21,19 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
 
     The file appears by atomic rename. Raises ConfigError for other endings and for a PNG that is too large.
     """
-    writers: dict[str, Callable[[Sheet, Path, float], None]] = {".pdf": _pdf, ".svg": _svg, ".png": _png}
     ending = path.suffix.lower()
-    if ending not in writers:
+    if ending not in (".pdf", ".svg", ".png"):
         raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")
     with aside(path) as part:
-        writers[ending](sheet, part, dpi)
+        if ending == ".png":
+            _png(sheet, part, dpi)
+        else:
+            _drawn(sheet, part, ending[1:])
 
 
-def _svg(sheet: Sheet, path: Path, dpi: float) -> None:
-    def number(v: float) -> str:
-        return f"{v:.5f}".rstrip("0").rstrip(".")
-
-    w, h = number(sheet.width_mm), number(sheet.height_mm)
-    out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{w}mm" height="{h}mm" viewBox="0 0 {w} {h}">',
-        f"<title>{escape(sheet.title)}</title>",
-        f'<rect width="{w}" height="{h}" fill="white"/>',
-    ]
-    for cells in sheet.cells:
-        d = " ".join("M" + " L".join(f"{number(x)} {number(y)}" for x, y in outline) + " Z" for outline in outlines(cells))
-        out.append(f'<path fill="black" fill-rule="evenodd" d="{d}"/>')
-    for x0, y0, x1, y1 in sheet.lines:
-        points = f'x1="{number(x0)}" y1="{number(y0)}" x2="{number(x1)}" y2="{number(y1)}"'
-        out.append(f'<line {points} stroke="black" stroke-width="{LINE_MM}"/>')
-    for t in sheet.texts:
-        size = number(TEXT_MM / CAP_SHARE)
-        style = f'font-family="sans-serif" font-size="{size}" text-anchor="middle"'
-        out.append(f'<text x="{number(t.x_mm)}" y="{number(t.y_mm)}" {style}>{escape(t.words)}</text>')
-    path.write_text("\n".join([*out, "</svg>"]) + "\n", encoding="utf-8")
-
-
-def _pdf(sheet: Sheet, path: Path, dpi: float) -> None:
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+def _drawn(sheet: Sheet, path: Path, kind: str) -> None:
+    """PDF or SVG: both in points."""
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
@@ -71,8 +49,10 @@ def _pdf(sheet: Sheet, path: Path, dpi: float) -> None:
         axes.plot([x0, x1], [y0, y1], color="black", linewidth=LINE_MM / MM_PER_INCH * 72, solid_capstyle="butt", clip_on=False)
     for t in sheet.texts:
         axes.text(t.x_mm, t.y_mm, t.words, ha="center", va="baseline", fontsize=TEXT_MM / CAP_SHARE / MM_PER_INCH * 72)
-    # a fixed date, so that the same sheet gives the same bytes
-    FigureCanvasPdf(figure).print_pdf(path, metadata={"Title": sheet.title, "CreationDate": None})
+    # no date and no random names, so that the same sheet gives the same bytes
+    undated = {"CreationDate" if kind == "pdf" else "Date": None}
+    with rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}):
+        figure.savefig(path, format=kind, metadata={"Title": sheet.title, **undated})
 
 
 def _png(sheet: Sheet, path: Path, dpi: float) -> None:

@@ -60,12 +60,12 @@ def _moved_px(a: View, b: View) -> float:
     return min(straight, rms(a.pixels[ia] - b.pixels[ib][::-1])) if len(shared) == len(a.ids) == len(b.ids) else straight
 
 
-def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL, seed: int = 0) -> tuple[Fit, list[Rejected]]:
+def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL) -> tuple[Fit, list[Rejected]]:
     """The fit of the views that agree, and the views that do not.
 
     Raises NothingToDoError if no three views agree.
     """
-    start = _most_agreed(views, model, seed)
+    start = _most_agreed(views, model)
     inside = [v for v in views if start is None or v in start]
     fitted = fit(inside, model)
     for _ in range(10):
@@ -126,11 +126,11 @@ def rejection_limit_px(view_rms_px: np.ndarray) -> float:
     return max(FLOOR_PX, REJECT_RATIO * median, median + REJECT_SIGMA * spread)
 
 
-def _most_agreed(views: Sequence[View], model: LensModel, seed: int) -> list[View] | None:
+def _most_agreed(views: Sequence[View], model: LensModel) -> list[View] | None:
     """The views that the best of some small subsets agrees with; None if all views together are as good."""
     if len(views) <= SUBSET_SIZE:
         return None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     candidates: list[Sequence[View]] = [views]
     candidates += [[views[i] for i in rng.choice(len(views), SUBSET_SIZE, replace=False)] for _ in range(SUBSETS)]
     best, best_score, best_index = None, float("inf"), 0

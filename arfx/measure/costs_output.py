@@ -15,9 +15,6 @@ import av
 import cv2
 import numpy as np
 
-from arfx.core.camera import Camera
-from arfx.core.marker import MarkerSpec
-from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.errors import ArfxError
 from arfx.measure.timed_runs import Runs, Watch
@@ -30,7 +27,6 @@ from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.planes import copy_picture
 from arfx.media.writer import ChunkWriter, chunk_suffix
 
-MARKER = MarkerSpec("36h11", 3, 0.15)
 SIZES = ((640, 360, 24), (1280, 720, 10))  # width, height, frames
 USUAL = ("h264", "ffv1")  # encoded twice
 JOINED = "h264"
@@ -115,29 +111,18 @@ def _join(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], plan: Out
 
 
 def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
-    """A marker on a textured table with camera noise, swaying as if hand-held. Returns `path`."""
+    """A textured table with camera noise, swaying as if hand-held. Returns `path`."""
     g = np.random.default_rng(5)
-    focal, board, scale = 0.9 * width, 1200, 1500.0
-    camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))
-    table = cv2.resize(g.integers(70, 180, (board // 12, board // 12, 3)).astype(np.uint8), (board, board))
-    side = round(MARKER.size_m * scale)
-    code = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, side)
-    code = np.clip(cv2.copyMakeBorder(code, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255), 25, 225)
-    at = (board - code.shape[0]) // 2
-    table[at : at + code.shape[0], at : at + code.shape[0]] = code[..., None]
-    half = board / 2 / scale
-    plane = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
-    corners = np.array([[0, 0], [board, 0], [board, board], [0, board]], np.float32) - 0.5
+    table = g.integers(70, 180, (height // 8, width // 8, 3)).astype(np.uint8)
     noise = g.normal(0, 2, (4, height, width, 3)).astype(np.float32)
     with create(path) as out:
         stream: Any = out.add_stream("libx264", rate=30, options={"crf": "18", "preset": "veryfast"})
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for i in range(frames):
             t = i / 30
-            turn = rotation_from_euler_deg(145 + 2 * np.sin(1.1 * t), 0, 0) @ rotation_from_euler_deg(0, 0, 15 + 2 * np.sin(t))
-            pose = Pose(turn, np.array([0.01 * np.sin(0.9 * t), 0.04, 0.7]))
-            warp = cv2.getPerspectiveTransform(corners, camera.project(pose.apply(plane)).astype(np.float32))
-            picture = cv2.warpPerspective(table, warp, (width, height), flags=cv2.INTER_AREA, borderValue=(96, 100, 104))
+            move = np.array(cv2.getRotationMatrix2D((width / 20, height / 20), 15 + 2 * np.sin(t), 10), float)
+            move[:, 2] += 0.4 * np.array([width, height]) + 0.02 * width * np.array([np.sin(0.9 * t), np.sin(1.1 * t)])
+            picture = cv2.warpAffine(table, move, (width, height), borderMode=cv2.BORDER_REFLECT)
             picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
             out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         out.mux(stream.encode(None))

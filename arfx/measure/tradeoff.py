@@ -42,6 +42,7 @@ class Row:
     """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what was found in each
 
     formula : which the stage ran under;  unrest : of this and of the reference, grey levels from a frame to the next
+    shop : of its stages, None = the job's
     """
 
     name: str
@@ -52,6 +53,7 @@ class Row:
     unrest: tuple[float, float] | None = None
     pictures: dict[int, np.ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
+    shop: Shop | None = None
 
     @property
     def seconds(self) -> float:
@@ -66,10 +68,6 @@ class Row:
         if not sum(weights):
             return float(getattr(Difference(), what))
         return float(np.average([getattr(d, what) for d in self.by_frame.values()], weights=weights))
-
-    def note(self, frame: int, reference: np.ndarray, picture: np.ndarray, where: np.ndarray) -> None:
-        self.by_frame[frame] = difference(reference, picture, where)
-        self.pictures[frame] = picture
 
     def worst_frame(self) -> int | None:
         return max(self.by_frame, key=lambda i: self.by_frame[i].p99, default=None)
@@ -224,22 +222,35 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
         Row(name, level, formula, work.times.of((name, level)) or exactly(0.0), levels={**usual, name: level})
         for level in stage.levels
     ]
-    for sample in work.samples:
-        if not work.has(sample, name):
-            continue
-        b = benches[sample.index]
-        chains = {r.level: chain_of(b.plan, r.levels) for r in rows}
-        images = {level: b.image(chain) for level, chain in chains.items()}
-        without = b.image(chain_of(b.plan, usual, (name,)))
-        where = touched((images[best], without), *((images[best], images[le]) for le in images))
-        for r in rows:
-            r.note(sample.index, images[best], images[r.level], where)
-        worst = max((r for r in rows if r.level != best), key=lambda r: r.by_frame[sample.index].p99, default=None)
+    chosen = {**usual, name: best}
+    _compare(work, rows, chosen, (name,))
+    for i in rows[0].by_frame:
+        worst = max((r for r in rows if r.level != best), key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
-            found.places.setdefault((name, worst.level), _place(worst.by_frame[sample.index], b.coverage(chains[best])))
+            coverage = benches[i].coverage(chain_of(benches[i].plan, chosen))
+            found.places.setdefault((name, worst.level), _place(worst.by_frame[i], coverage))
     if following is not None:
         _unrest(rows, best, benches[following - 1], benches[following])
     return rows
+
+
+def _compare(work: _Work, rows: Sequence[Row], best: Mapping[str, str], of: Sequence[str] = ()) -> None:
+    """Note each row's pictures and how far they are from those at `best` levels, where the stages `of` change anything.
+
+    of : at their usual level where they are left out; none = all, against the frame as it was
+    """
+    for sample in work.samples:
+        b = work.benches[sample.index]
+        if not all(work.has(sample, name) for name in of):
+            continue
+        reference = b.image(chain_of(b.plan, best))
+        without = b.image(chain_of(b.plan, work.usual, of)) if of else b.original()
+        for r in rows:
+            at = b if r.shop is None else replace(b, shop=r.shop)
+            r.pictures[sample.index] = at.image(chain_of(b.plan, r.levels))
+        where = touched((reference, without), *((reference, r.pictures[sample.index]) for r in rows))
+        for r in rows:
+            r.by_frame[sample.index] = difference(reference, r.pictures[sample.index], where)
 
 
 def _unrest(rows: Sequence[Row], best: str, first: FrameBench, second: FrameBench) -> None:
@@ -272,20 +283,14 @@ def _other_stages(work: _Work) -> dict[str, Stage]:
 
 def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
     """An effect under the other formula, at its usual level, against the job's own reference."""
-    best, shop, times = work.best[name], Shop(work.shop.scene, {**work.stages, name: changed}), Times()
+    shop, times = Shop(work.shop.scene, {**work.stages, name: changed}), Times()
     usual = _levels(shop, work.usual)
-    row = Row(name, usual[name], changed.params.formula, levels=usual)
-    for sample in work.samples:
-        if not work.has(sample, name):
-            continue
-        b = work.benches[sample.index]
-        there = replace(b, shop=shop)
-        _time(work, times, replace(there, window=work.job.inputs.camera.rect), [(name, usual[name])])
-        reference, image = b.image(chain_of(b.plan, {**usual, name: best})), there.image(chain_of(b.plan, usual))
-        where = touched((reference, b.image(chain_of(b.plan, usual, (name,)))), (reference, image))
-        row.note(sample.index, reference, image, where)
-    row.time = times.of((name, usual[name])) or exactly(0.0)
-    work.other_s[name] = row.time
+    row = Row(name, usual[name], changed.params.formula, levels=usual, shop=shop)
+    _compare(work, [row], {**work.usual, name: work.best[name]}, (name,))
+    for i in row.by_frame:
+        whole = replace(work.benches[i], shop=shop, window=work.job.inputs.camera.rect)
+        _time(work, times, whole, [(name, usual[name])])
+    work.other_s[name] = row.time = times.of((name, usual[name])) or exactly(0.0)
     return [row] if row.by_frame else []
 
 
@@ -298,13 +303,7 @@ def _whole(work: _Work) -> list[Row]:
     for levels in _between(work):
         wanted.setdefault(tuple(levels.values()), ("mixed", levels))
     rows = [Row("pipeline", quality, "", levels=levels) for quality, levels in wanted.values()]
-    for sample in work.samples:
-        b = work.benches[sample.index]
-        images = {id(r): b.image(chain_of(b.plan, r.levels)) for r in rows}
-        reference = b.image(chain_of(b.plan, work.best))
-        where = touched((reference, b.original()), *((reference, i) for i in images.values()))
-        for r in rows:
-            r.note(sample.index, reference, images[id(r)], where)
+    _compare(work, rows, work.best)
     for r in rows:
         r.time = work.times.of_chain(r.levels.items())
     return rows
@@ -337,11 +336,8 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
         return []
     there = Shop(work.shop.scene, {**work.stages, **other})
     usual = _levels(there, work.usual)
-    row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=usual)
-    for sample in work.samples:
-        b = work.benches[sample.index]
-        image, reference = replace(b, shop=there).image(chain_of(b.plan, usual)), b.image(chain_of(b.plan, work.best))
-        row.note(sample.index, reference, image, touched((reference, b.original()), (reference, image)))
+    row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=usual, shop=there)
+    _compare(work, [row], work.best)
     timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
     row.time = together(p for p in timed if p is not None)
     return [row]

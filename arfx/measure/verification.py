@@ -8,17 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
+from arfx.analyse.markers.detect import dictionary
 from arfx.config.load import load
 from arfx.core import interrupt
+from arfx.core.camera import Camera
 from arfx.core.facts_file import read_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError, NothingToDoError
-from arfx.measure.single_frame import single_frame_poses
 from arfx.measure.truth import compare, exceeded, world_key
 from arfx.media.cameras import load_camera
 from arfx.media.clip import probe
+from arfx.media.frames import ClipReader
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
@@ -93,3 +98,33 @@ def read_tolerance(folder: Path) -> dict[str, Any]:
         return parse_toml(read_text(path, "scene"))
     except ValueError as e:
         raise ConfigError(f"{path} is not TOML: {e}") from None
+
+
+def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[Pose | None]:
+    """What plain OpenCV finds, frame by frame: whole-frame detection with sub-pixel corners, IPPE, the better solution.
+
+    camera_from_marker, None where the marker is not found.
+    """
+    detector = _detector(marker.family)
+    with ClipReader(probe(clip)) as reader:
+        return [_pose(detector, np.ascontiguousarray(frame.luma()), camera, marker) for frame in reader.frames()]
+
+
+def _detector(family: str) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(dictionary(family), parameters)
+
+
+def _pose(detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec) -> Pose | None:
+    corners, ids, _ = detector.detectMarkers(luma)
+    for found, number in zip(corners, [] if ids is None else np.asarray(ids).ravel(), strict=False):
+        if number != marker.id:
+            continue
+        points = np.asarray(found, float).reshape(4, 2)
+        ok, rotations, translations, _ = cv2.solvePnPGeneric(
+            marker.corners_m, camera.normalised(points), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        if ok:
+            return Pose.from_rotvec(np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel())
+    return None

@@ -19,7 +19,7 @@ from typing import Any
 import av
 import numpy as np
 
-from arfx.core.colour import SRGB, Transfer
+from arfx.core.colour import SRGB
 from arfx.core.opener import read_bytes
 from arfx.errors import InputError, RenderError
 
@@ -58,8 +58,8 @@ def write_exr(path: Path, linear: np.ndarray) -> None:
     _write(path, b"".join(bytes(p) for p in packets))
 
 
-def load_image(path: Path, transfer: Transfer = SRGB) -> np.ndarray:
-    """Linear float32 RGB (h, w, 3) of an image: EXR and Radiance HDR as stored, others through `transfer`.
+def load_image(path: Path) -> np.ndarray:
+    """Linear float32 RGB (h, w, 3) of an image: EXR and Radiance HDR as stored, others as sRGB.
 
     Raises InputError: missing, or not an image.
     """
@@ -74,7 +74,7 @@ def load_image(path: Path, transfer: Transfer = SRGB) -> np.ndarray:
     if rgb.dtype.kind == "f":
         return np.ascontiguousarray(rgb, np.float32)
     peak = (1 << 8 * rgb.dtype.itemsize) - 1
-    return np.take(transfer.decode(np.linspace(0, 1, peak + 1)).astype(np.float32), rgb)
+    return np.take(SRGB.decode(np.linspace(0, 1, peak + 1)).astype(np.float32), rgb)
 
 
 def read_exr(path: Path, kind: str) -> np.ndarray:

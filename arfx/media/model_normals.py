@@ -13,9 +13,7 @@ from arfx.core.numerics import angle_between, normalise
 CREASE_DEG = 40.0
 
 
-def smooth_by_angle(
-    vertices: np.ndarray, faces: np.ndarray, split: bool, crease_deg: float = CREASE_DEG
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def smooth_by_angle(vertices: np.ndarray, faces: np.ndarray, split: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals by smoothing groups.
 
     vertices : (n, 3); faces : (m, 3) int, none without area; vertices at the same place count as one
@@ -44,7 +42,7 @@ def smooth_by_angle(
     order = np.lexsort((high, low))
     same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
     a, b = order[:-1][same], order[1:][same]
-    flat = (normal[a // 3] * normal[b // 3]).sum(1) > np.cos(np.radians(crease_deg))
+    flat = (normal[a // 3] * normal[b // 3]).sum(1) > np.cos(np.radians(CREASE_DEG))
     a, b = a[flat], b[flat]
     rows = np.concatenate([low_corner[a], high_corner[a]])
     cols = np.concatenate([low_corner[b], high_corner[b]])

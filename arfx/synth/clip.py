@@ -25,8 +25,7 @@ from arfx.media.cameras import save_camera
 from arfx.synth.depth_file import DepthFile
 from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile
-from arfx.synth.picture import Picture
-from arfx.synth.sensor import develop, gain_at
+from arfx.synth.picture import Picture, develop, gain_at
 from arfx.synth.shapes import write_model
 from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, FrameTruth, MarkerTruth, Truth, write_depth, write_flow, write_truth
 from arfx.synth.world import World, marker_points

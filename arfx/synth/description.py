@@ -214,7 +214,6 @@ class Noise(Part):
 
     read: float = Field(default=0.002, ge=0)
     shot: float = Field(default=0.00005, ge=0)
-    correlation_px: float = Field(default=0.0, ge=0, le=8, description="Gaussian sigma of its spatial correlation; 0 = white")
 
 
 class Hidden(Part):

@@ -1,4 +1,7 @@
-"""One frame's exact radiance and its per-pixel truth: samples over pixel, shutter and lens, averaged in linear light."""
+"""One frame's exact radiance, its per-pixel truth, and what a sensor makes of it: exposure, noise, clipping, transfer curve.
+
+Samples over pixel, shutter and lens are averaged in linear light.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 
+from arfx.core.colour import Transfer
 from arfx.core.machine import usable_cores
 from arfx.core.pose import Pose
+from arfx.synth.description import SceneFile
 from arfx.synth.tracer import Lens, Room, probe, render_rows, unhidden
 from arfx.synth.world import Moment, World
 
@@ -113,3 +118,35 @@ class Picture:
         out = np.zeros(len(points_room), bool)
         unhidden(np.ascontiguousarray(points_room), room_from_camera.translation_m, moment.rects, moment.spheres, out)
         return out
+
+
+def gain_at(scene: SceneFile, time_s: float) -> float:
+    """The exposure's gain at a time: the stated one, wandering as automatic exposure does."""
+    stops = (scene.exposure.drift_stops + scene.hidden.drift_stops) * np.sin(2 * np.pi * time_s / scene.exposure.drift_period_s)
+    return float(scene.exposure.gain * 2.0**stops)
+
+
+def develop(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) -> np.ndarray:
+    """Coded colours (h, w, 3) float32 in 0..1 of a frame's radiance (h, w, 3).
+
+    Sensor value = gain * radiance + bias + noise, clipped; noise has variance read² + shot * value, as read after the
+    gain, correlated over a Gaussian of the stated sigma without changing its variance.
+    """
+    signal = gain_at(scene, time_s) * radiance + scene.exposure.bias
+    noise = scene.noise
+    if noise.read > 0 or noise.shot > 0:
+        sigma = np.sqrt(noise.read**2 + noise.shot * np.clip(signal, 0, 1))
+        rng = np.random.default_rng([scene.seed, 101, frame])
+        signal = signal + sigma * unit_noise(rng, signal.shape, scene.hidden.noise_correlation_px)
+    return Transfer(scene.hidden.transfer).encode(np.clip(signal, 0, 1)).astype(np.float32)
+
+
+def unit_noise(rng: np.random.Generator, shape: tuple[int, ...], correlation_px: float) -> np.ndarray:
+    """Normal noise of variance 1, white or with a Gaussian spatial correlation."""
+    white = rng.standard_normal(shape, np.float32)
+    if correlation_px <= 0:
+        return white
+    radius = max(int(np.ceil(4 * correlation_px)), 1)
+    kernel = cv2.getGaussianKernel(2 * radius + 1, correlation_px, cv2.CV_64F)[:, 0]
+    blurred = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred / np.float32((kernel**2).sum()))  # variance of a separable filter: (sum k²)², its root

@@ -14,8 +14,7 @@ from arfx.core.pose import Pose
 from arfx.synth.description import Box, Marker, Plane, SceneFile, Sphere
 from arfx.synth.environment import environment_lamps, environment_picture
 from arfx.synth.motion import camera_from_room, room_from_object
-from arfx.synth.prints import sheet_albedo
-from arfx.synth.textures import texture_albedo
+from arfx.synth.textures import sheet_albedo, texture_albedo
 
 
 @dataclass(frozen=True, eq=False)

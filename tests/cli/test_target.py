@@ -32,7 +32,7 @@ def test_existing_files_are_kept(arfx: Run, tmp_path: Path) -> None:
     assert "--overwrite" in result.err
     assert out.read_text() == "mine"
     assert arfx("target", "36h11:3:100mm", "-o", str(out), "--overwrite").code == 0
-    assert out.read_text().startswith("<svg")
+    assert "<svg" in out.read_text()
 
 
 def test_what_does_not_fit_is_one_message(arfx: Run, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from arfx.media.cameras import load_camera
 from arfx.media.depth_maps import open_depth
 from arfx.synth import clip as clip_module
 from arfx.synth.clip import make_clip
-from arfx.synth.sensor import develop
+from arfx.synth.picture import develop
 from arfx.synth.truth import read_truth
 from tests.unit.synth.little_scenes import little_scene, picture_of
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.core.colour import SRGB
-from arfx.synth.sensor import develop, gain_at, unit_noise
+from arfx.synth.picture import develop, gain_at, unit_noise
 from tests.unit.synth.little_scenes import NO_NOISE, from_above, little_scene, picture_of
 
 BLACK = {"kind": "plain", "colour": [0, 0, 0]}

@@ -12,8 +12,7 @@ from arfx.core.colour import SRGB
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.errors import InputError
 from arfx.synth.description import Texture
-from arfx.synth.prints import marker_cells, sheet_albedo
-from arfx.synth.textures import texture_albedo
+from arfx.synth.textures import marker_cells, sheet_albedo, texture_albedo
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 
 
