@@ -251,9 +251,8 @@ def main() -> int:
     processor = given.clock == "processor"
     if given.calibrate:
         from arfx.measure.costs import calibrate, save_prices
-        from arfx.measure.timed_runs import Watch
 
-        print(save_prices(calibrate(watch=Watch(processor))), flush=True)
+        print(save_prices(calibrate(processor=processor)), flush=True)
     if given.what == "predictions":
         numbers = range(len(JOBS)) if given.only is None else [int(n) for n in given.only.split(",")]
         return predictions(given.output, processor, [JOBS[n] for n in numbers])

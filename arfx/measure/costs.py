@@ -30,7 +30,7 @@ from arfx.core.stage import Stage
 from arfx.measure.bench import Cell, check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
-from arfx.measure.timed_runs import WALL, Runs, Watch
+from arfx.measure.timed_runs import Runs, Watch
 from arfx.run.folder import write
 from arfx.run.job import MOST_THREADS, default_workers
 from arfx.stages import STAGES
@@ -97,14 +97,14 @@ def calibrate(
     stages: Mapping[str, type[Stage]] = STAGES,
     limit_s: float = LIMIT_S,
     output: bool = True,
-    watch: Watch = WALL,
+    processor: bool = False,
     stage: str | None = None,
 ) -> Prices:
     """Time, fit, and return the price list; nothing is written. Raises ConfigError for a stage that there is not.
 
     stage : only this one, and nothing that is not a stage's
     limit_s : after this the scenes that are left are passed over (what has runs is fitted)
-    output : time what is not a stage's too: editing planes, encoding, joining
+    output : time what is not a stage's too: editing planes, encoding, joining;  processor : as of `Watch`
     """
     check(stages, stage, None, ())
     workers, threads = default_workers(1)
@@ -114,14 +114,15 @@ def calibrate(
     alone: list[float] = []
     plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
     with ThreadPoolExecutor(crowd) as pool:
+        watch = Watch(processor, pool, crowd)
         if output and stage is None:
-            time_output(timed, pool, crowd, watch, lambda done, total: progress("calibrate output", done, total))
+            time_output(timed, watch, lambda done, total: progress("calibrate output", done, total))
         for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:
                 break
             model = ball(longitudes, latitudes) if k % 2 else pile(longitudes, latitudes)
             at = bench_scene(width, height, covered, model)
-            alone += _time_scene(at, slow, stages, stage, timed, pool, crowd, watch)
+            alone += _time_scene(at, slow, stages, stage, timed, watch)
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
     for key, runs in timed.items():
@@ -142,8 +143,7 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 
 
 def _time_scene(
-    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], stage: str | None, timed: dict[str, Runs],
-    pool: ThreadPoolExecutor, crowd: int, watch: Watch,
+    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], stage: str | None, timed: dict[str, Runs], watch: Watch
 ) -> list[float]:  # fmt: skip
     """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones twice, and under a light that changes
 
@@ -170,17 +170,17 @@ def _time_scene(
             cell.go(seen())
 
         go()  # compiles, loads, makes what is kept for this light
-        runs.add(terms, watch.of_each(go, pool, crowd))
+        runs.add(terms, watch.of_each(go))
         if runs.seconds[-1] < DEAR_S:
-            runs.add(terms, watch.of_each(go, pool, crowd))
+            runs.add(terms, watch.of_each(go))
         if LONG_S < runs.seconds[-1] < DEAR_S:
             alone.append(watch.of(go) / runs.seconds[-1])
         dull = replace(seen(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
         if any(cell.terms(dull)[t] != terms[t] for t in own if t not in new):
             cell.go(dull)
-            runs.add(cell.terms(dull), watch.of_each(partial(cell.go, dull), pool, crowd))
+            runs.add(cell.terms(dull), watch.of_each(partial(cell.go, dull)))
         for term in new:
-            seconds = watch.of_each(partial(cell.go, _under_another_light(at, runs)), pool, crowd)
+            seconds = watch.of_each(partial(cell.go, _under_another_light(at, runs)))
             runs.add({**terms, term: 1.0}, seconds)
     return alone
 

@@ -7,7 +7,6 @@ import itertools
 import queue
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +31,8 @@ USUAL = ("h264", "ffv1")  # encoded twice
 JOINED = "h264"
 
 
-def time_output(
-    timed: dict[str, Runs], pool: ThreadPoolExecutor, crowd: int, watch: Watch, progress: Callable[[int, int], None]
-) -> None:
-    """Add runs of "edit", "encode CODEC" and "join" to `timed`: `crowd` threads do the same at once, as in a job."""
+def time_output(timed: dict[str, Runs], watch: Watch, progress: Callable[[int, int], None]) -> None:
+    """Add runs of "edit", "encode CODEC" and "join" to `timed`."""
     total = len(SIZES) * len(CODECS)
     with tempfile.TemporaryDirectory(prefix="arfx-calibrate-") as folder:
         for k, (width, height, count) in enumerate(SIZES):
@@ -43,18 +40,16 @@ def time_output(
             info = probe(clip)
             with ClipReader(info) as reader:
                 frames = list(reader.frames())
-            _edit(timed, info, frames, pool, crowd, watch)
+            _edit(timed, info, frames, watch)
             for n, codec in enumerate(CODECS):
                 progress(k * len(CODECS) + n, total)
                 # a machine without this encoder has no price for it, and a plan says so
                 with contextlib.suppress(ArfxError, av.error.FFmpegError, ValueError):
-                    _encode(timed, Path(folder), info, frames, codec, pool, crowd, watch)
+                    _encode(timed, Path(folder), info, frames, codec, watch)
         progress(total, total)
 
 
-def _edit(
-    timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], pool: ThreadPoolExecutor, crowd: int, watch: Watch
-) -> None:
+def _edit(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: Watch) -> None:
     """As in a frame of a job: linear light of a rectangle, then the difference put back into the planes."""
     width, height = info.width, info.height
     whole = Rect(0, 0, width, height)
@@ -66,21 +61,18 @@ def _edit(
                 frame.edited(rect, plate, np.clip(plate * np.float32(0.9), 0, 1))
 
         edit()
-        seconds = watch.of_each(edit, pool, crowd)
+        seconds = watch.of_each(edit)
         timed["edit"].add({"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds / len(frames[:6]))
 
 
-def _encode(
-    timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[Frame], codec: str, pool: ThreadPoolExecutor, crowd: int,
-    watch: Watch,
-) -> None:  # fmt: skip
+def _encode(timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[Frame], codec: str, watch: Watch) -> None:
     out = folder / f"{codec}-%03d.{codec}" if CODECS[codec].sequence else folder / f"{codec}.mkv"
     plan = plan_output(info, out, OutputSettings(codec))
     paths: list[Path] = []
     number = itertools.count()
     # a picture belongs to one thread: the library keeps with it what it converts it by
     unused: queue.SimpleQueue[list[Frame]] = queue.SimpleQueue()
-    for _ in range(crowd):
+    for _ in range(watch.crowd):
         unused.put([Frame(copy_picture(f.picture, f.format.layout), f.format, f.index, f.pts, f.key) for f in frames])
 
     def encode() -> None:
@@ -96,7 +88,7 @@ def _encode(
     if codec in USUAL:
         encode()  # loads it
     for _ in range(2 if codec in USUAL else 1):
-        seconds = watch.of_each(encode, pool, crowd)
+        seconds = watch.of_each(encode)
         timed[f"encode {codec}"].add({"frames": 1.0, "mpx": mpx}, seconds / len(frames))
     if codec == JOINED:
         _join(timed, info, frames, plan, paths, watch)

@@ -167,13 +167,7 @@ def _resources(folder: Path) -> list[Check]:
 def _compiled() -> Check:
     kept = compiled.kept_in(Path(arfx.__file__).parent / "media")
     made_for = f"for {compiled.target() or 'this very processor'}"
-    if compiled.lasting():
-        return Check("machine", "compiled code", True, f"{made_for}, kept in {kept}")
-    fix = "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Check(
-        "machine",
-        "compiled code",
-        False,
-        f"{made_for}, kept for one run: the next compiles again what did not come with the package",
-        fix,
-    )
+    lasting = compiled.lasting()
+    where = f"in {kept}" if lasting else "for one run: the next compiles again what did not come with the package"
+    fix = "" if lasting else "set NUMBA_CACHE_DIR to a folder that can be written"
+    return Check("machine", "compiled code", lasting, f"{made_for}, kept {where}", fix)

@@ -30,9 +30,12 @@ class Watch:
 
     processor : count those of the processor, which other programs disturb least, not those of the wall;
     shared by the threads that work at once both are the same on a machine that does nothing else
+    pool, crowd : so many of its threads do the same work at once, as in a job
     """
 
     processor: bool = False
+    pool: ThreadPoolExecutor | None = None
+    crowd: int = 1
 
     def of(self, work: Callable[[], Any]) -> float:
         clock, compiling = time.process_time if self.processor else time.perf_counter, [0.0]
@@ -41,11 +44,13 @@ class Watch:
             work()
         return max(clock() - start - sum(compiling), 0.0)
 
-    def of_each(self, work: Callable[[], Any], pool: ThreadPoolExecutor, crowd: int) -> float:
-        """Of one run, while `crowd` threads do the same."""
+    def of_each(self, work: Callable[[], Any]) -> float:
+        """Of one run in the crowd."""
+        assert self.pool is not None
         if self.processor:
-            return self.of(lambda: list(pool.map(lambda _: work(), range(crowd)))) / crowd
-        return float(np.mean(list(pool.map(lambda _: self.of(work), range(crowd)))))
+            pool = self.pool
+            return self.of(lambda: list(pool.map(lambda _: work(), range(self.crowd)))) / self.crowd
+        return float(np.mean(list(self.pool.map(lambda _: self.of(work), range(self.crowd)))))
 
 
 WALL = Watch()

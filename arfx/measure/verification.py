@@ -44,13 +44,11 @@ class Verified:
     report: dict[str, Any]
 
 
-def verify(
-    folder: Path, work: Path, progress: Progress, notice: Callable[[str], None], workers: int = 1, keep_synth: bool = True
-) -> Verified:
+def verify(folder: Path, work: Path, progress: Progress, notice: Callable[[str], None], workers: int = 1) -> Verified:
     """Verify a folder made by `arfx synth`, or a scene folder (scene.toml), which is rendered first.
 
     folder : tolerance.toml in it gives the bounds (none: nothing is bounded)
-    work : an existing folder for what is made on the way;  keep_synth : take up a clip that is already there
+    work : an existing folder for what is made on the way, a clip that is there is taken up
     Raises InputError if the folder holds neither truth nor scene.
     """
     made = folder
@@ -60,7 +58,7 @@ def verify(
                 f"{folder} holds neither truth.jsonl nor scene.toml", "a folder made by `arfx synth`, or one of sample_scenes/"
             )
         made = work / "synth"
-        if not (keep_synth and (made / "truth.jsonl").is_file()):
+        if not (made / "truth.jsonl").is_file():
             make_clip(load_scene(folder / "scene.toml"), made, folder, progress, overwrite=True, truth_pictures=False)
     truth = read_truth(made / "truth.jsonl")
     if truth.world is None:

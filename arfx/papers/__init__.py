@@ -5,27 +5,10 @@ One table: what a section's `formula` chooses. Nothing but `run` and what is abo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from importlib import import_module
+from collections.abc import Mapping
 from typing import Any
 
-
-class Classes(Mapping[str, Any]):
-    """section -> class, imported when looked up."""
-
-    def __init__(self, places: dict[str, str]) -> None:
-        self._places = places
-
-    def __getitem__(self, section: str) -> Any:
-        module, _, name = self._places[section].rpartition(".")
-        return getattr(import_module(module), name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)
-
+from arfx.stages import Classes
 
 CORRECTED, PAPER = "corrected", "paper"
 

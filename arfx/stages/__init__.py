@@ -21,26 +21,34 @@ if TYPE_CHECKING:
 GROUP = "arfx.stages"
 
 
-class Table(Mapping[str, Any]):
-    """name -> stage class, in running order; imported when looked up.
-
-    Raises ConfigError, with the distribution, for a plug-in that cannot be loaded or placed, or whose name is taken.
-    """
+class Classes(Mapping[str, Any]):
+    """name -> class, imported when looked up."""
 
     def __init__(self, places: dict[str, str]) -> None:
         self._places = places
 
     def __getitem__(self, name: str) -> Any:
-        if name in self._places:
-            module, _, cls = self._places[name].rpartition(".")
-            return getattr(import_module(module), cls)
-        return self._loaded(name, self.plugins[name])
+        module, _, cls = self._places[name].rpartition(".")
+        return getattr(import_module(module), cls)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+class Table(Classes):
+    """Stages in running order.
+
+    Raises ConfigError, with the distribution, for a plug-in that cannot be loaded or placed, or whose name is taken.
+    """
+
+    def __getitem__(self, name: str) -> Any:
+        return super().__getitem__(name) if name in self._places else self._loaded(name, self.plugins[name])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._order)
-
-    def __len__(self) -> int:
-        return len(self._order)
 
     @cached_property
     def plugins(self) -> Mapping[str, EntryPoint]:

@@ -1,4 +1,4 @@
-"""Writes a synthetic clip: H.264 in MP4 or lossless FFV1 in Matroska, with exact times, tags, rotation and tone.
+"""Writes a synthetic clip, H.264 in MP4 or lossless FFV1 in Matroska, with exact times, tags, rotation and tone; and its depth.
 
 Written apart from arfx.media, so that a mistake there cannot cancel out. BT.709, limited range, sRGB curve; the chroma
 of 4:2:0 is sited left (MPEG-2), as H.264 players expect.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 import av
 import cv2
@@ -18,50 +19,69 @@ from arfx.core.colour import yuv_from_rgb
 from arfx.errors import RenderError
 from arfx.media.containers import create
 from arfx.synth.description import SceneFile
+from arfx.synth.truth import DEPTH_UNIT_M
 
 CLOCK_HZ = 90_000
+_STEP = 0.05  # of the distance: surfaces that are farther apart have an edge between them
+_HOLE_PX = 4.0  # sigma of the noise whose highest parts are holes
 
 
-class ClipFile:
-    """A clip being written; use as a context manager. `size` is that of the upright picture."""
+class _Video:
+    """A file with one video stream of exact times; a context manager, whole where its body has not failed."""
+
+    def __init__(self, path: Path, scene: SceneFile, codec: str, size: tuple[int, int], pix_fmt: str) -> None:
+        self._scene = scene
+        try:
+            self._out = create(path, options={"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {})
+        except OSError as e:
+            raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
+        stream = self._out.add_stream(codec, rate=Fraction(scene.clip.fps).limit_denominator(1001))
+        stream.width, stream.height = size
+        stream.pix_fmt = pix_fmt
+        stream.time_base = stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
+        self._stream = stream
+
+    def __enter__(self) -> Self:
+        return self
+
+    def _put(self, frame: av.VideoFrame, time_s: float) -> None:
+        frame.pts, frame.time_base = round(time_s * CLOCK_HZ), Fraction(1, CLOCK_HZ)
+        self._out.mux(self._stream.encode(frame))
+
+    def _end(self) -> None:
+        self._out.mux(self._stream.encode(None))
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is None:
+            self._end()
+        self._out.close()
+
+
+class ClipFile(_Video):
+    """A clip being written."""
 
     def __init__(self, path: Path, scene: SceneFile) -> None:
-        self._scene = scene
         clip = scene.clip
         turned = clip.rotation_deg in (90, 270)
         w, h = (clip.height, clip.width) if turned else (clip.width, clip.height)
-        lossless = path.name.endswith(".mkv")
+        lossless = path.suffix == ".mkv"
         self._subsampled = not lossless and w % 2 == 0 and h % 2 == 0
-        try:
-            self._out = create(path, options={} if lossless else {"movie_timescale": str(CLOCK_HZ)})
-        except OSError as e:
-            raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
-        rate = Fraction(clip.fps).limit_denominator(1001)
-        stream = self._out.add_stream("ffv1" if lossless else "libx264", rate=rate)
-        stream.width, stream.height = w, h
-        stream.pix_fmt = "yuv420p" if self._subsampled else "yuv444p"
-        stream.time_base = stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
-        context = stream.codec_context
+        super().__init__(path, scene, "ffv1" if lossless else "libx264", (w, h), "yuv420p" if self._subsampled else "yuv444p")
+        context = self._stream.codec_context
         context.color_range, context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1, 13  # 13: sRGB
         if not lossless:
             # Without macroblock trees: with them x264 gives several different streams of the same frames, one thread or not.
             context.options = {"crf": f"{clip.crf:g}", "preset": "fast", "x264-params": "mbtree=0"}
             context.thread_count = 1  # another number of threads gives another stream
         if clip.rotation_deg:
-            stream.set_display_rotation(clip.rotation_deg)
-        self._stream = stream
+            self._stream.set_display_rotation(clip.rotation_deg)
         self._tone = self._out.add_stream("aac" if not lossless else "flac", rate=48_000) if clip.tone_hz else None
-
-    def __enter__(self) -> ClipFile:
-        return self
 
     def write(self, coded: np.ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
         if self._scene.clip.rotation_deg:
             coded = np.ascontiguousarray(np.rot90(coded, -self._scene.clip.rotation_deg // 90))
-        frame = self._frame(coded)
-        frame.pts, frame.time_base = round((self._scene.clip.start_s + time_s) * CLOCK_HZ), Fraction(1, CLOCK_HZ)
-        self._out.mux(self._stream.encode(frame))
+        self._put(self._frame(coded), self._scene.clip.start_s + time_s)
 
     def _frame(self, coded: np.ndarray) -> av.VideoFrame:
         yuv = cv2.transform(coded, yuv_from_rgb("bt709").astype(np.float32))
@@ -82,7 +102,8 @@ class ClipFile:
         frame.color_range, frame.colorspace, frame.color_primaries, frame.color_trc = 1, 1, 1, 13
         return frame
 
-    def _write_tone(self) -> None:
+    def _end(self) -> None:
+        super()._end()
         if self._tone is None:
             return
         scene = self._scene
@@ -100,8 +121,49 @@ class ClipFile:
                 self._out.mux(self._tone.encode(piece))
         self._out.mux(self._tone.encode(None))
 
+
+def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndarray:
+    """(h, w) uint16, in DEPTH_UNIT_M, 0 = not measured.
+
+    depth_m : (h, w) true metres, 0 = nothing;  frame : gives, with the scene's seed, the noise
+    """
+    asked = scene.depth
+    rng = np.random.default_rng([scene.seed, 16, frame])
+    steps = np.rint(depth_m * (1 + asked.noise * rng.standard_normal(depth_m.shape)) / DEPTH_UNIT_M)
+    good = (depth_m > 0) & (steps > 0) & (steps < np.iinfo(np.uint16).max)
+    if asked.edge_px > 0:
+        box = np.ones((2 * asked.edge_px + 1,) * 2, np.uint8)
+        good &= cv2.dilate(depth_m, box) <= (1 + _STEP) * cv2.erode(depth_m, box)
+    if asked.holes > 0:
+        rough = cv2.GaussianBlur(rng.standard_normal(depth_m.shape), (0, 0), _HOLE_PX)
+        good &= rough < np.quantile(rough, 1 - asked.holes)
+    return np.where(good, steps, 0).astype(np.uint16)
+
+
+class DepthVideo(_Video):
+    """What a depth camera would have measured, as FFV1 gray16 with the clip's times."""
+
+    def __init__(self, path: Path, scene: SceneFile) -> None:
+        super().__init__(path, scene, "ffv1", (scene.clip.width, scene.clip.height), "gray16le")
+
+    def write(self, depth_m: np.ndarray, frame: int, time_s: float) -> None:
+        """depth_m (h, w) true metres, 0 = nothing;  time_s from the clip's first frame."""
+        self._put(av.VideoFrame.from_ndarray(measured_steps(self._scene, depth_m, frame), format="gray16le"), time_s)
+
+
+class DepthPages:
+    """The same as pages of a TIFF."""
+
+    def __init__(self, path: Path, scene: SceneFile) -> None:
+        self._path, self._scene = path, scene
+        self._pages: list[np.ndarray] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, depth_m: np.ndarray, frame: int, time_s: float) -> None:
+        self._pages.append(measured_steps(self._scene, depth_m, frame))
+
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if kind is None:
-            self._out.mux(self._stream.encode(None))
-            self._write_tone()
-        self._out.close()
+        if kind is None and not cv2.imwritemulti(str(self._path), self._pages):
+            raise RenderError(f"cannot write {self._path}")

@@ -65,7 +65,7 @@ def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkey
     monkeypatch.setitem(CODECS, "prores", replace(CODECS["prores"], encoder="no_such_encoder"))
     timed: dict[str, Runs] = defaultdict(Runs)
     with ThreadPoolExecutor(2) as pool:
-        costs_output.time_output(timed, pool, 2, Watch(processor=True), lambda *_: None)
+        costs_output.time_output(timed, Watch(True, pool, 2), lambda *_: None)
     assert {f"encode {c}" for c in CODECS} - timed.keys() == {"encode prores"}
     assert all(s > 0 for runs in timed.values() for s in runs.seconds)
     assert len(timed["edit"].seconds) == 4 and len(timed["join"].seconds) == 2
@@ -73,5 +73,5 @@ def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkey
 
 def test_the_processors_clock_counts_work_and_not_waiting() -> None:
     with ThreadPoolExecutor(2) as pool:
-        asleep = Watch(processor=True).of_each(lambda: time.sleep(0.05), pool, 2)
-        assert Watch().of_each(lambda: time.sleep(0.05), pool, 2) > 0.04 > asleep
+        asleep = Watch(True, pool, 2).of_each(lambda: time.sleep(0.05))
+        assert Watch(False, pool, 2).of_each(lambda: time.sleep(0.05)) > 0.04 > asleep
