@@ -53,3 +53,11 @@ class JobInterruptedError(ArfxError):
     """The user stopped the job; it can be resumed (exit 130)."""
 
     exit_code = 130
+
+
+def require_within(section: str, settings: object, **limits: tuple[float, float]) -> None:
+    """Raises ConfigError for a setting outside its limits, which are (lowest, highest) by name."""
+    for name, (low, high) in limits.items():
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            raise ConfigError(f"{section}.{name} must be between {low:g} and {high:g}, is {value:g}")

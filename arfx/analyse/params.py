@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, require_within
 
 STATIC = ("auto", "camera", "marker")
 ALBEDOS = ("known", "normalised", "unknown")
@@ -44,13 +44,10 @@ class AnalyseParams:
     def __post_init__(self) -> None:
         if self.static not in STATIC:
             raise ConfigError(f"static is {self.static!r}", "one of " + ", ".join(STATIC))
-        for name, low, high in (
-            ("search_interval_s", 1e-6, 1e6), ("loss_search_frames", 0, 1e6), ("reduced_search_every", 1, 1e6),
-            ("reduced_px", 1000, 1e9), ("min_side_px", 1e-3, 8192), ("max_gap_s", 0, 1e6), ("fade_frames", 0, 1e6),
-            ("smoothing", 0, 1000),
-        ):  # fmt: skip
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"analyse.{name} must be between {low:g} and {high:g}, is {getattr(self, name):g}")
+        require_within(
+            "analyse", self, search_interval_s=(1e-6, 1e6), loss_search_frames=(0, 1e6), reduced_search_every=(1, 1e6),
+            reduced_px=(1000, 1e9), min_side_px=(1e-3, 8192), max_gap_s=(0, 1e6), fade_frames=(0, 1e6), smoothing=(0, 1000),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -104,12 +101,10 @@ class LightParams:
             raise ConfigError("a light and an environment are given", "one of --light and --environment")
         if not 0 <= self.ink < self.paper <= 1:
             raise ConfigError(f"albedos: 0 <= light.ink < light.paper <= 1, not {self.ink:g} and {self.paper:g}")
-        for name, low, high in (
-            ("most_lights", 0, 2), ("map_level", 2, 5), ("size_deg", 0, 90), ("limit_deg", 1, 90),
-            ("map_blur_rad", 0.01, 3), ("window_s", 0.1, 1e6), ("drift_per_s", 0, 100),
-        ):  # fmt: skip
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"light.{name} must be between {low:g} and {high:g}, is {getattr(self, name):g}")
+        require_within(
+            "light", self, most_lights=(0, 2), map_level=(2, 5), size_deg=(0, 90), limit_deg=(1, 90), map_blur_rad=(0.01, 3),
+            window_s=(0.1, 1e6), drift_per_s=(0, 100),
+        )  # fmt: skip
 
 
 def parse_light(text: str) -> list[float]:

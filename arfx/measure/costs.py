@@ -16,7 +16,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -214,11 +213,3 @@ def _shimmering(at: BenchScene) -> Callable[[], FrameFacts]:
         return at.facts.with_(light=shimmer, environment=around)
 
     return seen
-
-
-def as_table(prices: Prices) -> list[dict[str, Any]]:
-    """Rows for people: entry, milliseconds a frame, per megapixel and so on, spread, runs."""
-    return [
-        {"entry": key, "runs": p.runs, "spread": p.spread, **{t: c for t, c in p.coefficients.items()}}
-        for key, p in sorted(prices.prices.items())
-    ]

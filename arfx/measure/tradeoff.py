@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from arfx.core.cost import Prediction, Prices, exactly, together
-from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
@@ -341,8 +340,3 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
     row.time = together(p for p in timed if p is not None)
     return [row]
-
-
-def facts_of(samples: Sequence[Sample], facts: Sequence[FrameFacts]) -> list[dict[str, Any]]:
-    times = {f.index: f.time_s for f in facts}
-    return [{"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts} for s in samples]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from arfx.core.cost import Prediction
-from arfx.measure.tradeoff import QUALITIES, Found, Row, facts_of
+from arfx.measure.tradeoff import QUALITIES, Found, Row
 from arfx.run.planned import Job
 
 FEW_PX = 1500
@@ -22,9 +22,10 @@ def document(found: Found, job: Job, seconds: float) -> dict[str, Any]:
     for r in found.effects:
         if r.formula == own.get(r.name, ""):
             stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
-    names = [r.name for r in found.effects]
+    names, times = [r.name for r in found.effects], {f.index: f.time_s for f in job.facts}
+    frames = [{"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts} for s in found.samples]
     return {
-        "clip": str(job.inputs.info.path), "frames": facts_of(found.samples, job.facts),
+        "clip": str(job.inputs.info.path), "frames": frames,
         "windows": {str(i): w.to_json() for i, w in found.windows.items()},
         "effects": [_row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))],
         "pipelines": [_row(r, found) for r in found.pipelines],

@@ -124,7 +124,7 @@ class ChunkWriter:
         layout = layout_named(picture.format.name)
         if layout is not None and layout.plain_name == name:
             return copy_picture(picture, layout)
-        out = picture.reformat(
+        return picture.reformat(
             format=name,
             src_colorspace=SWS_MATRIX[f.matrix],
             dst_colorspace=SWS_MATRIX[plan.matrix],
@@ -132,7 +132,6 @@ class ChunkWriter:
             dst_color_range=2 if plan.full_range else 1,
             interpolation="BICUBIC",
         )
-        return out
 
     def _write_image(self, frame: Frame) -> None:
         path = self.part / (Path(self.plan.path).name % frame.index)

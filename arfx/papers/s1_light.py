@@ -34,7 +34,7 @@ from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, divide, normalise
-from arfx.errors import ConfigError
+from arfx.errors import require_within
 
 DENSE = 300  # frames
 LEAST_GAP = 3.0  # of the two smallest singular values: less is nullity 2 beside noise
@@ -56,9 +56,7 @@ class PrintedLightParams(LightParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, low, high in (("peak", 0, 1), ("peak_apart_deg", 1, 180)):
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError(f"light.{name} must be between {low:g} and {high:g}, is {getattr(self, name):g}")
+        require_within("light", self, peak=(0, 1), peak_apart_deg=(1, 180))
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, View
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, require_within
 from arfx.stages.dof import Dof
 from arfx.stages.dof.corrected import depth_range, object_box
 from arfx.stages.dof.depth_layers import dioptre_of
@@ -58,9 +58,7 @@ class PrintedDofParams(DofParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("near_m", "far_m"):
-            if not 0 <= getattr(self, name) <= 1e6:
-                raise ConfigError(f"dof.{name} must be 0 or more and at most 1000000, is {getattr(self, name):g}")
+        require_within("dof", self, near_m=(0, 1e6), far_m=(0, 1e6))
         if not 0 < self.coc_mm <= 1e3:
             raise ConfigError(f"dof.coc_mm must be above 0 and at most 1000, is {self.coc_mm:g}")
         if self.mean_px < 1 or self.mean_px % 2 == 0 or self.mean_px > 63:

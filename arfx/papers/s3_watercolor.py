@@ -23,7 +23,7 @@ from arfx.core.noise import noise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
-from arfx.errors import ConfigError
+from arfx.errors import require_within
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import means
 from arfx.stages.watercolor.edges import yuv_matrix
@@ -41,8 +41,7 @@ class PrintedWatercolorParams(WatercolorParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.line_threshold <= 2:
-            raise ConfigError(f"watercolor.line_threshold must be between 0 and 2, is {self.line_threshold:g}")
+        require_within("watercolor", self, line_threshold=(0, 2))
 
 
 def eq1_sites(rect: Rect, cell_px: float, key: int) -> Sites:

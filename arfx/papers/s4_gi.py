@@ -26,7 +26,7 @@ from arfx.analyse.light.surroundings import SIZE, foldable
 from arfx.core.layers import Layer
 from arfx.core.rect import Rect
 from arfx.core.stage import View
-from arfx.errors import ConfigError
+from arfx.errors import require_within
 from arfx.stages.gi import Gi, GiParams
 from arfx.stages.gi.field import Field
 from arfx.stages.gi.stage import LEVELS
@@ -41,8 +41,7 @@ class PrintedGiParams(GiParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.plane_albedo <= 1:
-            raise ConfigError(f"gi.plane_albedo must be between 0 and 1, is {self.plane_albedo:g}")
+        require_within("gi", self, plane_albedo=(0, 1))
 
 
 @numba.njit(cache=True, nogil=True)

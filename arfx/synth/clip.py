@@ -13,7 +13,6 @@ import tomllib
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -24,7 +23,7 @@ from arfx.core.pose import Pose
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.synth.description import Marker, SceneFile
-from arfx.synth.encode import ClipFile, DepthPages, DepthVideo
+from arfx.synth.encode import ClipFile, DepthFile
 from arfx.synth.picture import Picture, develop, gain_at
 from arfx.synth.shapes import write_model
 from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, FrameTruth, MarkerTruth, Truth, write_depth, write_flow, write_truth
@@ -103,8 +102,7 @@ def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: P
     total = scene.frames
     with ExitStack() as files:
         clip = files.enter_context(ClipFile(folder / scene.clip.file, scene))
-        depth: Callable[..., Any] = DepthVideo if scene.depth.file.endswith(".mkv") else DepthPages
-        maps = files.enter_context(depth(folder / scene.depth.file, scene)) if scene.depth.file else None
+        maps = files.enter_context(DepthFile(folder / scene.depth.file, scene)) if scene.depth.file else None
         for n in range(total):
             time_s = float(world.frame_times_s[n])
             clip.write(develop(scene, picture.radiance(n), n, time_s), time_s)

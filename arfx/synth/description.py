@@ -99,11 +99,9 @@ class CameraPath(Part):
     target_m: Vector = (0.0, 0.0, 0.0)
     position_m: Vector = Field(default=(0.0, -0.4, 0.4), description="static, and where a dolly starts")
     end_m: Vector = Field(default=(0.0, -0.4, 0.4), description="where a dolly ends")
-    end_target_m: Vector | None = Field(default=None, description="dolly: what it looks at when it ends")
     radius_m: Length = Field(default=0.5, gt=0)
     azimuth_deg: tuple[float, float] = (-120.0, -60.0)
     elevation_deg: tuple[float, float] = (45.0, 45.0)
-    roll_deg: float = 0.0
     hand_deg: float = Field(default=0.0, ge=0, description="rms of hand-held shake, smooth noise about 4 Hz")
     hand_m: Length = Field(default=0.0, ge=0)
     keys: Keys = Field(default=(), description="position_m and target_m are used")
@@ -233,7 +231,7 @@ class Hidden(Part):
 class DepthInput(Part):
     """What the job is given of the scene's depth (`[input] depth`), as a depth camera measures it."""
 
-    file: str = Field(default="", pattern=r"^([\w.-]+\.(mkv|tiff))?$", description=".mkv: FFV1 gray16; .tiff: pages; empty: none")
+    file: str = Field(default="", pattern=r"^([\w.-]+\.mkv)?$", description="FFV1 gray16; empty: none")
     noise: float = Field(default=0.0, ge=0, le=0.2, description="standard deviation, share of the distance")
     holes: float = Field(default=0.0, ge=0, le=0.9, description="share of pixels that are not measured, in blots")
     edge_px: int = Field(default=0, ge=0, le=16, description="beside edges of things nothing is measured within that many pixels")

@@ -140,7 +140,7 @@ def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndar
     return np.where(good, steps, 0).astype(np.uint16)
 
 
-class DepthVideo(_Video):
+class DepthFile(_Video):
     """What a depth camera would have measured, as FFV1 gray16 with the clip's times."""
 
     def __init__(self, path: Path, scene: SceneFile) -> None:
@@ -149,21 +149,3 @@ class DepthVideo(_Video):
     def write(self, depth_m: np.ndarray, frame: int, time_s: float) -> None:
         """depth_m (h, w) true metres, 0 = nothing;  time_s from the clip's first frame."""
         self._put(av.VideoFrame.from_ndarray(measured_steps(self._scene, depth_m, frame), format="gray16le"), time_s)
-
-
-class DepthPages:
-    """The same as pages of a TIFF."""
-
-    def __init__(self, path: Path, scene: SceneFile) -> None:
-        self._path, self._scene = path, scene
-        self._pages: list[np.ndarray] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def write(self, depth_m: np.ndarray, frame: int, time_s: float) -> None:
-        self._pages.append(measured_steps(self._scene, depth_m, frame))
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if kind is None and not cv2.imwritemulti(str(self._path), self._pages):
-            raise RenderError(f"cannot write {self._path}")

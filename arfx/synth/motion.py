@@ -20,19 +20,17 @@ def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float, channels: 
     return np.sin(2 * np.pi * hz * time_s + phase).sum(1) / np.sqrt(3.0)
 
 
-def look_at(position_m: np.ndarray, target_m: np.ndarray, roll_deg: float = 0.0) -> Pose:
+def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
     """camera_from_room of a camera that looks from one point at another, the room's z up in its picture.
 
-    Straight up or down, the room's y is up instead. A positive roll turns the camera clockwise as seen from behind it.
+    Straight up or down, the room's y is up instead.
     """
     forward = normalise(np.asarray(target_m, float) - position_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < 1e-6:  # looking along z to within a microradian: `up` gives no direction
         right = np.cross(forward, [0.0, 1.0, 0.0])
     right = normalise(right)
-    down = np.cross(forward, right)
-    c, s = np.cos(np.radians(roll_deg)), np.sin(np.radians(roll_deg))
-    rotation = np.stack([c * right + s * down, -s * right + c * down, forward])
+    rotation = np.stack([right, np.cross(forward, right), forward])
     return Pose(rotation, -rotation @ np.asarray(position_m, float))
 
 
@@ -48,14 +46,12 @@ def camera_from_room(path: CameraPath, time_s: float, duration_s: float, seed: i
     elif path.kind == "dolly":
         ease = at * at * (3 - 2 * at)
         position = (1 - ease) * np.asarray(path.position_m) + ease * np.asarray(path.end_m)
-        end = target if path.end_target_m is None else np.asarray(path.end_target_m)
-        target = (1 - ease) * target + ease * end
     elif path.kind == "keys":
         position = _between(path.keys, "position_m", time_s)
         target = _between(path.keys, "target_m", time_s)
     else:
         position = np.asarray(path.position_m, float)
-    pose = look_at(position, target, path.roll_deg)
+    pose = look_at(position, target)
     if path.hand_deg or path.hand_m:
         shake = smooth_noise(seed, f"hand {name}", time_s, 4.0, 6)
         slow = smooth_noise(seed, f"drift {name}", time_s, 0.7, 6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import click
 
@@ -70,7 +71,7 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
 def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
     from arfx.core.cost import load_prices
     from arfx.errors import ConfigError
-    from arfx.measure.costs import as_table, calibrate, save_prices
+    from arfx.measure.costs import calibrate, save_prices
     from arfx.run.kernels import compile_ahead
 
     if level is not None:
@@ -81,7 +82,11 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
     if stage is not None:
         prices = load_prices().with_stage(stage, prices)
     path = save_prices(prices)
-    rows = [r for r in as_table(prices) if stage in (None, r["entry"].removeprefix("prepare ").partition("/")[0])]
+    rows: list[dict[str, Any]] = [
+        {"entry": key, "runs": p.runs, "spread": p.spread, **p.coefficients}
+        for key, p in sorted(prices.prices.items())
+        if stage in (None, key.removeprefix("prepare ").partition("/")[0])
+    ]
     if as_json:
         emit_json({"file": str(path), "source": prices.source, "threads": prices.threads, "prices": rows})
         return

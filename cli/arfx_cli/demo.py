@@ -71,11 +71,11 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
 
 
 def _save(preview: tuple, path: Path) -> None:
-    import cv2
     import numpy as np
 
     from arfx.core.guard import aside
+    from arfx.media.images import write_png
 
     _, before, after = preview
     with aside(path) as part:
-        part.write_bytes(cv2.imencode(".png", np.hstack([before, after])[..., ::-1])[1].tobytes())
+        write_png(part, np.hstack([before, after]))

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 from arfx.core.units import length_m, time_s
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, require_within
 
 OBJECT, MARKER = "object", "marker"
 MOST_RADIUS_PX = 1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
@@ -58,12 +58,8 @@ class DofParams:
             raise ConfigError("dof.lens = footage would blur the footage twice", "use it with dof.scope = virtual")
         if not 0 < self.sensor_width_mm <= 1e4:
             raise ConfigError(f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}")
-        for name in ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "max_radius_px", "highlight_boost"):
-            value = getattr(self, name)
-            if not 0 <= value <= 1e6:
-                raise ConfigError(f"dof.{name} must be 0 or more and at most 1000000, is {value:g}")
-        if self.max_radius_px > MOST_RADIUS_PX:
-            raise ConfigError(f"dof.max_radius_px must be at most {MOST_RADIUS_PX}, is {self.max_radius_px:g}")
+        lengths = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "highlight_boost")
+        require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MOST_RADIUS_PX))
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
         for time, fnumber in fnumber_keys(self.fnumber):

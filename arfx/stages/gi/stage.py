@@ -26,7 +26,7 @@ from arfx.core.numerics import divide
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError
+from arfx.errors import require_within
 from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, Field, make_body
 from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field, rounded
@@ -64,11 +64,7 @@ class GiParams:
     samples: int = 64
 
     def __post_init__(self) -> None:
-        for name in ("strength", "plane_gloss", "plane_roughness"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"gi.{name} must be between 0 and 1, is {getattr(self, name):g}")
-        if not 1 <= self.samples <= 65536:
-            raise ConfigError(f"gi.samples must be between 1 and 65536, is {self.samples}")
+        require_within("gi", self, strength=(0, 1), plane_gloss=(0, 1), plane_roughness=(0, 1), samples=(1, 65536))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError
+from arfx.errors import require_within
 from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
@@ -55,12 +55,7 @@ class LightmapParams:
     ambient: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("shadow_strength", "self_shadow"):
-            value = getattr(self, name)
-            if not 0 <= value <= 1:
-                raise ConfigError(f"lightmap.{name} must be between 0 and 1, is {value:g}")
-        if not 0 <= self.faint <= 0.3:
-            raise ConfigError(f"lightmap.faint must be between 0 and 0.3, is {self.faint:g}")
+        require_within("lightmap", self, shadow_strength=(0, 1), self_shadow=(0, 1), faint=(0, 0.3))
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,24 +83,18 @@ def _graphics_card() -> bool:
 
 def backend_report() -> list[BackendState]:
     """State of every back end here, and which of them `auto` takes, for `arfx doctor`."""
-    states = {s.name: s for s in (_pyrender_state(), _rays_state())}
-    taken = choose_backend()
-    auto = BackendState("auto", states[taken.name].opens, f"takes {taken.name}: {taken.why}", states[taken.name].fix)
-    return [*states.values(), auto]
-
-
-def _pyrender_state() -> BackendState:
     from arfx.stages.raster.gl_context import open_context
 
     try:
-        return BackendState("pyrender", True, open_context().detail)
+        gl = BackendState("pyrender", True, open_context().detail)
     except RenderError as e:
-        return BackendState("pyrender", False, e.message, e.hint)
-
-
-def _rays_state() -> BackendState:
+        gl = BackendState("pyrender", False, e.message, e.hint)
     try:
         import embreex
+
+        rays = BackendState("rays", True, f"embreex {getattr(embreex, '__version__', '')}".strip())
     except ImportError as e:
-        return BackendState("rays", False, f"embreex cannot be imported: {e}", "pip install embreex")
-    return BackendState("rays", True, f"embreex {getattr(embreex, '__version__', '')}".strip())
+        rays = BackendState("rays", False, f"embreex cannot be imported: {e}", "pip install embreex")
+    taken = choose_backend()
+    state = gl if taken.name == "pyrender" else rays
+    return [gl, rays, BackendState("auto", state.opens, f"takes {taken.name}: {taken.why}", state.fix)]

@@ -87,7 +87,9 @@ class GlRenderer:
         h, w, per = rect.height, rect.width, self.k**2
         directions, _ = hits.world_directions(lens[1:-1, 1:-1], rotation)
         texels = gl_resolve.texel_map(lens, h, w, self.k, scale, shift, rows_px, columns_px, not self.camera.distorted)
-        from_mesh, projection = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix, self._projection(place, near, far)
+        from_mesh = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix
+        ideal = self.context.pyrender.IntrinsicsCamera(*scale, *(shift + 0.5), near, far)
+        projection = ideal.get_projection_matrix(columns_px, rows_px)
         grid = np.array([*scale, *shift, columns_px if self.camera.distorted else 0, rows_px], float)
         if not self.blends:
             buffers = Buffers(*_drawn(self.drawing, from_mesh, projection, columns_px, rows_px, None))
@@ -125,11 +127,6 @@ class GlRenderer:
         # The buffer's grid is fixed to the picture, not to the rectangle.
         first = np.floor(low * scale + centre * k)
         return scale, centre * k - first, int(size[0]), int(size[1])
-
-    def _projection(self, place: tuple[np.ndarray, np.ndarray, int, int], near: float, far: float) -> np.ndarray:
-        scale, shift, width, height = place
-        camera = self.context.pyrender.IntrinsicsCamera(scale[0], scale[1], shift[0] + 0.5, shift[1] + 0.5, near, far)
-        return camera.get_projection_matrix(width, height)
 
 
 def _drawn(work: Callable[..., Made], *args: Any) -> Made:

@@ -20,7 +20,7 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, require_within
 from arfx.stages.raster.arrays import OUTPUTS
 from arfx.stages.raster.backends import BACKENDS, choose_backend
 
@@ -37,8 +37,7 @@ class RasterParams:
     def __post_init__(self) -> None:
         if self.backend not in ("auto", *BACKENDS):
             raise ConfigError(f"raster.backend {self.backend!r} is unknown", "one of auto, " + ", ".join(BACKENDS))
-        if not 0 <= self.samples <= 256:
-            raise ConfigError(f"raster.samples must be between 0 and 256, is {self.samples}")
+        require_within("raster", self, samples=(0, 256))
 
 
 class Renderer(Protocol):

@@ -7,16 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, require_within
 
 # (name, least, most) of every number
-_RANGES = (
-    ("cell_px", 0.5, 4096), ("nearer_finer", 0, 1), ("detail", 0, 1), ("wash", 0, 1), ("lightness", 0, 2), ("deepest", 0, 0.5),
-    ("saturation", 0, 3), ("lines", 0, 1),
-    ("line_width_px", 0.5, 16), ("line_low", 0, 1), ("line_high", 0, 2), ("line_smooth_px", 0, 10),
-    ("alpha", 0, 1), ("beta", 0, 1), ("edge_darkening", 0, 1), ("wobble_px", 0, 8), ("flow", 0, 1), ("flow_px", 8, 4096),
-    ("grain", 0, 1), ("grain_px", 1, 32), ("dry_brush", 0, 2),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -75,10 +68,12 @@ class WatercolorParams:
     dry_brush: float = 0.7
 
     def __post_init__(self) -> None:
-        for name, least, most in _RANGES:
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise ConfigError(f"watercolor.{name} must be between {least:g} and {most:g}, is {value:g}")
+        require_within(
+            "watercolor", self, cell_px=(0.5, 4096), nearer_finer=(0, 1), detail=(0, 1), wash=(0, 1), lightness=(0, 2),
+            deepest=(0, 0.5), saturation=(0, 3), lines=(0, 1), line_width_px=(0.5, 16), line_low=(0, 1), line_high=(0, 2),
+            line_smooth_px=(0, 10), alpha=(0, 1), beta=(0, 1), edge_darkening=(0, 1), wobble_px=(0, 8), flow=(0, 1),
+            flow_px=(8, 4096), grain=(0, 1), grain_px=(1, 32), dry_brush=(0, 2),
+        )  # fmt: skip
         if self.yuv not in LUMA_COEFFICIENTS:
             raise ConfigError(f"watercolor.yuv {self.yuv!r} is unknown", "one of " + ", ".join(LUMA_COEFFICIENTS))
         if self.line_high < self.line_low:

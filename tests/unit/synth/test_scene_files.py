@@ -68,8 +68,6 @@ def test_look_at_keeps_the_room_upright() -> None:
     up = pose.rotation @ [0, 0, 1]
     assert up[0] == pytest.approx(0, abs=1e-12) and up[1] < 0, "the room's z points up in the picture (y down)"
     assert np.linalg.det(pose.rotation) == pytest.approx(1)
-    rolled = look_at(np.array([0.3, -0.4, 0.5]), np.array([0.1, 0.1, 0.0]), 90.0)
-    assert (rolled.rotation @ [0, 0, 1])[0] < -0.3, "the camera turns clockwise, so the room's up goes left"
 
 
 def test_paths_run_from_their_start_to_their_end_and_through_their_keys() -> None:
@@ -78,7 +76,7 @@ def test_paths_run_from_their_start_to_their_end_and_through_their_keys() -> Non
         [[shot]]
         path = { kind = "orbit", target_m = [0.1, 0, 0], radius_m = "50cm", azimuth_deg = [-90, 0], elevation_deg = [30, 60] }
         [[shot]]
-        path = { kind = "dolly", position_m = [0, -1, 1], end_m = [0, -2, 1], end_target_m = [1, 0, 0] }
+        path = { kind = "dolly", position_m = [0, -1, 1], end_m = [0, -2, 1], target_m = [1, 0, 0] }
         [[box]]
         motion = { kind = "keys", keys = [
           { time_s = 0, position_m = [0, 0, 0] }, { time_s = 1, position_m = [1, 0, 0] },
