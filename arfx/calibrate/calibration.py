@@ -9,10 +9,9 @@ import numpy as np
 
 from arfx.calibrate.advice import Verdict, figures, judge, next_picture
 from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec
-from arfx.calibrate.corners import View, find_view
+from arfx.calibrate.corners import View, find_view, seen_instead
 from arfx.calibrate.coverage import Coverage, coverage, projection_uncertainty_px
 from arfx.calibrate.evidence import Evidence, choose_model
-from arfx.calibrate.other_boards import seen_instead
 from arfx.calibrate.screen import Rejected, drop_copies, drop_corners, reject_views
 from arfx.calibrate.select import varied
 from arfx.calibrate.solve import Fit, Uncertainty, fit, uncertainty
