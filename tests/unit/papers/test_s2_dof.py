@@ -48,7 +48,7 @@ def test_a_closed_aperture_has_no_limit_behind() -> None:
 
 
 def test_settings_say_what_would_be_right() -> None:
-    for setting, words in (({"mean_px": 4}, "odd"), ({"near_m": -1.0}, "0 or more"), ({"coc_mm": 0.0}, "above 0")):
+    for setting, words in (({"mean_px": 4}, "odd"), ({"near_m": -1.0}, "between 0 and"), ({"coc_mm": 0.0}, "above 0")):
         with pytest.raises(ConfigError, match=words):
             PrintedDofParams(**setting)  # type: ignore[arg-type]
 
