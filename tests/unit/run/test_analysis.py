@@ -117,7 +117,7 @@ def test_what_is_slow_to_write_down_is_written_less_often(tmp_path: Path, monkey
     now = [0.0]
     monkeypatch.setattr(analysis, "CHECKPOINT_S", 20.0)
     monkeypatch.setattr(analysis.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(analysis, "write_bytes", lambda path, data: now.__setitem__(0, now[0] + 3.0))
+    monkeypatch.setattr(analysis, "write", lambda path, data: now.__setitem__(0, now[0] + 3.0))
     kept = Checkpoint(tmp_path / "c", OF)
     now[0] = 20.5
     assert kept.due()
