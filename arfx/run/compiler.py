@@ -13,6 +13,7 @@ import gc
 import json
 import os
 import sys
+from collections.abc import Callable
 from typing import Any
 
 TRIED = "0.68."  # version of numba whose inner parts are these; another one compiles in its own way
@@ -37,6 +38,24 @@ def serve() -> None:
         answers.flush()
 
 
+def _inferred_once(infer: Callable[..., Any]) -> Callable[..., Any]:
+    """The types of a call, found once for the same arguments under the same options."""
+    from numba.core.targetconfig import ConfigStack
+
+    known: dict[Any, Any] = {}
+    named: dict[int, tuple[Any, str]] = {}  # the options in force, kept: another's must not get the number of one that is gone
+
+    def infer_once(self: Any, context: Any, arguments: Any, named_arguments: Any) -> Any:
+        options = ConfigStack.top_or_none()
+        _, text = named.get(id(options)) or named.setdefault(id(options), (options, str(options)))
+        key = self, tuple(arguments), tuple(named_arguments.items()), text
+        if key not in known:
+            known[key] = infer(self, context, arguments, named_arguments)
+        return known[key]
+
+    return infer_once
+
+
 def compile_kernels_only() -> None:
     """Change numba in this process: what is compiled from now on can be kept, not called."""
     from numba import _dynfunc  # type: ignore[attr-defined]
@@ -47,7 +66,6 @@ def compile_kernels_only() -> None:
     from numba.core.dispatcher import Dispatcher, _FunctionCompiler  # type: ignore[attr-defined]
     from numba.core.postproc import PostProcessor, VariableLifetime
     from numba.core.sigutils import normalize_signature
-    from numba.core.targetconfig import ConfigStack
     from numba.core.types.functions import BaseFunction
 
     depth = 0  # of functions being compiled: 1 = a kernel, more = what it calls
@@ -95,17 +113,6 @@ def compile_kernels_only() -> None:
         library.__class__ = Part
         return _dynfunc.make_function(function.lookup_module(), function.qualname, "", 1, environment, (library,))
 
-    infer, known = BaseFunction.get_call_type, {}
-    named: dict[int, tuple[Any, str]] = {}  # the options in force, kept: another's must not get the number of one that is gone
-
-    def infer_once(self: Any, context: Any, arguments: Any, named_arguments: Any) -> Any:
-        options = ConfigStack.top_or_none()
-        _, text = named.get(id(options)) or named.setdefault(id(options), (options, str(options)))
-        key = self, tuple(arguments), tuple(named_arguments.items()), text
-        if key not in known:
-            known[key] = infer(self, context, arguments, named_arguments)
-        return known[key]
-
     def postprocess(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
         # after every pass; without which variables a block is entered with, which generators and Python objects alone need
         function = self.func_ir
@@ -119,7 +126,7 @@ def compile_kernels_only() -> None:
         (_FunctionCompiler, "_compile_core", compile_deeper),
         (_FunctionCompiler, "_customize_flags", with_one_entry),
         (CPUContext, "get_executable", executable_of_kernels),
-        (BaseFunction, "get_call_type", infer_once),
+        (BaseFunction, "get_call_type", _inferred_once(BaseFunction.get_call_type)),
         (PostProcessor, "run", postprocess),
     ]
     for of, name, function in changes:

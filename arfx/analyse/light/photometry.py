@@ -188,6 +188,17 @@ def robust(
     return part | {"bias_95": (low, high)}
 
 
+def _refusal(level: float, half: float, noise: float, bright: float, doubt: float, contrast: float) -> str:
+    """Why a solution says nothing, "" = it does. level, noise : of the picture;  half : width of the bias's interval
+    bright, doubt : irradiance and three deviations of it;  contrast : between a print's cells"""
+    if level <= 0 or half > WORST_BIAS * level:
+        why = "no light" if level <= noise else "albedos too alike"
+        return f"{why}: the bias would be uncertain by {half:.2g} at a level of {max(level, 0):.2g}"
+    if bright < -doubt:
+        return "dark cells are brighter than bright ones"
+    return "bright and dark cells look alike" if contrast < LEAST_CONTRAST * level else ""
+
+
 def solved(
     grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool, ink_sigma: float
 ) -> dict:  # fmt: skip
@@ -255,14 +266,9 @@ def solved(
     rank = unknowns if share >= LEAST_SHARE else unknowns - 1
     condition = float(np.sqrt((1 + np.sqrt(1 - min(share, 1.0))) / (1 - np.sqrt(1 - min(share, 1.0 - 1e-16)))))
     own = np.where(seen, scale**2 * inverse, 0)
-    why = ""
-    if level <= 0 or quantile * np.sqrt(noise_b) > WORST_BIAS * level:
-        why = "no light" if level <= 3 * float(np.sqrt(divide(1.0, np.median(w0[w0 > 0])))) * known else "albedos too alike"
-        why = f"{why}: the bias would be uncertain by {quantile * np.sqrt(noise_b):.2g} at a level of {max(level, 0):.2g}"
-    elif np.median(y[seen]) < -3 * float(np.sqrt(np.median(own[seen]) + lean[seen].max() ** 2 * noise_b)):
-        why = "dark cells are brighter than bright ones"
-    elif bright * float(np.abs(rho).max()) < LEAST_CONTRAST * level:
-        why = "bright and dark cells look alike"
+    noise = 3 * float(np.sqrt(divide(1.0, np.median(w0[w0 > 0])))) * known
+    doubt = 3 * float(np.sqrt(np.median(own[seen]) + lean[seen].max() ** 2 * noise_b))
+    why = _refusal(level, half, noise, bright, doubt, bright * float(np.abs(rho).max()))
     if why:
         return fallback(grey, w0, rho, why, rank, condition)
     return {
