@@ -142,7 +142,7 @@ class Watercolor(Stage):
             where, pose = frame_field(facts, view.scene, cell_px, p.nearer_finer, p.anchored, way, p.detail)
             return where, pose, _field_key(where)
 
-        found = facts.advection
+        found = facts.advection if p.anchored else None
         if found is None:
             key: tuple[Any, ...] = (_pose_key(facts.camera_from_world),)
         else:

@@ -17,7 +17,7 @@ from arfx.core.advection import AdvectionField, packed_detail, packed_places
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
-from arfx.core.pose import Pose
+from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
@@ -308,6 +308,20 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
         error.append(np.mean([np.mean((a - b) ** 2) for a, b in pairs]))
     # 1/113 and 1/48 measured; small as the picture is, much of it is near a border
     assert error[1] < error[0] / 80 and error[2] < error[0] / 40, error[0] / error
+
+
+def test_cells_fixed_to_the_screen_follow_the_pose_though_the_clip_has_an_advection_field() -> None:
+    """With anchored = false the size of cells comes from the frame's own pose, not from that of the advection field."""
+    nodes = still_field(160, 120, 8, 96)
+    field = fact_of(nodes, nodes.u, nodes.v)
+    params = dataclasses.replace(PLAIN, anchored=False, nearer_finer=1.0)
+    ready, seen = ReadyStage.of(Watercolor(params), SCENE, "standard"), []
+    for tilt_deg in (20, 70):
+        pose = Pose(rotation_from_euler_deg(180 - tilt_deg, 0, 0), np.array([0.0, 0.0, 0.6]))
+        f = FrameFacts(0, 0.0, advection=field, camera_from_world=pose)
+        seen.append(painted(picture(), f=f, ready=ready))
+        assert np.array_equal(seen[-1], painted(picture(), params, f=f))
+    assert not np.array_equal(*seen)
 
 
 def test_held_lines_change_less_and_are_the_same_whoever_painted_the_frame_before() -> None:
