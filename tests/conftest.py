@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 gc.disable()  # until all tests are collected: what importing makes stays, and was looked over for a quarter of that time
 
-STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(Ahead|Behind|BackgroundTask)\(
+STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(Prefetch|WriteBehind|BackgroundTask)\(
     |raise_signal|os\.kill"""
 
 

@@ -21,7 +21,7 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.stage import ReadyStage, level_named
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.plan.planner import plan_frame
-from arfx.run.frame import Canvas
+from arfx.run.frame import FrameLayers
 from arfx.stages import STAGES
 from arfx.stages.gi import Gi
 from arfx.stages.gi.pyramid import structure_of
@@ -36,14 +36,14 @@ def layers_of(at: BenchScene) -> Layers:
     stages: list[Any] = [Raster(), Lightmap(LightmapParams(ambient=False)), Gi(), STAGES["composite"]()]
     levels = {s.name: level_named(s.levels, "standard") for s in stages}
     plan = plan_frame(stages, levels, at.facts, at.scene, at.scene.camera.rect)
-    canvas = Canvas(at.plate, at.scene.camera.rect)
+    layers = FrameLayers(at.plate, at.scene.camera.rect)
     steps = {step.stage: step for step in plan.steps}
     for s in stages[:2]:
         step = steps[s.name]
-        made = ReadyStage.of(s, at.scene, levels[s.name]).run(canvas.view(s.reads, step.need), at.facts)
+        made = ReadyStage.of(s, at.scene, levels[s.name]).run(layers.view(s.reads, step.need), at.facts)
         for layer, array in made.items():
-            canvas.put(layer, array, step.need, step.out)
-    return canvas.view(Gi.reads, steps["gi"].need)
+            layers.put(layer, array, step.need, step.out)
+    return layers.view(Gi.reads, steps["gi"].need)
 
 
 def affected(before: Layers, made: Any, size: tuple[int, int]) -> float:

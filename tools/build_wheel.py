@@ -24,9 +24,10 @@ import sys
 from arfx.core import compiled
 from arfx.run import kernels
 assert compiled.target(), "this processor cannot run what the wheel is to hold: " + compiled.TARGET
-wanted = [kernel for kernel in kernels.listed() if kernel.module.startswith(sys.argv[1])]
-kernels.compile_missing(wanted, lambda phase, done, total: print(f"compiled {done} of {total}", flush=True))
-assert wanted and all(kernel.kept for kernel in wanted), "not all was compiled"
+wanted = [kernel for kernel in kernels.listed_kernels() if kernel.module.startswith(sys.argv[1])]
+with kernels.compiling(wanted, (), lambda phase, done, total: print(f"compiled {done} of {total}", flush=True)):
+    pass
+assert wanted and all(kernel.is_cached for kernel in wanted), "not all was compiled"
 """
 
 

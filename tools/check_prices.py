@@ -96,7 +96,7 @@ def one(asked: Mapping[str, Any]) -> dict[str, Any]:
     """What `run` runs."""
     from arfx.config.load import load
     from arfx.core.cost import Prediction
-    from arfx.plan.levels import alike
+    from arfx.plan.levels import sum_correlated
     from arfx.run.folder import JobFolder
     from arfx.run.job import Options, process
     from arfx.run.parameters import parameters
@@ -117,7 +117,7 @@ def one(asked: Mapping[str, Any]) -> dict[str, Any]:
     spent, after = time.process_time() - marks[0][0], time.perf_counter() - marks[0][1]
     predicted = report["predicted"]
     phases = [p for name, p in predicted["phases"].items() if name != "before"]
-    known = None if None in phases else alike(Prediction(p["s"], p["low_s"], p["high_s"]) for p in phases).to_json()
+    known = None if None in phases else sum_correlated(Prediction(p["s"], p["low_s"], p["high_s"]) for p in phases).to_json()
     summary = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     levels = {f"{row['stage']} {row['level']}" for row in summary["levels"]["chosen"]}
     return {
@@ -133,12 +133,12 @@ def pictures(path: Path) -> list[np.ndarray]:
 
 def mean_error(reference: Sequence[np.ndarray], test: Sequence[np.ndarray], plain: Sequence[np.ndarray]) -> float:
     """Grey levels, over all pixels of all frames that either of the two changes or in which they differ."""
-    from arfx.measure.difference import levels_apart, touched
+    from arfx.measure.difference import level_difference, touched
 
     total = count = 0.0
     for a, b, source in zip(reference, test, plain, strict=True):
         where = touched((a, source), (a, b))
-        total += float(levels_apart(a, b)[where].sum())
+        total += float(level_difference(a, b)[where].sum())
         count += int(where.sum())
     return total / max(count, 1.0)
 

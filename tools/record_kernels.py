@@ -39,7 +39,7 @@ def record(file: Path, arguments: list[str]) -> None:
     """In the process of one job: run it, and write (module, name, types, seconds) of what was called."""
     from numba.core.dispatcher import Dispatcher
 
-    from arfx.run.kernels import written
+    from arfx.run.kernels import signature
     from arfx_cli.main import main
 
     called: dict[tuple[str, str, str], float] = {}
@@ -53,7 +53,7 @@ def record(file: Path, arguments: list[str]) -> None:
         finally:
             here.depth -= 1
             if not here.depth and self.py_func.__module__.startswith("arfx."):
-                key = (self.py_func.__module__, self.py_func.__qualname__, written(types))
+                key = (self.py_func.__module__, self.py_func.__qualname__, signature(types))
                 called.setdefault(key, round(time.thread_time() - start, 2))
 
     Dispatcher.compile = compile

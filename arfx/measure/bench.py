@@ -1,19 +1,21 @@
 """Cost of every stage and level on this machine, as a ratio to a yardstick that is timed in the same run.
 
 Yardstick: one cv2.GaussianBlur(float32, 3 channels, sigma 5) of a picture of that size. Stages and yardstick take turns,
-each with all cores, and medians are told: a ratio survives a change of machine or of load, a time does not.
+each with all cores, and medians are reported: a ratio survives a change of machine or of load, a time does not.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
+from numba.core.event import install_timer
 
 from arfx.config.load import near
 from arfx.core.facts import FrameFacts
@@ -21,53 +23,40 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
-from arfx.measure.steps import Chain, FrameBench, Run, Shop, chain_of
-from arfx.measure.timed_runs import WALL
-from arfx.plan.planner import plan_frame
-from arfx.plan.work import terms_of
+from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, StageRun, chain_of
+from arfx.plan.planner import plan_frame, terms_of
 from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
 FEWEST, MOST, BUDGET_S = 3, 25, 1.5
 SLOW_S = 3.0  # a run that takes longer is not made again for the median
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass
 class Cell:
     """One stage at one level on the standard scene. seconds : of each run;  yardstick_s : of the blurs beside them
 
-    chain : of steps, itself the last;  out : what it makes
+    before : the steps before it;  out : what it makes
     """
 
-    frame: FrameBench
-    chain: Chain
+    frame: FrameRenderer
+    before: Chain
+    stage: str
+    level: str
     out: Rect
     seconds: list[float] = field(default_factory=list)
     yardstick_s: list[float] = field(default_factory=list)
 
-    @property
-    def stage(self) -> str:
-        return self.chain[-1][0]
-
-    @property
-    def level(self) -> str:
-        return self.chain[-1][1]
-
     @cached_property
-    def run(self) -> Run:
-        """Threads share it. What comes before is rendered, and itself prepared, when it is first asked for."""
-        return self.frame.run(self.chain)
+    def run(self) -> StageRun:
+        """Threads share it. When it is first asked for, the steps before are rendered, and the stage is prepared."""
+        return self.frame.run((*self.before, (self.stage, self.level)))
 
-    def prepare(self) -> None:
-        """What is made once per clip."""
-        self.frame.shop.at(self.stage, self.level)
-
-    def go(self, facts: FrameFacts | None = None) -> None:
-        self.run.anew(self.out, facts)
+    def render(self, facts: FrameFacts | None = None) -> None:
+        self.run.rerun(self.out, facts)
 
     def terms(self, facts: FrameFacts | None = None) -> dict[str, float]:
-        """Of its price (plan/work.py)."""
+        """Of its price (`arfx.plan.planner.terms_of`)."""
         return terms_of(self.run.need(self.out), facts or self.run.facts, self.run.at.scene)
 
     @property
@@ -76,7 +65,7 @@ class Cell:
         return len(self.seconds) >= MOST or (len(self.seconds) >= fewest and sum(self.seconds) > BUDGET_S)
 
     def to_json(self) -> dict[str, Any]:
-        camera = self.frame.shop.scene.camera
+        camera = self.frame.prepared.scene.camera
         ms, yard = 1e3 * float(np.median(self.seconds)), 1e3 * float(np.median(self.yardstick_s))
         return {
             "stage": self.stage, "level": self.level, "size": f"{camera.width}x{camera.height}", "ms": ms,
@@ -85,12 +74,10 @@ class Cell:
 
 
 def bench(
-    sizes: Sequence[tuple[int, int]],
-    stage: str | None = None,
-    level: str | None = None,
-    progress: Progress = lambda *_: None,
+    sizes: Sequence[tuple[int, int]], stage: str | None = None, level: str | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
     stages: Mapping[str, type[Stage]] = STAGES,
-) -> list[dict[str, Any]]:
+) -> list[dict[str, Any]]:  # fmt: skip
     """Rows of {stage, level, size, ms, yardstick_ms, ratio, runs, area_px}; ms >= 0, medians.
 
     stage, level : only these;  sizes : (width, height) px
@@ -123,31 +110,27 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
 
     Stages that require measured depth are timed on the same scene with a depth map.
     """
-    made: dict[str, Stage] = {name: stages[name]() for name in stages}
-    wanted = {stage} if stage is not None else set(made)
-    deep = {name for name in wanted if "depth" in made[name].requires}
-    scenes = [(at, wanted - deep), (at.in_depth(), deep)] if deep else [(at, wanted)]
-    return [cell for scene, names in scenes if names for cell in _cells(scene, made, names, level)]
+    instances: dict[str, Stage] = {name: stages[name]() for name in stages}
+    wanted = {stage} if stage is not None else set(instances)
+    on_depth = {name for name in wanted if "depth" in instances[name].requires}
+    scenes = [(at, wanted - on_depth), (at.with_depth(), on_depth)] if on_depth else [(at, wanted)]
+    return [cell for scene, names in scenes if names for cell in _cells(scene, instances, names, level)]
 
 
-def _cells(at: BenchScene, made: Mapping[str, Stage], wanted: Collection[str], level: str | None) -> list[Cell]:
+def _cells(at: BenchScene, stages: Mapping[str, Stage], wanted: Collection[str], level: str | None) -> list[Cell]:
     """Of the stages with these names."""
-    standard = {name: level_named(s.levels, "standard") for name, s in made.items()}
+    standard = {name: level_named(s.levels, "standard") for name, s in stages.items()}
     whole = at.scene.camera.rect
-    plan = plan_frame(list(made.values()), standard, at.facts, at.scene, whole)
+    plan = plan_frame(list(stages.values()), standard, at.facts, at.scene, whole)
     if not any(s.stage in wanted for s in plan.steps):
         stage = next(iter(wanted))
         why = next((s.reason for s in plan.skipped if s.stage == stage), "")
         raise ConfigError(f"the standard scene does not use {stage!r}: {why}", f"one of {', '.join(s.stage for s in plan.steps)}")
-    frame = FrameBench(at.facts, at.plate, plan, whole, Shop(at.scene, made), real_depth_m=at.real_depth_m)
+    frame = FrameRenderer(at.facts, at.plate, plan, whole, PreparedStages(at.scene, stages), real_depth_m=at.real_depth_m)
     chain = chain_of(plan, standard)
-    return [
-        Cell(frame, (*chain[:k], (step.stage, le)), step.out)
-        for k, step in enumerate(plan.steps)
-        if step.stage in wanted
-        for le in made[step.stage].levels
-        if level in (None, le)
-    ]
+    steps = [(k, step) for k, step in enumerate(plan.steps) if step.stage in wanted]
+    levels = {step.stage: [le for le in stages[step.stage].levels if level in (None, le)] for _, step in steps}
+    return [Cell(frame, chain[:k], step.stage, le, step.out) for k, step in steps for le in levels[step.stage]]
 
 
 def _take_turns(cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]) -> None:
@@ -155,12 +138,12 @@ def _take_turns(cells: list[Cell], size: tuple[int, int], progress: Callable[[in
     for _ in range(3):
         cv2.GaussianBlur(picture, (0, 0), 5)
     for cell in cells:  # loads, allocates, uploads: not counted, unless so slow that it hardly matters
-        seconds = WALL.of(cell.go)
+        seconds = WALL.of(cell.render)
         if seconds > SLOW_S:
             _count(cell, seconds, picture)
     while waiting := [c for c in cells if not c.done]:
         for cell in waiting:
-            _count(cell, WALL.of(cell.go), picture)
+            _count(cell, WALL.of(cell.render), picture)
         progress(sum(c.done for c in cells), len(cells))
 
 
@@ -169,3 +152,47 @@ def _count(cell: Cell, seconds: float, picture: np.ndarray) -> None:
     cv2.GaussianBlur(picture, (0, 0), 5)
     cell.seconds.append(seconds)
     cell.yardstick_s.append(time.perf_counter() - start)
+
+
+@dataclass
+class Runs:
+    """What was timed for one entry of the price list: terms and seconds, run by run."""
+
+    terms: list[Mapping[str, float]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def add(self, terms: Mapping[str, float], seconds: float) -> None:
+        self.terms.append(terms)
+        self.seconds.append(max(seconds, 1e-7))
+
+
+@dataclass(frozen=True)
+class Stopwatch:
+    """Seconds of work, less those in which numba compiled for it: later work is spared them.
+
+    processor : processor time, which other programs disturb least, not wall-clock time; divided by the threads that work at
+    once, both are the same on a machine that does nothing else
+    pool, concurrency : so many of its threads do the same work at once, as in a job
+    """
+
+    processor: bool = False
+    pool: ThreadPoolExecutor | None = None
+    concurrency: int = 1
+
+    def of(self, work: Callable[[], Any]) -> float:
+        clock, compiling = time.process_time if self.processor else time.perf_counter, [0.0]
+        start = clock()
+        with install_timer("numba:compile", compiling.append):
+            work()
+        return max(clock() - start - sum(compiling), 0.0)
+
+    def of_concurrent(self, work: Callable[[], Any]) -> float:
+        """Of one run, as many at once as `concurrency`."""
+        assert self.pool is not None
+        if self.processor:
+            pool = self.pool
+            return self.of(lambda: list(pool.map(lambda _: work(), range(self.concurrency)))) / self.concurrency
+        return float(np.mean(list(self.pool.map(lambda _: self.of(work), range(self.concurrency)))))
+
+
+WALL = Stopwatch()

@@ -57,7 +57,7 @@ class BenchScene:
     plate: np.ndarray
     real_depth_m: np.ndarray | None = None
 
-    def in_depth(self) -> BenchScene:
+    def with_depth(self) -> BenchScene:
         """With a measured depth: the plane, and a thing that hides the ball's left half."""
         camera, pose = self.scene.camera, self.facts.camera_from_world
         assert pose is not None
@@ -76,7 +76,7 @@ class BenchScene:
 def bench_scene(width: int, height: int, covered: float = COVERED, model: Model | None = None) -> BenchScene:
     """The ball on a marker, seen from 40 degrees off the vertical by an undistorted camera of the given picture size.
 
-    covered : share of the picture that it covers;  model : another ball than the standard one
+    covered : fraction of the picture that it covers;  model : another ball than the standard one
     """
     focal = 0.9 * max(width, height)
     camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))

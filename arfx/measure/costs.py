@@ -26,16 +26,14 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.core.stage import Stage
-from arfx.measure.bench import Cell, check, make_cells
+from arfx.measure.bench import Cell, Runs, Stopwatch, check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
-from arfx.measure.timed_runs import Runs, Watch
 from arfx.run.folder import write
-from arfx.run.job import MOST_THREADS, default_workers
+from arfx.run.job import MOST_THREADS, worker_count
 from arfx.stages import STAGES
 
-Progress = Callable[[str, int, int], None]
-# width, height, share of the picture under the ball, (longitudes, latitudes): 720 to 24,000 triangles
+# width, height, fraction of the picture under the ball, (longitudes, latitudes): 720 to 24,000 triangles
 SCENES = (
     (640, 480, 0.08, (60, 51)), (320, 240, 0.3, (20, 19)), (1280, 720, 0.04, (60, 51)), (160, 120, 0.1, (60, 51)),
     (480, 360, 0.15, (120, 101)), (960, 540, 0.25, (20, 19)),
@@ -43,7 +41,7 @@ SCENES = (
 SLOW_SCENES = ((64, 64, 0.08, (20, 19)), (96, 64, 0.1, (60, 51)))  # of levels `reference`
 LIMIT_S = 55.0
 PREPARE_S = 1.0  # of one level: preparing it again and again would take all the time there is
-LONG_S, DEAR_S = 0.01, 0.1  # a run that is shorter tells of the clock and the interpreter; one that is longer is made once
+SHORT_RUN_S, LONG_RUN_S = 0.01, 0.1  # a shorter run times the clock and the interpreter; a longer one is made once
 ENVIRONMENT_SIZE = 16
 LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
 
@@ -57,7 +55,7 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
     names = [t for t in terms if any(row.get(t, 0.0) > 0 for row in runs.terms)]
     if not names:
         raise ValueError("nothing to fit")
-    if len(runs.seconds) <= len(names) and "mpx" in names:  # too few to tell terms apart: by pixels, and what is made anew
+    if len(runs.seconds) <= len(names) and "mpx" in names:  # too few to tell terms apart: by pixels, and the terms of new light
         names = ["mpx", *(t for t in names if t.startswith("new_"))]
     rows = np.array([[row.get(t, 0.0) for t in names] for row in runs.terms], float)
     measured = np.array(runs.seconds)
@@ -65,7 +63,7 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
     fitted = np.maximum(rows @ found, 1e-9)
     free = max(len(measured) - int((found > 0).sum()), 1)
     deviation = float(np.sqrt((np.log(measured / fitted) ** 2).sum() / free))
-    spread = min(max(max(deviation, LEAST_SPREAD) * (1 + 1.0 / free), _left_out(rows, measured)), 1.0)
+    spread = min(max(max(deviation, LEAST_SPREAD) * (1 + 1.0 / free), _cross_validation_error(rows, measured)), 1.0)
     return Price({t: float(c) for t, c in zip(names, found, strict=True) if c > 0}, spread, len(measured))
 
 
@@ -78,7 +76,7 @@ def _coefficients(rows: np.ndarray, measured: np.ndarray) -> np.ndarray:
     return np.asarray(nnls(rows * weight[:, None], measured * weight)[0])
 
 
-def _left_out(rows: np.ndarray, measured: np.ndarray) -> float:
+def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
     """Root mean square of log(measured / predicted) of each scene from a fit to the others; 0 for fewer than three scenes."""
     _, scene = np.unique(rows.round(9), axis=0, return_inverse=True)
     if scene.max() < 2:
@@ -92,34 +90,30 @@ def _left_out(rows: np.ndarray, measured: np.ndarray) -> float:
 
 
 def calibrate(
-    progress: Progress = lambda *_: None,
-    stages: Mapping[str, type[Stage]] = STAGES,
-    limit_s: float = LIMIT_S,
-    output: bool = True,
-    processor: bool = False,
-    stage: str | None = None,
-) -> Prices:
-    """Time, fit, and return the price list; nothing is written. Raises ConfigError for a stage that there is not.
+    progress: Callable[[str, int, int], None] = lambda *_: None, stages: Mapping[str, type[Stage]] = STAGES,
+    limit_s: float = LIMIT_S, output: bool = True, processor: bool = False, stage: str | None = None,
+) -> Prices:  # fmt: skip
+    """Time, fit, and return the price list; nothing is written. Raises ConfigError for an unknown stage.
 
     stage : only this one, and nothing that is not a stage's
-    limit_s : after this the scenes that are left are passed over (what has runs is fitted)
-    output : time what is not a stage's too: editing planes, encoding, joining;  processor : as of `Watch`
+    limit_s : after this the remaining scenes are skipped (what has runs is fitted)
+    output : time what is not a stage's too: editing planes, encoding, joining;  processor : as of `Stopwatch`
     """
     check(stages, stage, None, ())
-    workers, threads = default_workers(1)
-    crowd = min(workers, MOST_THREADS) if threads else 1
+    workers, threads = worker_count(1)
+    concurrency = min(workers, MOST_THREADS) if threads else 1
     began = time.perf_counter()
     timed: dict[str, Runs] = defaultdict(Runs)
     alone: list[float] = []
     plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
-    with ThreadPoolExecutor(crowd) as pool:
-        watch = Watch(processor, pool, crowd)
+    with ThreadPoolExecutor(concurrency) as pool:
+        watch = Stopwatch(processor, pool, concurrency)
         if output and stage is None:
             time_output(timed, watch, lambda done, total: progress("calibrate output", done, total))
         for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:
                 break
-            model = ball(longitudes, latitudes) if k % 2 else pile(longitudes, latitudes)
+            model = ball(longitudes, latitudes) if k % 2 else sphere_cluster(longitudes, latitudes)
             at = bench_scene(width, height, covered, model)
             alone += _time_scene(at, slow, stages, stage, timed, watch)
             progress("calibrate scenes", k + 1, len(plan))
@@ -130,7 +124,7 @@ def calibrate(
         wanted = ("frames", "mfaces") if key.startswith("prepare ") else terms
         prices[key] = fit(runs, wanted)
     source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
-    return Prices(prices, crowd, source, True, float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0)
+    return Prices(prices, concurrency, source, True, float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0)
 
 
 def save_prices(prices: Prices, file: Path | None = None) -> Path:
@@ -142,11 +136,11 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 
 
 def _time_scene(
-    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], stage: str | None, timed: dict[str, Runs], watch: Watch
+    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], stage: str | None, timed: dict[str, Runs], watch: Stopwatch
 ) -> list[float]:  # fmt: skip
     """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones twice, and under a light that changes
 
-    Returns what one thread alone took, as a share of what it took among `crowd`: of the runs that are long enough to tell.
+    Returns what one thread alone took, as a fraction of what it took among others: of the runs that are long enough.
     """
     best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}
     alone = []
@@ -154,62 +148,62 @@ def _time_scene(
         key = f"{cell.stage}/{cell.level}"
         prepared, runs = timed[f"prepare {key}"], timed[key]
         if sum(prepared.seconds) < PREPARE_S:
-            seconds = watch.of(cell.prepare)
+            seconds = watch.of(partial(cell.frame.prepared.at, cell.stage, cell.level))
             prepared.add(cell.terms(), seconds)
         terms = cell.terms()
         own = stages[cell.stage].terms
         new = [t for t in own if t.startswith("new_")]
         if slow:  # seconds long: what loading it takes hardly shows
             for once in [dict.fromkeys(new, 1.0), {}] if new else [{}]:
-                runs.add({**terms, **once}, watch.of(cell.go))
+                runs.add({**terms, **once}, watch.of(cell.render))
             continue
-        seen = _shimmering(at)
+        perturbed = _perturbed_light(at)
 
-        def go(cell: Cell = cell, seen: Callable[[], FrameFacts] = seen) -> None:
-            cell.go(seen())
+        def render(cell: Cell = cell, perturbed: Callable[[], FrameFacts] = perturbed) -> None:
+            cell.render(perturbed())
 
-        go()  # compiles, loads, makes what is kept for this light
-        runs.add(terms, watch.of_each(go))
-        if runs.seconds[-1] < DEAR_S:
-            runs.add(terms, watch.of_each(go))
-        if LONG_S < runs.seconds[-1] < DEAR_S:
-            alone.append(watch.of(go) / runs.seconds[-1])
-        dull = replace(seen(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
-        if any(cell.terms(dull)[t] != terms[t] for t in own if t not in new):
-            cell.go(dull)
-            runs.add(cell.terms(dull), watch.of_each(partial(cell.go, dull)))
+        render()  # compiles, loads, makes what is kept for this light
+        runs.add(terms, watch.of_concurrent(render))
+        if runs.seconds[-1] < LONG_RUN_S:
+            runs.add(terms, watch.of_concurrent(render))
+        if SHORT_RUN_S < runs.seconds[-1] < LONG_RUN_S:
+            alone.append(watch.of(render) / runs.seconds[-1])
+        ambient = replace(perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
+        if any(cell.terms(ambient)[t] != terms[t] for t in own if t not in new):
+            cell.render(ambient)
+            runs.add(cell.terms(ambient), watch.of_concurrent(partial(cell.render, ambient)))
         for term in new:
-            seconds = watch.of_each(partial(cell.go, _under_another_light(at, runs)))
+            seconds = watch.of_concurrent(partial(cell.render, _new_light(at, runs)))
             runs.add({**terms, term: 1.0}, seconds)
     return alone
 
 
-def pile(longitudes: int, latitudes: int) -> Model:
+def sphere_cluster(longitudes: int, latitudes: int) -> Model:
     """Nine small balls, each a part of its own, with as many triangles as one large: outlines cost more than insides."""
     whole = ball(longitudes, latitudes)
     (one,) = ball(max(longitudes // 3, 8), max(latitudes // 3, 6)).parts
-    places = np.array([(x, y, 0.3 * abs(x * y)) for x in (-1, 0, 1) for y in (-1, 0, 1)], float) * 0.35
-    parts = tuple(replace(one, vertices=one.vertices * 0.33 + at) for at in places)
+    positions = np.array([(x, y, 0.3 * abs(x * y)) for x in (-1, 0, 1) for y in (-1, 0, 1)], float) * 0.35
+    parts = tuple(replace(one, vertices=one.vertices * 0.33 + at) for at in positions)
     return Model(parts, up=whole.up, source="benchmark pile")
 
 
-def _under_another_light(at: BenchScene, runs: Runs) -> FrameFacts:
+def _new_light(at: BenchScene, runs: Runs) -> FrameFacts:
     """The scene's facts under a light that was not met before: every call another."""
     turn = 0.3 + 0.17 * len(runs.seconds)
     lamp = DirectionalLight((float(np.cos(turn)), float(np.sin(turn)), 1.3), (0.6 + turn / 50, 0.6, 0.5), 4.0)
-    return replace(_shimmering(at)(), light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)))
+    return replace(_perturbed_light(at)(), light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)))
 
 
-def _shimmering(at: BenchScene) -> Callable[[], FrameFacts]:
-    """The scene's facts, with surroundings as an analysis tells them and a light that is never quite the same, as a measured
-    one: what is kept for a light in steps is kept, what is made for the very light is made anew."""
+def _perturbed_light(at: BenchScene) -> Callable[[], FrameFacts]:
+    """The scene's facts, with surroundings as from an analysis and a light that is never quite the same, as a measured one:
+    what is kept for a light in steps is kept, what is made for the very light is made every time."""
     sky = face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0) * np.array([0.5, 0.55, 0.6]) + 0.2
-    around = CubeMap.of(sky, None, np.full(3, 0.3))
+    environment = CubeMap.of(sky, None, np.full(3, 0.3))
     light, count = at.scene.light, itertools.count()  # threads ask for the next at once
 
-    def seen() -> FrameFacts:
+    def facts() -> FrameFacts:
         red, green, blue = light.ambient_rgb
-        shimmer = replace(light, ambient_rgb=(red * (1 + 1e-6 * next(count)), green, blue))
-        return at.facts.with_(light=shimmer, environment=around)
+        perturbed = replace(light, ambient_rgb=(red * (1 + 1e-6 * next(count)), green, blue))
+        return at.facts.with_(light=perturbed, environment=environment)
 
-    return seen
+    return facts

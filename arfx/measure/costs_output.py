@@ -16,13 +16,13 @@ import numpy as np
 
 from arfx.core.rect import Rect
 from arfx.errors import ArfxError
-from arfx.measure.timed_runs import Runs, Watch
+from arfx.measure.bench import Runs, Stopwatch
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.codecs import CODECS
 from arfx.media.containers import create
 from arfx.media.frames import ClipReader, Frame
 from arfx.media.join import join_chunks
-from arfx.media.output import OutputPlan, OutputSettings, plan_output
+from arfx.media.output import OutputSettings, plan_output
 from arfx.media.planes import copy_picture
 from arfx.media.writer import ChunkWriter, chunk_suffix
 
@@ -31,7 +31,7 @@ USUAL = ("h264", "ffv1")  # encoded twice
 JOINED = "h264"
 
 
-def time_output(timed: dict[str, Runs], watch: Watch, progress: Callable[[int, int], None]) -> None:
+def time_output(timed: dict[str, Runs], watch: Stopwatch, progress: Callable[[int, int], None]) -> None:
     """Add runs of "edit", "encode CODEC" and "join" to `timed`."""
     total = len(SIZES) * len(CODECS)
     with tempfile.TemporaryDirectory(prefix="arfx-calibrate-") as folder:
@@ -49,7 +49,7 @@ def time_output(timed: dict[str, Runs], watch: Watch, progress: Callable[[int, i
         progress(total, total)
 
 
-def _edit(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: Watch) -> None:
+def _edit(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: Stopwatch) -> None:
     """As in a frame of a job: linear light of a rectangle, then the difference put back into the planes."""
     width, height = info.width, info.height
     whole = Rect(0, 0, width, height)
@@ -61,18 +61,18 @@ def _edit(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: Wa
                 frame.edited(rect, plate, np.clip(plate * np.float32(0.9), 0, 1))
 
         edit()
-        seconds = watch.of_each(edit)
+        seconds = watch.of_concurrent(edit)
         timed["edit"].add({"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds / len(frames[:6]))
 
 
-def _encode(timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[Frame], codec: str, watch: Watch) -> None:
+def _encode(timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[Frame], codec: str, watch: Stopwatch) -> None:
     out = folder / f"{codec}-%03d.{codec}" if CODECS[codec].sequence else folder / f"{codec}.mkv"
     plan = plan_output(info, out, OutputSettings(codec))
     paths: list[Path] = []
     number = itertools.count()
     # a picture belongs to one thread: the library keeps with it what it converts it by
     unused: queue.SimpleQueue[list[Frame]] = queue.SimpleQueue()
-    for _ in range(watch.crowd):
+    for _ in range(watch.concurrency):
         unused.put([Frame(copy_picture(f.picture, f.format.layout), f.format, f.index, f.pts, f.key) for f in frames])
 
     def encode() -> None:
@@ -88,18 +88,14 @@ def _encode(timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[F
     if codec in USUAL:
         encode()  # loads it
     for _ in range(2 if codec in USUAL else 1):
-        seconds = watch.of_each(encode)
+        seconds = watch.of_concurrent(encode)
         timed[f"encode {codec}"].add({"frames": 1.0, "mpx": mpx}, seconds / len(frames))
     if codec == JOINED:
-        _join(timed, info, frames, plan, paths, watch)
-
-
-def _join(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], plan: OutputPlan, paths: list[Path], watch: Watch) -> None:
-    first = [f.pts for f in frames]
-    step = first[-1] - first[0] + max(first[1] - first[0], 1)
-    pts = [p + k * step for k in range(2) for p in first]
-    seconds = watch.of(lambda: join_chunks(paths[:2], pts, plan, info, paths[0].with_name("joined.mkv")))
-    timed["join"].add({"frames": float(len(pts)), "mpx": len(pts) * info.width * info.height / 1e6}, seconds)
+        first = [f.pts for f in frames]
+        step = first[-1] - first[0] + max(first[1] - first[0], 1)
+        pts = [p + k * step for k in range(2) for p in first]
+        seconds = watch.of(lambda: join_chunks(paths[:2], pts, plan, info, paths[0].with_name("joined.mkv")))
+        timed["join"].add({"frames": float(len(pts)), "mpx": len(pts) * mpx}, seconds)
 
 
 def write_clip(path: Path, width: int, height: int, frames: int) -> Path:

@@ -17,7 +17,7 @@ from arfx.core.rect import Rect
 TOUCHED = 0.5  # grey levels: less than this is not a change
 PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide display of 3840 pixels seen from 0.7 m, FLIP's published standard
 # Widest of FLIP's filters at that distance: contrast sensitivity of blue-yellow, 3 sqrt(b / 2 pi^2) ppd = 9.05 px, rounded up.
-REACH_PX = 10
+MARGIN_PX = 10
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,14 @@ class Difference:
     pixels: int = 0
 
 
-def levels_apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def level_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(h, w) grey levels between two (h, w, 3) uint8 pictures: the largest of the channels."""
     return np.asarray(np.abs(a.astype(np.int16) - b.astype(np.int16)).max(-1), np.float32)
 
 
 def touched(*pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(h, w) bool: pixels in which any of the pairs differs."""
-    return np.asarray(np.any([levels_apart(a, b) > TOUCHED for a, b in pairs], axis=0))
+    return np.asarray(np.any([level_difference(a, b) > TOUCHED for a, b in pairs], axis=0))
 
 
 def difference(reference: np.ndarray, test: np.ndarray, where: np.ndarray) -> Difference:
@@ -50,9 +50,9 @@ def difference(reference: np.ndarray, test: np.ndarray, where: np.ndarray) -> Di
         return Difference()
     ys, xs = np.nonzero(where.any(1))[0], np.nonzero(where.any(0))[0]
     box = Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1)
-    seen = box.pad(REACH_PX).clip(Rect.of(where.shape[1], where.shape[0]))
+    seen = box.pad(MARGIN_PX).clip(Rect.of(where.shape[1], where.shape[0]))
     a, b, inside = reference[seen.slices], test[seen.slices], where[seen.slices]
-    apart = levels_apart(a, b)
+    apart = level_difference(a, b)
     values = apart[inside]
     if not values.any():
         return Difference(pixels=len(values))
@@ -90,7 +90,9 @@ def ssim_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
     return np.asarray(found[half:-half, half:-half])
 
 
-def unrest(first: np.ndarray, second: np.ndarray, plate_first: np.ndarray, plate_second: np.ndarray, where: np.ndarray) -> float:
+def mean_flicker(
+    first: np.ndarray, second: np.ndarray, plate_first: np.ndarray, plate_second: np.ndarray, where: np.ndarray
+) -> float:
     """Mean grey levels by which the second picture, taken back along the footage's motion, differs from the first.
 
     The motion is that of the plates (DIS optical flow, OpenCV). All (h, w, 3) uint8 of one place. A steady effect changes no
@@ -103,4 +105,4 @@ def unrest(first: np.ndarray, second: np.ndarray, plate_first: np.ndarray, plate
     motion = np.asarray(flow.calc(a, b, None))  # type: ignore[call-overload]
     y, x = np.indices(a.shape, np.float32)
     back = cv2.remap(second, x + motion[..., 0], y + motion[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return float(levels_apart(first, back)[where].mean())
+    return float(level_difference(first, back)[where].mean())

@@ -7,9 +7,10 @@ number of samples is fixed, and so is the cost for a long clip. Nested dictionar
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.numerics import angle_between, divide
 from arfx.media.clip import ClipInfo
 from arfx.media.containers import open_video
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.frames import ClipReader
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
 _LIGHT = 255 * SRGB.decode(np.arange(256) / 255)
@@ -59,7 +60,7 @@ class Found:
 def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> dict[str, Any]:
     """Everything `arfx inspect` says, as one JSON-able document.
 
-    camera : of the clip's picture size; with it the markers' tilt is told;  samples : frames that are searched, >= 1
+    camera : of the clip's picture size; with it the markers' tilt is reported;  samples : frames that are searched, >= 1
     Raises InputError where no frame can be decoded.
     """
     pts = presentation_times(info)
@@ -72,7 +73,7 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
     lowest, highest = (0, 255) if info.full_range else (16, 235)
     looked, read = [], 0
     with ClipReader(info) as reader:
-        for frame in reader.frames() if whole else _some(reader, pts, at):
+        for frame in reader.frames() if whole else (f for i in at for f in islice(reader.frames(pts[i], pts[i], i), 1)):
             read += 1
             luma = frame.luma()
             if whole:
@@ -85,7 +86,7 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
             dark.append(float((luma <= lowest).mean()))
             _note(found, detector.search(luma), frame.index, luma, camera)
         truncated = reader.truncated
-    markers = settle(found, len(looked))
+    markers = confirmed(found, len(looked))
     seen = {i for m in markers for i in m.frames}
     return {
         "clip": {**info.to_json(), "frames": read if whole else len(pts), **_times(pts, info), "truncated": truncated},
@@ -127,13 +128,6 @@ def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:
             "longest_gap_s": float(steps.max()) if gaps else 0.0}  # fmt: skip
 
 
-def _some(reader: ClipReader, pts: Sequence[int], at: Sequence[int]) -> Iterator[Frame]:
-    for i in at:
-        for frame in reader.frames(pts[i], pts[i], first_index=i):
-            yield frame
-            break
-
-
 def _note(found: dict[str, Found], seen: list[Candidate], index: int, luma: np.ndarray, camera: Camera | None) -> None:
     for c in seen:
         m = found.setdefault(c.key, Found(c.family, c.id))
@@ -164,35 +158,27 @@ def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
     return float(np.degrees(angle_between(normal, -shifts[0].ravel())))
 
 
-def settle(found: dict[str, Found], looked: int) -> list[Found]:
-    """The markers that are believed, most often seen first, under the smallest dictionary that holds them.
+def confirmed(found: dict[str, Found], looked: int) -> list[Found]:
+    """The markers to trust, most often seen first, under the smallest dictionary that holds them.
 
     Left out: weak codes in too few samples, and a code read where a better supported one was read.
     """
     kept: list[Found] = []
     for m in sorted(found.values(), key=lambda m: (-len(m.frames), m.family, m.id)):
-        if len(m.frames) < min(_WEAK.get(m.family, 1), looked):
-            continue
-        if any(_same_place(m, better) for better in kept):
-            continue
-        kept.append(m)
-    most: dict[str, int] = defaultdict(int)
+        often = len(m.frames) >= min(_WEAK.get(m.family, 1), looked)
+        if often and not any(_same_print(m, better) for better in kept):
+            kept.append(m)
+    highest = {m.family: max(k.id for k in kept if k.family == m.family) for m in kept}
     for m in kept:
-        most[m.family] = max(most[m.family], m.id)
-    for m in kept:
-        m.family = smallest_family(m.family, most[m.family])
+        m.family = smallest_family(m.family, highest[m.family])
     return kept
 
 
-def _same_place(m: Found, better: Found) -> bool:
+def _same_print(m: Found, better: Found) -> bool:
     """Whether most sightings of `m` lie on one of `better`: two dictionaries read one print."""
-    common = [i for i in m.frames if i in better.quads]
-    on = sum(
-        float(np.linalg.norm(m.quads[i].mean(0) - better.quads[i].mean(0)))
-        < 0.3 * float(np.linalg.norm(np.ptp(m.quads[i], axis=0)))
-        for i in common
-    )
-    return 2 * on > len(m.frames)
+    pairs = ((m.quads[i], better.quads[i]) for i in m.frames if i in better.quads)
+    on = sum(np.linalg.norm(a.mean(0) - b.mean(0)) < 0.3 * np.linalg.norm(np.ptp(a, axis=0)) for a, b in pairs)
+    return bool(2 * on > len(m.frames))
 
 
 def smallest_family(family: str, highest_id: int) -> str:
@@ -213,11 +199,6 @@ def _spread(values: Sequence[float]) -> dict[str, float] | None:
 
 def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str:
     """The `arfx process` command for the markers found; empty without one. SIZE is to be measured on the print."""
-    keys = [m["marker"] for m in document["markers"]][:8]
-    if not keys:
-        return ""
-    import shlex
-
-    markers = " ".join(f"--marker {k}:SIZE" for k in keys)
-    camera_text = f"--camera {shlex.quote(str(camera))}" if camera else "--camera camera.yaml"
-    return f"arfx process {shlex.quote(str(clip))} {camera_text} {markers} --model MODEL.glb --fit 15cm -o out.mp4"
+    markers = [f"--marker {m['marker']}:SIZE" for m in document["markers"][:8]]
+    files = f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
+    return f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o out.mp4" if markers else ""

@@ -11,6 +11,7 @@ import os
 import platform
 import shutil
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -47,59 +48,47 @@ class Check(Document):
 
 def examine(folder: Path) -> list[Check]:
     """All checks; `folder` is where outputs would be written (its free space is looked at)."""
-    return [*_python(), *_packages(), *_renderers(), *_codecs(), *_resources(folder), _compiled()]
-
-
-def sound(checks: list[Check]) -> bool:
-    """Whether everything essential works: the essential checks, and at least one renderer."""
-    renderers = [c.ok for c in checks if c.group == "renderer"]
-    return all(c.ok for c in checks if c.essential) and any(renderers)
-
-
-def _python() -> list[Check]:
-    return [
-        Check("python", "python", sys.version_info >= (3, 11), f"{platform.python_version()}, {platform.platform()}",
-              "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer", essential=True),
-        Check("python", "arfx", True, arfx.__version__),
-    ]  # fmt: skip
-
-
-def _packages() -> list[Check]:
-    def version(name: str) -> str:
-        try:
-            return metadata.version(name)
-        except metadata.PackageNotFoundError:
-            return ""
-
-    out = []
-    for name in PACKAGES:
-        found = version(name)
-        fix = "" if found else f"pip install {name}"
-        out.append(Check("package", name, bool(found), found or "not installed", fix, essential=True))
-    for name in filter(version, ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender")):
-        fix = f"pip uninstall {name}, then install its counterpart above again"
-        out.append(Check("package", name, False, "installs over the same folder as a package that arfx needs", fix))
-    return out
-
-
-def _renderers() -> list[Check]:
     from arfx.stages.raster import backend_report
 
-    return [Check("renderer", b.name, b.opens, b.detail, b.fix) for b in backend_report()]
+    renderers = (Check("renderer", b.name, b.opens, b.detail, b.fix) for b in backend_report())
+    return [*_python(), *renderers, *_codecs(), *_resources(folder), _compiled()]
 
 
-def _codecs() -> list[Check]:
+def essentials_work(checks: list[Check]) -> bool:
+    """Whether all essential checks pass, and at least one renderer works."""
+    return all(c.ok for c in checks if c.essential) and any(c.ok for c in checks if c.group == "renderer")
+
+
+def _python() -> Iterator[Check]:
+    ok, version = sys.version_info >= (3, 11), f"{platform.python_version()}, {platform.platform()}"
+    yield Check("python", "python", ok, version, "" if ok else "install Python 3.11 or newer", essential=True)
+    yield Check("python", "arfx", True, arfx.__version__)
+    for name in PACKAGES:
+        found = _version(name)
+        fix = "" if found else f"pip install {name}"
+        yield Check("package", name, bool(found), found or "not installed", fix, essential=True)
+    for name in filter(_version, ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender")):
+        fix = f"pip uninstall {name}, then install its counterpart above again"
+        yield Check("package", name, False, "installs over the same folder as a package that arfx needs", fix)
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _codecs() -> Iterator[Check]:
     from arfx.media.codecs import CODECS
 
-    out = []
     for name, codec in CODECS.items():
         if codec.sequence:
-            out.append(_picture_format(name))
+            yield _picture_format(name)
             continue
         why = _encode_fails(codec.encoder, codec.formats()[0], codec.chunk, dict(codec.options))
         fix = "" if not why else "pip install --force-reinstall av (its wheels hold this encoder)"
-        out.append(Check("codec", name, not why, why or f"{codec.encoder}, wrote and read back", fix, essential=name == "h264"))
-    return out
+        yield Check("codec", name, not why, why or f"{codec.encoder}, wrote and read back", fix, essential=name == "h264")
 
 
 def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str, str]) -> str:
@@ -108,10 +97,9 @@ def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str
 
     from arfx.media.codecs import open_encoder
 
-    held = io.BytesIO()
-    container = {".nut": "nut", ".mkv": "matroska"}.get(chunk, "matroska")
+    buffer = io.BytesIO()
     try:
-        with av.open(held, "w", format=container) as out:
+        with av.open(buffer, "w", format="nut" if chunk == ".nut" else "matroska") as out:
             stream: Any = out.add_stream(encoder, rate=25, options=options)
             stream.width, stream.height, stream.pix_fmt = 128, 96, pixel_format
             open_encoder(stream.codec_context)
@@ -120,8 +108,8 @@ def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str
                 frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=pixel_format)
                 out.mux(stream.encode(frame))
             out.mux(stream.encode(None))
-        held.seek(0)
-        with av.open(held, "r") as back:
+        buffer.seek(0)
+        with av.open(buffer, "r") as back:
             got = len(list(back.decode(video=0)))
     except (av.error.FFmpegError, OSError, ValueError) as e:
         return f"{encoder}: {e}"
@@ -148,26 +136,23 @@ def _picture_format(name: str) -> Check:
         return Check("codec", name, path.stat().st_size > 0, "written")
 
 
-def _resources(folder: Path) -> list[Check]:
-    out = [Check("machine", "cores", True, f"{usable_cores()} usable of {os.cpu_count()}, {processor_name()}")]
+def _resources(folder: Path) -> Iterator[Check]:
+    yield Check("machine", "cores", True, f"{usable_cores()} usable of {os.cpu_count()}, {processor_name()}")
     free = free_mb()
     if free is not None:
         ok = free >= LOW_MEMORY_MB
-        out.append(Check("machine", "memory", ok, f"{free:.0f} MB free", "" if ok else "close programs, or --workers 1"))
+        yield Check("machine", "memory", ok, f"{free:.0f} MB free", "" if ok else "close programs, or --workers 1")
     try:
         disk = shutil.disk_usage(folder).free / 1e6
     except OSError as e:
-        out.append(Check("machine", "disk", False, f"{folder}: {e.strerror}", "run it in a folder that exists"))
-        return out
+        yield Check("machine", "disk", False, f"{folder}: {e.strerror}", "run it in a folder that exists")
+        return
     ok = disk >= LOW_DISK_MB
-    out.append(Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", "" if ok else "free space for outputs"))
-    return out
+    yield Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", "" if ok else "free space for outputs")
 
 
 def _compiled() -> Check:
-    kept = compiled.kept_in(Path(arfx.__file__).parent / "media")
-    made_for = f"for {compiled.target() or 'this very processor'}"
-    lasting = compiled.lasting()
-    where = f"in {kept}" if lasting else "for one run: the next compiles again what did not come with the package"
+    lasting, folder = compiled.lasting(), compiled.kept_in(Path(arfx.__file__).parent / "media")
+    where = f"in {folder}" if lasting else "for one run: the next compiles again what did not come with the package"
     fix = "" if lasting else "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Check("machine", "compiled code", lasting, f"{made_for}, kept {where}", fix)
+    return Check("machine", "compiled code", lasting, f"for {compiled.target() or 'this very processor'}, kept {where}", fix)

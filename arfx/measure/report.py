@@ -21,8 +21,7 @@ from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
-from arfx.run.folder import JobFolder, write
-from arfx.run.preview import load_previews
+from arfx.run.folder import JobFolder, load_previews, write
 
 Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
 
@@ -37,8 +36,7 @@ def write_report(
     camera, points_m : with both, (n, 3) world points whose place in the picture is plotted before and after smoothing
     Returns the path of report.html. Raises RenderError where the folder cannot be written.
     """
-    from arfx.measure.report_html import page
-    from arfx.measure.report_plots import pose_plot, timing_plot
+    from arfx.measure.report_html import page, pose_plot, timing_plot
 
     document = finite(report)
     plots = {"pose": pose_plot(facts, camera, points_m), "timing": timing_plot(document)}
@@ -62,11 +60,10 @@ def report_of_job(job: Path, folder: Path) -> Path:
     try:
         facts = list(read_facts(regular(files.facts, "report")))
         pictures = load_previews(files.previews) if files.previews.is_dir() else []
-        return write_report(folder, report, facts, pictures, *_what_stands(files, report))
-    except InputError as e:
-        raise InputError(f"job folder {job} is damaged: {e.message}", "process the clip again") from e
-    except (OSError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as e:
-        raise InputError(f"job folder {job} is damaged: {type(e).__name__}: {e}", "process the clip again") from e
+        return write_report(folder, report, facts, pictures, *_camera_and_cubes(files, report))
+    except (InputError, OSError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as e:
+        why = e.message if isinstance(e, InputError) else f"{type(e).__name__}: {e}"
+        raise InputError(f"job folder {job} is damaged: {why}", "process the clip again") from e
 
 
 def read_report(job: Path) -> dict[str, Any]:
@@ -90,15 +87,12 @@ def read_report(job: Path) -> dict[str, Any]:
     return report
 
 
-def _what_stands(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, np.ndarray | None]:
-    """The job's camera, and world points to plot: the corners of a cube standing on each marker that has a place."""
+def _camera_and_cubes(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, np.ndarray | None]:
+    """The job's camera, and world points to plot: the corners of a cube on each marker that has a pose."""
     camera = Camera.from_json(json.loads(read_text(files.inputs, "report"))["camera"])
     rows = tomllib.loads(read_text(files.job, "job file")).get("marker", [])
-    specs = [MarkerSpec.parse(row["spec"]) for row in rows]
-    places = {k: Pose.from_json(v) for k, v in report["pose"].get("world_from_marker", {}).items()}
-    cubes = []
-    for spec in specs:
-        if spec.key in places:
-            base = spec.corners_m
-            cubes.append(places[spec.key].apply(np.concatenate([base, base + np.array([0.0, 0.0, spec.size_m])])))
+    specs = {spec.key: spec for spec in (MarkerSpec.parse(row["spec"]) for row in rows)}
+    poses = {k: Pose.from_json(v) for k, v in report["pose"].get("world_from_marker", {}).items() if k in specs}
+    heights = {k: np.repeat([[0, 0, 0], [0, 0, specs[k].size_m]], 4, axis=0) for k in poses}
+    cubes = [pose.apply(np.tile(specs[k].corners_m, (2, 1)) + heights[k]) for k, pose in poses.items()]
     return camera, np.concatenate(cubes) if cubes else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -10,19 +11,26 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.facts import FrameFacts
+from arfx.analyse.pose.visibility import trembling_px
+from arfx.core.camera import Camera
+from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.errors import RenderError
+
+POSE_FIGURES = (
+    "frames_measured", "frames_interpolated", "frames_absent", "reprojection_px", "jitter_px", "jitter_before_smoothing_px",
+    "jitter_with_camera_px", "flips_resolved", "ambiguous_sightings", "whole_frame_searches", "static", "cuts", "markers_seen",
+)  # fmt: skip
 
 
 def page(
-    report: Mapping[str, Any],
-    facts: Sequence[FrameFacts],
-    before_after: Sequence[tuple[int, np.ndarray, np.ndarray]],
+    report: Mapping[str, Any], facts: Sequence[FrameFacts], before_after: Sequence[tuple[int, np.ndarray, np.ndarray]],
     plots: Mapping[str, bytes],
-) -> str:
+) -> str:  # fmt: skip
     """The whole page. plots : "pose" and "timing", PNG bytes."""
     clip = Path(str(report["input"]["path"])).name
-    pose = plot_image(plots["pose"], "Trembling before and after smoothing, reprojection, status") + _legend()
+    legend = " ".join(f'<i style="background:{c}"></i>{_e(s)}' for s, c in STATUS_COLOUR.items())
+    pose = plot_image(plots["pose"], "Trembling before and after smoothing, reprojection, status")
+    pose += f'<p class="legend">{legend}</p>'
     time = plot_image(plots["timing"], "Predicted and measured seconds") + _predicted(report)
     time += _facts_table(report["timing"])
     ends = f'<div class="two">{_facts_table(report["input"])}{_facts_table(report["output"])}</div>'
@@ -30,17 +38,17 @@ def page(
         _tiles(report),
         _warnings(report),
         _pictures(facts, before_after),
-        section("Pose", pose + _pose_table(report["pose"])),
+        section("Pose", pose + _facts_table({k: report["pose"][k] for k in POSE_FIGURES if k in report["pose"]})),
         section("Effects: what ran, and why not elsewhere", _stage_table(report["stages"])),
         section("Time", time),
         section("Health of the estimates", _health_table(report.get("health", []))),
         section("Light", _facts_table(report.get("light") or {})),
         section("Input and output", ends),
     ]
-    return whole_page(f"{clip} – arfx report", sections)
+    return full_page(f"{clip} – arfx report", sections)
 
 
-def whole_page(title: str, sections: Sequence[str]) -> str:
+def full_page(title: str, sections: Sequence[str]) -> str:
     """page.html (style, and the slider before and after) with a title and these sections of HTML, empty ones left out."""
     frame = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
     return frame.replace("@TITLE@", _e(title)).replace("@BODY@", "\n".join(s for s in sections if s))
@@ -108,13 +116,10 @@ def _tiles(report: Mapping[str, Any]) -> str:
 
 
 def _warnings(report: Mapping[str, Any]) -> str:
-    said = list(report.get("notices", []))
-    said += [f"{h['check']}: {number(h['value'])} (limit {number(h['limit'])}); {h['action']}"
-             for h in report.get("health", []) if h["verdict"] != "ok"]  # fmt: skip
-    if not said:
-        return ""
-    items = "".join(f"<li>{_e(s)}</li>" for s in dict.fromkeys(said))
-    return f'<section class="warn"><h2>Worth knowing</h2><ul>{items}</ul></section>'
+    bad = (h for h in report.get("health", []) if h["verdict"] != "ok")
+    checks = (f"{h['check']}: {number(h['value'])} (limit {number(h['limit'])}); {h['action']}" for h in bad)
+    items = "".join(f"<li>{_e(s)}</li>" for s in dict.fromkeys([*report.get("notices", []), *checks]))
+    return items and f'<section class="warn"><h2>Worth knowing</h2><ul>{items}</ul></section>'
 
 
 def _pictures(facts: Sequence[FrameFacts], pairs: Sequence[tuple[int, np.ndarray, np.ndarray]]) -> str:
@@ -123,10 +128,10 @@ def _pictures(facts: Sequence[FrameFacts], pairs: Sequence[tuple[int, np.ndarray
     times = {f.index: f.time_s for f in facts}
     sheet = []
     for index, before, after in pairs:
-        said = f"frame {index}" + (f", {times[index]:.2f} s" if index in times else "")
+        caption = _e(f"frame {index}" + (f", {times[index]:.2f} s" if index in times else ""))
         sheet.append(
-            f'<figure tabindex="0" data-said="{_e(said)}"><img class="out" alt="{_e(said)}, output" src="{jpeg(after)}">'
-            f'<img class="in" hidden alt="{_e(said)}, input" src="{jpeg(before)}"><figcaption>{_e(said)}</figcaption></figure>'
+            f'<figure tabindex="0" data-said="{caption}"><img class="out" alt="{caption}, output" src="{jpeg(after)}">'
+            f'<img class="in" hidden alt="{caption}, input" src="{jpeg(before)}"><figcaption>{caption}</figcaption></figure>'
         )
     slider = (
         '<div class="slider" hidden><div class="stack"><img class="below" alt="input"><img class="above" alt="output">'
@@ -137,33 +142,21 @@ def _pictures(facts: Sequence[FrameFacts], pairs: Sequence[tuple[int, np.ndarray
     return section("Before and after", slider + f'<div class="sheet">{"".join(sheet)}</div>')
 
 
-def _legend() -> str:
-    from arfx.measure.report_plots import STATUS_COLOUR
-
-    return '<p class="legend">' + " ".join(f'<i style="background:{c}"></i>{_e(s)}' for s, c in STATUS_COLOUR.items()) + "</p>"
-
-
 def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], right: frozenset[int] = frozenset()) -> str:
     """rows hold HTML; a column in `right` is right-aligned."""
 
     def cells(row: Sequence[str], tag: str) -> str:
-        return "".join(f"<{tag}{' class=num' if i in right else ''}>{c}</{tag}>" for i, c in enumerate(row))
+        inner = "".join(f"<{tag}{' class=num' if i in right else ''}>{c}</{tag}>" for i, c in enumerate(row))
+        return f"<tr>{inner}</tr>"
 
-    body = "".join(f"<tr>{cells(r, 'td')}</tr>" for r in rows)
-    top = f"<thead><tr>{cells([_e(h) for h in head], 'th')}</tr></thead>" if any(head) else ""
+    body = "".join(cells(r, "td") for r in rows)
+    top = f"<thead>{cells([_e(h) for h in head], 'th')}</thead>" if any(head) else ""
     return f'<div class="scroll"><table>{top}<tbody>{body}</tbody></table></div>'
 
 
 def _facts_table(values: Mapping[str, Any]) -> str:
     rows = [(_e(k.replace("_", " ")), _e(number(v))) for k, v in values.items() if k != "stream"]
     return html_table(("", ""), rows)
-
-
-def _pose_table(pose: Mapping[str, Any]) -> str:
-    keys = ("frames_measured", "frames_interpolated", "frames_absent", "reprojection_px", "jitter_px",
-            "jitter_before_smoothing_px", "jitter_with_camera_px",
-            "flips_resolved", "ambiguous_sightings", "whole_frame_searches", "static", "cuts", "markers_seen")  # fmt: skip
-    return _facts_table({k: pose[k] for k in keys if k in pose})
 
 
 def _stage_table(stages: Sequence[Mapping[str, Any]]) -> str:
@@ -179,7 +172,7 @@ def _stage_table(stages: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _predicted(report: Mapping[str, Any]) -> str:
-    """One sentence: what the plan said of the whole job, and what it took. Empty in reports of earlier versions."""
+    """One sentence: what the plan predicted for the whole job, and what it took. Empty in reports of earlier versions."""
     predicted, timing = report.get("predicted") or {}, report["timing"]
     if not predicted:
         return ""
@@ -188,7 +181,7 @@ def _predicted(report: Mapping[str, Any]) -> str:
         return "<p>A part of this job had no price, so no time was predicted.</p>"
     ends = f"{number(wall['low_s'])} to {number(wall['high_s'])} s nine times in ten"
     prices = "" if predicted.get("calibrated") else "; with shipped prices: <code>arfx bench --calibrate</code> narrows them"
-    return f"<p>The plan said {number(wall['s'])} s ({ends}{prices}); the job took {number(timing['wall_s'])} s.</p>"
+    return f"<p>The plan predicted {number(wall['s'])} s ({ends}{prices}); the job took {number(timing['wall_s'])} s.</p>"
 
 
 def _health_table(health: Sequence[Mapping[str, Any]]) -> str:
@@ -197,3 +190,80 @@ def _health_table(health: Sequence[Mapping[str, Any]]) -> str:
         mark = f'<b class="{"ok" if h["verdict"] == "ok" else "bad"}">{_e(h["verdict"])}</b>'
         rows.append((_e(h["check"]), _e(number(h["value"])), _e(number(h["limit"])), mark, _e(h["action"])))
     return html_table(("check", "value", "limit", "verdict", "action"), rows)
+
+
+INK = "#7d8590"  # readable on white and on nearly black
+RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
+STATUS_COLOUR = {MEASURED: "#2da44e", INTERPOLATED: "#d4a72c", ABSENT: "#cf5b56"}
+
+
+def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.ndarray | None) -> bytes:
+    """Trembling before and after smoothing, reprojection error, and each frame's status as a coloured strip."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+
+    times = np.array([f.time_s for f in facts], float)
+    fig = Figure(figsize=(9.0, 4.6), layout="constrained")
+    trembling, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
+    if camera is not None and points_m is not None and len(facts) > 2:
+        for raw, colour, label in ((True, RAW, "before smoothing"), (False, SMOOTH, "after smoothing")):
+            _, d = trembling_px(facts, points_m, camera, raw)
+            label += f", median {np.nanmedian(d):.3g} px" if np.isfinite(d).any() else ", no three frames in a row"
+            trembling.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
+        trembling.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
+    trembling.set_ylabel("second difference, px", fontsize=8)
+    trembling.set_title("Trembling of a cube on the marker against the footage", fontsize=9, loc="left", color=INK)
+    px = np.array([np.nan if f.reprojection_px is None else f.reprojection_px for f in facts], float)
+    error.plot(times, px, ".", ms=2.5, color=SMOOTH)
+    error.set_ylabel("reprojection, px", fontsize=8)
+    for axis in (trembling, error):
+        axis.set_ylim(bottom=0)
+    order = (MEASURED, INTERPOLATED, ABSENT)
+    codes = np.array([[order.index(f.status) if f.status in order else 2 for f in facts]])
+    if len(facts):
+        end = times[-1] + (float(np.median(np.diff(times))) if len(facts) > 1 else 1.0)
+        colours = ListedColormap([STATUS_COLOUR[s] for s in order])
+        strip.pcolormesh(np.append(times, end), [0, 1], codes, cmap=colours, vmin=-0.5, vmax=2.5)
+    strip.set_yticks([])
+    strip.set_xlabel("time, s", fontsize=8)
+    return png(fig)
+
+
+def timing_plot(report: Mapping[str, Any]) -> bytes:
+    """Predicted and measured seconds of each stage, and the phases of the job."""
+    from matplotlib.figure import Figure
+
+    stages = [s for s in report["stages"] if s["frames_run"]]
+    phases = [(k.removesuffix("_s"), v) for k, v in report["timing"].items() if k.endswith("_s") and k != "wall_s"]
+    phases = [(k, v) for k, v in phases if k != "frames_per" and isinstance(v, (int, float))]
+    rows = max(len(stages), len(phases), 1)
+    fig = Figure(figsize=(9.0, 0.9 + 0.36 * rows), layout="constrained")
+    left, right = fig.subplots(1, 2)
+    y = np.arange(len(stages))
+    left.barh(y - 0.19, [s["predicted_s"] or 0.0 for s in stages], 0.36, color=PREDICTED, label="predicted")
+    left.barh(y + 0.19, [s["measured_s"] or 0.0 for s in stages], 0.36, color=SMOOTH, label="measured")
+    left.set_yticks(y, [s["name"] for s in stages])
+    left.set_title("Stages, s (summed over workers)", fontsize=9, loc="left", color=INK)
+    if stages:
+        left.legend(frameon=False, labelcolor=INK, fontsize=8)
+    y = np.arange(len(phases))
+    right.barh(y, [v for _, v in phases], 0.6, color=SMOOTH)
+    right.set_yticks(y, [k for k, _ in phases])
+    right.set_title("Phases, s", fontsize=9, loc="left", color=INK)
+    for axis in (left, right):
+        axis.invert_yaxis()
+    return png(fig)
+
+
+def png(fig: Any) -> bytes:
+    for axis in fig.axes:
+        axis.set_facecolor("none")
+        axis.tick_params(colors=INK, labelsize=8)
+        axis.xaxis.label.set_color(INK)
+        axis.yaxis.label.set_color(INK)
+        for side, spine in axis.spines.items():
+            spine.set_color(INK)
+            spine.set_visible(side in ("left", "bottom"))
+    out = io.BytesIO()
+    fig.savefig(out, format="png", dpi=130, transparent=True)
+    return out.getvalue()

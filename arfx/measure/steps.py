@@ -20,16 +20,16 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
-from arfx.run.frame import Canvas
+from arfx.run.frame import FrameLayers
 
 NEAR_PX = 16
-KEPT = 40
+MOST_KEPT = 40
 Chain = tuple[tuple[str, str], ...]  # (stage, level) in running order; a stage left out is absent
 
 
 @dataclass
-class Shop:
-    """What is prepared once for all frames. stages : by name, under the formula of the job or another one"""
+class PreparedStages:
+    """Stages, prepared once for all frames. stages : by name, under the formula of the job or another one"""
 
     scene: Scene
     stages: Mapping[str, Stage]
@@ -46,12 +46,12 @@ class Shop:
 
 
 @dataclass(frozen=True)
-class Run:
-    """One level of one stage on a frame. upon : the layers that it finds"""
+class StageRun:
+    """One level of one stage on a frame. layers : what it reads from"""
 
     at: ReadyStage
     facts: FrameFacts
-    upon: Canvas
+    layers: FrameLayers
 
     def need(self, out: Rect) -> Rect:
         scene = self.at.scene
@@ -59,42 +59,42 @@ class Run:
 
     def __call__(self, out: Rect, facts: FrameFacts | None = None) -> Mapping[Layer, Any]:
         """What it makes of `out`. facts : others than the frame's"""
-        return self.at.run(self.upon.view(self.at.stage.reads, self.need(out)), facts or self.facts, out)
+        return self.at.run(self.layers.view(self.at.stage.reads, self.need(out)), facts or self.facts, out)
 
-    def anew(self, out: Rect, facts: FrameFacts | None = None) -> None:
-        """For timing: with what is kept of this picture from a run before it would cost nothing."""
+    def rerun(self, out: Rect, facts: FrameFacts | None = None) -> None:
+        """For timing: forgets first what an earlier run kept for this frame."""
         self.at.memo.of_frame.clear()
         self(out, facts)
 
 
 @dataclass
-class FrameBench:
+class FrameRenderer:
     """A frame and all that was rendered of it.
 
     plate : (h, w, 3) linear, whole frame;  plan : at the job's own levels;  window : what is rendered
-    slow : (stage, level) whose pictures are dear, and kept;  real_depth_m : (h, w) whole frame, None = not measured
+    slow : (stage, level) whose pictures are slow to render, and kept;  real_depth_m : (h, w) whole frame, None = not measured
     """
 
     facts: FrameFacts
     plate: np.ndarray
     plan: FramePlan
     window: Rect
-    shop: Shop
+    prepared: PreparedStages
     slow: frozenset[tuple[str, str]] = frozenset()
     real_depth_m: np.ndarray | None = None
-    made: dict[Chain, Canvas] = field(default_factory=dict, init=False)
-    shown: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
+    rendered: dict[Chain, FrameLayers] = field(default_factory=dict, init=False)
+    images: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
 
-    def run(self, chain: Chain) -> Run:
+    def run(self, chain: Chain) -> StageRun:
         """Its last step, upon those before it."""
-        return Run(self.shop.at(*chain[-1]), self.facts, self.after(chain[:-1]))
+        return StageRun(self.prepared.at(*chain[-1]), self.facts, self.after(chain[:-1]))
 
     def image(self, chain: Chain) -> np.ndarray:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
-        if chain not in self.shown:
-            canvas = self.after(chain)
-            self.shown[chain] = _srgb8(canvas.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE])
-        return self.shown[chain]
+        if chain not in self.images:
+            layers = self.after(chain)
+            self.images[chain] = _srgb8(layers.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE])
+        return self.images[chain]
 
     def original(self) -> np.ndarray:
         """The same of the frame as it was."""
@@ -104,39 +104,39 @@ class FrameBench:
         """(h, w) of the window."""
         return np.asarray(self.after(chain).view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE])
 
-    def after(self, chain: Chain) -> Canvas:
+    def after(self, chain: Chain) -> FrameLayers:
         """The frame after these steps; those before the last are looked up, or made and kept."""
-        if chain in self.made:
-            self.made[chain] = self.made.pop(chain)  # used last
-            return self.made[chain]
-        canvas = Canvas(self.plate, self.shop.scene.camera.rect)
+        if chain in self.rendered:
+            self.rendered[chain] = self.rendered.pop(chain)  # used last
+            return self.rendered[chain]
+        layers = FrameLayers(self.plate, self.prepared.scene.camera.rect)
         if chain:
-            canvas.stored = dict(self.after(chain[:-1]).stored)
+            layers.stored = dict(self.after(chain[:-1]).stored)
             out = self.out(chain)
             if not out.empty:
                 run = self.run(chain)
                 for layer, array in run(out).items():
-                    canvas.put(layer, array, run.need(out), out)
+                    layers.put(layer, array, run.need(out), out)
         elif self.real_depth_m is not None:
-            canvas.put(Layer.REAL_DEPTH, self.real_depth_m, canvas.rect, canvas.rect)
-        self.made[chain] = canvas
-        cheap = [c for c in self.made if not self.slow.intersection(c)]
-        if len(cheap) > KEPT:
-            del self.made[cheap[0]]
-        return canvas
+            layers.put(Layer.REAL_DEPTH, self.real_depth_m, layers.rect, layers.rect)
+        self.rendered[chain] = layers
+        cheap = [c for c in self.rendered if not self.slow.intersection(c)]
+        if len(cheap) > MOST_KEPT:
+            del self.rendered[cheap[0]]
+        return layers
 
     def out(self, chain: Chain) -> Rect:
         """Of what the plan asks of the chain's last stage, that which the later stages need for the window."""
         name, _ = chain[-1]
         planned = {s.stage: s.out for s in self.plan.steps}
-        want, order, scene = self.window, list(planned), self.shop.scene
+        want, order, scene = self.window, list(planned), self.prepared.scene
         for later in reversed(order[order.index(name) + 1 :]):
-            s = self.shop.stages[later]
-            reach = want.clip(planned[later])
-            if not reach.empty:
-                need = s.needs(reach, self.facts, scene, s.levels[-1])
-                # who does not read the composited picture takes the real frame alone from far away
-                want = want.union(need if Layer.IMAGE in s.reads else need.clip(reach.pad(NEAR_PX)))
+            s = self.prepared.stages[later]
+            part = want.clip(planned[later])
+            if not part.empty:
+                need = s.needs(part, self.facts, scene, s.levels[-1])
+                # a stage that does not read the composited picture takes the real frame alone from far away
+                want = want.union(need if Layer.IMAGE in s.reads else need.clip(part.pad(NEAR_PX)))
         return planned[name].clip(want)
 
 
@@ -145,11 +145,10 @@ def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -
     whole = plan.changed
     if whole.area <= area_px:
         return whole
-    box = facts.model_box.clip(whole)
-    if box.empty:
-        box = whole
-    share = np.sqrt(area_px / whole.area)
-    width, height = max(round(whole.width * share), 16), max(round(whole.height * share), 16)
+    clipped = facts.model_box.clip(whole)
+    box = whole if clipped.empty else clipped
+    scale = np.sqrt(area_px / whole.area)
+    width, height = max(round(whole.width * scale), 16), max(round(whole.height * scale), 16)
     cx, cy = (box.x0 + box.x1) // 2, (box.y0 + box.y1) // 2 + box.height // 8  # a little of the shadow rather than the top
     x0 = min(max(cx - width // 2, whole.x0), max(whole.x1 - width, whole.x0))
     y0 = min(max(cy - height // 2, whole.y0), max(whole.y1 - height, whole.y0))

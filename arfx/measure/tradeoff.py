@@ -8,10 +8,12 @@ Cost: the references; the window of the pictures is made so small that they take
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 from arfx.core.cost import Prediction, Prices, exactly, together
@@ -20,28 +22,28 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
 from arfx.errors import NothingToDoError
-from arfx.measure.difference import Difference, difference, touched, unrest
-from arfx.measure.steps import Chain, FrameBench, Shop, chain_of, window_of
+from arfx.measure.difference import Difference, difference, mean_flicker, touched
+from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, chain_of, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_time import Times, areas_of, time_frame
 from arfx.media.frames import ClipReader
-from arfx.plan.work import what_is_new
-from arfx.run.depth import real_depth_layer
+from arfx.plan.levels import Option, convex_hull
+from arfx.plan.planner import new_terms
 from arfx.run.parameters import under_other_formula
 from arfx.run.planned import Job
+from arfx.run.source import real_depth_layer
 
 QUALITIES = ("draft", "standard", "high", "reference")
 REFERENCE_S, LEAST_PX = 60.0, 600
 MOST_PX = 600_000  # of a picture: comparing whole ones of 1080p took twice as long as the references
-Progress = Callable[[str, int, int | None], None]
 
 
 @dataclass
 class Row:
     """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what was found in each
 
-    formula : which the stage ran under;  unrest : of this and of the reference, grey levels from a frame to the next
-    shop : of its stages, None = the job's
+    formula : which the stage ran under;  flicker : of this and of the reference, grey levels from a frame to the next
+    prepared : of its stages, None = the job's
     """
 
     name: str
@@ -49,10 +51,10 @@ class Row:
     formula: str
     time: Prediction = field(default_factory=lambda: exactly(0.0))
     by_frame: dict[int, Difference] = field(default_factory=dict)
-    unrest: tuple[float, float] | None = None
+    flicker: tuple[float, float] | None = None
     pictures: dict[int, np.ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
-    shop: Shop | None = None
+    prepared: PreparedStages | None = None
 
     @property
     def seconds(self) -> float:
@@ -73,43 +75,36 @@ class Row:
 
 
 @dataclass
-class Found:
+class Measurements:
     """samples : the frames;  effects, pipelines : rows;  windows : what the pictures show, by frame"""
 
     samples: list[Sample]
     effects: list[Row]
     pipelines: list[Row]
     windows: dict[int, Any]
-    places: dict[tuple[str, str], str] = field(default_factory=dict)
+    locations: dict[tuple[str, str], str] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
 @dataclass
 class _Work:
-    """What the rows are made from. ground : levels below whatever is timed;  best : everything at its reference"""
+    """What the rows are made from. base : levels of the steps before those that are timed;  best : all at reference"""
 
     job: Job
     stages: Mapping[str, Stage]
     samples: Sequence[Sample]
-    benches: dict[int, FrameBench]
+    renderers: dict[int, FrameRenderer]
     usual: Mapping[str, str]
-    ground: Mapping[str, str]
+    base: Mapping[str, str]
     best: Mapping[str, str]
     slow: frozenset[tuple[str, str]]
     new: Mapping[str, float]
     times: Times
-    found: Found
+    found: Measurements
     other_s: dict[str, Prediction] = field(default_factory=dict)  # by stage: its usual level under the other formula
 
-    @property
-    def shop(self) -> Shop:
-        return next(iter(self.benches.values())).shop
 
-    def has(self, sample: Sample, name: str) -> bool:
-        return name in (s.stage for s in self.benches[sample.index].plan.steps)
-
-
-def measure(job: Job, frames: int, progress: Progress) -> Found:
+def measure(job: Job, frames: int, progress: Callable[[str, int, int | None], None]) -> Measurements:
     """job : up to its plan. Raises NothingToDoError where no frame shows the object."""
     stages = job.stages
     plans = {p.index: p for p in job.plan.frames}
@@ -125,15 +120,17 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
     work = _Work(
         job, stages, samples, {}, usual,
         {n: usual[n] if (n, usual[n]) not in slow else stages[n].levels[-2] for n in names},
-        {n: stages[n].levels[-1] for n in names}, slow, _shares(job, names), Times(), Found(samples, [], [], {}),
+        {n: stages[n].levels[-1] for n in names}, slow, _new_light_fractions(job, names), Times(),
+        Measurements(samples, [], [], {}),
     )  # fmt: skip
-    _open_benches(work, [s.index for s in samples] + ([] if following is None else [following]), plans)
-    other = _other_stages(work)
+    _open_renderers(work, [s.index for s in samples] + ([] if following is None else [following]), plans)
+    other = {n: other for n in names if (other := under_other_formula(n, stages[n].params)) is not None}
     effects = [n for n in names if len(stages[n].levels) > 1 or n in other]
     total = len(samples) + len(effects) + len(QUALITIES) + 2
     for k, sample in enumerate(samples):
         progress("times", k, total)
-        _time(work, work.times, work.benches[sample.index], [(n, level) for n in names for level in stages[n].levels])
+        wanted = frozenset((n, level) for n in names for level in stages[n].levels)
+        time_frame(work.times, work.renderers[sample.index], work.base, wanted, work.new)
     _choose_windows(work, effects, following)
     found = work.found
     for k, name in enumerate(effects):
@@ -141,22 +138,22 @@ def measure(job: Job, frames: int, progress: Progress) -> Found:
         found.effects += _of_stage(work, name, following)
     found.effects += [row for name, stage in other.items() for row in _of_other_formula(work, name, stage)]
     progress("pipelines", len(samples) + len(effects), total)
-    found.pipelines = _whole(work)
+    found.pipelines = _pipelines(work)
     found.pipelines += _other_pipeline(work, other)
-    found.prepare_s = work.shop.prepare_s
+    found.prepare_s = next(iter(work.renderers.values())).prepared.prepare_s
     progress("pipelines", total, total)
     return found
 
 
 def _slow(stage: str, prices: Prices) -> bool:
-    """Whether the reference takes more than two seconds for a megapixel, or nobody knows."""
+    """Whether the reference takes more than two seconds for a megapixel, or that is unknown."""
     found = prices.predict(f"{stage}/reference", {"frames": 1.0, "mpx": 1.0, "object_mpx": 0.2})
     return found is None or found.seconds > 2.0
 
 
-def _shares(job: Job, names: Sequence[str]) -> dict[str, float]:
-    """By stage: the share of the frames it runs in whose light was not met before."""
-    new = dict(zip((f.index for f in job.facts), what_is_new(job.stages.values(), job.facts), strict=True))
+def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
+    """By stage: the fraction of its frames whose light was not met before."""
+    new = dict(zip((f.index for f in job.facts), new_terms(job.stages.values(), job.facts), strict=True))
     out = {}
     for name in names:
         terms = {term for term in job.stages[name].terms if term.startswith("new_")}
@@ -165,11 +162,11 @@ def _shares(job: Job, names: Sequence[str]) -> dict[str, float]:
     return out
 
 
-def _open_benches(work: _Work, wanted: Sequence[int], plans: Mapping[int, FramePlan]) -> None:
+def _open_renderers(work: _Work, wanted: Sequence[int], plans: Mapping[int, FramePlan]) -> None:
     job = work.job
     pts = {job.analysed.pts[i]: i for i in wanted}
     facts = {f.index: f for f in job.facts}
-    shop, camera, maps = Shop(job.scene, work.stages), job.inputs.camera, job.inputs.depth
+    prepared, camera, maps = PreparedStages(job.scene, work.stages), job.inputs.camera, job.inputs.depth
     deep = maps is not None and any(Layer.REAL_DEPTH in work.stages[s.stage].reads for i in wanted for s in plans[i].steps)
     with ClipReader(job.inputs.info) as reader:
         for frame in reader.frames(min(pts), max(pts)):
@@ -177,34 +174,30 @@ def _open_benches(work: _Work, wanted: Sequence[int], plans: Mapping[int, FrameP
                 i = pts[frame.pts]
                 depth = real_depth_layer(maps, facts[i], frame, camera, camera.rect) if deep and maps is not None else None
                 plate = frame.linear(camera.rect)
-                work.benches[i] = FrameBench(facts[i], plate, plans[i], camera.rect, shop, work.slow, depth)
+                work.renderers[i] = FrameRenderer(facts[i], plate, plans[i], camera.rect, prepared, work.slow, depth)
 
 
-def _time(work: _Work, times: Times, b: FrameBench, wanted: Sequence[tuple[str, str]]) -> None:
-    time_frame(times, b, _levels(b.shop, work.ground), frozenset(wanted), work.new)
-
-
-def _levels(shop: Shop, levels: Mapping[str, str]) -> dict[str, str]:
+def _levels(prepared: PreparedStages, levels: Mapping[str, str]) -> dict[str, str]:
     """These levels, or the nearest that the stages have under their formula."""
-    return {name: level_named(shop.stages[name].levels, level) for name, level in levels.items()}
+    return {name: level_named(prepared.stages[name].levels, level) for name, level in levels.items()}
 
 
 def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) -> None:
     """As large as lets all references of all pictures take REFERENCE_S, and at most MOST_PX."""
     chains = [work.best, *({**work.usual, n: work.best[n]} for n in effects)]
     camera: Rect = work.job.inputs.camera.rect
-    area = float(min(max(b.plan.changed.area for b in work.benches.values()), MOST_PX))
+    area = float(min(max(b.plan.changed.area for b in work.renderers.values()), MOST_PX))
     while True:
-        for i, b in work.benches.items():
-            of = work.benches[i - 1] if i == following else b
-            work.benches[i] = replace(b, window=window_of(of.plan, of.facts, camera, area))
-        if sum(_pictures_s(work, b, chains) for b in work.benches.values()) <= REFERENCE_S or area <= LEAST_PX:
+        for i, b in work.renderers.items():
+            of = work.renderers[i - 1] if i == following else b
+            work.renderers[i] = replace(b, window=window_of(of.plan, of.facts, camera, area))
+        if sum(_pictures_s(work, b, chains) for b in work.renderers.values()) <= REFERENCE_S or area <= LEAST_PX:
             break
         area = max(area * 0.8, LEAST_PX)
-    work.found.windows = {i: b.window for i, b in work.benches.items()}
+    work.found.windows = {i: b.window for i, b in work.renderers.items()}
 
 
-def _pictures_s(work: _Work, b: FrameBench, levels: Sequence[Mapping[str, str]]) -> float:
+def _pictures_s(work: _Work, b: FrameRenderer, levels: Sequence[Mapping[str, str]]) -> float:
     """What the slow steps of the frame's pictures will take."""
     chains = [chain_of(b.plan, of) for of in levels]
     slow: set[Chain] = {c[: k + 1] for c in chains for k, at in enumerate(c) if at in b.slow and at in work.times.tiles}
@@ -215,7 +208,7 @@ def _pictures_s(work: _Work, b: FrameBench, levels: Sequence[Mapping[str, str]])
 
 def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other stages at their usual level."""
-    stage, usual, benches, found = work.stages[name], work.usual, work.benches, work.found
+    stage, usual, renderers, found = work.stages[name], work.usual, work.renderers, work.found
     best, formula = work.best[name], getattr(stage.params, "formula", "")
     rows = [
         Row(name, level, formula, work.times.of((name, level)) or exactly(0.0), levels={**usual, name: level})
@@ -226,10 +219,10 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
     for i in rows[0].by_frame:
         worst = max((r for r in rows if r.level != best), key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
-            coverage = benches[i].coverage(chain_of(benches[i].plan, chosen))
-            found.places.setdefault((name, worst.level), _place(worst.by_frame[i], coverage))
+            coverage = renderers[i].coverage(chain_of(renderers[i].plan, chosen))
+            found.locations.setdefault((name, worst.level), _location(worst.by_frame[i], coverage))
     if following is not None:
-        _unrest(rows, best, benches[following - 1], benches[following])
+        _measure_flicker(rows, best, renderers[following - 1], renderers[following])
     return rows
 
 
@@ -239,34 +232,32 @@ def _compare(work: _Work, rows: Sequence[Row], best: Mapping[str, str], of: Sequ
     of : at their usual level where they are left out; none = all, against the frame as it was
     """
     for sample in work.samples:
-        b = work.benches[sample.index]
-        if not all(work.has(sample, name) for name in of):
+        b = work.renderers[sample.index]
+        if not {s.stage for s in b.plan.steps}.issuperset(of):
             continue
         reference = b.image(chain_of(b.plan, best))
         without = b.image(chain_of(b.plan, work.usual, of)) if of else b.original()
         for r in rows:
-            at = b if r.shop is None else replace(b, shop=r.shop)
+            at = b if r.prepared is None else replace(b, prepared=r.prepared)
             r.pictures[sample.index] = at.image(chain_of(b.plan, r.levels))
         where = touched((reference, without), *((reference, r.pictures[sample.index]) for r in rows))
         for r in rows:
             r.by_frame[sample.index] = difference(reference, r.pictures[sample.index], where)
 
 
-def _unrest(rows: Sequence[Row], best: str, first: FrameBench, second: FrameBench) -> None:
+def _measure_flicker(rows: Sequence[Row], best: str, first: FrameRenderer, second: FrameRenderer) -> None:
     """How much each level changes from one frame to the next beyond the footage's own motion, beside its reference."""
     if first.plan.index not in rows[0].pictures:
         return
     pairs = {r.level: (first.image(chain_of(first.plan, r.levels)), second.image(chain_of(second.plan, r.levels))) for r in rows}
     where = touched((pairs[best][0], first.original()))
-    values = {level: unrest(a, b, first.original(), second.original(), where) for level, (a, b) in pairs.items()}
+    values = {level: mean_flicker(a, b, first.original(), second.original(), where) for level, (a, b) in pairs.items()}
     for r in rows:
-        r.unrest = (values[r.level], values[best])
+        r.flicker = (values[r.level], values[best])
 
 
-def _place(d: Difference, coverage: np.ndarray) -> str:
+def _location(d: Difference, coverage: np.ndarray) -> str:
     """Where a difference is largest, in words."""
-    import cv2
-
     x, y = d.worst_px
     edge = np.asarray((coverage > 0.02) & (coverage < 0.98)).astype(np.uint8)
     if cv2.dilate(edge, np.ones((5, 5), np.uint8))[y, x]:
@@ -274,32 +265,26 @@ def _place(d: Difference, coverage: np.ndarray) -> str:
     return "on the object" if coverage[y, x] > 0.5 else "beside the object"
 
 
-def _other_stages(work: _Work) -> dict[str, Stage]:
-    """The stages that have formulas, each under the one that the job does not use."""
-    other = {name: under_other_formula(name, work.stages[name].params) for name in work.usual}
-    return {name: stage for name, stage in other.items() if stage is not None}
-
-
 def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
     """An effect under the other formula, at its usual level, against the job's own reference."""
-    shop, times = Shop(work.shop.scene, {**work.stages, name: changed}), Times()
-    usual = _levels(shop, work.usual)
-    row = Row(name, usual[name], changed.params.formula, levels=usual, shop=shop)
+    prepared, times = PreparedStages(work.job.scene, {**work.stages, name: changed}), Times()
+    usual = _levels(prepared, work.usual)
+    row = Row(name, usual[name], changed.params.formula, levels=usual, prepared=prepared)
     _compare(work, [row], {**work.usual, name: work.best[name]}, (name,))
     for i in row.by_frame:
-        whole = replace(work.benches[i], shop=shop, window=work.job.inputs.camera.rect)
-        _time(work, times, whole, [(name, usual[name])])
+        whole = replace(work.renderers[i], prepared=prepared, window=work.job.inputs.camera.rect)
+        time_frame(times, whole, _levels(prepared, work.base), {(name, usual[name])}, work.new)
     work.other_s[name] = row.time = times.of((name, usual[name])) or exactly(0.0)
     return [row] if row.by_frame else []
 
 
-def _whole(work: _Work) -> list[Row]:
+def _pipelines(work: _Work) -> list[Row]:
     """Pipelines by quality, and those in between that give the least error for each second saved."""
     wanted: dict[tuple[str, ...], tuple[str, Mapping[str, str]]] = {}
     for quality in QUALITIES:
         levels = {n: level_named(work.stages[n].levels, quality) for n in work.usual}
         wanted.setdefault(tuple(levels.values()), (quality, levels))
-    for levels in _between(work):
+    for levels in _mixed_levels(work):
         wanted.setdefault(tuple(levels.values()), ("mixed", levels))
     rows = [Row("pipeline", quality, "", levels=levels) for quality, levels in wanted.values()]
     _compare(work, rows, work.best)
@@ -308,19 +293,16 @@ def _whole(work: _Work) -> list[Row]:
     return rows
 
 
-def _between(work: _Work) -> list[dict[str, str]]:
+def _mixed_levels(work: _Work) -> list[dict[str, str]]:
     """Level sets on the way down from everything at its best but the references, by error lost per second saved."""
-    from arfx.plan.levels import Option, ladder
-
     state, moves = dict(work.usual), []
     for name in work.usual:
         own = [r for r in work.found.effects if r.name == name and r.formula == getattr(work.stages[name].params, "formula", "")]
         options = [Option(r.level, exactly(r.seconds), r.average("mean"), 1) for r in own if r.level != work.best[name]]
-        worth = ladder(options)
-        if not worth:
-            continue
-        state[name] = worth[0].level
-        for a, b in zip(worth, worth[1:], strict=False):  # noqa: RUF007
+        hull = convex_hull(options)
+        if hull:
+            state[name] = hull[0].level
+        for a, b in itertools.pairwise(hull):
             moves.append(((b.error - a.error) / max(a.cost.seconds - b.cost.seconds, 1e-9), name, b.level))
     out = [dict(state)]
     for _, name, level in sorted(moves):
@@ -333,9 +315,9 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     """The whole pipeline with every stage under the other formula."""
     if not other:
         return []
-    there = Shop(work.shop.scene, {**work.stages, **other})
+    there = PreparedStages(work.job.scene, {**work.stages, **other})
     usual = _levels(there, work.usual)
-    row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=usual, shop=there)
+    row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=usual, prepared=there)
     _compare(work, [row], work.best)
     timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
     row.time = together(p for p in timed if p is not None)

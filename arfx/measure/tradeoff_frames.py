@@ -62,12 +62,8 @@ def pick_frames(facts: Sequence[FrameFacts], frame: Rect, count: int) -> list[Sa
     out = []
     for k, at in enumerate(taken):
         known = dict(zip(NAMES, rows[at].tolist(), strict=True))
-        sides = [] if k == 0 else [_side(name, logs[at, j]) for j, name in enumerate(("large", "far", "bright", "fast"))]
-        words = "typical" if k == 0 else ", ".join(s for s in sides if s) or "another view"
+        sides = ("small", "large"), ("near", "far"), ("dark", "bright"), ("slow", "fast")
+        unusual = [pair[int(off > 0)] for pair, off in zip(sides, logs[at], strict=True) if abs(off) > 1]
+        words = "typical" if k == 0 else ", ".join(unusual) or "another view"
         out.append(Sample(shown[at].index, known, words))
     return sorted(out, key=lambda s: s.index)
-
-
-def _side(name: str, off: float) -> str:
-    other = {"large": "small", "far": "near", "bright": "dark", "fast": "slow"}[name]
-    return name if off > 1 else other if off < -1 else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -9,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.report_html import html_table, jpeg, number, plot_image, section, whole_page
-from arfx.measure.report_plots import INK, PREDICTED, RAW, SMOOTH, png
-from arfx.measure.tradeoff import Found, Row
-from arfx.measure.tradeoff_document import SEEN_MEAN, front
+from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, full_page, html_table, jpeg, number, plot_image, png, section
+from arfx.measure.tradeoff import QUALITIES, Measurements, Row
 from arfx.run.folder import write
+from arfx.run.planned import Job
 
 TIMES, MOST_DELTA_E = 8, 10
 MOST_BYTES = 5_000_000
@@ -23,7 +24,7 @@ _STYLE = """<style>.side { display: grid; grid-template-columns: repeat(auto-fil
 .side figure { cursor: default; } .side img { image-rendering: pixelated; } .say { font-size: 16px; }</style>"""
 
 
-def write_tradeoff(folder: Path, found: Found, document: Mapping[str, Any]) -> Path:
+def write_tradeoff(folder: Path, found: Measurements, document: Mapping[str, Any]) -> Path:
     """Write tradeoff.html into `folder`; at most MOST_BYTES: pictures are coded coarser until it fits. Returns its path."""
     for quality in (90, 75, 55, 30):
         html = page(found, document, quality)
@@ -35,18 +36,17 @@ def write_tradeoff(folder: Path, found: Found, document: Mapping[str, Any]) -> P
     return folder / "tradeoff.html"
 
 
-def page(found: Found, document: Mapping[str, Any], quality: int = 90) -> str:
+def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) -> str:
     """quality : of the JPEG pictures, 0 to 100"""
     clip = Path(str(document["clip"])).name
     head = f'<header><h1>{escape(clip)}: what accuracy costs</h1><p class="say">{escape(document["recommendation"])}</p></header>'
-    names = list(dict.fromkeys(r.name for r in found.effects))
     front = pipeline_plot(found.pipelines)
     parts = [
         _STYLE, head,
         section("Whole pipelines", plot_image(front, "Pareto front") + rows_table(document["pipelines"])),
         _pictures("The pipelines' pictures", [r for r in found.pipelines if r.level != "mixed"], "reference", quality),
     ]  # fmt: skip
-    for name in names:
+    for name in dict.fromkeys(r.name for r in found.effects):
         rows = [r for r in found.effects if r.name == name]
         table = rows_table([d for d in document["effects"] if d["name"] == name])
         parts.append(section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table))
@@ -56,7 +56,7 @@ def page(found: Found, document: Mapping[str, Any], quality: int = 90) -> str:
     heads = [k.replace("_", " ") for k in document["frames"][0]]
     parts.append(section("Frames that stand for the clip", html_table(heads, frames)))
     parts.append(section("How it was measured", f"<p>{escape(METHOD)}</p>"))
-    return whole_page(f"{clip} – arfx tradeoff", parts)
+    return full_page(f"{clip} – arfx tradeoff", parts)
 
 
 METHOD = (
@@ -74,13 +74,15 @@ METHOD = (
 def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
     body = []
     for r in rows:
-        calm = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
+        flicker = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
         # a quality's name says its levels
         levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items() if v != "standard") if r["level"] == "mixed" else ""
+        ms, low, high = (1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"]))
+        time = number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
         body.append([
-            escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), _milliseconds(r),
+            escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), time,
             number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]),
-            number(r["delta_e"]), f"{r['ssim']:.4f}", escape(calm),
+            number(r["delta_e"]), f"{r['ssim']:.4f}", escape(flicker),
             escape(number(r["worst_frame"])), escape(levels),
         ])  # fmt: skip
     if not any(row[-1] for row in body):
@@ -90,12 +92,6 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
         "worst frame", "levels",
     )  # fmt: skip
     return html_table(head[: len(body[0]) if body else None], body, frozenset(range(1, 9)))
-
-
-def _milliseconds(row: Mapping[str, Any]) -> str:
-    """With its interval where that is wide."""
-    ms, (low, high) = 1e3 * row["seconds_per_frame"], (1e3 * v for v in row["between_s"])
-    return number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
 
 
 def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
@@ -122,8 +118,8 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
         if frame not in r.pictures:
             continue
         d = r.by_frame[frame]
-        said = f"{r.level} {r.formula if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
-        figures.append(_figure(r.pictures[frame], said, quality))
+        caption = f"{r.level} {r.formula if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
+        figures.append(_figure(r.pictures[frame], caption, quality))
         if r is not reference:
             pair = reference.pictures[frame], r.pictures[frame]
             figures.append(_figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality))
@@ -131,8 +127,8 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
     return section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
 
 
-def _figure(rgb: np.ndarray, said: str, quality: int) -> str:
-    text = escape(said)
+def _figure(rgb: np.ndarray, caption: str, quality: int) -> str:
+    text = escape(caption)
     return f'<figure><img alt="{text}" src="{jpeg(rgb, quality)}"><figcaption>{text}</figcaption></figure>'
 
 
@@ -191,3 +187,126 @@ def _finished(fig: Any, axis: Any, title: str) -> bytes:
     axis.margins(0.12)
     axis.legend(frameon=False, labelcolor=INK, fontsize=7, loc="upper right")
     return png(fig)
+
+
+FEW_PX = 1500
+PER_FRAME = ("mean", "p99", "flip", "delta_e", "ssim")
+SEEN_MEAN, SEEN_P99 = 1.0, 12.0  # grey levels: more than either is taken for visible
+
+
+def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
+    """seconds : what the measuring took. `errors` is what `--tradeoff` reads (plan/errors.py)."""
+    stages: dict[str, dict[str, float]] = {}
+    own = {n: getattr(s, "formula", "") for n, s in job.inputs.config.params.items()}
+    for r in found.effects:
+        if r.formula == own.get(r.name, ""):
+            stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
+    names, times = [r.name for r in found.effects], {f.index: f.time_s for f in job.facts}
+    frames = [{"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts} for s in found.samples]
+    return {
+        "clip": str(job.inputs.info.path), "frames": frames,
+        "windows": {str(i): w.to_json() for i, w in found.windows.items()},
+        "effects": [_row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))],
+        "pipelines": [_row(r, found) for r in found.pipelines],
+        "recommendation": recommendation(found), "seconds": seconds,
+        "source": f"measured on {len(found.samples)} frames of {job.inputs.info.path.name}", "errors": stages,
+    }  # fmt: skip
+
+
+def _row(r: Row, found: Measurements) -> dict[str, Any]:
+    return {
+        "name": r.name, "level": r.level, "formula": r.formula, "levels": dict(r.levels) if r.name == "pipeline" else None,
+        "seconds_per_frame": r.seconds, "between_s": [r.time.low_s, r.time.high_s],
+        "prepare_s": found.prepare_s.get((r.name, r.level)),
+        **{what: r.average(what) for what in PER_FRAME}, "mean_worst": r.worst("mean"), "p99": r.worst("p99"),
+        "worst_frame": r.worst_frame(), "touched_px": sum(d.pixels for d in r.by_frame.values()),
+        "unrest": None if r.flicker is None else {"level": r.flicker[0], "reference": r.flicker[1]},
+        "by_frame": {str(i): {k: getattr(d, k) for k in PER_FRAME} for i, d in r.by_frame.items()},
+    }  # fmt: skip
+
+
+def front(rows: Sequence[Row]) -> list[Row]:
+    """Those that no other beats in both time and mean error, cheapest first."""
+    out: list[Row] = []
+    for r in sorted(rows, key=lambda r: (r.seconds, r.average("mean"))):
+        if not out or r.average("mean") < out[-1].average("mean") - 1e-9:
+            out.append(r)
+    return out
+
+
+def visible(r: Row) -> bool:
+    return r.worst("mean") > SEEN_MEAN or r.worst("p99") > SEEN_P99
+
+
+def recommendation(found: Measurements) -> str:
+    """One sentence: the cheapest quality whose difference from the reference does not show, and what would."""
+    by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES and not r.formula}
+    reference = by_quality.get("reference")
+    if reference is None:
+        return "every effect has one level only: there is nothing to choose"
+    others = sorted((r for q, r in by_quality.items() if q != "reference"), key=lambda r: r.seconds)
+    if not others:
+        return "the job has one quality only"
+    good = next((r for r in others if not visible(r)), None)
+    chosen = good or min(others, key=lambda r: r.average("mean"))
+    if good is None:
+        return _none(found, chosen, reference) + _window(found)
+    words = (
+        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference on average (99 % of the pixels within "
+        f"{chosen.worst('p99'):.0f}) at {_share(chosen.time, reference.time)} of its time"
+    )
+    lower = QUALITIES[: QUALITIES.index(chosen.level)]
+    left = (r for r in found.effects if r.level in lower and not _is_other(r, found))
+    shows = [r for r in left if visible(r)]
+    if shows:
+        worst = max(shows, key=lambda r: r.worst("p99"))
+        place = found.locations.get((worst.name, worst.level), "")
+        words += f"; {worst.name} {worst.level} would show {place}".rstrip() + f" (frame {worst.worst_frame()})"
+    return words + _window(found)
+
+
+def _none(found: Measurements, nearest: Row, reference: Row) -> str:
+    """Where every quality below reference shows: the nearest of them, and whose difference it is."""
+    own = [r for r in found.effects if nearest.levels.get(r.name) == r.level and not _is_other(r, found)]
+    most = max(own, key=lambda r: r.average("mean"), default=None)
+    words = (
+        f"no quality below reference is without a difference that shows: the nearest, {nearest.level}, is "
+        f"{nearest.average('mean'):.1f} grey levels off on average at {_share(nearest.time, reference.time)} of its time, and "
+        f"would show in frame {nearest.worst_frame()}"
+    )
+    if most is not None and most.average("mean") > SEEN_MEAN:
+        words += f"; most of it is {most.name}'s ({most.average('mean'):.1f} grey levels by itself)"
+    return words
+
+
+def _window(found: Measurements) -> str:
+    """Said where so little of the picture was compared that other parts of it may differ otherwise."""
+    least = min(found.windows.values(), key=lambda w: w.area, default=None)
+    if least is None or least.area >= FEW_PX:
+        return ""
+    return f"; compared on {least.width} × {least.height} px of a frame alone, as the references take so long"
+
+
+def _is_other(r: Row, found: Measurements) -> bool:
+    """Is it the row of a formula that the job does not use?"""
+    first = next(x for x in found.effects if x.name == r.name)
+    return r.formula != first.formula
+
+
+def _share(part: Prediction, whole: Prediction) -> str:
+    """ "1/40", with where it lies nine times in ten if the ends differ in two figures."""
+    if part.seconds <= 0 or whole.seconds <= 0:
+        return "a part"
+    ratio = whole.seconds / part.seconds
+    if ratio < 1.5:
+        return f"{100 / ratio:.0f} %"
+    # parts of one machine that is slower or faster are so alike: what is left is each one's own error
+    apart = math.hypot(math.log(part.high_s / part.seconds), math.log(whole.high_s / whole.seconds))
+    low, high = _two(ratio * math.exp(-apart)), _two(ratio * math.exp(apart))
+    return f"1/{_two(ratio)}" + ("" if low == high else f" (1/{low} to 1/{high})")
+
+
+def _two(value: float) -> str:
+    """Two figures."""
+    digits = max(math.floor(math.log10(value)) - 1, 0)
+    return f"{round(value / 10**digits) * 10**digits:.0f}"

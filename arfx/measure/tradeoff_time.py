@@ -1,7 +1,7 @@
 """What each level of each stage costs per frame, as a job would spend it.
 
 Fast levels are run over all that the plan asks of them. A reference would take minutes, so it is run on tiles spread over the
-step, in the object's box and outside, and on one of a few pixels, which tells what a run costs by itself:
+step, in the object's box and outside, and on one of a few pixels, which shows what a run costs by itself:
 seconds = run + rate(box) x pixels of the box + rate(rest) x pixels of the rest, with the interval that the tiles' spread gives
 (stratified ratio estimate, Cochran, "Sampling Techniques", ch. 6). A tile has more rim for its size than the whole: whether a
 stage's work goes by the pixels that it makes or by those that it reads is not known, so the interval holds both.
@@ -20,14 +20,14 @@ from scipy import stats
 
 from arfx.core.cost import Prediction, exactly, together, with_spread
 from arfx.core.rect import Rect
-from arfx.measure.steps import FrameBench, Run, chain_of
+from arfx.measure.steps import FrameRenderer, StageRun, chain_of
 
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = 4, 0.6, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
 FEWEST_PX, MOST_PX = 16, 64  # side of a tile
-DEAR_S, FEW = 1.0, 2  # a level that takes so long for next to nothing is timed on one frame alone, on so few tiles a part
+SLOW_S, FEW = 1.0, 2  # a level that takes so long for next to nothing is timed on one frame alone, on so few tiles a part
 LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
-OFTEN = 0.02  # share of frames under a new light from which on its cost is one of every frame
+OFTEN = 0.02  # fraction of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
 
 
@@ -36,7 +36,7 @@ class Tiles:
     """Runs of a level on parts of a step.
 
     empty_s : of runs on next to nothing;  by_part : (pixels, seconds) of each tile
-    rims : of each frame, pixels read for a pixel made by the whole step, as a share of the tiles'
+    rims : of each frame, pixels read for a pixel made by the whole step, as a fraction of the tiles'
     """
 
     empty_s: list[float] = field(default_factory=list)
@@ -46,10 +46,10 @@ class Tiles:
     def over(self, areas: Mapping[str, int]) -> Prediction:
         """Of one run over `areas`, pixels of each part. A part without tiles costs what the others do."""
         alone = float(np.median(self.empty_s))
-        every = [t for tiles in self.by_part.values() for t in tiles]
+        all_tiles = [t for tiles in self.by_part.values() for t in tiles]
         total, variance, free = 0.0, 0.0, 0
         for part, area in areas.items():
-            tiles = self.by_part.get(part) or every
+            tiles = self.by_part.get(part) or all_tiles
             px, s = np.array(tiles, float).T
             above = np.maximum(s - alone, 0.0)
             rate = above.sum() / px.sum()
@@ -100,16 +100,16 @@ class Times:
         """Of all steps of a frame; what was not timed counts as nothing."""
         return together([self.of(at) or exactly(0.0) for at in chain])
 
-    def run(self, run: Run, out: Rect) -> float:
+    def run(self, run: StageRun, out: Rect) -> float:
         start = self.clock()
-        run.anew(out)
+        run.rerun(out)
         return self.clock() - start
 
-    def under_new_light(self, at: At, run: Run, out: Rect, known_s: float, share: float) -> None:
-        """share : of the clip's frames under a light that was not met before;  known_s : under one that was"""
-        if share > OFTEN:
+    def under_new_light(self, at: At, run: StageRun, out: Rect, known_s: float, fraction: float) -> None:
+        """fraction : of the clip's frames under a light that was not met before;  known_s : under one that was"""
+        if fraction > OFTEN:
             run.at.memo.of_light.clear()
-            self.new_s.setdefault(at, []).append(share * max(self.run(run, out) - known_s, 0.0))
+            self.new_s.setdefault(at, []).append(fraction * max(self.run(run, out) - known_s, 0.0))
 
 
 def areas_of(out: Rect, box: Rect) -> dict[str, int]:
@@ -119,22 +119,22 @@ def areas_of(out: Rect, box: Rect) -> dict[str, int]:
 
 
 def time_frame(
-    times: Times, frame: FrameBench, usual: Mapping[str, str], wanted: Collection[At], new: Mapping[str, float]
+    times: Times, frame: FrameRenderer, usual: Mapping[str, str], wanted: Collection[At], new: Mapping[str, float]
 ) -> None:  # fmt: skip
     """Time `wanted`, each upon what the steps before it make at their `usual` level; the slow ones of the frame on tiles.
 
-    new : by stage, share of the clip's frames under a light that was not met before
+    new : by stage, fraction of the clip's frames under a light that was not met before
     """
     chain = chain_of(frame.plan, usual)
     for k, step in enumerate(frame.plan.steps):
-        for level in frame.shop.stages[step.stage].levels:
+        for level in frame.prepared.stages[step.stage].levels:
             at = (step.stage, level)
             if at in wanted:
                 time_one = _on_tiles if at in frame.slow else _whole
                 time_one(times, at, frame.run((*chain[:k], at)), step.out, new.get(step.stage, 0.0))
 
 
-def _whole(times: Times, at: At, run: Run, out: Rect, new: float) -> None:
+def _whole(times: Times, at: At, run: StageRun, out: Rect, new: float) -> None:
     first = times.run(run, out)  # loads code, and makes what is kept for this light
     known = times.whole.setdefault(at, [])
     seconds = first if known and first > ONCE_S else times.run(run, out)  # code that is compiled may take longer than ONCE_S
@@ -143,26 +143,26 @@ def _whole(times: Times, at: At, run: Run, out: Rect, new: float) -> None:
         times.under_new_light(at, run, out, seconds, new)
 
 
-def _on_tiles(times: Times, at: At, run: Run, out: Rect, new: float) -> None:
+def _on_tiles(times: Times, at: At, run: StageRun, out: Rect, new: float) -> None:
     box = run.facts.model_box
     inside = box.clip(out)
     times.areas.setdefault(at, []).append(areas_of(out, box))
     tiles = times.tiles.setdefault(at, Tiles())
-    if tiles.empty_s and tiles.empty_s[0] > DEAR_S:
+    if tiles.empty_s and tiles.empty_s[0] > SLOW_S:
         return  # nothing but one frame's tiles: their interval is all that is known
     tiny = _tile(inside if not inside.empty else out, 0.5, 0.5, TINY_PX)
     alone = times.run(run, tiny)  # loads code, and makes what is kept for this light
-    dear = alone > DEAR_S
-    if not dear:
+    slow = alone > SLOW_S
+    if not slow:
         alone = times.run(run, tiny)
     tiles.empty_s.append(alone)
     times.under_new_light(at, run, tiny, alone, new)
     least_px, made_px, read_px = run.need(tiny).area, 0, 0
     rng = np.random.default_rng(run.facts.index)
-    for part, rects in (("box", [inside]), ("rest", without(out, inside))):
+    for part, rects in (("box", [inside]), ("rest", subtract(out, inside))):
         side = FEWEST_PX
-        for place in _places(rng, rects, FEW if dear else TILES):
-            tile = _tile(*place, side)
+        for point in _spread_points(rng, rects, FEW if slow else TILES):
+            tile = _tile(*point, side)
             seconds = times.run(run, tile)
             tiles.by_part.setdefault(part, []).append((tile.area, seconds))
             made_px, read_px = made_px + tile.area, read_px + run.need(tile).area - least_px
@@ -173,7 +173,7 @@ def _on_tiles(times: Times, at: At, run: Run, out: Rect, new: float) -> None:
         tiles.rims.append(float(np.clip(whole_px / out.area * made_px / read_px, 0.1, 1.0)))
 
 
-def without(whole: Rect, hole: Rect) -> list[Rect]:
+def subtract(whole: Rect, hole: Rect) -> list[Rect]:
     """The rectangle without another one, as at most four that do not overlap."""
     if hole.empty:
         return [whole]
@@ -184,8 +184,8 @@ def without(whole: Rect, hole: Rect) -> list[Rect]:
     return [p for p in parts if not p.empty]
 
 
-def _places(rng: np.random.Generator, rects: list[Rect], count: int) -> list[tuple[Rect, float, float]]:
-    """`count` points spread evenly over rectangles: the rectangle, and the point as shares of its sides."""
+def _spread_points(rng: np.random.Generator, rects: list[Rect], count: int) -> list[tuple[Rect, float, float]]:
+    """`count` points spread evenly over rectangles: the rectangle, and the point as fractions of its sides."""
     areas = np.array([r.area for r in rects], float)
     if not areas.sum():
         return []

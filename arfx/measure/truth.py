@@ -5,26 +5,22 @@ All figures are for the world marker's pose in the camera, frame by frame; frame
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.colour import SRGB
 from arfx.core.facts import ABSENT, INTERPOLATED, FrameFacts
 from arfx.core.marker import MarkerSpec
-from arfx.core.numerics import normalise
+from arfx.core.numerics import angle_between, divide, normalise
 from arfx.core.pose import Pose, rotation_angle_rad
-from arfx.measure.truth_light import light_errors
-from arfx.synth.truth import Truth
+from arfx.synth.truth import FrameTruth, Truth
 
 FLIP_DEG = 3.0  # nearer to the mirrored solution but off by less: at a frontal view both are the same to the eye
 SEEN, HIDDEN = 0.97, 0.5  # visible fraction from which a marker must be found / below which it cannot be
 _MOVING_PX = 0.5  # slower corners say nothing about lag
-
-
-def true_camera(truth: Truth) -> Camera:
-    return Camera.from_json(truth.header["camera"])
 
 
 def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m: float) -> dict[str, Any]:
@@ -38,20 +34,21 @@ def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m
     lag_frames : regression of the corner error on the true corner velocity, > 0 = the estimate is late; None when the
     marker hardly moves in the picture
     """
-    camera, corners_m = true_camera(truth), MarkerSpec("", 0, size_m).corners_m
+    camera, corners_m = Camera.from_json(truth.header["camera"]), MarkerSpec("", 0, size_m).corners_m
     n = len(truth.frames)
     rotation, position, mirrored = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
-    error, place = np.full((n, 4, 2), np.nan), np.full((n, 4, 2), np.nan)
+    error, projected = np.full((n, 4, 2), np.nan), np.full((n, 4, 2), np.nan)
     shots = np.array([f.shot for f in truth.frames])
     for i, (estimate, frame) in enumerate(zip(estimates, truth.frames, strict=True)):
         exact = frame.markers[key].camera_from_marker
-        place[i] = camera.project(exact.apply(corners_m))
+        projected[i] = camera.project(exact.apply(corners_m))
         if estimate is None:
             continue
         rotation[i] = np.degrees(rotation_angle_rad(estimate, exact))
         position[i] = 1e3 * np.linalg.norm(estimate.translation_m - exact.translation_m)
-        mirrored[i] = _nearer_to_the_mirrored(estimate, exact)
-        error[i] = camera.project(estimate.apply(corners_m)) - place[i]
+        view, normal = normalise(exact.translation_m), exact.rotation[:, 2]
+        mirrored[i] = estimate.rotation[:, 2] @ (2 * (normal @ view) * view - 2 * normal) > 0
+        error[i] = camera.project(estimate.apply(corners_m)) - projected[i]
     have = np.isfinite(rotation)
     if not have.any():
         return {"frames": 0}
@@ -60,32 +57,25 @@ def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m
         "rotation_deg": _spread(rotation[have]),
         "position_mm": _spread(position[have]),
         "corner_px": float(np.sqrt(np.nanmean((error**2).sum(-1)))),
-        "tremble_px": _tremble(error, shots),
-        "lag_frames": _lag(error, place, shots),
+        "tremble_px": _jitter(error, shots),
+        "lag_frames": _lag(error, projected, shots),
         "flips": int((mirrored & have & (rotation > FLIP_DEG)).sum()),
     }
-
-
-def _nearer_to_the_mirrored(estimate: Pose, exact: Pose) -> bool:
-    view = normalise(exact.translation_m)
-    normal = exact.rotation[:, 2]
-    twin = 2 * (normal @ view) * view - normal
-    return bool(estimate.rotation[:, 2] @ (twin - normal) > 0)
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(values.max())}
 
 
-def _tremble(error: np.ndarray, shots: np.ndarray) -> float | None:
+def _jitter(error: np.ndarray, shots: np.ndarray) -> float | None:
     second = error[2:] - 2 * error[1:-1] + error[:-2]
     second = second[(shots[2:] == shots[:-2]) & np.isfinite(second).all((1, 2))]
     return float(np.sqrt((second**2).sum(-1).mean())) if len(second) else None
 
 
-def _lag(error: np.ndarray, place: np.ndarray, shots: np.ndarray) -> float | None:
+def _lag(error: np.ndarray, projected: np.ndarray, shots: np.ndarray) -> float | None:
     """est(t) = true(t - lag) gives error = -lag * velocity; least squares over all corners and frames."""
-    velocity = (place[2:] - place[:-2]) / 2
+    velocity = (projected[2:] - projected[:-2]) / 2
     middle = error[1:-1]
     ok = (shots[2:] == shots[:-2]) & np.isfinite(velocity).all((1, 2)) & np.isfinite(middle).all((1, 2))
     v, e = velocity[ok], middle[ok]
@@ -100,7 +90,7 @@ def _lag(error: np.ndarray, place: np.ndarray, shots: np.ndarray) -> float | Non
 def presence(facts: Sequence[FrameFacts], truth: Truth, keys: Sequence[str]) -> dict[str, int]:
     """Frames in which a configured marker could be seen or not, against what the analysis says.
 
-    missed : some marker stands free, the analysis says absent;  invented : measured where none can be seen
+    missed : some marker is in full view, the analysis says absent;  invented : measured where none can be seen
     bridged : interpolated frames;  unclear : markers cut or covered in part, not judged
     """
     counts = {"seen": 0, "missed": 0, "hidden": 0, "invented": 0, "bridged": 0, "unclear": 0}
@@ -120,11 +110,7 @@ def presence(facts: Sequence[FrameFacts], truth: Truth, keys: Sequence[str]) -> 
 
 def cuts(facts: Sequence[FrameFacts], truth: Truth) -> dict[str, int]:
     """Cuts found at their true frame, missed, and invented."""
-
-    def at(shots: list[int]) -> set[int]:
-        return {i for i in range(1, len(shots)) if shots[i] != shots[i - 1]}
-
-    found, exact = at([f.shot for f in facts]), at([f.shot for f in truth.frames])
+    found, exact = (set(np.flatnonzero(np.diff([f.shot for f in frames]))) for frames in (facts, truth.frames))
     return {"found": len(found & exact), "missed": len(exact - found), "invented": len(found - exact)}
 
 
@@ -147,34 +133,26 @@ def map_errors(world_from_marker: Mapping[str, Pose], truth: Truth, world: str) 
 
 
 def compare(
-    facts: Sequence[FrameFacts],
-    world_from_marker: Mapping[str, Pose],
-    truth: Truth,
+    facts: Sequence[FrameFacts], world_from_marker: Mapping[str, Pose], truth: Truth,
     single_frame: Sequence[Pose | None] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Every comparison at once; arfx's figures under "arfx", unsmoothed "raw", plain OpenCV under "single_frame"."""
     world = world_key(world_from_marker, truth)
     size = truth.header["markers"][world]
     world_from = world_from_marker[world]
 
-    def in_camera(pose: Pose | None) -> Pose | None:
-        return None if pose is None else pose @ world_from
+    def errors(poses: Iterable[Pose | None]) -> dict[str, Any]:
+        return pose_errors([None if pose is None else pose @ world_from for pose in poses], truth, world, size)
 
     out: dict[str, Any] = {
-        "frames": len(truth.frames),
-        "world": world,
-        "arfx": pose_errors([in_camera(f.camera_from_world) for f in facts], truth, world, size),
-        "raw": pose_errors([in_camera(f.raw_camera_from_world) for f in facts], truth, world, size),
-        "presence": presence(facts, truth, list(truth.header["markers"])),
-        "cuts": cuts(facts, truth),
-    }
-    if single_frame is not None:
-        out["single_frame"] = pose_errors(single_frame, truth, world, size)
-    if (mapped := map_errors(world_from_marker, truth, world)) is not None:
-        out["map"] = mapped
-    if (light := light_errors(facts, world_from_marker, truth)) is not None:
-        out["light"] = light
-    return out
+        "frames": len(truth.frames), "world": world,
+        "arfx": errors(f.camera_from_world for f in facts), "raw": errors(f.raw_camera_from_world for f in facts),
+        "presence": presence(facts, truth, list(truth.header["markers"])), "cuts": cuts(facts, truth),
+        "single_frame": None if single_frame is None else pose_errors(single_frame, truth, world, size),
+        "map": map_errors(world_from_marker, truth, world),
+        "light": light_errors(facts, world_from_marker, truth),
+    }  # fmt: skip
+    return {name: figures for name, figures in out.items() if figures is not None}
 
 
 def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
@@ -204,3 +182,68 @@ def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]
             elif (kind == "max" and not value <= limit) or (kind == "min" and not value >= limit):
                 broken.append(f"{dotted} is {value:.4g}, {'at most' if kind == 'max' else 'at least'} {limit:g} is allowed")
     return broken
+
+
+MEASURED = "marker"  # Light.source of a light measured by markers
+OPEN = 0.9  # visible fraction of a marker from which its normal counts as seen
+FALSE_FACTOR, FALSE_DEG = 2.0, 3.0  # a direction is falsely claimed where it is off by more than twice its cone and 3 degrees
+
+
+def light_errors(
+    facts: Sequence[FrameFacts], world_from_marker: Mapping[str, Pose], truth: Truth
+) -> dict[str, Any] | None:  # fmt: skip
+    """None where no frame carries a light.
+
+    frames; measured : frames with a claimed direction
+    direction_deg : angle between the strongest claimed light and the true lamp nearest to it
+    false : frames whose claim is off by more than twice its own confidence cone and FALSE_DEG, or that claim where no lamp is
+    irradiance : relative error of a white surface's radiance over the seen markers' normals, all channels
+    bias_grey : error of the camera's bias in 8-bit sRGB steps above its true value, worst channel
+    size_deg : claimed less true angular size, median
+    """
+    angles, sizes, irradiance, bias, false, frames = [], [], [], [], 0, 0
+    for fact, frame in zip(facts, truth.frames, strict=True):
+        if fact.light is None:
+            continue
+        frames += 1
+        bias.append(255 * np.abs(SRGB.encode(np.array(fact.bias_rgb)) - SRGB.encode(np.array(frame.bias))).max())
+        irradiance += _irradiance(fact, frame, world_from_marker)
+        if fact.light.source != MEASURED or not fact.light.lights:
+            continue
+        key = next(k for k in world_from_marker if k in frame.markers)
+        turn = world_from_marker[key].rotation
+        claimed = max(fact.light.lights, key=lambda li: sum(li.rgb))
+        lamps = frame.lights
+        off = [float(np.degrees(angle_between(claimed.unit, turn @ np.array(li["marker"][key])))) for li in lamps]
+        if not off:
+            false += 1
+            continue
+        nearest = int(np.argmin(off))
+        angles.append(off[nearest])
+        sizes.append(claimed.angular_size_deg - lamps[nearest]["angular_size_deg"])
+        false += off[nearest] > max(FALSE_FACTOR * claimed.confidence_deg, FALSE_DEG)
+    if not frames:
+        return None
+    out: dict[str, Any] = {"frames": frames, "measured": len(angles) + false * (not angles), "false": int(false)}
+    out["bias_grey"] = float(np.median(bias))
+    if irradiance:
+        out["irradiance"] = {"median": float(np.median(irradiance)), "p95": float(np.percentile(irradiance, 95))}
+    if angles:
+        spread = (float(np.percentile(angles, q)) for q in (50, 90, 100))
+        out["direction_deg"] = dict(zip(("median", "p90", "max"), spread, strict=True))
+        out["size_deg"] = float(np.median(sizes))
+    return out
+
+
+def _irradiance(fact: FrameFacts, frame: FrameTruth, world_from_marker: Mapping[str, Pose]) -> list[float]:
+    assert fact.light is not None
+    out = []
+    for key, marker in frame.markers.items():
+        if key not in world_from_marker or marker.visible < OPEN or marker.facing < 0.3:
+            continue
+        exact = np.array(frame.ambient_rgb, float)
+        for lamp in frame.lights:
+            exact = exact + max(float(np.array(lamp["marker"][key])[2]), 0.0) * np.array(lamp["rgb"])
+        claimed_rgb = fact.light.radiance(world_from_marker[key].rotation[:, 2])
+        out += divide(np.abs(claimed_rgb - frame.gain * exact), max(float(frame.gain * exact.max()), 1e-6)).tolist()
+    return out

@@ -31,8 +31,6 @@ from arfx.synth.clip import make_clip
 from arfx.synth.description import load_scene
 from arfx.synth.truth import read_truth
 
-Progress = Callable[[str, int, int | None], None]
-
 
 @dataclass(frozen=True)
 class Verified:
@@ -44,11 +42,13 @@ class Verified:
     report: dict[str, Any]
 
 
-def verify(folder: Path, work: Path, progress: Progress, notice: Callable[[str], None], workers: int = 1) -> Verified:
+def verify(
+    folder: Path, work: Path, progress: Callable[[str, int, int | None], None], notice: Callable[[str], None], workers: int = 1
+) -> Verified:
     """Verify a folder made by `arfx synth`, or a scene folder (scene.toml), which is rendered first.
 
     folder : tolerance.toml in it gives the bounds (none: nothing is bounded)
-    work : an existing folder for what is made on the way, a clip that is there is taken up
+    work : an existing folder for what is made on the way, a clip that is there is used
     Raises InputError if the folder holds neither truth nor scene.
     """
     made = folder
@@ -103,15 +103,11 @@ def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[P
 
     camera_from_marker, None where the marker is not found.
     """
-    detector = _detector(marker.family)
+    settings = cv2.aruco.DetectorParameters()
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    detector = cv2.aruco.ArucoDetector(dictionary(marker.family), settings)
     with ClipReader(probe(clip)) as reader:
         return [_pose(detector, np.ascontiguousarray(frame.luma()), camera, marker) for frame in reader.frames()]
-
-
-def _detector(family: str) -> cv2.aruco.ArucoDetector:
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    return cv2.aruco.ArucoDetector(dictionary(family), parameters)
 
 
 def _pose(detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec) -> Pose | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -28,29 +28,16 @@ def summarise(plans: Iterable[FramePlan], names: Iterable[str], frame_area: int)
     rows = []
     for name in names:
         steps = runs[name]
-        levels: dict[str, int] = defaultdict(int)
-        for step in steps:
-            levels[step.level] += 1
-        seconds = [s.seconds for s in steps]
-        rows.append(
-            {
-                "name": name,
-                "levels": dict(levels),
-                "frames_run": len(steps),
-                "frames_skipped": len(skips[name]),
-                "area_fraction": sum(s.out.area for s in steps) / (frame_area * len(steps)) if steps else 0.0,
-                "predicted_s": None if any(s is None for s in seconds) else float(sum(seconds)),
-                "predicted_between_s": _between(steps),
-                "reasons": group_reasons(skips[name]),
-            }
-        )
+        seconds, between = [s.seconds for s in steps], [s.between for s in steps]  # steps are all wrong by the same factor
+        rows.append({
+            "name": name, "levels": dict(Counter(s.level for s in steps)),
+            "frames_run": len(steps), "frames_skipped": len(skips[name]),
+            "area_fraction": sum(s.out.area for s in steps) / (frame_area * len(steps)) if steps else 0.0,
+            "predicted_s": None if None in seconds else float(sum(seconds)),
+            "predicted_between_s": None if None in between else [float(sum(b[k] for b in between)) for k in (0, 1)],
+            "reasons": group_reasons(skips[name]),
+        })  # fmt: skip
     return rows
-
-
-def _between(steps: Sequence[Any]) -> list[float] | None:
-    """Where the stage's time lies nine times in ten: its steps are all wrong by the same factor."""
-    ends = [s.between for s in steps if s.between is not None]
-    return [float(sum(e[0] for e in ends)), float(sum(e[1] for e in ends))] if len(ends) == len(steps) else None
 
 
 def group_reasons(reasons: Iterable[str]) -> dict[str, int]:
@@ -60,8 +47,7 @@ def group_reasons(reasons: Iterable[str]) -> dict[str, int]:
         groups[_NUMBER.sub("#", reason)].append(reason)
     out = {}
     for same in sorted(groups.values(), key=len, reverse=True):
-        columns = list(zip(*(_NUMBER.findall(r) for r in same), strict=True))
-        ranges = iter([_range(c) for c in columns])
+        ranges = map(_range, zip(*(_NUMBER.findall(r) for r in same), strict=True))
         out[_NUMBER.sub(lambda _, it=ranges: next(it), same[0])] = len(same)  # type: ignore[misc]
     return out
 
@@ -71,26 +57,8 @@ def _range(texts: Sequence[str]) -> str:
     return low if float(low) == float(high) else f"{low}…{high}"
 
 
-def table(rows: Sequence[dict[str, Any]], frames: int) -> Any:
-    """The same rows as a rich table."""
-    from rich.table import Table
-
-    out = Table(title=f"plan of {frames} frames", title_justify="left")
-    for column, justify in (("stage", "left"), ("runs", "right"), ("level", "left"), ("area", "right"), ("predicted", "right")):
-        out.add_column(column, justify=justify)  # type: ignore[arg-type]
-    out.add_column("left out, and why", overflow="fold")
-    for row in rows:
-        why = "\n".join(f"{n} × {text}" for text, n in row["reasons"].items())
-        between = row["predicted_between_s"]
-        predicted = "unknown" if row["predicted_s"] is None else f"{row['predicted_s']:.2f} s"
-        if between is not None and row["frames_run"]:
-            predicted += f" ({between[0]:.2g}–{between[1]:.2g})"
-        out.add_row(row["name"], str(row["frames_run"]), ", ".join(row["levels"]), f"{row['area_fraction']:.1%}", predicted, why)
-    return out
-
-
 def level_lines(levels: dict[str, Any]) -> list[str]:
-    """How the levels were chosen, in words: one line for the wish, one for each shot."""
+    """How the levels were chosen, in words: one line for the policy, one for each shot."""
     if levels["by"] == "quality":
         return []
     lines = [f"levels by {levels['by']}: {levels['why']}; errors {levels['errors_from']}"]

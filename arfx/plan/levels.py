@@ -1,4 +1,4 @@
-"""Which level of which stage, between two cuts: the cheapest that keeps an error, or the best that keeps a budget.
+"""Which level of which stage, between two cuts: the cheapest within an error, or the best within a budget.
 
 Every stage of every shot has levels with a price and an error. Those worth taking lie on the lower convex hull of (seconds,
 error); going down it, each step loses more error per second saved than the one before. All steps of a clip, sorted by that
@@ -13,10 +13,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from arfx.core.cost import Prediction, exactly, together
+from arfx.core.cost import Prediction, together
 
-Place = tuple[int, str]  # shot, stage
-Choice = dict[Place, str]
+ShotStage = tuple[int, str]  # shot, stage
 
 
 @dataclass(frozen=True)
@@ -30,122 +29,104 @@ class Option:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class LevelChoice:
     """levels : by (shot, stage);  stages : predicted, all shots and workers together;  error : of the worst shot, grey levels
-    met : the wish holds;  why : in words
+    met : the limit holds;  why : in words
     """
 
-    levels: Mapping[Place, str]
+    levels: Mapping[ShotStage, str]
     stages: Prediction
     error: float
     met: bool
     why: str
 
 
-@dataclass(frozen=True)
-class _Move:
-    rate: float
-    place: Place
-    to: Option
-
-
-def ladder(options: Iterable[Option]) -> list[Option]:
-    """Those worth taking, dearest first: each next one is cheaper, and the error lost per second saved only grows."""
-    best: list[Option] = []
+def convex_hull(options: Iterable[Option]) -> list[Option]:
+    """The levels worth taking, most expensive first: error lost per second saved only grows from one to the next."""
+    hull: list[Option] = []
     for option in sorted(options, key=lambda o: (-o.cost.seconds, o.error)):
-        # a level with no more error for less time makes what is above it pointless
-        while best and option.error <= best[-1].error and option.cost.seconds <= best[-1].cost.seconds:
-            best.pop()
-        while len(best) > 1 and _rate(best[-2], best[-1]) >= _rate(best[-2], option):
-            best.pop()
-        if not best or option.cost.seconds < best[-1].cost.seconds:
-            best.append(option)
-    return best
+        # a level with no more error for less time makes those above it pointless
+        while hull and option.error <= hull[-1].error and option.cost.seconds <= hull[-1].cost.seconds:
+            hull.pop()
+        while len(hull) > 1 and _rate(hull[-2], hull[-1]) >= _rate(hull[-2], option):
+            hull.pop()
+        if not hull or option.cost.seconds < hull[-1].cost.seconds:
+            hull.append(option)
+    return hull
 
 
 def _rate(a: Option, b: Option) -> float:
     saved = a.cost.seconds - b.cost.seconds
-    if saved <= 0:
-        return math.inf
-    return (b.error - a.error) * a.frames / saved
+    return (b.error - a.error) * a.frames / saved if saved > 0 else math.inf
 
 
-def keep_budget(options: Mapping[Place, Sequence[Option]], seconds_of: Callable[[Prediction], float], budget_s: float) -> Chosen:
+def best_within_budget(
+    options: Mapping[ShotStage, Sequence[Option]], seconds_of: Callable[[Prediction], float], budget_s: float
+) -> LevelChoice:
     """The best levels with which a job stays within its budget.
 
     seconds_of : upper end of the whole job's time for a prediction of the stages' work;  budget_s >= 0
     met is False where even the cheapest levels take longer.
     """
-    state, moves = _start(options)
-    while seconds_of(total(state)) > budget_s and moves:
-        move = moves.pop(0)
-        state[move.place] = move.to
-    stages = total(state)
-    upper = seconds_of(stages)
-    met = upper <= budget_s
-    why = f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s"
-    if not met:
-        why = f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s"
-    return _chosen(state, stages, met, why)
+    state, steps = _start(options)
+    while (upper := seconds_of(total(state))) > budget_s and steps:
+        _, key, option = steps.pop(0)
+        state[key] = option
+    if upper <= budget_s:
+        return _choice(state, True, f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s")
+    return _choice(state, False, f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s")
 
 
-def keep_error(options: Mapping[Place, Sequence[Option]], most: float) -> Chosen:
-    """The cheapest levels whose errors add up to at most `most` grey levels in every shot.
+def cheapest_within_error(options: Mapping[ShotStage, Sequence[Option]], limit: float) -> LevelChoice:
+    """The cheapest levels whose errors add up to at most `limit` grey levels in every shot.
 
     Differences of pictures add up to no more than the sum of their sizes, so the sum over the stages is a bound.
     """
-    state, moves = _start(options)
-    blocked: set[Place] = set()
-    for move in moves:
-        if move.place in blocked:
-            continue
-        error = _shot_error({**state, move.place: move.to}, move.place[0])
-        if error <= most:
-            state[move.place] = move.to
+    state, steps = _start(options)
+    blocked: set[ShotStage] = set()
+    for _, key, option in steps:
+        if key not in blocked and _shot_error({**state, key: option}, key[0]) <= limit:
+            state[key] = option
         else:
-            blocked.add(move.place)
+            blocked.add(key)
     error = max((_shot_error(state, shot) for shot, _ in state), default=0.0)
-    return _chosen(state, total(state), error <= most, f"errors add up to {error:.2f} of {most:.2f} grey levels")
+    return _choice(state, error <= limit, f"errors add up to {error:.2f} of {limit:.2f} grey levels")
 
 
-def named(options: Mapping[Place, Sequence[Option]], levels: Mapping[str, str]) -> Chosen:
+def by_quality(options: Mapping[ShotStage, Sequence[Option]], levels: Mapping[str, str]) -> LevelChoice:
     """levels : by stage, as a quality names them"""
-    state = {place: next(o for o in every if o.level == levels[place[1]]) for place, every in options.items()}
-    return _chosen(state, total(state), True, "levels named by the quality")
+    state = {key: next(o for o in every if o.level == levels[key[1]]) for key, every in options.items()}
+    return _choice(state, True, "levels named by the quality")
 
 
-def _start(options: Mapping[Place, Sequence[Option]]) -> tuple[dict[Place, Option], list[_Move]]:
-    """The dearest levels worth taking, and every step down from them, the least error lost per second saved first."""
-    state: dict[Place, Option] = {}
-    moves: list[_Move] = []
-    for place, every in options.items():
-        worth = ladder(every)
-        state[place] = worth[0]
-        moves += [_Move(_rate(a, b), place, b) for a, b in itertools.pairwise(worth)]
-    # sorted() keeps the order of equal rates: those of one place go down one by one
-    return state, sorted(moves, key=lambda m: m.rate)
+def _start(
+    options: Mapping[ShotStage, Sequence[Option]],
+) -> tuple[dict[ShotStage, Option], list[tuple[float, ShotStage, Option]]]:
+    """The most expensive levels worth taking, and every step down from them: (rate, of what, to what), lowest rate first."""
+    hulls = {key: convex_hull(every) for key, every in options.items()}
+    steps = [(_rate(a, b), key, b) for key, hull in hulls.items() for a, b in itertools.pairwise(hull)]
+    # sorted() keeps the order of equal rates: those of one stage go down one by one
+    return {key: hull[0] for key, hull in hulls.items()}, sorted(steps, key=lambda step: step[0])
 
 
-def _shot_error(state: Mapping[Place, Option], shot: int) -> float:
+def _shot_error(state: Mapping[ShotStage, Option], shot: int) -> float:
     return sum(o.error for (s, _), o in state.items() if s == shot)
 
 
-def total(state: Mapping[Place, Option]) -> Prediction:
-    """Work of all stages: the shots of one stage err alike, stages independently."""
+def total(state: Mapping[ShotStage, Option]) -> Prediction:
+    """Work of all stages: errors of one stage's shots are correlated, those of different stages independent."""
     by_stage: dict[str, list[Prediction]] = {}
     for (_, stage), option in state.items():
         by_stage.setdefault(stage, []).append(option.cost)
-    return together(alike(costs) for costs in by_stage.values())
+    return together(sum_correlated(costs) for costs in by_stage.values())
 
 
-def alike(parts: Iterable[Prediction]) -> Prediction:
+def sum_correlated(parts: Iterable[Prediction]) -> Prediction:
     """The sum of predictions that are all wrong by the same factor."""
-    out = exactly(0.0)
-    for p in parts:
-        out = Prediction(out.seconds + p.seconds, out.low_s + p.low_s, out.high_s + p.high_s)
-    return out
+    every = list(parts)
+    return Prediction(*(float(sum(getattr(p, end) for p in every)) for end in ("seconds", "low_s", "high_s")))
 
 
-def _chosen(state: Mapping[Place, Option], stages: Prediction, met: bool, why: str) -> Chosen:
+def _choice(state: Mapping[ShotStage, Option], met: bool, why: str) -> LevelChoice:
     error = max((_shot_error(state, shot) for shot, _ in state), default=0.0)
-    return Chosen({place: o.level for place, o in state.items()}, stages, error, met, why)
+    return LevelChoice({key: o.level for key, o in state.items()}, total(state), error, met, why)

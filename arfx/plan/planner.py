@@ -7,7 +7,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import reduce
 
 from arfx.core.cost import Prices
 from arfx.core.facts import FrameFacts
@@ -16,7 +17,6 @@ from arfx.core.plan import FramePlan, Skip, Step
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage
-from arfx.plan.work import terms_of
 
 ABSENT = "marker not visible"
 UNREAD = "nobody reads what it writes"
@@ -26,20 +26,14 @@ NO_PRICES = Prices()
 
 
 def plan_frame(
-    stages: Sequence[Stage],
-    levels: Mapping[str, str],
-    facts: FrameFacts,
-    scene: Scene,
-    frame: Rect,
-    skip: bool = True,
-    prices: Prices = NO_PRICES,
-    new: frozenset[str] = frozenset(),
-) -> FramePlan:
+    stages: Sequence[Stage], levels: Mapping[str, str], facts: FrameFacts, scene: Scene, frame: Rect, skip: bool = True,
+    prices: Prices = NO_PRICES, new: frozenset[str] = frozenset(),
+) -> FramePlan:  # fmt: skip
     """The plan of one frame.
 
     stages : in the order in which they run;  levels : by stage name;  frame : the whole picture
     skip : False forces every stage onto the whole frame wherever a pose is known
-    prices, new : what work costs here, and what of the frame's light was not met before (plan/work.py)
+    prices, new : what work costs here, and the terms (`new_terms`) of light that was not met before
     """
     chosen: list[tuple[Stage, Demand]] = []
     skipped: list[Skip] = []
@@ -49,24 +43,14 @@ def plan_frame(
             skipped.append(Skip(stage.name, demand.reason))
         else:
             chosen.append((stage, demand))
-    changed = EMPTY
-    for _, demand in chosen:
-        if not demand.within_earlier:
-            changed = changed.union(demand.rect)
-    live, want, read = {Layer.IMAGE}, changed, EMPTY
+    live, want, read, written = {Layer.IMAGE}, _changed(chosen), EMPTY, EMPTY
     steps: list[Step] = []
     for at in range(len(chosen) - 1, -1, -1):
         stage, demand = chosen[at]
         if not stage.writes & live:
             skipped.append(Skip(stage.name, UNREAD))
             continue
-        reachable = demand.rect
-        if demand.within_earlier:
-            reachable = EMPTY
-            for _, earlier in chosen[:at]:
-                if not earlier.within_earlier:
-                    reachable = reachable.union(earlier.rect)
-        out = want.clip(reachable)
+        out = want.clip(_changed(chosen[:at]) if demand.within_earlier else demand.rect)
         if out.empty:
             skipped.append(Skip(stage.name, NOTHING_BEFORE))
             continue
@@ -78,14 +62,16 @@ def plan_frame(
         read = read.union(need)
         want = want.union(need)
         live |= stage.reads
+        if Layer.IMAGE in stage.writes:
+            written = written.union(out)
     if not any(Layer.IMAGE in s.writes for s, _ in chosen):
         return FramePlan(facts.index, EMPTY, EMPTY, (), tuple(skipped))
-    written = EMPTY
-    by_name = {s.name: s for s, _ in chosen}
-    for step in steps:
-        if Layer.IMAGE in by_name[step.stage].writes:
-            written = written.union(step.out)
     return FramePlan(facts.index, read, written, tuple(reversed(steps)), tuple(skipped))
+
+
+def _changed(chosen: Sequence[tuple[Stage, Demand]]) -> Rect:
+    """What the stages change by themselves."""
+    return reduce(Rect.union, (demand.rect for _, demand in chosen if not demand.within_earlier), EMPTY)
 
 
 def _demand(stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bool) -> Demand:
@@ -93,3 +79,23 @@ def _demand(stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bo
         return Demand(EMPTY, ABSENT)
     demand = stage.demand(facts, scene, frame)
     return demand if skip or not facts.present else Demand(frame, FORCED, demand.within_earlier)
+
+
+def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()) -> dict[str, float]:
+    """Work of a step in the terms of the price list (core/cost.py). new : of `new_terms`, those of the frame"""
+    lamps = float(sum(any(c > 0 for c in li.rgb) for li in scene.light_of(facts).lights))
+    object_mpx = facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0
+    return {
+        "frames": 1.0, "mpx": need.area / 1e6, "object_mpx": object_mpx, "lamps": lamps, "lamp_mpx": lamps * object_mpx,
+        "mfaces": scene.model.face_count / 1e6, **{name: 1.0 for name in sorted(new)},
+    }  # fmt: skip
+
+
+def new_terms(stages: Iterable[Stage], facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:
+    """Of each frame, in order: the terms (`Stage.once`) whose work has not been done yet, because its light is new."""
+    every: list[Stage] = list(stages)
+    done: set[tuple[str, Hashable]] = set()
+    for f in facts:
+        new = {item for stage in every for item in stage.once(f).items()} - done if f.visible else set()
+        done |= new
+        yield frozenset(name for name, _ in new)

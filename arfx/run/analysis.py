@@ -2,66 +2,75 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Stateful
 from arfx.analyse.folds import Analyser
 from arfx.core import codec
+from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo
 from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
-from arfx.run.ahead import Ahead
+from arfx.run.background_io import Prefetch
 from arfx.run.folder import JobFolder, write
-from arfx.run.span import Span
+from arfx.run.times import WorkLog
 
 CHECKPOINT_S = 20.0  # at most this much analysis is lost to a kill, or as many times what it takes to write it down
-Progress = Callable[[str, int, int | None], None]
+_ROUNDING_S = 1e-9
 
 
 @dataclass(frozen=True)
-class Pass:
-    """What the pass leaves behind. span : the frames to render;  truncated : a message where the file ends in damage"""
+class AnalysisPass:
+    """span : the frames to render;  truncated : a message where the file ends in damage
+    seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)
+    """
 
     analysis: Analysis
     span: Span
     truncated: str | None
-    decode_s: float
-    analyse_s: float
+    seconds: Mapping[str, float]
+    walls: Mapping[str, float]
 
 
 def analyse_clip(
-    info: ClipInfo, job: AnalysisJob, wanted: Collection[str], span_s: tuple[float | None, float | None], progress: Progress,
-    folder: JobFolder | None = None, key: str = "",
-) -> Pass:  # fmt: skip
+    info: ClipInfo, job: AnalysisJob, wanted: Collection[str], span_s: tuple[float | None, float | None],
+    progress: Callable[[str, int, int | None], None], folder: JobFolder, key: str, log: WorkLog | None = None,
+) -> AnalysisPass:  # fmt: skip
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
-    wanted : folds, by name;  folder, key : where the state is checkpointed and what it must match to be taken up again
-    What was interrupted goes on from its checkpoint. All of the clip is decoded again even so: what a decoder makes of a
-    frame, and when the frame is shown, may depend on any frame before it.
+    wanted : folds, by name;  folder, key : where the state is checkpointed, and what it must match to be resumed from
+    After an interruption the whole clip is decoded again: a frame, and when it is shown, may depend on any frame before it.
     Raises NothingToDoError if the span holds no frame, or nothing is seen to stand on.
     """
-    analyser = Analyser(job, wanted)
+    analyser, log = Analyser(job, wanted), log or WorkLog(folder.timings)
     span, analyse_s, expected = Span(span_s, info.time_base), 0.0, info.frame_count_stated if span_s == (None, None) else None
-    kept = None if folder is None else Checkpoint(folder.checkpoint, [key, job.anchor, *analyser.folds])
-    if kept is not None and (state := kept.read()) is not None:
+    checkpoint = Checkpoint(folder.checkpoint, [key, job.anchor, *analyser.folds])
+    before_s, walls, began = 0.0, {}, time.perf_counter()
+    if (state := checkpoint.read()) is not None:
         span.restore(state["span"])
         analyser.restore(state["folds"])
-    with ClipReader(info) as reader, Ahead(reader.frames()) as frames:
-        for frame, following in _with_next(span.inside(frames)):
+        before_s, walls = state["seconds"], state["walls"]
+    with ClipReader(info) as reader, Prefetch(reader.frames()) as frames:
+        for frame, following in itertools.pairwise(itertools.chain(span.inside(frames), [None])):
+            assert frame is not None
             start = time.perf_counter()
             luma, after = np.ascontiguousarray(frame.luma()), None if following is None else following.luma
             analyser.step(AnalysisFrame(len(span.pts), frame.time_s, luma, frame, after))
             analyse_s += time.perf_counter() - start
             span.take(frame)
             progress("analyse", len(span.pts), expected)
-            if kept is not None and kept.due():
-                kept.write({"span": span.state(), "folds": analyser.state()})
+            if checkpoint.due():
+                spent = {"seconds": before_s + time.perf_counter() - began, "walls": log.walls(walls)}
+                checkpoint.write({"span": span.state(), "folds": analyser.state(), **spent})
         truncated, decode_s = reader.truncated, frames.seconds
     span.whole &= not truncated
     span.require_any(info.path)
@@ -69,11 +78,13 @@ def analyse_clip(
     analysis = analyser.finish(Analysis(taken=(span.from_start_s(), span.before, span.whole)))
     analyse_s += time.perf_counter() - start
     progress("analyse", len(span.pts), len(span.pts))
-    return Pass(analysis, span, truncated, decode_s, analyse_s)
+    # the time up to a checkpoint is known as a whole: divided as the rest was
+    scale = 1 + before_s / max(decode_s + analyse_s, 1e-9)
+    return AnalysisPass(analysis, span, truncated, {"decode": decode_s * scale, "analyse": analyse_s * scale}, walls)
 
 
 class Checkpoint:
-    """A file with the state of an unfinished pass. of : what the state must be of to be taken up again"""
+    """A file with the state of an unfinished pass. of : what a state must be of to be resumed from"""
 
     def __init__(self, path: Path, of: list[str]) -> None:
         self._path, self._of = path, of
@@ -85,8 +96,8 @@ class Checkpoint:
             saved = codec.loads(self._path.read_bytes())
         except (OSError, ValueError):
             return None
-        right = isinstance(saved, dict) and saved.get("of") == self._of and isinstance(saved.get("state"), dict)
-        return saved["state"] if right else None
+        matches = isinstance(saved, dict) and saved.get("of") == self._of and isinstance(saved.get("state"), dict)
+        return saved["state"] if matches else None
 
     def due(self) -> bool:
         return time.monotonic() - self._last > CHECKPOINT_S * max(self._cost_s, 1.0)
@@ -99,10 +110,60 @@ class Checkpoint:
         self._cost_s = self._last - start
 
 
-def _with_next(frames: Iterator[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
-    """Each frame and the one after it."""
-    frame = next(frames, None)
-    while frame is not None:
-        following = next(frames, None)
-        yield frame, following
-        frame = following
+class Span(Stateful):
+    """The frames between two times, seconds from the clip's first frame, ends included; None = no end.
+
+    pts : presentation times of the frames that were taken, in the clip's time base: who takes a frame calls `take`
+    keys : which of them decoding can begin at
+    origin : of the clip's first frame;  before : frames of the clip before the span;  whole : it reaches to the clip's end
+    """
+
+    given = frozenset({"_start_s", "_end_s", "_time_base"})
+
+    def __init__(self, span_s: tuple[float | None, float | None], time_base: Fraction) -> None:
+        self._start_s = -math.inf if span_s[0] is None else span_s[0]
+        self._end_s = math.inf if span_s[1] is None else span_s[1]
+        self._time_base = time_base
+        self.pts: list[int] = []
+        self.keys: list[int] = []
+        self.origin: int | None = None
+        self.before, self.whole = 0, True
+
+    def inside(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """Those of the clip's `frames`, in order, that lie in the span and after those that were taken before."""
+        last = self.pts[-1] if self.pts else -math.inf
+        for frame in frames:
+            if self.origin is None:
+                self.origin = frame.pts
+            if frame.pts <= last:
+                continue
+            since_s = self._since_s(frame.pts)
+            if since_s > self._end_s + _ROUNDING_S:
+                self.whole = False
+                return
+            if since_s < self._start_s - _ROUNDING_S:
+                self.before += 1
+            else:
+                last = frame.pts
+                yield frame
+
+    def take(self, frame: Frame) -> None:
+        if frame.key:
+            self.keys.append(len(self.pts))
+        self.pts.append(frame.pts)
+
+    def from_start_s(self) -> list[float]:
+        """Seconds of the frames that were taken, from the clip's first frame."""
+        return [self._since_s(t) for t in self.pts]
+
+    def _since_s(self, pts: int) -> float:
+        return float((pts - (self.origin or 0)) * self._time_base)
+
+    def require_any(self, path: Path) -> None:
+        """Raises NothingToDoError where no frame was taken."""
+        if not self.pts:
+            end = "its end" if math.isinf(self._end_s) else f"{self._end_s:g} s"
+            raise NothingToDoError(
+                f"{path} has no frame between {max(self._start_s, 0):g} s and {end}",
+                "check --start and --end; `arfx inspect` shows the clip's length",
+            )

@@ -31,7 +31,7 @@ def serve() -> None:
     if numba.__version__.startswith(TRIED):
         compile_kernels_only()
     for line in sys.stdin:
-        with contextlib.suppress(Exception):  # told where it is called
+        with contextlib.suppress(Exception):  # raised again where it is called
             module, name, types = json.loads(line)
             Kernel(module, name, types, 0.0).load()
         answers.write("done\n")

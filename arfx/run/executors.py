@@ -16,7 +16,7 @@ from typing import Any
 
 from arfx.core import interrupt
 from arfx.errors import RenderError
-from arfx.run.chunks import stretches, taken
+from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
 from arfx.run.worker import render_chunk
 
@@ -52,7 +52,7 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
 
     ticks = itertools.count(1)  # one step of it is atomic
     done, stopped = 0, False
-    lanes = stretches(tasks, workers)
+    queues = work_queues(tasks, workers)
     choosing = threading.Lock()
     results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
@@ -62,20 +62,20 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
             raise _StoppedError
         done = max(done, next(ticks))
 
-    def work(lane: deque[Task]) -> None:
+    def next_task(own: deque[Task]) -> Task | None:
+        with choosing:
+            return steal(own, queues)
+
+    def work(own: deque[Task]) -> None:
         try:
-            while True:
-                with choosing:
-                    task = taken(lane, lanes)
-                if task is None:
-                    return
+            while (task := next_task(own)) is not None:
                 results.put(render_chunk(*task, tick))
         finally:
             release()
 
-    pool = futures.ThreadPoolExecutor(len(lanes), "render")
+    pool = futures.ThreadPoolExecutor(len(queues), "render")
     try:
-        running = {pool.submit(work, lane) for lane in lanes}
+        running = {pool.submit(work, own) for own in queues}
         while running:
             ready, running = futures.wait(running, timeout=0.2, return_when=futures.FIRST_COMPLETED)
             progress(done)

@@ -8,18 +8,23 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import arfx
+from arfx.core.facts import FrameFacts
 from arfx.core.guard import PART, TIMES, Fingerprint, aside, fingerprint
 from arfx.errors import ConfigError, RenderError
+from arfx.media.frames import Frame
 from arfx.run.lock import HOLDER, LOCK, MARKER
 
 MARK = "# A job of arfx. Its folder is arfx's own: --overwrite clears it.\n"  # job.toml begins with it
@@ -57,16 +62,16 @@ class JobFolder:
 
     def files(self) -> Iterator[Path]:
         """All that arfx wrote into it."""
-        return (self.path / name for name, mine in self._entries() if mine)
+        return (self.path / name for name, ours in self._entries() if ours)
 
-    def check_strangers(self) -> None:
+    def check_foreign_files(self) -> None:
         """Raises ConfigError where the folder holds anything that arfx did not write."""
-        stranger = next((name for name, mine in self._entries() if not mine), None)
-        if stranger is not None:
-            raise ConfigError(f"{self.path} holds {stranger!r}, it is not a job folder", "name an empty one with --job")
+        foreign = next((name for name, ours in self._entries() if not ours), None)
+        if foreign is not None:
+            raise ConfigError(f"{self.path} holds {foreign!r}, it is not a job folder", "name an empty one with --job")
 
     def check(self, resume: bool, overwrite: bool) -> None:
-        """Raises ConfigError where it holds a job and it is neither to be gone on with nor to be replaced."""
+        """Raises ConfigError where it holds a job that is neither to be resumed nor to be replaced."""
         if self.job.exists() and not resume and not overwrite:
             state = "a finished" if self.report.exists() else "an unfinished"
             raise ConfigError(f"{self.path} holds {state} job", "--resume goes on with it, --overwrite starts afresh")
@@ -83,15 +88,15 @@ class JobFolder:
 
     def clear(self, under: str = "") -> None:
         """Remove what arfx wrote, but for a lock; what it did not write stays. under : only what lies in this folder"""
-        for name, mine in [*self._entries()]:
-            if mine and name.startswith(under) and name not in (LOCK, MARKER, HOLDER):
+        for name, ours in [*self._entries()]:
+            if ours and name.startswith(under) and name not in (LOCK, MARKER, HOLDER):
                 path = self.path / name
                 with contextlib.suppress(OSError):
                     path.rmdir() if path.is_dir() else path.unlink()
 
     @property
     def resumable(self) -> bool:
-        """Whether anything is left here that another process need not do again."""
+        """Whether there is anything here that another process need not do again."""
         return self._seal.exists() or self.checkpoint.exists()
 
     def seal(self, job_key: str) -> None:
@@ -108,7 +113,7 @@ class JobFolder:
         except (OSError, ValueError, RecursionError):
             return False
 
-    def note_placed(self, part: Path) -> None:
+    def record_outputs(self, part: Path) -> None:
         """The files of `part` are about to become the output."""
         files = sorted(part.iterdir()) if part.is_dir() else [part]
         write(self.placed, json.dumps([fingerprint(f) for f in files]))
@@ -127,7 +132,7 @@ class JobFolder:
 
     def _entries(self, inside: str = "") -> Iterator[tuple[str, bool]]:
         """(path in the folder, whether arfx wrote it) of all that is in it, from the inside out; links are not arfx's."""
-        kinds = (_UNMARKED, *[_MARKED] * self._marked())
+        patterns = (_UNMARKED, *[_MARKED] * self._marked())
         try:
             with os.scandir(self.path / inside) as found:
                 entries = sorted(found, key=lambda e: e.name)
@@ -136,20 +141,18 @@ class JobFolder:
         for e in entries:
             name = inside + e.name
             if e.is_dir(follow_symlinks=False):
-                mine = _FOLDERS.fullmatch(name) is not None
-                yield from self._entries(f"{name}/") if mine else ()
+                ours = _FOLDERS.fullmatch(name) is not None
+                yield from self._entries(f"{name}/") if ours else ()
             else:
-                mine = e.is_file(follow_symlinks=False) and any(kind.fullmatch(name) for kind in kinds)
-            yield name, mine
+                ours = e.is_file(follow_symlinks=False) and any(p.fullmatch(name) for p in patterns)
+            yield name, ours
 
     def _marked(self) -> bool:
-        if not self.job.is_file():  # a pipe would be waited for
-            return False
-        try:
-            with self.job.open("rb") as f:
-                return f.read(len(MARK)) == MARK.encode()
-        except OSError:
-            return False
+        with contextlib.suppress(OSError):
+            if self.job.is_file():  # reading from a pipe would wait
+                with self.job.open("rb") as f:
+                    return f.read(len(MARK)) == MARK.encode()
+        return False
 
 
 def write(path: Path, data: str | bytes) -> None:
@@ -169,11 +172,7 @@ def disk_error(e: OSError, path: Path) -> RenderError:
 def read_lines(path: Path, first: int = 0, last: int | None = None) -> Iterator[Any]:
     """The JSON documents on lines first … last (inclusive, from 0)."""
     with path.open(encoding="utf-8") as f:
-        for number, line in enumerate(f):
-            if number >= first and (last is None or number <= last):
-                yield json.loads(line)
-            elif last is not None and number > last:
-                return
+        yield from map(json.loads, itertools.islice(f, first, None if last is None else last + 1))
 
 
 def digest(*parts: Any) -> str:
@@ -219,3 +218,39 @@ def code_digest(root: Path = Path(arfx.__file__).parent, version: str = arfx.__v
         h.update(str(path.relative_to(root)).encode())
         h.update(path.read_bytes())
     return h.hexdigest()
+
+
+COUNT, WIDEST_PX = 8, 960
+
+
+def pick_previews(facts: Sequence[FrameFacts], count: int = COUNT) -> list[int]:
+    """Frames spread evenly over those that show the object; over all where none does."""
+    shown = [f.index for f in facts if f.visible] or [f.index for f in facts]
+    at = np.unique(np.linspace(0, len(shown) - 1, min(count, len(shown))).round().astype(int))
+    return [shown[i] for i in at]
+
+
+def save_preview(folder: Path, index: int, before: Frame, after: Frame) -> None:
+    import cv2
+
+    for frame, kind in ((before, "in"), (after, "out")):
+        rgb = frame.rgb8()
+        if rgb.shape[1] > WIDEST_PX:
+            size = (WIDEST_PX, max(round(rgb.shape[0] * WIDEST_PX / rgb.shape[1]), 1))
+            rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+        # as it is: a PNG would take as long as a frame's rendering, for a file that lives as long as the job folder
+        cv2.imwrite(str(folder / f"{index:06d}.{kind}.bmp"), rgb[..., ::-1])
+
+
+def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """(frame number, before, after), RGB uint8, in order."""
+    import cv2
+
+    out = []
+    for path in sorted(folder.glob("*.in.bmp")):
+        after = path.with_name(path.name.replace(".in.", ".out."))
+        if after.exists():
+            pair = [cv2.imread(str(p)) for p in (path, after)]
+            if pair[0] is not None and pair[1] is not None:
+                out.append((int(path.name.split(".")[0]), pair[0][..., ::-1], pair[1][..., ::-1]))
+    return out

@@ -10,7 +10,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
@@ -25,10 +24,10 @@ from arfx.media.frame import Frame
 
 
 @dataclass
-class Canvas:
+class FrameLayers:
     """The layers of one frame while its plan runs.
 
-    read : what stages saw that look at earlier frames: they see that again, not what came of it
+    read : by stage with a history, the layers that it saw: what later frames see of this one
     """
 
     plate: np.ndarray | Pixels
@@ -45,9 +44,9 @@ class Canvas:
         """Read-only layers over `rect`."""
         return Layers(rect, {name: self.stored.get(name, UNWRITTEN) for name in names})
 
-    def put(self, name: Layer, made: np.ndarray | Pixels, need: Rect, out: Rect) -> Pixels:
-        """Write what a stage that saw `need` made, over `out`; outside of that stays what was there. Returns what is new."""
-        new = (made if isinstance(made, Pixels) else Pixels(need, made)).clip(out)
+    def put(self, name: Layer, output: np.ndarray | Pixels, need: Rect, out: Rect) -> Pixels:
+        """Write what a stage returned that saw `need`, over `out`; the rest stays. Returns what is new."""
+        new = (output if isinstance(output, Pixels) else Pixels(need, output)).clip(out)
         before = self.stored.get(name)
         if name is Layer.IMAGE:
             assert before is not None
@@ -71,16 +70,16 @@ class FrameResult:
 
     rect: Rect
     seconds: dict[str, float]
-    canvas: Canvas
+    layers: FrameLayers
 
     @property
     def image(self) -> np.ndarray:
         """(h, w, 3) linear over `rect`."""
-        return self.canvas.view(frozenset({Layer.IMAGE}), self.rect)[Layer.IMAGE]
+        return self.layers.view(frozenset({Layer.IMAGE}), self.rect)[Layer.IMAGE]
 
     def onto(self, frame: Frame) -> Frame:
-        """The frame with what is new written into its planes. Light that nobody asked for is taken from the stored samples."""
-        out, plate, image = frame, self.canvas.stored[Layer.PLATE], self.canvas.stored[Layer.IMAGE]
+        """The frame with what is new written into its planes. A shadow that no stage read is applied to the stored samples."""
+        out, plate, image = frame, self.layers.stored[Layer.PLATE], self.layers.stored[Layer.IMAGE]
         region, light = image.written.clip(self.rect), image.rest
         if isinstance(light, Attenuated):
             if not (where := light.rect.clip(self.rect)).empty:
@@ -98,83 +97,63 @@ class FrameResult:
         return out.edited(rect, before, after, columns, out is not frame)
 
 
-def made_ready(plan: FramePlan, stages: Mapping[str, Stage], scene: Scene) -> dict[str, ReadyStage]:
-    """What `run_frame` needs to run a plan, prepared for it alone."""
+def ready_stages(plan: FramePlan, stages: Mapping[str, Stage], scene: Scene) -> dict[str, ReadyStage]:
+    """The stages of a plan, prepared at its levels."""
     return {s.stage: ReadyStage.of(stages[s.stage], scene, s.level) for s in plan.steps}
 
 
 def run_frame(
-    plate: np.ndarray | Pixels,
-    facts: FrameFacts,
-    plan: FramePlan,
-    ready: Mapping[str, ReadyStage],
-    past: Sequence[tuple[Canvas, FrameFacts]] = (),
-    real_depth_m: np.ndarray | None = None,
-) -> FrameResult:
+    plate: np.ndarray | Pixels, facts: FrameFacts, plan: FramePlan, ready: Mapping[str, ReadyStage],
+    past: Sequence[tuple[FrameLayers, FrameFacts]] = (), real_depth_m: np.ndarray | None = None,
+) -> FrameResult:  # fmt: skip
     """Run a plan that has steps.
 
     plate : (h, w, 3) float32 linear light over plan.rect;  ready : the stages of the plan, at its levels
-    past : canvases of the frames before, oldest first, as many as the longest history asks for
+    past : layers of the frames before, oldest first, as many as the longest history asks for
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite.
     """
-    canvas = Canvas(plate, plan.rect)
+    layers = FrameLayers(plate, plan.rect)
     if real_depth_m is not None:
-        canvas.put(Layer.REAL_DEPTH, real_depth_m, plan.rect, plan.rect)
+        layers.put(Layer.REAL_DEPTH, real_depth_m, plan.rect, plan.rect)
     seconds: dict[str, float] = {}
-    source = canvas.stored[Layer.PLATE]
+    source = layers.stored[Layer.PLATE]
 
-    def spent() -> float:
+    def own_time() -> float:
         """Seconds so far without those of converting the plate, which are no stage's."""
         return time.perf_counter() - source.seconds
 
     for step in plan.steps:
         at = ready[step.stage]
-        stage, start = at.stage, spent()
-        seen = canvas.view(stage.reads, step.need)
+        stage, start = at.stage, own_time()
+        seen = layers.view(stage.reads, step.need)
         earlier = past[-stage.history :] if stage.history and past else ()
         before = tuple(at.view(c.read.get(stage.name) or c.view(stage.reads, step.need), f) for c, f in earlier)
         if stage.history:
-            canvas.read[stage.name] = seen
-        for name, made in stage.run(at.view(seen, facts, step.out, before), at.prepared).items():
-            new = canvas.put(name, made, step.need, step.out)
+            layers.read[stage.name] = seen
+        for name, output in stage.run(at.view(seen, facts, step.out, before), at.prepared).items():
+            new = layers.put(name, output, step.need, step.out)
             if name is not Layer.DEPTH:  # infinite where nothing is
                 _require_finite(new, name, stage.name, facts.index)
-        seconds[stage.name] = seconds.get(stage.name, 0.0) + spent() - start
-    return FrameResult(plan.changed, seconds, canvas)
+        seconds[stage.name] = seconds.get(stage.name, 0.0) + own_time() - start
+    return FrameResult(plan.changed, seconds, layers)
 
 
 def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> None:
-    array, rect, region = pixels.array, pixels.part, pixels.written
-    if array.dtype.kind != "f" or not region.rects:
+    rects, array = pixels.written.rects, pixels.array
+    if array.dtype.kind != "f" or not rects:
         return
-    if array.strides[-1] == 0:  # one value for all channels
-        array = array[..., 0]
-    if array.dtype == np.float32 and array.flags.c_contiguous:
-        bits, n = array.reshape(len(array), -1).view(np.int32), array.size // rect.area
-        rows = ((r.y0 - rect.y0, r.y1 - rect.y0, n * (r.x0 - rect.x0), n * (r.x1 - rect.x0)) for r in region.rects)
-        if all(_finite(bits[top:bottom], a, b) for top, bottom, a, b in rows):
+    with np.errstate(all="ignore"):  # a sum is a quick proof; what lies beside the written pixels may be anything
+        if np.isfinite(array.sum()) or all(np.isfinite(array[r.slices_in(pixels.part)]).all() for r in rects):
             return
-    kept = np.zeros(array.shape[:2], bool)
-    for part in region.rects:
-        kept[part.slices_in(rect)] = True
-    wrong = kept & ~np.isfinite(array.reshape(*array.shape[:2], -1)).all(-1)
-    if wrong.any():
-        y, x = np.argwhere(wrong)[0]
-        raise RenderError(
-            f"stage {stage!r} made {wrong.sum()} pixels of layer {layer} that are not finite numbers, "
-            f"frame {index}, first at x {x + rect.x0}, y {y + rect.y0}",
-            "please report this with the job folder; --set or another level may avoid it",
-        )
-
-
-@numba.njit(cache=True, nogil=True)
-def _finite(bits: np.ndarray, a: int, b: int) -> bool:  # pragma: no cover - compiled
-    """Whether all float32 with these bits (h, n) in columns a to b are finite: none has all bits of its exponent set."""
-    highest = np.int32(0)
-    for y in range(bits.shape[0]):
-        row = bits[y, a:b]
-        for k in range(row.shape[0]):
-            highest = max(highest, row[k] & np.int32(0x7F800000))
-    return bool(highest < np.int32(0x7F800000))
+    bad = np.zeros(array.shape[:2], bool)
+    for r in rects:
+        at = r.slices_in(pixels.part)
+        bad[at] = ~np.isfinite(array[at].reshape(*bad[at].shape, -1)).all(-1)
+    y, x = np.argwhere(bad)[0]
+    raise RenderError(
+        f"stage {stage!r} made {bad.sum()} pixels of layer {layer} that are not finite numbers, "
+        f"frame {index}, first at x {x + pixels.part.x0}, y {y + pixels.part.y0}",
+        "please report this with the job folder; --set or another level may avoid it",
+    )

@@ -24,13 +24,12 @@ from arfx.errors import ConfigError, InputError
 from arfx.media.camera_checks import camera_doubts
 from arfx.media.cameras import load_camera
 from arfx.media.clip import ClipInfo, probe
-from arfx.media.depth_maps import DepthMaps
+from arfx.media.depth_maps import DepthMaps, open_depth
 from arfx.media.images import load_image
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.pose_files import CameraPath, load_poses
-from arfx.run.depth import job_depth
-from arfx.run.parameters import on_this_machine
+from arfx.run.parameters import with_machine_settings
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
 
@@ -61,13 +60,19 @@ def open_inputs(config: JobConfig) -> Inputs:
     model = job_model(config)
     Scene(camera, model, placement(config).world_from_model(model, config.model.up)).check_extent()
     maps = job_depth(config)
-    if maps is not None:  # its first map is read, so that what is wrong with all of them is said before the clip is analysed
+    if maps is not None:  # an error in all of them is reported before the clip is analysed
         maps.load(0, clip.width, clip.height)
     return Inputs(
-        on_this_machine(config), clip, camera, model, marker_map(config), output,
+        with_machine_settings(config), clip, camera, model, marker_map(config), output,
         (*notices, *model.notices, *output.notices), panorama(config), maps,
         None if config.input.poses is None else load_poses(config.input.poses),
     )  # fmt: skip
+
+
+def job_depth(config: JobConfig) -> DepthMaps | None:
+    """The job's depth maps, listed; None where it has none. Raises InputError."""
+    i = config.input
+    return None if i.depth is None else open_depth(i.depth, i.depth_scale, float(i.depth_start or 0.0))
 
 
 def panorama(config: JobConfig) -> np.ndarray | None:
@@ -109,11 +114,10 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
     elif not config.markers:
         raise ConfigError("no marker is named", "--marker FAMILY:ID:SIZE; `arfx inspect CLIP` finds out which is there")
     keys = [m.key for m in config.markers]
-    if len(set(keys)) < len(keys):
-        twice = next(k for k in keys if keys.count(k) > 1)
-        raise ConfigError(f"marker {twice} is named twice", "each family and id once")
+    if twice := [k for k in keys if keys.count(k) > 1]:
+        raise ConfigError(f"marker {twice[0]} is named twice", "each family and id once")
     info = probe(config.input.clip, Transfer(config.input.transfer))
-    notices: list[str] = list(getattr(info, "notices", ()))
+    notices = list(info.notices)
     if config.input.camera is None:
         camera = Camera.guess(info.width, info.height)
         notices.append(
@@ -140,19 +144,19 @@ def make_scene(
     config: JobConfig, camera: Camera, model: Model, world_from_marker: Mapping[str, Pose], anchor: str,
     static: str = "marker", real_planes: Sequence[RealPlane] = (),
 ) -> Scene:  # fmt: skip
-    """The scene of a job. anchor : key of the marker that the model stands on. The default light hangs above it.
+    """The scene of a job. anchor : key of the marker under the model. The default light hangs above it.
 
     real_planes : of the real scene, measured
-    static : what stands still (Analysis.static). A marker that is moved before a camera at rest is a sheet or a card: its
+    static : what is at rest (Analysis.static). A marker that is moved before a camera at rest is a sheet or a card: its
     surface ends a little beyond the print.
     """
-    stand = world_from_marker.get(anchor, Pose.identity())
+    world_from_anchor = world_from_marker.get(anchor, Pose.identity())
     size_m = {m.key: m.size_m for m in config.markers}
     half = (0.5 + CARD) * size_m.get(anchor, next(iter(size_m.values()), 0.0))
-    world_from_model = stand.matrix @ placement(config).world_from_model(model, config.model.up)
+    world_from_model = world_from_anchor.matrix @ placement(config).world_from_model(model, config.model.up)
     return Scene(
-        camera, model, world_from_model, config.markers, dict(world_from_marker), stand,
-        Light().turned(stand.rotation), config.pipeline.seed,
+        camera, model, world_from_model, config.markers, dict(world_from_marker), world_from_anchor,
+        Light().turned(world_from_anchor.rotation), config.pipeline.seed,
         (-half, -half, half, half) if static == "camera" else None,
         tuple(real_planes),
     )  # fmt: skip

@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,24 +27,25 @@ from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import analyse_clip
-from arfx.run.choose import choose, wish_of
-from arfx.run.chunks import Chunk, borders
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, read_lines, write
+from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, pick_previews, read_lines, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.kernels import JOB, compile_ahead, loading, unlisted_told
-from arfx.run.parameters import folds_wanted, kinds_of_folds, make_stages, pipeline
+from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
+from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
 from arfx.run.place import Places
-from arfx.run.planned import Analysed, Job, JobPlan
-from arfx.run.predict import Terms
-from arfx.run.preview import pick
+from arfx.run.planned import ClipAnalysis, Job, JobPlan
+from arfx.run.predict import JobSize, choose, level_policy
+from arfx.run.schedule import Chunk, borders
 from arfx.run.summary import build_report
-from arfx.run.times import ANALYSIS, CHUNK, AnalysisClock, Spent, WorkLog
+from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory, open_context
 from arfx.stages import STAGES
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
+
+
+Progress = Callable[[str, int, int | None], None]
 
 
 @dataclass
@@ -63,7 +65,7 @@ class Options:
     workers: int | None = 1
     report: Path | None = None
     finish: Callable[[Path], object] | None = None
-    progress: Callable[[str, int, int | None], None] = lambda phase, done, total: None
+    progress: Progress = lambda phase, done, total: None
     notice: Callable[[str], None] = print
 
 
@@ -79,12 +81,11 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         options.notice(notice)
     places = Places(inputs, options.folder, options.report, options.overwrite)
     folder = places.folder
-    with places.held(options.resume), _interruptible(folder) as check, unlisted_told(options.notice):
-        told = options.progress
+    with places.held(options.resume), _interruptible(folder) as check, warn_if_unlisted(options.notice):
 
-        def progress(phase: str, done: int, total: int | None) -> None:
+        def progress(phase: str, done: int, total: int | None, report: Progress = options.progress) -> None:
             check()
-            told(phase, done, total)
+            report(phase, done, total)
 
         options = replace(options, progress=progress)
         job = plan_job(inputs, folder, options, started)
@@ -103,66 +104,58 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     return report
 
 
-def default_workers(pixels: int) -> tuple[int, bool]:
-    """How many workers, and whether they are threads of this process: one per usable core.
+def worker_count(pixels: int, stated: int | None = None) -> tuple[int, bool]:
+    """How many workers, and whether they are threads of this process: as many processes as stated, else one per usable core.
 
-    Threads where the cores are few; else processes, but one only for a short job, in which starting others would take
-    longer than they save.
+    Threads where the cores are few; else processes, but only one for a short job, in which starting others would take
+    longer than they save. pixels : of all frames
     """
+    if stated is not None:
+        return stated, False
     cores = usable_cores()
     if cores <= MOST_THREADS:
         return cores, True
     return (cores if pixels > SHORT_JOB_PX else 1), False
 
 
-def _workers(options: Options, frames: int, inputs: Inputs) -> tuple[int, bool]:
-    """As `default_workers`, where none are stated."""
-    return (options.workers, False) if options.workers is not None else default_workers(frames * inputs.camera.rect.area)
-
-
 def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Job:
-    """Analyse (or take up again what was analysed) and plan. started : perf_counter when the work began; None = now"""
+    """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
     parts = (JOB, *pipeline(config))
-    log = WorkLog(folder.timings, _compiled(parts, options, started))
+    before = time.perf_counter()
+    compile_ahead(parts, options.progress, options.notice)
+    # the work began as if compiling had taken no time: later jobs are spared it
+    log = WorkLog(folder.timings, time.perf_counter() - (0.0 if started is None else before - started))
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")
     model_key = sorted((str(path), file_digest(path)) for path in inputs.model.files)  # textures and buffers too
-    base = [
-        code_digest(),
-        file_digest(config.input.clip),
-        inputs.camera.to_json(),
-        tree["input"],
-        tree["marker"],
-        tree["analyse"],
-        tree["light"],
-        config.model.anchor,
-        sorted(folds_wanted(config)),
-        sorted(kinds_of_folds(config)),
-    ]
     more = (config.input.marker_map, config.input.poses, config.params["light"].environment)
-    base += [file_digest(path) for path in more if path]
+    base = [
+        code_digest(), file_digest(config.input.clip), inputs.camera.to_json(),
+        *(tree[section] for section in ("input", "marker", "analyse", "light")), config.model.anchor,
+        sorted(required_folds(config)), sorted(fold_classes(config)), *(file_digest(path) for path in more if path),
+    ]  # fmt: skip
     analysis_key = digest(*base)
     maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
     plugins = [code_digest(*STAGES.source(name)) for name in pipeline(config) if name in STAGES.plugins]
     job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps, plugins)
     stages, prices = make_stages(config), load_prices()
-    wish = wish_of(config, stages, prices)
+    policy = level_policy(config, stages, prices)
     errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
     write(folder.job, MARK + to_toml({**tree, "output": output}))
     write(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
-        with loading(parts, options.workers in (None, 1)):  # before the time is taken: what is to come needs none of it
+        with loading(parts, options.workers in (None, 1)):
             _analyse(inputs, folder, analysis_key, options, log)
-    analysed, facts = Analysed.read(folder), list(read_facts(folder.facts))
+    analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model)
     start = time.perf_counter()
     if fresh:
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
-        plans, document = choose(config, stages, facts, scene, wish, errors, prices, size, options.notice)
+        plans, document = choose(config, stages, facts, scene, policy, errors, prices, size, options.notice)
         write(folder.plan_summary, json.dumps(document, indent=1))
         write(folder.plan, "".join(json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)
@@ -172,38 +165,29 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     return Job(inputs, folder, job_key, analysis_key, analysed, facts, scene, stages, prices, plan, log)
 
 
-def _compiled(parts: Sequence[str], options: Options, started: float | None) -> float:
-    """Compile what is missing. Returns when the job's work began, as if that had taken no time: later jobs are spared it."""
-    before = time.perf_counter()
-    compile_ahead(parts, options.progress, options.notice)
-    return time.perf_counter() - (0.0 if started is None else before - started)
-
-
-def _size(inputs: Inputs, analysed: Analysed, stages: Mapping[str, Stage], spent: Spent, options: Options) -> Terms:
-    frames = len(analysed.pts)
-    workers, threads = _workers(options, frames, inputs)
+def _size(inputs: Inputs, analysed: ClipAnalysis, stages: Mapping[str, Stage], spent: TimeSpent, options: Options) -> JobSize:
+    frames, area_px = len(analysed.pts), inputs.camera.rect.area
+    workers, threads = worker_count(frames * area_px, options.workers)
     workers = max(min(workers, len(borders(frames))), 1)
-    return Terms(
-        frames, inputs.camera.rect.area / 1e6, spent.seconds.get("decode", 0.0), spent.wall_s, inputs.output.codec, workers,
+    return JobSize(
+        frames, area_px / 1e6, spent.seconds.get("decode", 0.0), spent.wall_s, inputs.output.codec, workers,
         0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6, tuple(analysed.keys),
         frozenset(name for name, stage in stages.items() if type(stage).health is not Stage.health),
     )  # fmt: skip
 
 
 def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Options, log: WorkLog) -> None:
-    config = inputs.config
-    span = (config.input.start, config.input.end)
-    clock = AnalysisClock(log, analysis_key, folder.checkpoint, options.progress)
-    anchor = config.model.anchor
+    config, anchor = inputs.config, inputs.config.model.anchor
     job = AnalysisJob(
         config.markers, inputs.camera, config.params["analyse"], config.params["light"], inputs.marker_map, inputs.panorama,
         anchor, inputs.depth, config.input.depth_align == anchor == MARKER, inputs.poses,
         lambda clip: make_scene(
             config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static
         ),
-        options.progress, kinds_of_folds(config),
+        options.progress, fold_classes(config),
     )  # fmt: skip
-    done = analyse_clip(inputs.info, job, folds_wanted(config), span, clock, folder, analysis_key)
+    span = (config.input.start, config.input.end)
+    done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log)
     clip = done.analysis
     check_times(inputs.output, done.span.pts, inputs.info.time_base)
     seen, notices = clip.summary["markers_seen"], list(clip.notices)
@@ -214,14 +198,11 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)
-    Analysed(
+    ClipAnalysis(
         done.span.pts, done.span.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
-        pick(clip.facts), [*inputs.notices, *notices], clip.real_planes,
+        pick_previews(clip.facts), [*inputs.notices, *notices], clip.real_planes,
     ).write(folder)  # fmt: skip
-    # the time up to a checkpoint that was taken up is known as a whole: parted as the rest was
-    part = clock.before_s / max(done.decode_s + done.analyse_s, 1e-9)
-    seconds = {"decode": done.decode_s * (1 + part), "analyse": done.analyse_s * (1 + part)}
-    log.note(ANALYSIS, analysis_key, seconds, clock.walls, frames=len(done.span.pts))
+    log.note(ANALYSIS, analysis_key, done.seconds, done.walls)
 
 
 def _chunks(job: Job) -> list[Chunk]:
@@ -229,12 +210,12 @@ def _chunks(job: Job) -> list[Chunk]:
     facts = job.folder.facts.read_text(encoding="utf-8").splitlines()[1:]  # the first line is the header
     plans = job.folder.plan.read_text(encoding="utf-8").splitlines()
     world = {k: p.to_json() for k, p in job.analysed.world_from_marker.items()}
-    out = []
-    for first, last in borders(len(job.facts)):
+
+    def key(first: int, last: int) -> str:
         part = slice(max(first - 1, 0), last + 1)  # a stage may look at the frame before
-        parts = [facts[part], plans[part], job.analysed.pts[part]]
-        out.append(Chunk(first, last, digest(job.key, parts, world, job.analysed.static)))
-    return out
+        return digest(job.key, [facts[part], plans[part], job.analysed.pts[part]], world, job.analysed.static)
+
+    return [Chunk(first, last, key(first, last)) for first, last in borders(len(job.facts))]
 
 
 def _render(job: Job, chunks: list[Chunk], options: Options) -> list[Path]:
@@ -242,25 +223,20 @@ def _render(job: Job, chunks: list[Chunk], options: Options) -> list[Path]:
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
     todo = [c for c in chunks if files[c.first] is None]
-    keep = sum(c.frames for c in chunks) - sum(c.frames for c in todo)
-    total = len(job.facts)
-    keys = {c.first: c.key for c in todo}
+    keys, total = {c.first: c.key for c in todo}, len(job.facts)
     tasks: list[Task] = [(str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name)) for c in todo]
 
     def progress(done: int) -> None:
-        options.progress("render", keep + done, total)
+        options.progress("render", total - sum(c.frames for c in todo) + done, total)
 
     progress(0)
-    workers, threads = _workers(options, total, job.inputs)
+    workers, threads = worker_count(total * job.scene.camera.rect.area, options.workers) if tasks else (0, False)
     workers = min(workers, len(tasks))
     if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
         context = open_context(str(folder.path), job.key)
         context.facts, context.plans = job.facts, job.plan.frames
-    if workers <= 1:
-        results = run_serial(tasks, progress)
-    else:
-        results = (run_threads if threads else run_processes)(tasks, workers, progress)
-    with contextlib.closing(results):  # an error or a signal here too stops the workers, before the folder is given back
+    run = partial(run_threads if threads else run_processes, workers=workers) if workers > 1 else run_serial
+    with contextlib.closing(run(tasks, progress=progress)) as results:  # an error here too stops the workers
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
             job.log.note(CHUNK, keys[result["first"]], **result)
@@ -269,15 +245,15 @@ def _render(job: Job, chunks: list[Chunk], options: Options) -> list[Path]:
 
 
 def _join(job: Job, files: Sequence[Path], places: Places) -> int:
-    info, output, config = job.inputs.info, job.inputs.output, job.inputs.config
+    output, section = job.inputs.output, job.inputs.config.input
 
-    def made() -> None:
-        places.check_output()  # all the time since the first look
-        job.folder.note_placed(places.part)
+    def before_moving() -> None:
+        places.check_output()  # again: rendering took its time
+        job.folder.record_outputs(places.part)
 
     try:
         return join_chunks(
-            files, job.analysed.pts, output, info, output.path, config.input.start, config.input.end, places.part, made
+            files, job.analysed.pts, output, job.inputs.info, output.path, section.start, section.end, places.part, before_moving
         )
     except OSError as e:
         raise disk_error(e, output.path) from None

@@ -2,12 +2,13 @@
 
 kernels.json lists, by what brings them into a job, the compiled functions that are called from Python, with the types of
 their arguments and the seconds that each takes to compile (tools/record_kernels.py). Processes, because numba holds a lock
-while it compiles. What is not in the list is compiled when it is called, and `unlisted_told` says so.
+while it compiles. What is not in the list is compiled when it is called, and `warn_if_unlisted` says so.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import queue
@@ -26,16 +27,17 @@ from typing import Any
 from arfx.core import compiled, interrupt
 from arfx.core.machine import usable_cores
 
-COMPILE = "compile"  # the phase that is told
+COMPILE = "compile"  # the phase that progress is reported for
 MANIFEST = Path(__file__).with_suffix(".json")
 JOB, SYNTH = "job", "synth"  # parts of the list; the others are named by the stage that brings them
 PROCESS_S = 4.0  # of compiling, for each process: it takes one or two seconds to start
 Progress = Callable[[str, int, int | None], None]
+Notice = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """A compiled function for one list of argument types, as `written`. seconds : it takes to compile"""
+    """A compiled function for one list of argument types, as `signature`. seconds : it takes to compile"""
 
     module: str
     name: str
@@ -47,7 +49,7 @@ class Kernel:
         return getattr(import_module(self.module), self.name)
 
     @property
-    def kept(self) -> bool:
+    def is_cached(self) -> bool:
         """Whether it need not be compiled: numba's own look-up, without loading the code."""
         function, types = self.function, _types(self.types)
         key = function._cache._index_key(types, function.targetctx.codegen())
@@ -58,7 +60,7 @@ class Kernel:
         self.function.compile(_types(self.types))
 
 
-def written(types: Iterable[Any]) -> str:
+def signature(types: Iterable[Any]) -> str:
     """Types of arguments as numba writes them, a named tuple's class with its module: "(int64, arfx.x.Pair(int64, int64))"."""
     from numba.core.types.containers import BaseNamedTuple
 
@@ -74,7 +76,7 @@ def written(types: Iterable[Any]) -> str:
 
 @cache
 def _types(text: str) -> tuple[Any, ...]:
-    """What `written` wrote."""
+    """What `signature` wrote."""
     from numba.core import types
 
     known = dict(vars(types))
@@ -88,44 +90,35 @@ def _types(text: str) -> tuple[Any, ...]:
     return tuple(one(kind) for kind in eval(text, known))
 
 
-def listed(parts: Collection[str] | None = None) -> list[Kernel]:
+def listed_kernels(parts: Collection[str] | None = None) -> list[Kernel]:
     """The kernels of these parts of the list; None = of all."""
     document = json.loads(MANIFEST.read_text(encoding="utf-8"))
     return [Kernel(*row) for part, rows in document.items() if parts is None or part in parts for row in rows]
 
 
-def compile_ahead(parts: Collection[str] | None, progress: Progress, notice: Callable[[str], None] = print) -> int:
-    """Compile what is missing of these parts of the list, None = of all. Returns how many functions that was.
-
-    progress : phase "compile", functions done, of how many;  notice : told where none of it can be kept
-    """
-    return compile_missing(listed(parts), progress, notice)
-
-
-def compile_missing(kernels: Sequence[Kernel], progress: Progress, notice: Callable[[str], None] = print) -> int:
-    """Those of these kernels that were not compiled yet; as `compile_ahead`."""
-    with compiling(kernels, (), progress, notice) as count:
+def compile_ahead(parts: Collection[str] | None, progress: Progress, notice: Notice = print) -> int:
+    """Compile what is missing of these parts of the list, None = of all; as `compiling`. Returns how many functions that was."""
+    with compiling(listed_kernels(parts), (), progress, notice) as count:
         return count
 
 
 @contextlib.contextmanager
-def compiling(
-    first: Sequence[Kernel], then: Sequence[Kernel], progress: Progress, notice: Callable[[str], None] = print
-) -> Iterator[int]:
+def compiling(first: Sequence[Kernel], then: Sequence[Kernel], progress: Progress, notice: Notice = print) -> Iterator[int]:
     """Compile what is missing: what the body itself calls before it runs, the others beside it; the end waits for them.
 
-    Yields how many functions are missing. progress, notice : as of `compile_ahead`
+    Yields how many functions are missing. progress : phase "compile", functions done, of how many
+    notice : called where compiled code cannot be cached
     """
-    with interrupt.held():  # what is looked at is imported
-        needed = [kernel for kernel in first if not kernel.kept]
-        missing = needed + [kernel for kernel in then if not kernel.kept]
+    with interrupt.held():  # to look at a kernel imports its module
+        needed = [kernel for kernel in first if not kernel.is_cached]
+        missing = needed + [kernel for kernel in then if not kernel.is_cached]
     if missing:
         if not compiled.lasting():
             notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")
         progress(COMPILE, 0, len(missing))
     groups = _by_module(missing, needed)
     processes = min(usable_cores(), len(groups), int(sum(kernel.seconds for kernel in missing) / PROCESS_S))
-    with contextlib.closing(_by_processes(groups, processes) if processes > 1 else _here(groups)) as work:
+    with contextlib.closing(_in_processes(groups, processes) if processes > 1 else _in_this_process(groups)) as work:
         done: set[Kernel] = set()
 
         def until(wanted: Sequence[Kernel]) -> None:
@@ -138,16 +131,15 @@ def compiling(
         until(missing)
 
 
-def _here(groups: deque[list[Kernel]]) -> Generator[Kernel]:
-    for group in groups:
-        for kernel in group:
-            with interrupt.held():
-                kernel.load()
-            yield kernel
+def _in_this_process(groups: deque[list[Kernel]]) -> Generator[Kernel]:
+    for kernel in itertools.chain.from_iterable(groups):
+        with interrupt.held():
+            kernel.load()
+        yield kernel
 
 
 def _by_module(kernels: Sequence[Kernel], needed: Sequence[Kernel]) -> deque[list[Kernel]]:
-    """What is needed first, then the longest. Functions of one module call the same others, which are so compiled once."""
+    """What is needed first, then the longest. Functions of one module call the same others, which are compiled once this way."""
     groups = defaultdict(list)
     for kernel in kernels:
         groups[kernel.module].append(kernel)
@@ -155,36 +147,36 @@ def _by_module(kernels: Sequence[Kernel], needed: Sequence[Kernel]) -> deque[lis
     return deque(sorted(groups.values(), key=lambda group: (group[0].module not in first, -sum(k.seconds for k in group))))
 
 
-def _by_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
+def _in_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
     """Yields what is done. What a process leaves undone is compiled when it is called."""
     one_thread = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    here = {**os.environ, **one_thread, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    environment = {**os.environ, **one_thread, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = [sys.executable, "-P", "-c", "from arfx.run.compiler import serve; serve()"]
-    ticks: queue.SimpleQueue[Kernel] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Kernel] = queue.SimpleQueue()
     helpers: list[subprocess.Popen[str]] = []
 
-    def give(helper: subprocess.Popen[str]) -> None:
+    def feed(helper: subprocess.Popen[str]) -> None:
         assert helper.stdin and helper.stdout
-        with contextlib.suppress(OSError, IndexError, ValueError):  # it died; nothing is left; it was ended
+        with contextlib.suppress(OSError, IndexError, ValueError):  # it died; no group is left; it was ended
             while True:
                 for kernel in groups.popleft():
                     helper.stdin.write(json.dumps([kernel.module, kernel.name, kernel.types]) + "\n")
                     helper.stdin.flush()
                     if not helper.stdout.readline():
                         return
-                    ticks.put(kernel)
+                    done.put(kernel)
 
     try:
+        pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
         with interrupt.held():
             for _ in range(count):
-                pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
-                helpers.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, text=True, env=here))
-        threads = [threading.Thread(target=give, args=(helper,), daemon=True) for helper in helpers]
+                helpers.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, text=True, env=environment))
+        threads = [threading.Thread(target=feed, args=(helper,), daemon=True) for helper in helpers]
         for thread in threads:
             thread.start()
-        while any(thread.is_alive() for thread in threads) or not ticks.empty():
+        while any(thread.is_alive() for thread in threads) or not done.empty():
             with contextlib.suppress(queue.Empty):
-                yield ticks.get(timeout=0.2)
+                yield done.get(timeout=0.2)
     finally:
         for helper in helpers:
             helper.kill()
@@ -193,43 +185,43 @@ def _by_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
 
 @contextlib.contextmanager
 def loading(parts: Collection[str], wanted: bool) -> Iterator[None]:
-    """Load compiled code in a thread while the body runs, which leaves a core idle; the end waits for it, but one who stops the
-    job does not. wanted : False = do nothing"""
+    """Load compiled code in a thread while the body runs, which leaves a core idle; the end waits for it, except after an error.
+
+    wanted : False = do nothing
+    """
 
     def load() -> None:
-        with contextlib.suppress(Exception):  # told where it is called
-            for kernel in listed(parts):
+        with contextlib.suppress(Exception):  # raised again where it is called
+            for kernel in listed_kernels(parts) if wanted else ():
                 kernel.load()
 
     thread = threading.Thread(target=load, name="load-compiled", daemon=True)
-    if wanted:
-        thread.start()
+    thread.start()
     yield
-    if wanted:
-        thread.join()
+    thread.join()
 
 
 @contextlib.contextmanager
-def unlisted_told(notice: Callable[[str], None]) -> Iterator[None]:
+def warn_if_unlisted(notice: Notice) -> Iterator[None]:
     """Says once if, in the body, something is compiled that is not in the list, which may take some seconds."""
     from numba.core import event
 
-    here = threading.local()  # depth : of functions being compiled, one for the other
+    local = threading.local()  # depth : of functions being compiled, one for the other
 
     class Listener(event.Listener):
-        told = False
+        warned = False
 
         def on_start(self, started: Any) -> None:
-            here.depth = getattr(here, "depth", 0) + 1
-            if here.depth > 1 or self.told:
+            local.depth = getattr(local, "depth", 0) + 1
+            if local.depth > 1 or self.warned:
                 return
-            function, types = started.data["dispatcher"].py_func, written(started.data["args"])
-            if (function.__module__, function.__qualname__, types) not in {(k.module, k.name, k.types) for k in listed()}:
-                self.told = True
+            function, types = started.data["dispatcher"].py_func, signature(started.data["args"])
+            if (function.__module__, function.__qualname__, types) not in {(k.module, k.name, k.types) for k in listed_kernels()}:
+                self.warned = True
                 notice("compiling further kernels, once: this clip or its settings need them")
 
         def on_end(self, ended: Any) -> None:
-            here.depth -= 1
+            local.depth -= 1
 
     listener = Listener()
     event.register("numba:compile", listener)

@@ -1,4 +1,4 @@
-"""One process at a time in a folder: the lock ends with the process, however it ends, and tells the next one who has it."""
+"""One process at a time in a folder: the lock ends with the process, however it ends, and shows others who has it."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextlib.contextmanager
-def locked(folder: Path, option: str, passing: bool = False) -> Iterator[None]:
-    """Hold `folder`, which is made if need be; one that was made for this, or is `passing`, goes when it is empty in the end.
+def locked(folder: Path, option: str, temporary: bool = False) -> Iterator[None]:
+    """Lock `folder`, which is made if need be. One that was made here, or is `temporary`, is removed in the end if it is empty.
 
     option : what names another folder, for the message
     Raises ConfigError at once if another process holds it, RenderError where it cannot be made or written to.
     """
-    made = not folder.is_dir()
+    created = not folder.is_dir()
     lock = _acquire(folder, option)
     try:
-        with contextlib.suppress(OSError), aside(folder / HOLDER) as part:  # a full disk: then nobody is told who
+        with contextlib.suppress(OSError), aside(folder / HOLDER) as part:  # without it, on a full disk, others cannot see who
             command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
             since = time.strftime("%Y-%m-%d %H:%M:%S")
             me = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "command": command}
@@ -43,7 +43,7 @@ def locked(folder: Path, option: str, passing: bool = False) -> Iterator[None]:
         yield
     finally:
         _release(lock, folder)
-        if made or passing:
+        if created or temporary:
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
@@ -86,8 +86,8 @@ def _release(lock: BaseFileLock, folder: Path) -> None:
 
 def _holder(folder: Path) -> str:
     try:
-        told = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
-        command = told["command"] if len(told["command"]) <= 120 else f"{told['command'][:119]}…"
-        return f" by process {told['pid']} on {told['host']}, since {told['since']}: {command}"
+        holder = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
+        command = holder["command"] if len(holder["command"]) <= 120 else f"{holder['command'][:119]}…"
+        return f" by process {holder['pid']} on {holder['host']}, since {holder['since']}: {command}"
     except (OSError, ValueError, KeyError, TypeError):
         return " by another process"

@@ -11,21 +11,21 @@ _CONTAINER = Path("/sys/fs/cgroup")
 
 
 def peak_mb() -> float:
-    """The most that this process held so far; what it holds now where the system keeps no record; 0 where it tells nothing."""
+    """Peak memory of this process; its memory now where the system keeps no record; 0 where it is unknown."""
     try:
         import resource  # not on Windows
     except ImportError:
         try:
-            held = psutil.Process().memory_info()
+            memory = psutil.Process().memory_info()
         except (psutil.Error, OSError):
             return 0.0
-        return float(getattr(held, "peak_wset", held.rss)) / 2**20
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most / (2**20 if sys.platform == "darwin" else 2**10)  # bytes there, KiB elsewhere
+        return float(getattr(memory, "peak_wset", memory.rss)) / 2**20
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)  # bytes there, KiB elsewhere
 
 
 def free_mb() -> float | None:
-    """What can be had without swapping, a container's limit included; None where the system does not say."""
+    """Memory available without swapping, a container's limit included; None where it is unknown."""
     try:
         free = psutil.virtual_memory().available / 2**20
     except (psutil.Error, OSError, RuntimeError):

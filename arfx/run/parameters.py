@@ -47,7 +47,8 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
     """Names of the stages that a job may run, in running order. Raises ConfigError for unknown or misordered effects."""
     inputs = {"depth"} if config.input.depth is not None else set()
     if config.pipeline.stages == "auto":
-        asked = [name for name in STAGES if _set(config, name) and STAGES[name].requires <= inputs]
+        params = config.params  # defaults are of the same formula: that alone is no setting
+        asked = [n for n in STAGES if n in params and params[n] != type(params[n])() and STAGES[n].requires <= inputs]
     else:
         asked = list(config.pipeline.stages)
     for name in asked:
@@ -66,19 +67,13 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
     return stages_with(asked, inputs)
 
 
-def _set(config: JobConfig, name: str) -> bool:
-    """Whether the job sets anything of an effect; which formula is used is no wish for it."""
-    given: Any = config.params.get(name)
-    return bool(given != type(given)())
-
-
 def make_stages(config: JobConfig) -> dict[str, Stage]:
-    """One instance per stage, in running order."""
+    """One instance per stage of a job, in running order."""
     return stages_of(config.params, pipeline(config))
 
 
 def stages_of(params: Mapping[str, Any], names: Collection[str]) -> dict[str, Stage]:
-    """The same for these stages and settings."""
+    """One instance of each of these stages, with these settings."""
     settings = dict(params)
     for effect in names:
         for name, changes in STAGES[effect].overrides.items():
@@ -86,19 +81,19 @@ def stages_of(params: Mapping[str, Any], names: Collection[str]) -> dict[str, St
     return {name: stage_of(name, settings[name]) for name in names}
 
 
-def on_this_machine(config: JobConfig) -> JobConfig:
+def with_machine_settings(config: JobConfig) -> JobConfig:
     """The job with what its settings come to here (`Stage.settled`): a job resumed on another machine mixes nothing."""
     settled = {name: STAGES[name].settled(config.params[name]) for name in pipeline(config)}
     return config.model_copy(update={"params": {**config.params, **settled}})
 
 
-def kinds_of_folds(config: JobConfig) -> dict[str, Any]:
+def fold_classes(config: JobConfig) -> dict[str, Any]:
     """Classes of folds in place of the usual ones, by name. How the picture becomes an environment is gi's formula."""
     formulas = {"light": config.params["light"].formula, "environment": config.params["gi"].formula}
     return {name: FORMULAS[f][name] for name, f in formulas.items() if f in FORMULAS}
 
 
-def folds_wanted(config: JobConfig) -> frozenset[str]:
+def required_folds(config: JobConfig) -> frozenset[str]:
     """What the job needs of the analysis, by name: what its stages read, and what every job has."""
     stages = make_stages(config).values()
     deep = {"depth"} if config.input.depth is not None else set()

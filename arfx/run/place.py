@@ -14,7 +14,7 @@ from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.lock import locked
 
-# How the files of a report begin: one of that name that begins otherwise is somebody else's
+# How the files of a report begin: a file of that name that begins otherwise is not arfx's
 PAGE_START = '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="generator" content="arfx">'
 REPORT_FILES = {"report.json": b'{\n "input": {', "report.html": PAGE_START.encode()}
 
@@ -35,9 +35,9 @@ def files_read(inputs: Inputs) -> Iterator[tuple[str, Path]]:
     for key, value in (pair for section in sections for pair in section.items()):
         if isinstance(value, Path):
             yield "model" if key == "file" else key.replace("_", " "), value
-    yield from (("job file", path) for path in config.sources)
-    yield from (("file of the model", path) for path in inputs.model.files)
-    yield from (("depth map", path) for path in (() if inputs.depth is None else inputs.depth.files))
+    maps = () if inputs.depth is None else inputs.depth.files
+    for kind, paths in (("job file", config.sources), ("file of the model", inputs.model.files), ("depth map", maps)):
+        yield from ((kind, path) for path in paths)
 
 
 @contextlib.contextmanager
@@ -60,7 +60,7 @@ class Places:
         self._guard = Guard(files_read(inputs), overwrite)
         self._home = JobFolder(default_folder(inputs.output.path))
         self._named = named is not None
-        self.folder = self._home if named is None or _same(named, self._home.path) else JobFolder(named)
+        self.folder = self._home if named is None or named.resolve() == self._home.path.resolve() else JobFolder(named)
         self.part = self._home.joined
 
     def check(self) -> None:
@@ -77,7 +77,7 @@ class Places:
         for place in {self._home, self.folder}:
             self._guard.folder(place.path, "--job" if self._named else "-o")
             self._guard.apart(place.timings)  # the one file that is added to, not replaced
-            place.check_strangers()
+            place.check_foreign_files()
 
     def check_output(self) -> None:
         path = self._output.path
@@ -97,7 +97,7 @@ class Places:
         self._guard.own = self.folder.outputs() if resume else frozenset()
         self.check()
         with contextlib.ExitStack() as stack:
-            stack.enter_context(locked(self._home.path, "-o", passing=not self._named or self.folder is not self._home))
+            stack.enter_context(locked(self._home.path, "-o", temporary=not self._named or self.folder is not self._home))
             if self.folder is not self._home:
                 stack.enter_context(locked(self.folder.path, "--job"))
             if self._report is not None:
@@ -117,10 +117,6 @@ class Places:
                 raise
             if not self._named:
                 self.folder.clear()
-
-
-def _same(a: Path, b: Path) -> bool:
-    return a.resolve() == b.resolve()
 
 
 def _outside(path: Path, folder: Path) -> None:

@@ -24,11 +24,11 @@ from arfx.run.times import WorkLog
 
 
 @dataclass(frozen=True)
-class Analysed(Document):
-    """What the analysis says of the whole clip; of each frame it says `FrameFacts`.
+class ClipAnalysis(Document):
+    """The analysis of the whole clip, beside the `FrameFacts` of each frame.
 
     pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
-    anchor : key of the marker, or of the plane, on which the object stands;  static : what is at rest
+    anchor : key of the marker, or of the plane, under the object;  static : what is at rest
     truncated : why the clip ends early, or None;  previews : frames of which the report shows a picture
     summary : for the report
     """
@@ -51,8 +51,8 @@ class Analysed(Document):
         write(folder.frames, json.dumps(self.to_json(), default=float))
 
     @staticmethod
-    def read(folder: JobFolder) -> Analysed:
-        return Analysed.from_json(json.loads(folder.frames.read_text(encoding="utf-8")))
+    def read(folder: JobFolder) -> ClipAnalysis:
+        return ClipAnalysis.from_json(json.loads(folder.frames.read_text(encoding="utf-8")))
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Job:
     folder: JobFolder
     key: str
     analysis_key: str
-    analysed: Analysed
+    analysed: ClipAnalysis
     facts: Sequence[FrameFacts]
     scene: Scene
     stages: Mapping[str, Stage]

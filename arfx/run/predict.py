@@ -1,27 +1,35 @@
-"""How long a job will take, from its plans and the price list, once its analysis has told what decoding costs.
+"""The levels of a job and its predicted time, from its plans and the price list: the analysis is done, nothing is rendered yet.
 
 The wall clock is the time up to the plan (measured: analysis, and loading compiled code beside it) + what every worker prepares
-+ the frames' work as the workers share it (run/schedule.py) + the join + what the report makes anew.
++ the frames' work as the workers share it (run/schedule.py) + the join + what the report prepares again.
 """
 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+from arfx.config.sections import JobConfig
 from arfx.core.cost import Prediction, Prices, exactly, together, with_spread
+from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan, levels_of
-from arfx.plan.levels import alike
-from arfx.run.chunks import borders
-from arfx.run.schedule import Load, elapsed
+from arfx.core.scene import Scene
+from arfx.core.stage import Stage
+from arfx.errors import ConfigError
+from arfx.plan.clip import LevelPolicy, plan_clip
+from arfx.plan.errors import Errors
+from arfx.plan.explain import without_price
+from arfx.plan.levels import sum_correlated
+from arfx.run.schedule import Load, borders, elapsed
 
 DECODE_SPREAD = 0.25  # decoding again beside the rendering, against decoding beside the analysis
+UNSHARED = ("before", "prepare", "join", "report")  # phases that the workers do not share
 
 
 @dataclass(frozen=True)
-class Terms:
+class JobSize:
     """What of a job the price of everything but its stages depends on.
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all frames, as the analysis measured it
@@ -43,8 +51,8 @@ class Terms:
 
 @dataclass(frozen=True)
 class JobPrediction:
-    """What a job is predicted to take. phases : seconds of each, summed over the workers, None = not known
-    share : of the seconds that the workers share, how many pass on the wall;  workers : at once
+    """phases : seconds of each, summed over the workers, None = not known;  workers : at once
+    share : of the seconds that the workers share, the fraction that passes on the wall clock
     """
 
     phases: dict[str, Prediction | None]
@@ -53,40 +61,45 @@ class JobPrediction:
 
     @property
     def wall(self) -> Prediction | None:
-        """Of the whole job; None where a phase is not known. The phases err alike: a machine that is slower today is so for all,
-        and what the calibration's scenes do not show of one phase was not seen to be made good by another."""
-        known = [p if name in ALONE else p.times(self.share) for name, p in self.phases.items() if p is not None]
-        return alike(known) if len(known) == len(self.phases) else None
+        """Of the whole job; None where a phase is not known. Errors of the phases are correlated: a machine that is slower today
+        is so for all of them."""
+        known = [p if name in UNSHARED else p.times(self.share) for name, p in self.phases.items() if p is not None]
+        return sum_correlated(known) if len(known) == len(self.phases) else None
 
-
-ALONE = ("before", "prepare", "join", "report")
+    def to_json(self, prices: Prices) -> dict[str, Any]:
+        """{wall {s, low_s, high_s} or null, phases {name: the same}, workers, share, prices, calibrated}"""
+        return {
+            "wall": None if self.wall is None else self.wall.to_json(),
+            "phases": {name: None if p is None else p.to_json() for name, p in self.phases.items()},
+            "workers": self.workers, "share": self.share, "prices": prices.source, "calibrated": prices.calibrated,
+        }  # fmt: skip
 
 
 def predict(
-    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, prepared: bool = False
+    plans: Sequence[FramePlan], work: Prediction | None, size: JobSize, prices: Prices, prepared: bool = False
 ) -> JobPrediction:
-    """work : of all stages;  prepared : what they prepare is in it"""
+    """work : of all stages;  prepared : it includes what they prepare"""
     changed = [p for p in plans if p.steps]
     edited = {"frames": float(len(changed)), "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6}
     edit = prices.predict("edit", edited) if changed else exactly(0.0)
-    whole = {"frames": float(terms.frames), "mpx": terms.frames * terms.frame_mpx}
-    encode = prices.predict(f"encode {terms.codec}", whole)
-    share, lead = _shared(plans, work, terms, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
+    whole = {"frames": float(size.frames), "mpx": size.frames * size.frame_mpx}
+    encode = prices.predict(f"encode {size.codec}", whole)
+    share, lead_s = _shared(plans, work, size, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
     phases = {
-        "before": exactly(terms.before_s),
-        "prepare": exactly(0.0) if prepared else prepare(levels_of(plans), terms, prices),
-        "decode": with_spread(terms.decode_s + lead, DECODE_SPREAD),
+        "before": exactly(size.before_s),
+        "prepare": exactly(0.0) if prepared else prepare(levels_of(plans), size, prices),
+        "decode": with_spread(size.decode_s + lead_s, DECODE_SPREAD),
         "stages": work,
         "edit": edit,
         "encode": encode,
         "join": prices.predict("join", whole),
-        "report": prepare({at for at in levels_of(plans) if at[0] in terms.checked}, terms, prices),
+        "report": prepare({at for at in levels_of(plans) if at[0] in size.checked}, size, prices),
     }
-    return JobPrediction(phases, share, terms.workers)
+    return JobPrediction(phases, share, size.workers)
 
 
 def _shared(
-    plans: Sequence[FramePlan], work: Prediction | None, terms: Terms, prices: Prices, edit_s: float, encode_s: float
+    plans: Sequence[FramePlan], work: Prediction | None, size: JobSize, prices: Prices, edit_s: float, encode_s: float
 ) -> tuple[float, float]:
     """(wall seconds per second of work that the workers share, seconds of decoding only to get to where a chunk begins)
 
@@ -94,55 +107,88 @@ def _shared(
     """
     planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
     scale = 1.0 if work is None or not sum(planned) else work.seconds / sum(planned)
-    each, written = (s / max(terms.frames, 1) for s in (terms.decode_s + edit_s, encode_s))
-    both: Callable[[float, float], float] = max if terms.workers == 1 else operator.add
+    decode_s, render_s, write_s = (s / max(size.frames, 1) for s in (size.decode_s, size.decode_s + edit_s, encode_s))
+    both: Callable[[float, float], float] = max if size.workers == 1 else operator.add
     loads = [
-        Load(a, b, both(each * (b - a + 1) + scale * sum(planned[a : b + 1]), written * (b - a + 1)))
-        for a, b in borders(terms.frames)
+        Load(a, b, both(render_s * (b - a + 1) + scale * sum(planned[a : b + 1]), write_s * (b - a + 1)))
+        for a, b in borders(size.frames)
     ]
-    threads = not terms.processes
-    alone = prices.alone if threads else 1.0
-    wall_s, lead_s = elapsed(loads, terms.workers, threads, terms.keys, terms.decode_s / max(terms.frames, 1), alone)
-    spent_s = terms.decode_s + edit_s + encode_s + scale * sum(planned) + lead_s
-    return (wall_s / spent_s if spent_s > 0 else 1.0 / terms.workers), lead_s
+    threads = not size.processes
+    wall_s, lead_s = elapsed(loads, size.workers, threads, size.keys, decode_s, prices.alone if threads else 1.0)
+    total_s = size.decode_s + edit_s + encode_s + scale * sum(planned) + lead_s
+    return (wall_s / total_s if total_s > 0 else 1.0 / size.workers), lead_s
 
 
-def prepare(wanted: Collection[tuple[str, str]], terms: Terms, prices: Prices) -> Prediction | None:
-    """What is made once: threads share it, every further process makes it anew, beside the others."""
-    found = [prepare_one(stage, level, terms, prices) for stage, level in wanted]
+def prepare(wanted: Collection[tuple[str, str]], size: JobSize, prices: Prices) -> Prediction | None:
+    """What is made once: threads share it, every further process makes its own, beside the others."""
+    found = [prepare_one(stage, level, size, prices) for stage, level in wanted]
     known = [p for p in found if p is not None]
     return together(known) if len(known) == len(found) else None
 
 
-def prepare_one(stage: str, level: str, terms: Terms, prices: Prices) -> Prediction | None:
-    """A level that was not timed counts as the stage's dearest that was, with a wide interval."""
-    work = {"frames": 1.0, "mfaces": terms.mfaces}
+def prepare_one(stage: str, level: str, size: JobSize, prices: Prices) -> Prediction | None:
+    """A level that was not timed counts as the stage's most expensive one, with a wide interval."""
+    work = {"frames": 1.0, "mfaces": size.mfaces}
     own = prices.predict(f"prepare {stage}/{level}", work)
-    if own is not None:
-        return own
     others = [p.seconds(work) for key, p in prices.prices.items() if key.startswith(f"prepare {stage}/")]
-    return with_spread(max(others), 1.0) if others else None
+    return own or (with_spread(max(others), 1.0) if others else None)
 
 
 def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:
     """Work of all steps of a plan; None where one is not known."""
     by_stage: dict[str, list[Prediction]] = {}
-    for plan in plans:
-        for s in plan.steps:
-            if s.seconds is None or s.between is None:
-                return None
-            by_stage.setdefault(s.stage, []).append(Prediction(s.seconds, *s.between))
-    return together(alike(every) for every in by_stage.values())
+    for step in (s for plan in plans for s in plan.steps):
+        if step.seconds is None or step.between is None:
+            return None
+        by_stage.setdefault(step.stage, []).append(Prediction(step.seconds, *step.between))
+    return together(sum_correlated(parts) for parts in by_stage.values())
 
 
-def to_json(job: JobPrediction, prices: Prices) -> dict[str, Any]:
-    """{wall {s, low_s, high_s} or null, phases {name: the same}, workers, share, prices, calibrated}"""
-    total = job.wall
-    return {
-        "wall": None if total is None else total.to_json(),
-        "phases": {name: None if p is None else p.to_json() for name, p in job.phases.items()},
-        "workers": job.workers,
-        "share": job.share,
-        "prices": prices.source,
-        "calibrated": prices.calibrated,
-    }
+def level_policy(config: JobConfig, stages: Mapping[str, Stage], prices: Prices) -> LevelPolicy:
+    """How levels are to be chosen. Raises ConfigError where two ways are asked for, or a budget with a stage without prices."""
+    p = config.pipeline
+    asked = [f"--{name.replace('_', '-')}" for name in ("budget", "fps", "max_error") if getattr(p, name) is not None]
+    if len(asked) > 1:
+        raise ConfigError(f"{asked[0]} and {asked[1]} both choose levels", "give one of them")
+    unknown = [n for n, s in stages.items() if not any(f"{n}/{level}" in prices.prices for level in s.levels)]
+    if unknown and (p.budget is not None or p.fps is not None):
+        what, how = without_price(unknown)
+        raise ConfigError(f"a budget needs the price of everything, and {what}", how)
+    return LevelPolicy(p.quality, p.budget, p.max_error)
+
+
+def choose(
+    config: JobConfig, stages: Mapping[str, Stage], facts: Sequence[FrameFacts], scene: Scene, policy: LevelPolicy,
+    errors: Errors, prices: Prices, size: JobSize, notice: Callable[[str], None],
+) -> tuple[list[FramePlan], dict[str, Any]]:  # fmt: skip
+    """The plans of all frames, and {predicted, levels}: final, whatever the job measures later."""
+    if config.pipeline.fps is not None:
+        policy = replace(policy, budget_s=len(facts) / config.pipeline.fps)
+
+    def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
+        wall = predict(plans, work, size, prices, prepared=True).wall
+        if wall is None:
+            raise ConfigError(
+                f"a budget needs the price of everything, and encoding {size.codec} has none",
+                "--codec h264 or ffv1, or choose by --quality or --max-error",
+            )
+        return wall.high_s
+
+    def prepare_cost(stage: str, level: str) -> Prediction | None:
+        found = prepare_one(stage, level, size, prices)
+        return None if found is None else found.times(size.workers)  # no worker helps another with it
+
+    plan = plan_clip(list(stages.values()), facts, scene, policy, errors, prices, upper_s, config.pipeline.skip, prepare_cost)
+    if not plan.choice.met:
+        notice(plan.choice.why)
+    if policy.budget_s is not None and not prices.calibrated:
+        notice("the budget rests on shipped prices, wide intervals: `arfx bench --calibrate` measures this machine's")
+    by = "budget" if policy.budget_s is not None else "error" if policy.max_error is not None else "quality"
+    return plan.plans, {
+        "predicted": predict(plan.plans, stages_of(plan.plans), size, prices).to_json(prices),
+        "levels": {
+            "by": by, "budget_s": policy.budget_s, "max_error": policy.max_error, "met": plan.choice.met, "why": plan.choice.why,
+            "error": None if by == "quality" else plan.choice.error,
+            "errors_from": errors.source, "chosen": plan.explained(errors),
+        },
+    }  # fmt: skip

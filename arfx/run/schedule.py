@@ -1,17 +1,70 @@
-"""How long workers take over the chunks of a job: who renders which, who waits, and how much faster one is that is alone.
+"""How a clip is cut into chunks, which worker renders which, and how long that takes.
 
-As in run/executors.py: threads each have a stretch of the clip, processes take the next chunk there is. A worker that does not
-read on from its last chunk decodes from the key frame before, which may lie many frames back.
+Chunk borders depend on the job alone, never on who renders them. Threads each have consecutive chunks, processes take the next
+one there is (run/executors.py). A worker that does not read on from its last chunk decodes from the key frame before.
 """
 
 from __future__ import annotations
 
+import contextlib
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
 
-from arfx.run.chunks import stretches, taken
+from arfx.run.folder import content_digest
+
+T = TypeVar("T")
+
+SHORTEST, LONGEST, WANTED = 30, 120, 8
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Frames first … last, inclusive; key : digest of everything that its pixels depend on."""
+
+    first: int
+    last: int
+    key: str
+
+    @property
+    def name(self) -> str:
+        """Its file's, up to the digest of its content (`arfx.run.folder.content_digest`) and the extension."""
+        return f"{self.first:06d}-{self.last:06d}.{self.key}"
+
+    def find(self, folder: Path, suffix: str) -> Path | None:
+        """Its file, if there is one that is as it was written."""
+        for path in folder.glob(f"{self.name}.*{suffix}"):
+            with contextlib.suppress(OSError):
+                if path.name == f"{self.name}.{content_digest(path)}{suffix}":
+                    return path
+        return None
+
+    @property
+    def frames(self) -> int:
+        return self.last - self.first + 1
+
+
+def borders(frames: int) -> list[tuple[int, int]]:
+    """(first, last) of each chunk: about WANTED of them, between SHORTEST and LONGEST frames each."""
+    length = min(max(-(-frames // WANTED), SHORTEST), LONGEST)
+    return [(a, min(a + length, frames) - 1) for a in range(0, frames, length)]
+
+
+def work_queues(chunks: Sequence[T], workers: int) -> list[deque[T]]:
+    """Consecutive chunks for each worker, so that it reads on from one to the next."""
+    size = max(-(-len(chunks) // workers), 1)
+    return [deque(chunks[i : i + size]) for i in range(0, len(chunks), size)]
+
+
+def steal(own: deque[T], queues: Sequence[deque[T]]) -> T | None:
+    """A worker's next chunk: of its own queue, then from the end of the longest one; None = there is none left."""
+    longest = max(queues, key=len, default=own)
+    if not longest:
+        return None
+    return own.popleft() if own else longest.pop()
 
 
 @dataclass(frozen=True)
@@ -25,43 +78,36 @@ class Load:
 
 @dataclass
 class _Worker:
-    lane: deque[Load]
+    queue: deque[Load]
     left_s: float = 0.0
-    at: int = 0  # the frame that it would read on with
+    next_frame: int = 0
 
 
 def elapsed(
-    loads: Sequence[Load], workers: int, lanes: bool, keys: Sequence[int] = (), decode_s: float = 0.0, alone: float = 1.0
+    loads: Sequence[Load], workers: int, threads: bool, keys: Sequence[int] = (), decode_s: float = 0.0, alone: float = 1.0
 ) -> tuple[float, float]:
     """(seconds until the last worker is through, seconds of decoding that no frame of its own chunk needs).
 
-    lanes : workers are threads with a stretch each;  keys : frames that decoding can begin at;  decode_s : of a frame
-    alone : time of one worker that is alone, as a share of its time beside others that are busy
+    threads : workers have a queue each;  keys : frames that decoding can begin at;  decode_s : of a frame
+    alone : time of one worker that is alone, as a fraction of its time beside others that are busy
     """
     workers = max(min(workers, len(loads)), 1)
-    every = stretches(loads, workers if lanes else 1) or [deque()]
-    crew = [_Worker(every[k] if lanes and k < len(every) else every[0]) for k in range(workers)]
+    queues = work_queues(loads, workers if threads else 1) or [deque()]
+    crew = [_Worker(queues[k] if threads and k < len(queues) else queues[0]) for k in range(workers)]
     now = lead = 0.0
     while True:
         for w in crew:
-            while w.left_s <= 0 and (load := taken(w.lane, every)) is not None:
-                extra = 0.0 if load.first == w.at else decode_s * (load.first - _key(keys, load.first))
-                w.left_s, w.at, lead = load.seconds + extra, load.last + 1, lead + extra
+            while w.left_s <= 0 and (load := steal(w.queue, queues)) is not None:
+                before = bisect_right(keys, load.first)
+                key = keys[before - 1] if before else 0
+                extra = 0.0 if load.first == w.next_frame else decode_s * (load.first - key)
+                w.left_s, w.next_frame, lead = load.seconds + extra, load.last + 1, lead + extra
         busy = [w for w in crew if w.left_s > 0]
         if not busy:
             return now, lead
-        # beside all others a worker takes its own time, alone the share `alone` of it; linear between these
+        # beside all others a worker takes its own time, alone the fraction `alone` of it; linear between these
         slowness = 1.0 if len(busy) >= max(workers, 2) else alone + (1 - alone) * (len(busy) - 1) / max(workers - 1, 1)
-        speed = 1 / slowness
-        step = min(w.left_s for w in busy) / speed
-        now += step
+        step = min(w.left_s for w in busy)
+        now += step * slowness
         for w in busy:
-            w.left_s -= step * speed
-            if w.left_s < 1e-12:
-                w.left_s = 0.0
-
-
-def _key(keys: Sequence[int], frame: int) -> int:
-    """The last key frame up to `frame`; the clip's first one where none is known."""
-    at = bisect_right(keys, frame)
-    return keys[at - 1] if at else 0
+            w.left_s = w.left_s - step if w.left_s - step >= 1e-12 else 0.0

@@ -1,6 +1,7 @@
-"""Decoded frames for the chunks that a thread renders: one that follows the last goes on reading where that one ended.
+"""Decoded frames, and their real depth, for the chunks that a thread renders.
 
-Starting anew means to decode from the key frame before, which may lie hundreds of frames back.
+A chunk that follows the thread's last one is read on from where that ended: a new reader decodes from the key frame before, which
+may lie hundreds of frames back.
 """
 
 from __future__ import annotations
@@ -8,7 +9,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.facts import FrameFacts
+from arfx.core.rect import Rect
+from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
+from arfx.media.depth_fill import filled
+from arfx.media.depth_maps import DepthMaps
 from arfx.media.frames import ClipReader, Frame
 
 
@@ -38,25 +47,37 @@ class Source:
         self._frames = iter(())
 
 
-class _Held(threading.local):
-    source: Source | None = None
-
-
-_held = _Held()
+_of_thread = threading.local()  # source : what the thread read from last
 
 
 def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0) -> Source:
-    """The source that this thread read from last, if it stands at `index` of the same job; else a new one."""
-    held = _held.source
-    if held is not None and held.info is info and held.pts is pts and held.index == index:
-        return held
+    """The source that this thread read from last, if it is at `index` of the same job; else a new one."""
+    last: Source | None = getattr(_of_thread, "source", None)
+    if last is not None and last.info is info and last.pts is pts and last.index == index:
+        return last
     release()
-    _held.source = Source(info, pts, index, threads)
-    return _held.source
+    _of_thread.source = source = Source(info, pts, index, threads)
+    return source
 
 
 def release() -> None:
-    """Close what this thread holds."""
-    if _held.source is not None:
-        _held.source.close()
-        _held.source = None
+    """Close this thread's source."""
+    if (source := getattr(_of_thread, "source", None)) is not None:
+        source.close()
+        _of_thread.source = None
+
+
+def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: Camera, rect: Rect) -> np.ndarray | None:
+    """REAL_DEPTH over `rect`: metres, > 0 everywhere, holes filled along the picture's edges; None where there is none.
+
+    The whole map is filled whatever the rectangle, so that a pixel gets the same from any.
+    Raises InputError where the map is not the one that was analysed.
+    """
+    real = facts.real_depth
+    if real is None:
+        return None
+    depth = maps.load(real.map, camera.width, camera.height)
+    if not depth.any():
+        raise InputError(f"depth map {maps.name(real.map)} has changed since the analysis", "start the job again")
+    whole = filled(depth, np.ascontiguousarray(frame.luma()))
+    return np.ascontiguousarray(whole[rect.slices]) * np.float32(real.scale)

@@ -1,25 +1,41 @@
-"""report.json of a job, from its facts, plans and timings (the fields are a contract: docs of `arfx report`)."""
+"""report.json of a job, from its facts, plans and timings (the fields are a contract: docs of `arfx report`).
+
+`health` holds every estimate with its value, limit, verdict, and what was done about it.
+"""
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arfx.analyse.pose.visibility import trembling_px
+from arfx.analyse.folds import FOLDS
+from arfx.analyse.pose.visibility import trembling_px, with_model
+from arfx.core.facts import ABSENT, FrameFacts
+from arfx.core.health import Check, JobView
+from arfx.core.layers import Layer, Layers
+from arfx.core.opener import read_text
+from arfx.core.plan import levels_of
+from arfx.core.scene import Scene
+from arfx.errors import InputError
 from arfx.plan.explain import summarise
-from arfx.run.chunks import Chunk
-from arfx.run.health import health
+from arfx.plan.planner import plan_frame
+from arfx.run.frame import ready_stages, run_frame
+from arfx.run.parameters import stages_of
 from arfx.run.planned import Job
-from arfx.run.times import Spent
+from arfx.run.schedule import Chunk
+from arfx.run.times import TimeSpent
+from arfx.stages import STAGES
 
 
 def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, Any]:
     """The report of a job whose output is written. join_s : seconds that it took to put the chunks together"""
-    info, done, facts = job.inputs.info, job.analysed, job.facts
-    pts = np.array(done.pts, dtype=object) * info.time_base
+    info, analysed, facts = job.inputs.info, job.analysed, job.facts
+    pts = np.array(analysed.pts, dtype=object) * info.time_base
     steps = np.diff(pts).astype(float)
     uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
     last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
@@ -36,7 +52,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
         "input": {
             "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
             "fps": info.fps, "vfr": uneven, "rotation": info.rotation_deg,
-            "audio": [str(s) for s in info.audio], "truncated": done.truncated,
+            "audio": [str(s) for s in info.audio], "truncated": analysed.truncated,
             "camera": job.inputs.camera.source, "camera_guessed": job.inputs.camera.guessed, "stream": stream,
         },
         "output": {
@@ -44,19 +60,19 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
             "codec": plan.codec, "pixel_format": plan.pixel_format,
         },
         "pose": _pose(job),
-        "light": dict(job.analysed.summary["light"]),
-        "depth": done.summary.get("depth"),
-        "lens": done.summary.get("footage_lens"),
+        "light": dict(analysed.summary["light"]),
+        "depth": analysed.summary.get("depth"),
+        "lens": analysed.summary.get("footage_lens"),
         "stages": rows,
         "levels": job.plan.levels,
         "predicted": job.plan.predicted,
-        "health": health(job),
+        "health": [check.to_json() for check in health(job)],
         "timing": _timing(spent, job.plan.seconds, join_s, chunks),
-        "notices": done.notices,
+        "notices": analysed.notices,
     }  # fmt: skip
 
 
-def _timing(spent: Spent, plan_s: float, join_s: float, chunks: Sequence[Chunk]) -> dict[str, Any]:
+def _timing(spent: TimeSpent, plan_s: float, join_s: float, chunks: Sequence[Chunk]) -> dict[str, Any]:
     """Of a resumed job the time of all processes whose work is in the output, not of the last one alone."""
     s = defaultdict(float, spent.seconds)
     frames = sum(c.frames for c in chunks)
@@ -88,3 +104,53 @@ def _pose(job: Job) -> dict[str, Any]:
         "static": job.analysed.static,
         "world_from_marker": {k: p.to_json() for k, p in job.analysed.world_from_marker.items()},
     }
+
+
+def health(job: Job) -> Iterator[Check]:
+    """Every check of a job whose output is written. None of its values is not finite: it would have stopped there."""
+    facts, summary, truncated = job.facts, job.analysed.summary, job.analysed.truncated
+    camera, file = job.inputs.camera, job.inputs.config.input.camera
+    known = "guessed" if camera.guessed else "given"
+    yield Check("camera calibration", known, "given", not camera.guessed, "field of view assumed")
+    claims = {} if file is None else calibration_claims(file)
+    if verdict := claims.get("verdict"):
+        yield Check("calibration's own verdict", verdict, "usable", verdict in ("good", "usable"), "calibrate again")
+    if (condition := claims.get("condition")) is not None:
+        yield Check("calibration condition number", condition, 1e8, condition <= 1e8, "calibrate again")
+    for fold in FOLDS.values():
+        yield from fold.health(facts, summary)
+    ran = levels_of(job.plan.frames)
+    levels = {name: frozenset(level for stage, level in ran if stage == name) for name in job.stages}
+    for stage in job.stages.values():
+        yield from stage.health(JobView(facts, job.scene, levels, picture))
+    absent = sum(f.status == ABSENT for f in facts)
+    yield Check("frames without a pose", absent, 0, absent == 0, "object left out there")
+    yield Check("source file", truncated or "whole", "whole", truncated is None, "processed to its last good frame")
+    for where in ("facts", "pictures"):
+        yield Check(f"values that are not finite in the {where}", 0, 0, True, "the job would have stopped there")
+
+
+def picture(scene: Scene, facts: FrameFacts, levels: Mapping[str, str]) -> Layers | None:
+    """One frame by these stages with their usual settings: see `JobView`."""
+    (facts,) = with_model([facts], scene)
+    stages = stages_of({name: STAGES[name].Params() for name in levels}, levels)
+    plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
+    if not plan.steps:
+        return None
+    plate = np.ones((plan.rect.height, plan.rect.width, 3), np.float32)
+    layers = run_frame(plate, facts, plan, ready_stages(plan, stages, scene)).layers
+    return layers.view(frozenset(Layer), plan.rect)
+
+
+def calibration_claims(path: Path) -> dict[str, Any]:
+    """What `arfx calibrate` wrote of itself into a camera file; {} for files of others."""
+    try:
+        text = read_text(path, "camera file")
+    except InputError:  # one camera of a file that holds several
+        return {}
+    out: dict[str, Any] = {}
+    if found := re.search(r"^\W*verdict\W+(\w+)", text, re.MULTILINE):
+        out["verdict"] = found[1]
+    if found := re.search(r"^\W*condition\W+(\d+(?:\.\d*)?(?:[eE][+-]?\d{1,3})?)(?:\s|,|$)", text, re.MULTILINE):
+        out["condition"] = float(found[1])
+    return out

@@ -1,5 +1,4 @@
-"""Render one chunk: the unit of work. What it needs it reads from the job folder, unless this process has just written
-it; it is sent a range, never pixels."""
+"""Render one chunk, the unit of work. A worker is sent a range, never pixels, and reads the rest from the job folder."""
 
 from __future__ import annotations
 
@@ -11,13 +10,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 from arfx.config.load import load
-from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
+from arfx.core.colour import Transfer
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.pixels import Pixels
@@ -30,18 +29,15 @@ from arfx.media.depth_maps import DepthMaps
 from arfx.media.frames import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
-from arfx.run.ahead import Behind
-from arfx.run.depth import job_depth, real_depth_layer
-from arfx.run.folder import JobFolder, content_digest, disk_error, read_lines
-from arfx.run.frame import Canvas, run_frame
-from arfx.run.inputs import job_model
+from arfx.run.background_io import WriteBehind
+from arfx.run.folder import JobFolder, content_digest, disk_error, read_lines, save_preview
+from arfx.run.frame import FrameLayers, run_frame
+from arfx.run.inputs import job_depth, job_model
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
-from arfx.run.planned import Analysed
-from arfx.run.preview import save_preview
-from arfx.run.source import source_at
+from arfx.run.planned import ClipAnalysis
+from arfx.run.source import real_depth_layer, source_at
 
-Tick = Callable[[], None]
 _OPENING = threading.Lock()  # what threads share is made once
 
 
@@ -49,11 +45,10 @@ _OPENING = threading.Lock()  # what threads share is made once
 class Context:
     """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at.
 
-    history : the most earlier frames that a stage looks at
     facts, plans : of every frame, where the process that made them renders too; None = they are read chunk by chunk
     """
 
-    config: JobConfig
+    folder: JobFolder
     info: ClipInfo
     output: OutputPlan
     scene: Scene
@@ -65,20 +60,20 @@ class Context:
     facts: Sequence[FrameFacts] | None = None
     plans: Sequence[FramePlan] | None = None
 
-    @cached_property
-    def history(self) -> int:
-        return max((s.history for s in self.stages.values()), default=0)
-
-    def prepare(self, wanted: set[tuple[str, str]]) -> None:
-        """wanted : (stage, level)"""
-        for name, level in sorted(wanted - self.ready.keys()):
-            self.ready[name, level] = ReadyStage.of(self.stages[name], self.scene, level)
+    def read(self, first: int, last: int) -> tuple[dict[int, FrameFacts], dict[int, FramePlan]]:
+        """Facts and plans of frames first ... last."""
+        if self.facts is not None and self.plans is not None:
+            facts, plans = self.facts[first : last + 1], self.plans[first : last + 1]
+        else:
+            facts = [FrameFacts.from_json(d) for d in read_lines(self.folder.facts, first + 1, last + 1)]  # line 0: header
+            plans = [FramePlan.from_json(d) for d in read_lines(self.folder.plan, first, last)]
+        return {f.index: f for f in facts}, {p.index: p for p in plans}
 
 
 @cache
 def keep_memory() -> None:
-    """Let the C library keep freed blocks instead of giving each back: a frame's arrays are made anew every frame, and
-    faulting their pages in again costs more than the work on them. Without glibc nothing is changed.
+    """Let the C library keep freed blocks: a frame's arrays are allocated for every frame, and faulting their pages in again
+    costs more than the work on them. Without glibc nothing is changed.
 
     Call it before there are threads: all share one heap then, while heaps of their own, of at most 64 MB, are given back
     whenever one is empty, whatever the thresholds say.
@@ -96,28 +91,26 @@ def keep_memory() -> None:
 
 
 @lru_cache(maxsize=1)
-def open_context(folder: str, job_key: str) -> Context:
+def open_context(path: str, job_key: str) -> Context:
     """The context of a job. job_key only keeps two jobs that reuse a folder apart."""
-    place = JobFolder(Path(folder))
-    config = load(place.job, {}, parameters())
-    inputs = json.loads(place.inputs.read_text(encoding="utf-8"))
-    analysed = Analysed.read(place)
-    from arfx.core.colour import Transfer
-
+    folder = JobFolder(Path(path))
+    config = load(folder.job, {}, parameters())
+    inputs = json.loads(folder.inputs.read_text(encoding="utf-8"))
+    analysed = ClipAnalysis.read(folder)
     assert config.input.clip is not None
     info = probe(config.input.clip, Transfer(config.input.transfer))
     scene = analysed.scene(config, Camera.from_json(inputs["camera"]), job_model(config))
-    stages = make_stages(config)
     output = OutputPlan.from_json(inputs["output"])
-    return Context(config, info, output, scene, stages, analysed.pts, frozenset(analysed.previews), job_depth(config))
+    previews = frozenset(analysed.previews)
+    return Context(folder, info, output, scene, make_stages(config), analysed.pts, previews, job_depth(config))
 
 
 def render_chunk(
-    folder: str, job_key: str, first: int, last: int, target: str, tick: Tick, alone: bool = False
+    folder: str, job_key: str, first: int, last: int, target: str, tick: Callable[[], None], alone: bool = False
 ) -> dict[str, Any]:
     """Render frames first … last into a file that appears when it is whole.
 
-    target : its path, to which the digest of what is in it and the extension are added
+    target : its path, to which the digest of its content and the extension are added
     alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads of their own
     Returns the file's name, seconds by stage, decode and encode seconds, counts, and the most memory that this process held.
     Raises RenderError (frames missing in the source, a full disk, a stage that failed).
@@ -125,17 +118,18 @@ def render_chunk(
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key)
-    place = JobFolder(Path(folder))
-    begin = max(first - context.history, 0)
-    facts, plans = _told(context, place, begin, last)
+    history = max((s.history for s in context.stages.values()), default=0)
+    begin = max(first - history, 0)
+    facts, plans = context.read(begin, last)
     start = time.perf_counter()
     needed = levels_of(plans.values())
     if needed - context.ready.keys():  # a chunk without work need not wait for another's preparation
         with _OPENING:
-            context.prepare(needed)
+            for name, level in sorted(needed - context.ready.keys()):
+                context.ready[name, level] = ReadyStage.of(context.stages[name], context.scene, level)
     seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
     stage_seconds: dict[str, float] = {}
-    past: deque[tuple[Canvas, FrameFacts]] = deque(maxlen=context.history)
+    past: deque[tuple[FrameLayers, FrameFacts]] = deque(maxlen=history)
 
     def encode(out: Frame) -> None:
         start = time.perf_counter()
@@ -147,7 +141,7 @@ def render_chunk(
     try:
         source = source_at(context.info, context.pts, begin, threads=0 if alone else 1)
         with ChunkWriter(context.output, context.info, aside) as writer:
-            with Behind(encode) if alone else nullcontext() as later:
+            with WriteBehind(encode) if alone else nullcontext() as later:
                 for index in range(begin, last + 1):
                     start = time.perf_counter()
                     frame = source.next()
@@ -161,7 +155,7 @@ def render_chunk(
                     if index < first:
                         continue
                     if index in context.previews:
-                        save_preview(place.previews, index, frame, out)
+                        save_preview(context.folder.previews, index, frame, out)
                     (encode if later is None else later.put)(out)
                     tick()
             start = time.perf_counter()
@@ -177,25 +171,10 @@ def render_chunk(
     }  # fmt: skip
 
 
-def _told(context: Context, place: JobFolder, first: int, last: int) -> tuple[dict[int, FrameFacts], dict[int, FramePlan]]:
-    """Facts and plans of frames first ... last."""
-    if context.facts is not None and context.plans is not None:
-        facts, plans = context.facts[first : last + 1], context.plans[first : last + 1]
-    else:
-        facts = [FrameFacts.from_json(d) for d in read_lines(place.facts, first + 1, last + 1)]  # line 0: header
-        plans = [FramePlan.from_json(d) for d in read_lines(place.plan, first, last)]
-    return {f.index: f for f in facts}, {p.index: p for p in plans}
-
-
 def _frame(
-    context: Context,
-    frame: Frame,
-    facts: FrameFacts,
-    plan: FramePlan,
-    past: deque[tuple[Canvas, FrameFacts]],
-    seconds: dict[str, float],
-    stage_seconds: dict[str, float],
-) -> Frame:
+    context: Context, frame: Frame, facts: FrameFacts, plan: FramePlan, past: deque[tuple[FrameLayers, FrameFacts]],
+    seconds: dict[str, float], stage_seconds: dict[str, float],
+) -> Frame:  # fmt: skip
     if not plan.steps or plan.changed.empty:
         return frame
     plate = Pixels(plan.rect, rest=frame.linear)
@@ -206,7 +185,7 @@ def _frame(
         seconds["decode"] += time.perf_counter() - start
     ready = {s.stage: context.ready[s.stage, s.level] for s in plan.steps}
     result = run_frame(plate, facts, plan, ready, tuple(past), depth)
-    past.append((result.canvas, facts))
+    past.append((result.layers, facts))
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s
     start = time.perf_counter()

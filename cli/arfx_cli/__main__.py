@@ -1,6 +1,6 @@
 """Starts the command: signals are caught and streams made safe before anything heavy is imported.
 
-The process ends here too, with the exit code alone: nothing that goes on in libraries while Python is taken down changes it.
+The process ends here too, with the exit code alone: what libraries do at exit cannot change it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def start() -> None:
     code: Any = 1
     try:
         interrupt.catch()
-        with interrupt.held():  # what is made or imported by halves may fail later, with another message
+        with interrupt.held():  # a half-done import may fail later, with another message
             streams.make_safe()
             from arfx_cli.main import main
         main()

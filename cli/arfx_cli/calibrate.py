@@ -16,23 +16,17 @@ if TYPE_CHECKING:
     import numpy as np
 
 STILLS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2"}
-VIDEO_SEARCHED = 120  # frames of a video that are searched for the board; the sharpest of equal stretches
+VIDEO_SEARCHED = 120  # frames of a video that are searched for the board: the sharpest of equal intervals
 
 
 @click.command()
 @click.argument("inputs", metavar="IMAGES|VIDEO...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--board",
-    required=True,
-    metavar="SPEC",
+    "--board", required=True, metavar="SPEC",
     help="chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100[:legacy].",
-)
+)  # fmt: skip
 @click.option("-o", "--output", required=True, type=FILE, help="Camera file to write (YAML).")
-@click.option(
-    "--report",
-    type=FOLDER,
-    help="Folder for residuals.png and coverage.png; default: beside -o.",
-)
+@click.option("--report", type=FOLDER, help="Folder for residuals.png and coverage.png; default: beside -o.")
 @overwrite_option
 @message_options
 def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | None, overwrite: bool, as_json: bool) -> None:
@@ -62,7 +56,7 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
 
-    total = len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None  # how many frames of a video, it tells
+    total = len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None  # unknown for videos
     with Progress("pictures") as progress:
         found = find_board(_pictures(paths), spec, lambda searched, _: progress("search", searched, total))
     result = calibrate(found)
@@ -93,22 +87,17 @@ def _flatten(inputs: tuple[Path, ...]) -> list[Path]:
 
 def _pictures(paths: list[Path]) -> Iterator[tuple[str, np.ndarray]]:
     """(name, (h, w) uint8 upright) of every still, and of sharp frames of every video."""
-    names = [p.name for p in paths]
-    for path in paths:
-        name = path.name if names.count(path.name) == 1 else str(path)
-        if path.suffix.lower() in STILLS:
-            yield name, _still(path)
-        else:
-            yield from _video(path, name)
-
-
-def _still(path: Path) -> np.ndarray:
-    """Grey picture, turned upright as EXIF says."""
     import cv2
 
     from arfx.media.images import decode_picture
 
-    return decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)
+    names = [p.name for p in paths]
+    for path in paths:
+        name = path.name if names.count(path.name) == 1 else str(path)
+        if path.suffix.lower() in STILLS:
+            yield name, decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)  # turned upright as EXIF says
+        else:
+            yield from _video(path, name)
 
 
 def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:

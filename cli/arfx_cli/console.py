@@ -12,6 +12,7 @@ import click
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 COMPILING = "compiling kernels for this processor, once"
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
@@ -42,10 +43,6 @@ def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
     return f
 
 
-def overwrite_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--overwrite", is_flag=True, help="Replace existing outputs.")(f)
-
-
 def say(message: str) -> None:
     """A line for people, on standard error (standard output is kept for results); not with --quiet."""
     if not quiet():
@@ -53,7 +50,7 @@ def say(message: str) -> None:
 
 
 def note(message: str) -> None:
-    """A warning: said with --quiet too."""
+    """A warning, with --quiet too."""
     click.echo(f"note: {message}", err=True)
 
 
@@ -115,14 +112,8 @@ class Progress:
             from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
             from rich.progress import Progress as RichProgress
 
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                TimeRemainingColumn(),
-            )
-            self._rich = RichProgress(*columns, console=Console(stderr=True), transient=False)
+            columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+            self._rich = RichProgress(TextColumn("{task.description}"), *columns, console=Console(stderr=True))
             self._rich.start()
         return self
 
@@ -146,3 +137,36 @@ class Progress:
                 say(f"{COMPILING}: {done} of {total}")
                 return
             say(f"{phase}: {done}{f'/{total}' if total else ''} {self._unit}")
+
+
+def say_job(report: dict[str, Any]) -> None:
+    """The job in a line; with --verbose also its stages, phases and the health of every estimate."""
+    pose, timing = report["pose"], report["timing"]
+    reprojection = (pose.get("reprojection_px") or {}).get("median")
+    say(
+        f"{report['output']['frames']} frames to {report['output']['path']}: object in "
+        f"{pose['frames_measured']} measured and {pose['frames_interpolated']} bridged frames, absent in {pose['frames_absent']}"
+        + (f"; reprojection {reprojection:.2f} px" if reprojection is not None else "")
+        + f"; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"
+        + (f", resumed: the time of {timing['processes']} processes" if timing["resumed"] else "")
+    )
+    detail_job(report)
+
+
+def detail_job(report: dict[str, Any]) -> None:
+    given, output, timing = report["input"], report["output"], report["timing"]
+    detail(f"camera: {given['camera']}{' (a guess)' if given['camera_guessed'] else ''}; {given['width']}x{given['height']}")
+    detail(f"output: {output['codec']}, {output['pixel_format']}, {output['bytes'] / 1e6:.2f} MB")
+    for s in report["stages"]:
+        why = "".join(f"; left out in {n}: {text}" for text, n in s["reasons"].items())
+        levels = ", ".join(s["levels"]) or "no level"
+        area = f"{s['area_fraction']:.1%} of the picture"
+        detail(f"stage {s['name']}: {s['frames_run']} frames, {levels}, {area}, {s['measured_s']:.2f} s{why}")
+    light = report["light"]
+    detail(f"light: {light['verdict']}, from {light['source']}: {light['reason']}")
+    phases = ("decode", "analyse", "plan", "prepare", "render", "encode")
+    detail("seconds: " + ", ".join(f"{p} {timing[f'{p}_s']:.2f}" for p in phases) + f"; peak {timing['peak_rss_mb']:.0f} MB")
+    for h in report["health"]:
+        value = f"{h['value']:.3g}" if isinstance(h["value"], float) else h["value"]
+        against = "" if h["verdict"] == "ok" else f" (limit {h['limit']}): {h['action']}"
+        detail(f"{h['verdict']}: {h['check']} {value}{against}")

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import FOLDER, Progress, emit_json, message_options, note, overwrite_option
-from arfx_cli.job_summary import say_job
+from arfx_cli.console import FOLDER, Progress, emit_json, message_options, note, overwrite_option, say_job
 
 EFFECTS = ("dof",)  # of the demo's job
 
@@ -27,17 +26,19 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     Example:
       arfx demo
     """
+    import numpy as np
+
     from arfx.config.load import load
-    from arfx.core.guard import Guard
+    from arfx.core.guard import Guard, aside
     from arfx.errors import ConfigError
     from arfx.measure.report import report_of_job
-    from arfx.run.folder import JobFolder
+    from arfx.media.images import write_png
+    from arfx.run.folder import JobFolder, load_previews
     from arfx.run.job import Options, process
-    from arfx.run.kernels import JOB, SYNTH, compiling, listed
+    from arfx.run.kernels import JOB, SYNTH, compiling, listed_kernels
     from arfx.run.lock import locked
     from arfx.run.parameters import parameters
     from arfx.run.place import REPORT_FILES
-    from arfx.run.preview import load_previews
     from arfx.stages import stages_with
     from arfx.synth.clip import make_clip
     from arfx.synth.description import DEMO_SCENE, load_scene
@@ -53,10 +54,11 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     def finish(job: Path) -> None:
         report_of_job(job, report_dir)
         previews = load_previews(JobFolder(job).previews)
-        _save(previews[len(previews) // 2], picture)
+        with aside(picture) as part:
+            write_png(part, np.hstack(previews[len(previews) // 2][1:]))
 
     with locked(folder, "-o"), Progress() as progress:
-        with compiling(listed((SYNTH,)), listed((JOB, *stages_with(EFFECTS))), progress, note):
+        with compiling(listed_kernels((SYNTH,)), listed_kernels((JOB, *stages_with(EFFECTS))), progress, note):
             make_clip(load_scene(DEMO_SCENE), folder / "clip", progress=progress, overwrite=overwrite)
         config = load(folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters())
         options = Options(overwrite=overwrite, report=report_dir, finish=finish, progress=progress, notice=note)
@@ -68,14 +70,3 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
         return
     for what, name in written.items():
         click.echo(f"{what + ':':12} {folder / name}")
-
-
-def _save(preview: tuple, path: Path) -> None:
-    import numpy as np
-
-    from arfx.core.guard import aside
-    from arfx.media.images import write_png
-
-    _, before, after = preview
-    with aside(path) as part:
-        write_png(part, np.hstack([before, after]))

@@ -24,14 +24,14 @@ def command(as_json: bool) -> None:
       arfx doctor
     """
     from arfx.errors import RenderError
-    from arfx.measure.machine import examine, sound
+    from arfx.measure.machine import essentials_work, examine
 
     checks = examine(Path.cwd())
     if verbose():
         for line in surroundings():
             detail(line)
     if as_json:
-        emit_json({"ok": sound(checks), "checks": [c.to_json() for c in checks]})
+        emit_json({"ok": essentials_work(checks), "checks": [c.to_json() for c in checks]})
     else:
         for group in dict.fromkeys(c.group for c in checks):
             click.echo(group)
@@ -40,7 +40,7 @@ def command(as_json: bool) -> None:
                 click.echo(f"  {mark}{c.name:32}{c.detail}")
                 if c.fix:
                     click.echo(f"      fix: {c.fix}")
-    if not sound(checks):
+    if not essentials_work(checks):
         wrong = [c.name for c in checks if c.essential and not c.ok] or ["every renderer"]
         raise RenderError(f"arfx cannot work here: {', '.join(wrong)}", "the fix is printed under each check")
     if not as_json:

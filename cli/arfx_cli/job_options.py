@@ -1,22 +1,26 @@
 """The options that `process`, `plan` and `tradeoff` share, and how they become a job.
 
-Those of a job file's sections are made from its fields; here stand those of stages, and of how a job is run.
+Those of a job file's sections are made from its fields; this module has those of stages, and of how a job is run.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 import click
 
 from arfx.config.sections import Setting, settings
-from arfx_cli.console import FILE, FOLDER
+from arfx_cli.console import FILE, FOLDER, Progress, note
 
 if TYPE_CHECKING:
     from arfx.config.given import Given
+    from arfx.run.inputs import Inputs
+    from arfx.run.planned import Job
 
 
 _OTHERS = [
@@ -50,7 +54,7 @@ def _parameter(s: Setting) -> click.Parameter:
     kind: Any = None
     if Path in s.kinds:
         kind = click.Path(path_type=Path, dir_okay=s.metavar == "PATH")
-    elif float in s.kinds:  # click tells what is below a limit of 0, the job every other limit
+    elif float in s.kinds:  # click checks a limit of 0, the job all other limits
         low = next((m for m in s.limits if 0 in (getattr(m, "gt", None), getattr(m, "ge", None))), None)
         kind = click.FLOAT if low is None else click.FloatRange(0, min_open=hasattr(low, "gt"))
     elif list[str] not in s.kinds:
@@ -86,3 +90,31 @@ def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given
     if given["formula"]:
         for name in formulas:
             yield (name, "formula"), given["formula"], f"--formula {given['formula']}"
+
+
+@contextmanager
+def planned_aside(given: dict[str, Any], progress: Progress, check: Callable[[Inputs], None] | None = None) -> Iterator[Job]:
+    """The job that `process` would run with these arguments, analysed and planned. Its folder is gone afterwards.
+
+    check : called with all that was opened, before any work
+    """
+    from arfx.run.folder import JobFolder
+    from arfx.run.inputs import open_inputs
+    from arfx.run.job import Options, plan_job
+    from arfx.run.place import Places
+
+    with tempfile.TemporaryDirectory(prefix="arfx-") as scratch:
+        config = job_config(given)
+        named = config.output.path is not None
+        if not named:  # only where it would go is open; mkv holds what any clip has
+            config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
+        inputs = open_inputs(config)
+        if named:
+            Places(inputs, None, None, overwrite=True).check_output()
+        if check is not None:
+            check(inputs)
+        for notice in inputs.notices:
+            note(notice)
+        folder = JobFolder(Path(scratch) / "job")
+        folder.open(resume=False)
+        yield plan_job(inputs, folder, Options(progress=progress, notice=note))

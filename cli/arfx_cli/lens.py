@@ -22,12 +22,9 @@ _ROWS = (
 @click.option("--fnumber", required=True, type=float, metavar="N", help="F-number, such as 2.8.")
 @click.option("--distance", required=True, metavar="LENGTH", help="Focus distance from the lens, such as 2.5m.")
 @click.option(
-    "--coc",
-    default="0.03mm",
-    show_default=True,
-    metavar="LENGTH",
+    "--coc", default="0.03mm", show_default=True, metavar="LENGTH",
     help="Diameter of the largest blur circle that passes as sharp.",
-)
+)  # fmt: skip
 @message_options
 def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) -> None:
     """What a lens shows sharp: near and far limits around the focus distance, and the hyperfocal distance.

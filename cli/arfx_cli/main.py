@@ -100,17 +100,16 @@ def main(argv: Sequence[str] | None = None) -> None:
             with interrupt.completing():  # a signal that came before counts, also one that a library swallowed
                 pass
         except (Exception, KeyboardInterrupt) as e:
-            code = _said(e)
+            code = _report_error(e)
         code = code if isinstance(code, int) else 0
         interrupt.settle(code)
         sys.exit(code)
 
 
-def _said(e: BaseException) -> int:
+def _report_error(e: BaseException) -> int:
     """Say what went wrong in one message. Returns the exit code; raises `e` again where tracebacks are wanted."""
     if interrupt.came() and not isinstance(e, JobInterruptedError):  # whatever a library has made of it
         e = KeyboardInterrupt()
-    debug = os.environ.get("ARFX_DEBUG") == "1"
     if isinstance(e, (KeyboardInterrupt, click.Abort)):
         code = interrupt.exit_code() or 130
         click.echo(interrupt.cause(), err=True)
@@ -118,7 +117,7 @@ def _said(e: BaseException) -> int:
     if isinstance(e, click.ClickException):
         e.show()
         return e.exit_code
-    if debug:
+    if os.environ.get("ARFX_DEBUG") == "1":
         raise e
     if isinstance(e, ArfxError):
         click.echo(f"error: {e}", err=True)

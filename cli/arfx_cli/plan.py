@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, say, verbose
-from arfx_cli.job_options import job_options
-from arfx_cli.planned import planned_aside
+from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, print_table, say, verbose
+from arfx_cli.job_options import job_options, planned_aside
 
 if TYPE_CHECKING:
     from arfx.core.plan import FramePlan
@@ -26,7 +25,7 @@ def command(as_json: bool, **given: Any) -> None:
     Example:
       arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm
     """
-    from arfx.plan.explain import level_lines, summarise, table, total_line
+    from arfx.plan.explain import level_lines, summarise, total_line
 
     with Progress() as progress, planned_aside(given, progress) as job:
         rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
@@ -39,14 +38,21 @@ def command(as_json: bool, **given: Any) -> None:
             document["plans"] = [p.to_json() for p in job.plan.frames]
         emit_json(document)
         return
-    from rich.console import Console
-
-    Console().print(table(rows, len(job.plan.frames)))
+    heads = ("stage", "level", "runs", "area", "predicted", "left out, and why")
+    print_table(f"plan of {len(job.plan.frames)} frames", heads, map(_cells, rows), words=2)
     for line in frame_by_frame(job.plan.frames):
         detail(line)
     for line in level_lines(job.plan.levels):
         say(line)
     say(total_line(job.plan.predicted, len(job.plan.frames), [r["name"] for r in rows if r["predicted_s"] is None]))
+
+
+def _cells(row: dict[str, Any]) -> Sequence[str]:
+    predicted, between = "unknown" if row["predicted_s"] is None else f"{row['predicted_s']:.2f} s", row["predicted_between_s"]
+    if between is not None and row["frames_run"]:
+        predicted += f" ({between[0]:.2g}–{between[1]:.2g})"
+    why = "\n".join(f"{n} × {text}" for text, n in row["reasons"].items())
+    return row["name"], ", ".join(row["levels"]), str(row["frames_run"]), f"{row['area_fraction']:.1%}", predicted, why
 
 
 def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option, say
+from arfx_cli.console import Progress, emit_json, message_options, note, overwrite_option, say, say_job
 from arfx_cli.job_options import job_config, job_options
-from arfx_cli.job_summary import say_job
 
 
 @click.command(params=job_options())
 @overwrite_option
 @message_options
 def command(
-    report_dir: Path | None,
-    job_dir: Path | None,
-    resume: bool,
-    workers: int | None,
-    overwrite: bool,
-    as_json: bool,
-    **given: Any,
+    report_dir: Path | None, job_dir: Path | None, resume: bool, workers: int | None, overwrite: bool, as_json: bool, **given: Any
 ) -> None:
     """Put a virtual model onto the marker of CLIP.
 
@@ -33,17 +27,11 @@ def command(
       arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm \\
         --model duck.glb --fit 15cm -o out.mp4 --report report
     """
+    from arfx.measure.report import report_of_job
     from arfx.run.job import Options, process
 
     config = job_config(given)
-
-    def write_report(job: Path) -> None:
-        from arfx.measure.report import report_of_job
-
-        assert report_dir is not None
-        report_of_job(job, report_dir)
-
-    finish = None if report_dir is None else write_report
+    finish = None if report_dir is None else partial(report_of_job, folder=report_dir)
     with Progress() as progress:
         report = process(config, Options(job_dir, resume, overwrite, workers, report_dir, finish, progress, note))
     say_job(report)

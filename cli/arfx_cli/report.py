@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import FOLDER, emit_json, message_options, overwrite_option, say
-from arfx_cli.job_summary import detail_job
+from arfx_cli.console import FOLDER, detail_job, emit_json, message_options, overwrite_option, say
 
 
 @click.command()

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, print_table, say
-from arfx_cli.job_options import job_options
-from arfx_cli.planned import planned_aside
+from arfx_cli.job_options import job_options, planned_aside
 
 if TYPE_CHECKING:
     from arfx.run.inputs import Inputs
@@ -37,8 +36,7 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
     from arfx.core.guard import Guard
     from arfx.core.numerics import finite
     from arfx.measure.tradeoff import measure
-    from arfx.measure.tradeoff_document import document
-    from arfx.measure.tradeoff_html import write_tradeoff
+    from arfx.measure.tradeoff_html import document, write_tradeoff
     from arfx.run.folder import write
     from arfx.run.place import PAGE_START, files_locked, files_read
 
@@ -52,34 +50,34 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
     with contextlib.ExitStack() as report:
         with Progress() as progress, planned_aside(given, progress, check) as job:
             found = measure(job, frames, progress)
-        told = finite(document(found, job, time.perf_counter() - began))
+        measured = finite(document(found, job, time.perf_counter() - began))
         if report_dir is not None:
-            write(report_dir / "tradeoff.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
-            say(f"report: {write_tradeoff(report_dir, found, told)}")
+            write(report_dir / "tradeoff.json", json.dumps(measured, indent=1, allow_nan=False) + "\n")
+            say(f"report: {write_tradeoff(report_dir, found, measured)}")
     if as_json:
-        emit_json(told)
+        emit_json(measured)
         return
-    _show(told)
+    _show(measured)
 
 
-def _show(told: dict[str, Any]) -> None:
+def _show(measured: dict[str, Any]) -> None:
     rows: list[tuple[str, ...]] = []
     last = ""
-    for r in [*told["effects"], *told["pipelines"]]:
+    for r in [*measured["effects"], *measured["pipelines"]]:
         if last and r["name"] != last:
             rows.append(())
         level = r["level"] + (f" ({r['formula']})" if r["formula"] == "paper" else "")
         if r["level"] == "mixed":
             level = "mixed: " + ", ".join(f"{k} {v}" for k, v in r["levels"].items() if v != "standard")
-        calm = "" if r["unrest"] is None else f"{r['unrest']['level']:.1f}/{r['unrest']['reference']:.1f}"
+        flicker = "" if r["unrest"] is None else f"{r['unrest']['level']:.1f}/{r['unrest']['reference']:.1f}"
         rows.append((
             "" if r["name"] == last else r["name"], level, _duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}",
-            f"{r['p99']:.1f}", f"{r['flip']:.3f}", f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", calm, str(r["worst_frame"]),
+            f"{r['p99']:.1f}", f"{r['flip']:.3f}", f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", flicker, str(r["worst_frame"]),
         ))  # fmt: skip
         last = r["name"]
     heads = ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "ΔE", "SSIM", "flicker", "frame")
-    print_table(f"error against reference, grey levels; {len(told['frames'])} frames", heads, rows, words=2)
-    click.echo(told["recommendation"])
+    print_table(f"error against reference, grey levels; {len(measured['frames'])} frames", heads, rows, words=2)
+    click.echo(measured["recommendation"])
 
 
 def _duration(seconds: float, low_s: float, high_s: float) -> str:

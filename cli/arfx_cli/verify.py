@@ -9,17 +9,12 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import FOLDER, Progress, detail, emit_json, message_options, note
-from arfx_cli.job_summary import detail_job
+from arfx_cli.console import FOLDER, Progress, detail, detail_job, emit_json, message_options, note
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option(
-    "--keep",
-    type=FOLDER,
-    help="Folder for the clip, the output and the job; default temporary.",
-)
+@click.option("--keep", type=FOLDER, help="Folder for the clip, the output and the job; default temporary.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 @message_options
 def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> None:

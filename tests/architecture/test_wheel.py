@@ -85,7 +85,7 @@ def test_installed_it_has_no_package_cli_and_finds_its_presets(wheel: Path, tmp_
 @pytest.mark.skipif(not compiled.target(), reason=f"a processor without {compiled.TARGET}")
 def test_a_wheel_with_compiled_code_compiles_nothing_when_installed(wheel: Path, tmp_path: Path) -> None:
     """Of one module alone: `make wheel` takes a minute or two."""
-    made = with_compiled_code(wheel, tmp_path / "dist", "arfx.run.frame")
+    made = with_compiled_code(wheel, tmp_path / "dist", "arfx.stages.hide")
     assert f"-cp{sys.version_info[0]}{sys.version_info[1]}-none-" in made.name
     installed, aside = tmp_path / "installed", tmp_path / "aside"
     aside.mkdir()
@@ -104,8 +104,8 @@ def refuse(*a, dir=None, **k):  # the root user may write anywhere
         raise PermissionError(13, "Permission denied", str(dir))
     return made(*a, dir=dir, **k)
 tempfile.TemporaryFile = refuse
-from arfx.run.kernels import listed
-kernels = [k for k in listed() if k.module == "arfx.run.frame"]
+from arfx.run.kernels import listed_kernels
+kernels = [k for k in listed_kernels() if k.module == "arfx.stages.hide"]
 assert kernels and kernels[0].function.py_func.__code__.co_filename.startswith(sys.argv[1])
 for kernel in kernels:
     kernel.load()

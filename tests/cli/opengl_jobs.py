@@ -15,7 +15,7 @@ from typing import Any
 
 from arfx.config.load import load
 from arfx.errors import JobInterruptedError, RenderError
-from arfx.run import chunks
+from arfx.run import schedule
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
 from arfx.stages.raster import backends, gl_context, gl_draw
@@ -63,7 +63,7 @@ def jobs(folder: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 def run(folder: Path) -> None:
-    chunks.SHORTEST, drawn = FRAMES // 2, 0
+    schedule.SHORTEST, drawn = FRAMES // 2, 0
     draw = gl_draw.Drawing.__call__
 
     def counted(*args: Any) -> Any:

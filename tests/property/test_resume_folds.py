@@ -30,7 +30,7 @@ from arfx.core import codec
 from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
 from arfx.papers import FORMULAS
-from arfx.run.span import Span
+from arfx.run.analysis import Span
 from tests.exact import identical
 from tests.unit.analyse.synthetic import background, camera, picture, tilted
 

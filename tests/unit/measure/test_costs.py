@@ -12,8 +12,8 @@ import pytest
 
 from arfx.core.cost import load_prices
 from arfx.measure import costs_output
+from arfx.measure.bench import Runs, Stopwatch
 from arfx.measure.costs import calibrate, fit, save_prices
-from arfx.measure.timed_runs import Runs, Watch
 from arfx.media.codecs import CODECS
 
 
@@ -65,7 +65,7 @@ def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkey
     monkeypatch.setitem(CODECS, "prores", replace(CODECS["prores"], encoder="no_such_encoder"))
     timed: dict[str, Runs] = defaultdict(Runs)
     with ThreadPoolExecutor(2) as pool:
-        costs_output.time_output(timed, Watch(True, pool, 2), lambda *_: None)
+        costs_output.time_output(timed, Stopwatch(True, pool, 2), lambda *_: None)
     assert {f"encode {c}" for c in CODECS} - timed.keys() == {"encode prores"}
     assert all(s > 0 for runs in timed.values() for s in runs.seconds)
     assert len(timed["edit"].seconds) == 4 and len(timed["join"].seconds) == 2
@@ -73,5 +73,5 @@ def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkey
 
 def test_the_processors_clock_counts_work_and_not_waiting() -> None:
     with ThreadPoolExecutor(2) as pool:
-        asleep = Watch(True, pool, 2).of_each(lambda: time.sleep(0.05))
-        assert Watch(False, pool, 2).of_each(lambda: time.sleep(0.05)) > 0.04 > asleep
+        asleep = Stopwatch(True, pool, 2).of_concurrent(lambda: time.sleep(0.05))
+        assert Stopwatch(False, pool, 2).of_concurrent(lambda: time.sleep(0.05)) > 0.04 > asleep

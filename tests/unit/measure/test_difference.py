@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from arfx.measure.difference import REACH_PX, delta_e, difference, flip_map, ssim_map
+from arfx.measure.difference import MARGIN_PX, delta_e, difference, flip_map, ssim_map
 
 BLACK, WHITE = np.zeros((12, 14, 3), np.uint8), np.full((12, 14, 3), 255, np.uint8)
 
@@ -40,7 +40,7 @@ def test_a_mask_gives_the_numbers_of_the_whole_picture() -> None:
     assert d.ssim == pytest.approx(ssim_map(a, b)[where].mean(), abs=1e-9)
     assert d.delta_e == pytest.approx(delta_e(a, b)[where].mean(), abs=1e-9)
     narrower = flip_map(a[28:37, 33:49], b[28:37, 33:49])  # without the surroundings they are others: the reach is needed
-    assert np.abs(narrower - flip_map(a, b)[28:37, 33:49]).max() > 1e-2 and REACH_PX >= 10
+    assert np.abs(narrower - flip_map(a, b)[28:37, 33:49]).max() > 1e-2 and MARGIN_PX >= 10
 
 
 def test_a_picture_smaller_than_the_filters_has_its_figures_too() -> None:

@@ -9,7 +9,7 @@ import pytest
 from arfx.core.camera import Camera
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.measure.inspection import Found, settle, smallest_family, suggestion, tilt_deg
+from arfx.measure.inspection import Found, confirmed, smallest_family, suggestion, tilt_deg
 
 QUAD = np.array([[100.0, 100], [180, 100], [180, 180], [100, 180]])
 
@@ -44,21 +44,21 @@ def test_nested_dictionaries_share_their_codes() -> None:
 
 def test_markers_of_one_sheet_are_named_by_one_dictionary() -> None:
     both = found("4X4_1000", 3, 5) | found("4X4_1000", 77, 4, QUAD + 300)
-    assert names(settle(both, 10)) == ["4X4_100:3", "4X4_100:77"]
+    assert names(confirmed(both, 10)) == ["4X4_100:3", "4X4_100:77"]
 
 
 def test_weak_codes_in_few_frames_are_not_believed() -> None:
     seen = found("16h5", 4, 2) | found("36h11", 9, 1, QUAD + 400)
-    assert names(settle(seen, 20)) == ["36h11:9"]
-    assert names(settle(found("16h5", 4, 4), 20)) == ["16h5:4"]
-    assert names(settle(found("16h5", 4, 1), 1)) == ["16h5:4"], "a clip of one frame cannot show it more often"
+    assert names(confirmed(seen, 20)) == ["36h11:9"]
+    assert names(confirmed(found("16h5", 4, 4), 20)) == ["16h5:4"]
+    assert names(confirmed(found("16h5", 4, 1), 1)) == ["16h5:4"], "a clip of one frame cannot show it more often"
 
 
 def test_one_print_read_by_two_dictionaries_is_one_marker() -> None:
     twice = found("36h11", 3, 10) | found("5X5_1000", 812, 4, QUAD + 2)
-    assert names(settle(twice, 10)) == ["36h11:3"]
+    assert names(confirmed(twice, 10)) == ["36h11:3"]
     apart = found("36h11", 3, 10) | found("5X5_1000", 812, 4, QUAD + 150)
-    assert len(settle(apart, 10)) == 2
+    assert len(confirmed(apart, 10)) == 2
 
 
 @pytest.mark.parametrize("tilt", [20.0, 45.0, 70.0])

@@ -7,7 +7,7 @@ import time
 import numba
 import pytest
 
-from arfx.measure.timed_runs import Watch
+from arfx.measure.bench import Stopwatch
 
 
 @pytest.mark.parametrize("processor", [False, True])
@@ -18,5 +18,5 @@ def test_compiling_is_no_part_of_what_work_takes(processor: bool) -> None:
 
     clock = time.process_time if processor else time.perf_counter
     start = clock()
-    seconds = Watch(processor).of(lambda: fresh(1.0))
+    seconds = Stopwatch(processor).of(lambda: fresh(1.0))
     assert seconds < (clock() - start) / 2

@@ -12,12 +12,11 @@ from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
-from arfx.measure.difference import Difference, difference, touched, unrest
-from arfx.measure.steps import FrameBench, Shop, chain_of, window_of
-from arfx.measure.tradeoff import Found, Row
-from arfx.measure.tradeoff_document import _share, front, recommendation
+from arfx.measure.difference import Difference, difference, mean_flicker, touched
+from arfx.measure.steps import FrameRenderer, PreparedStages, chain_of, window_of
+from arfx.measure.tradeoff import Measurements, Row
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
-from arfx.measure.tradeoff_html import MOST_BYTES, error_map, page
+from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, front, page, recommendation
 from arfx.plan.planner import plan_frame
 from arfx.stages import STAGES
 from tests.scenes import camera, facts, look_at, scene
@@ -32,17 +31,17 @@ def row(name: str, level: str, seconds: float, mean: float, p99: float, formula:
     return r
 
 
-def found() -> Found:
+def found() -> Measurements:
     effects = [row("dof", "draft", 0.01, 2.0, 30), row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
                row("dof", "standard", 0.03, 4.0, 40, "paper")]  # fmt: skip
     whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
              row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
              row("pipeline", "usual", 0.05, 5.0, 50, "paper")]  # fmt: skip
     samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
-    return Found(samples, effects, whole, {3: Rect(0, 0, 50, 40)}, {("dof", "draft"): "at the silhouette"})
+    return Measurements(samples, effects, whole, {3: Rect(0, 0, 50, 40)}, {("dof", "draft"): "at the silhouette"})
 
 
-def told(f: Found) -> dict[str, Any]:
+def told(f: Measurements) -> dict[str, Any]:
     def line(r: Row) -> dict[str, Any]:
         return {"name": r.name, "level": r.level, "formula": r.formula, "levels": None, "seconds_per_frame": r.seconds,
                 "between_s": [r.seconds, 2 * r.seconds],
@@ -85,8 +84,8 @@ def test_a_picture_that_moves_with_its_footage_is_at_rest_and_one_that_flickers_
     moved = np.roll(plate, 2, axis=1)
     where = np.zeros((80, 100), bool)
     where[20:60, 20:80] = True
-    steady = unrest(plate, moved, plate, moved, where)
-    flicker = unrest(plate, np.clip(moved.astype(int) + 12, 0, 255).astype(np.uint8), plate, moved, where)
+    steady = mean_flicker(plate, moved, plate, moved, where)
+    flicker = mean_flicker(plate, np.clip(moved.astype(int) + 12, 0, 255).astype(np.uint8), plate, moved, where)
     assert steady < 2.5 and flicker > steady + 8
 
 
@@ -102,7 +101,7 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     chain = chain_of(plan, levels)
     pictures = []
     for slow in (frozenset(), frozenset(chain)):
-        bench = FrameBench(f, plate, plan, window, Shop(s, stages), slow)
+        bench = FrameRenderer(f, plate, plan, window, PreparedStages(s, stages), slow)
         pictures.append(bench.image(chain))
         assert np.array_equal(bench.image(()), bench.original())
     assert np.array_equal(*pictures) and (pictures[0] != bench.original()).any()
@@ -124,9 +123,11 @@ def test_stages_read_the_measured_depth_as_in_a_job() -> None:
     plan = FramePlan(0, whole, whole, (Step("deep", "standard", whole, whole, "", None),), ())
     depth = NOISE.uniform(0.2, 0.9, (120, 160)).astype(np.float32)
     window = Rect(30, 20, 90, 70)
-    shop = Shop(s, {"deep": Deep()})  # type: ignore[dict-item]
+    prepared = PreparedStages(s, {"deep": Deep()})  # type: ignore[dict-item]
     pictures = [
-        FrameBench(f, np.zeros((120, 160, 3), np.float32), plan, window, shop, frozenset(), d).image((("deep", "standard"),))
+        FrameRenderer(f, np.zeros((120, 160, 3), np.float32), plan, window, prepared, frozenset(), d).image(
+            (("deep", "standard"),)
+        )
         for d in (depth, None)
     ]
     assert np.array_equal(pictures[0][..., 0], np.rint(255 * SRGB.encode(depth[window.slices])))

@@ -11,7 +11,7 @@ from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Stage, View
-from arfx.measure.steps import FrameBench, Shop
+from arfx.measure.steps import FrameRenderer, PreparedStages
 from arfx.measure.tradeoff_time import Tiles, Times, time_frame
 from tests.scenes import camera, facts, look_at, scene
 
@@ -54,11 +54,11 @@ def measured(seed: int, new: float = 0.0, frames: int = 2, reads: bool = False) 
     out = seen.model_box.pad(60).clip(s.camera.rect)
     stage = Slow(seen.model_box, seed, reads)
     plan = FramePlan(seed, out, out, (Step("slow", "draft", out, out.pad(9).clip(s.camera.rect), "", None),), ())
-    times, shop = Times(clock=lambda: stage.now_s), Shop(s, {"slow": stage})
+    times, prepared = Times(clock=lambda: stage.now_s), PreparedStages(s, {"slow": stage})
     wanted, slow = frozenset({("slow", "draft"), ("slow", "reference")}), frozenset({("slow", "reference")})
     for k in range(frames):
         at = seen.with_(index=100 * seed + k)
-        frame = FrameBench(at, np.zeros((480, 640, 3), np.float32), plan, s.camera.rect, shop, slow)
+        frame = FrameRenderer(at, np.zeros((480, 640, 3), np.float32), plan, s.camera.rect, prepared, slow)
         time_frame(times, frame, {"slow": "draft"}, wanted, {"slow": new})
     whole = out.pad(9).clip(s.camera.rect) if reads else out
     return times, stage, ALONE_S + float(stage.seconds[whole.slices].sum())

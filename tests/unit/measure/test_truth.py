@@ -9,8 +9,7 @@ from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
-from arfx.measure.truth import compare, cuts, exceeded, map_errors, pose_errors, presence, world_key
-from arfx.measure.truth_light import light_errors
+from arfx.measure.truth import compare, cuts, exceeded, light_errors, map_errors, pose_errors, presence, world_key
 from arfx.synth.clip import frame_truth
 from arfx.synth.truth import Truth
 from tests.unit.synth.little_scenes import little_scene, picture_of

@@ -11,7 +11,7 @@ from arfx.config.load import load
 from arfx.core.layers import Layer
 from arfx.errors import ConfigError
 from arfx.papers.s4_gi import PrintedGiParams, step3_environment
-from arfx.run.parameters import kinds_of_folds, parameters
+from arfx.run.parameters import fold_classes, parameters
 from tests.unit.stages.gi_scenes import (
     BLACK,
     CAMERA,
@@ -35,7 +35,7 @@ def test_the_planes_albedo_is_a_share() -> None:
 def test_the_environment_is_folded_as_gis_formula_says_whatever_the_lights(gi: str) -> None:
     light = {"paper": "corrected", "corrected": "paper"}[gi]
     config = load(None, {"gi": {"formula": gi}, "light": {"formula": light}}, parameters())
-    assert (folded(AnalysisJob((), CAMERA, kinds=kinds_of_folds(config))) is step3_environment) == (gi == "paper")
+    assert (folded(AnalysisJob((), CAMERA, kinds=fold_classes(config))) is step3_environment) == (gi == "paper")
 
 
 def test_the_sign_of_the_difference() -> None:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from arfx.core.cost import Price, Prices
 from arfx.core.light import DirectionalLight, Light
-from arfx.plan.clip import Wish, plan_clip
+from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
-from arfx.plan.work import what_is_new
+from arfx.plan.planner import new_terms
 from arfx.stages import STAGES
 from tests.scenes import facts, look_at, scene
 
@@ -28,7 +28,7 @@ def clip() -> list:
     return near + [replace(facts(SCENE, look_at(1.2), i), shot=1) for i in range(10, 14)]
 
 
-def planned(wish: Wish):
+def planned(wish: LevelPolicy):
     stages = [STAGES[n]() for n in NAMES]
     return plan_clip(stages, clip(), SCENE, wish, ERRORS, PRICES, lambda plans, work: 1.0 + work.high_s)
 
@@ -36,27 +36,27 @@ def planned(wish: Wish):
 def test_levels_are_fixed_between_cuts_and_follow_the_budget() -> None:
     seconds, errors = [], []
     for budget in (1.2, 3, 6, 20, 200):
-        made = planned(Wish(budget_s=budget))
+        made = planned(LevelPolicy(budget_s=budget))
         for shot in (0, 1):
             used = {(s.stage, s.level) for p, f in zip(made.plans, clip(), strict=True) if f.shot == shot for s in p.steps}
             assert len(used) == len({stage for stage, _ in used}), "one level of a stage in a shot: quality never pops"
-        assert {(s.stage, s.level) for p in made.plans for s in p.steps} == {(n, le) for (_, n), le in made.chosen.levels.items()}
+        assert {(s.stage, s.level) for p in made.plans for s in p.steps} == {(n, le) for (_, n), le in made.choice.levels.items()}
         seconds.append(sum(s.seconds for p in made.plans for s in p.steps))
-        errors.append(made.chosen.error)
+        errors.append(made.choice.error)
     assert seconds == sorted(seconds) and errors == sorted(errors, reverse=True) and len(set(errors)) >= 3
-    assert all(r["first_frame"] in (0, 10) for r in planned(Wish(budget_s=6)).explained(ERRORS))
+    assert all(r["first_frame"] in (0, 10) for r in planned(LevelPolicy(budget_s=6)).explained(ERRORS))
 
 
 def test_an_error_limit_holds_for_the_sum_over_the_stages() -> None:
     for limit in (0.0, 0.3, 1.0, 3.0, 9.0):
-        made = planned(Wish(max_error=limit))
+        made = planned(LevelPolicy(max_error=limit))
         for shot in (0, 1):
-            found = {n: le for (s, n), le in made.chosen.levels.items() if s == shot}
+            found = {n: le for (s, n), le in made.choice.levels.items() if s == shot}
             assert sum(ERRORS.of(n, le, STAGES[n].levels[-1]) for n, le in found.items()) <= limit + 1e-9
 
 
 def test_a_named_quality_is_that_quality() -> None:
-    made = planned(Wish("high"))
+    made = planned(LevelPolicy("high"))
     assert {s.level for p in made.plans for s in p.steps if len(STAGES[s.stage].levels) > 1} == {"high"}
 
 
@@ -67,7 +67,7 @@ def test_light_is_new_once() -> None:
     lit = replace(f, light=Light(lights=(lamp,)))
     dimmer = replace(f, light=Light(lights=(replace(lamp, rgb=(0.2, 0.2, 0.2)),)))
     gone = replace(f, camera_from_world=None)
-    found = list(what_is_new(stages, [gone, lit, lit, dimmer, lit]))
+    found = list(new_terms(stages, [gone, lit, lit, dimmer, lit]))
     soft = replace(f, light=Light(lights=()))
-    assert list(what_is_new(stages, [soft])) == [{"new_lights"}], "no lamp, no shadow to make"
+    assert list(new_terms(stages, [soft])) == [{"new_lights"}], "no lamp, no shadow to make"
     assert found == [frozenset(), {"new_directions", "new_lights"}, frozenset(), {"new_lights"}, frozenset()]

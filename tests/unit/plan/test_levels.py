@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from arfx.core.cost import Prediction, with_spread
 from arfx.plan.errors import UNKNOWN, Errors, errors_of_clip, shipped_errors
-from arfx.plan.levels import Option, keep_budget, keep_error, ladder, total
+from arfx.plan.levels import Option, best_within_budget, cheapest_within_error, convex_hull, total
 
 NAMES = ("draft", "standard", "high", "reference")
 
@@ -31,14 +31,14 @@ def upper(work: Prediction) -> float:
 
 
 def test_levels_that_cost_more_and_err_more_are_not_worth_taking() -> None:
-    worth = ladder([option("draft", 3, 2), option("standard", 2, 1), option("high", 2.5, 0.9), option("reference", 50, 0)])
+    worth = convex_hull([option("draft", 3, 2), option("standard", 2, 1), option("high", 2.5, 0.9), option("reference", 50, 0)])
     assert worth[0].level == "reference" and "draft" not in [o.level for o in worth]
     seconds = [o.cost.seconds for o in worth]
     assert seconds == sorted(seconds, reverse=True)
 
 
 def test_plenty_of_time_means_the_reference_and_none_the_cheapest_with_the_truth_told() -> None:
-    rich, poor = keep_budget(options(), upper, 1e6), keep_budget(options(), upper, 0.1)
+    rich, poor = best_within_budget(options(), upper, 1e6), best_within_budget(options(), upper, 0.1)
     assert set(rich.levels.values()) == {"reference"} and rich.met and rich.error == 0
     assert set(poor.levels.values()) == {"draft"} and not poor.met and "even the cheapest" in poor.why
 
@@ -46,7 +46,7 @@ def test_plenty_of_time_means_the_reference_and_none_the_cheapest_with_the_truth
 @settings(max_examples=80, deadline=None)
 @given(st.lists(st.floats(0.05, 300), min_size=2, max_size=6))
 def test_a_smaller_budget_never_predicts_more_time_nor_less_error(budgets: list[float]) -> None:
-    chosen = [keep_budget(options(), upper, b) for b in sorted(budgets)]
+    chosen = [best_within_budget(options(), upper, b) for b in sorted(budgets)]
     for less, more in zip(chosen, chosen[1:], strict=False):  # noqa: RUF007
         assert less.stages.seconds <= more.stages.seconds + 1e-9 and less.error >= more.error - 1e-9
     for c, b in zip(chosen, sorted(budgets), strict=True):
@@ -56,7 +56,7 @@ def test_a_smaller_budget_never_predicts_more_time_nor_less_error(budgets: list[
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0, 6), st.floats(0, 6))
 def test_an_error_is_kept_in_every_shot_and_less_error_is_never_cheaper(a: float, b: float) -> None:
-    low, high = (keep_error(options(), e) for e in sorted((a, b)))
+    low, high = (cheapest_within_error(options(), e) for e in sorted((a, b)))
     assert low.met and high.met and low.error <= min(a, b) + 1e-9
     assert low.stages.seconds >= high.stages.seconds - 1e-9
 
@@ -65,8 +65,8 @@ def test_a_level_whose_error_was_never_measured_is_no_choice_for_an_error_and_th
     errors = Errors({"dof": {"standard": 0.5}}, "a test")
     assert errors.of("dof", "reference", "reference") == 0 and errors.of("dof", "draft", "reference") == UNKNOWN
     every = {(0, "dof"): [option(n, s, errors.of("dof", n, "reference")) for n, s in zip(NAMES, (1, 2, 5, 60), strict=True)]}
-    assert keep_error(every, 10.0).levels[0, "dof"] == "standard"
-    assert keep_budget(every, upper, 0.0).levels[0, "dof"] == "draft"
+    assert cheapest_within_error(every, 10.0).levels[0, "dof"] == "standard"
+    assert best_within_budget(every, upper, 0.0).levels[0, "dof"] == "draft"
     assert total({(0, "dof"): every[0, "dof"][0]}).seconds == 1
 
 

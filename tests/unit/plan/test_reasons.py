@@ -52,7 +52,7 @@ def tiny() -> Scene:
     return replace(s, world_from_model=lifted)
 
 
-def in_depth(f: FrameFacts, depth_m: float) -> FrameFacts:
+def with_depth(f: FrameFacts, depth_m: float) -> FrameFacts:
     """All of the real scene at one depth."""
     return f.with_(real_depth=RealDepth.of(0, 1.0, "", tile_ranges(np.full((240, 320), depth_m), (320, 240))))
 
@@ -70,9 +70,9 @@ GIVEN = {
     ("holdout", "marker not visible"): (SCENE, ABSENT, {}),
     ("holdout", "the real scene's depth is not known"): (SCENE, SEEN, {}),
     ("hide", "marker not visible"): (SCENE, ABSENT, {}),
-    ("hide", "model out of view"): (SCENE, in_depth(beside(SCENE), 0.1), {}),
+    ("hide", "model out of view"): (SCENE, with_depth(beside(SCENE), 0.1), {}),
     ("hide", "the real scene's depth is not known"): (SCENE, SEEN, {}),
-    ("hide", "nothing real is nearer than the object's # m"): (SCENE, in_depth(SEEN, 50.0), {}),
+    ("hide", "nothing real is nearer than the object's # m"): (SCENE, with_depth(SEEN, 50.0), {}),
     ("composite", "marker not visible"): (SCENE, ABSENT, {}),
     ("composite", NOTHING_BEFORE): (SCENE, beside(SCENE), {}),
     ("lightmap", "marker not visible"): (SCENE, ABSENT, {}),

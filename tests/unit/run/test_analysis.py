@@ -17,7 +17,7 @@ from arfx.core import codec
 from arfx.core.facts_file import write_facts
 from arfx.media.clip import probe
 from arfx.run import analysis
-from arfx.run.analysis import Checkpoint, Pass, analyse_clip
+from arfx.run.analysis import AnalysisPass, Checkpoint, analyse_clip
 from arfx.run.folder import JobFolder
 from tests.clips import MARKER, clip_camera, write_clip
 
@@ -51,7 +51,7 @@ def begins_again(path: Path) -> Path:
     return path / "twice.ts"
 
 
-def analysed(clip: Path, job: Path, stop: int | None = None, folds: frozenset[str] = frozenset()) -> Pass:
+def analysed(clip: Path, job: Path, stop: int | None = None, folds: frozenset[str] = frozenset()) -> AnalysisPass:
     """Raises KeyboardInterrupt at frame `stop`."""
 
     def progress(phase: str, done: int, total: int | None) -> None:
@@ -64,7 +64,7 @@ def analysed(clip: Path, job: Path, stop: int | None = None, folds: frozenset[st
     )
 
 
-def written(done: Pass, path: Path) -> tuple[Any, ...]:
+def written(done: AnalysisPass, path: Path) -> tuple[Any, ...]:
     write_facts(path, done.analysis.facts)
     about = replace(done.analysis, facts=())
     return path.read_bytes(), about, done.span.pts, done.span.keys, done.span.whole, done.truncated

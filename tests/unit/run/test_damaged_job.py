@@ -13,9 +13,9 @@ import pytest
 
 from arfx.config.load import load
 from arfx.errors import ArfxError, ConfigError, InputError, JobInterruptedError
-from arfx.measure import report_plots
+from arfx.measure import report_html
 from arfx.measure.report import report_of_job
-from arfx.run import analysis, chunks
+from arfx.run import analysis, schedule
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
 from tests.clips import MARKER, write_camera, write_clip, write_model
@@ -26,7 +26,7 @@ FRAMES, CHUNK = 8, 4  # two chunks: the first is kept, the second left to do
 @pytest.fixture(scope="module", autouse=True)
 def short_chunks() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunks, "SHORTEST", CHUNK)
+        patch.setattr(schedule, "SHORTEST", CHUNK)
         yield
 
 
@@ -50,7 +50,7 @@ def run(d: Path, out: Path, folder: Path, stop: Callable[[str, int], bool] = lam
 @pytest.fixture
 def no_plot(monkeypatch: pytest.MonkeyPatch) -> None:
     """The plot of poses, most of a report's time, is left out."""
-    monkeypatch.setattr(report_plots, "pose_plot", lambda *_: "")
+    monkeypatch.setattr(report_html, "pose_plot", lambda *_: "")
 
 
 @pytest.fixture(scope="module")

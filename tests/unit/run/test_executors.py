@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from arfx.run import job
-from arfx.run.chunks import Chunk
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options
+from arfx.run.schedule import Chunk
 
 
 def test_an_error_beside_the_workers_stops_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

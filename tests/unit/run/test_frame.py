@@ -15,8 +15,8 @@ from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, Stage
 from arfx.errors import RenderError
 from arfx.plan.planner import plan_frame
-from arfx.run.chunks import borders
-from arfx.run.frame import Canvas, made_ready, run_frame
+from arfx.run.frame import FrameLayers, ready_stages, run_frame
+from arfx.run.schedule import borders
 from arfx.stages.composite import Composite
 from tests.scenes import facts, layers_of, scene
 from tests.unit.media.test_dimming import samples
@@ -29,14 +29,14 @@ LEVEL = "standard"
 
 def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
     plate = np.random.default_rng(0).random((20, 30, 3), dtype=np.float32)
-    canvas = Canvas(plate, Rect(10, 10, 40, 30))
+    layers = FrameLayers(plate, Rect(10, 10, 40, 30))
     inner = Rect(15, 12, 20, 18)
-    canvas.put(Layer.COVERAGE, np.ones((6, 5), np.float32), inner, inner)
-    view = canvas.view(frozenset({Layer.COVERAGE, Layer.SHADOW, Layer.IMAGE}), Rect(14, 11, 21, 19))
+    layers.put(Layer.COVERAGE, np.ones((6, 5), np.float32), inner, inner)
+    view = layers.view(frozenset({Layer.COVERAGE, Layer.SHADOW, Layer.IMAGE}), Rect(14, 11, 21, 19))
     assert view[Layer.COVERAGE].sum() == 30 and view[Layer.COVERAGE][0].sum() == 0
     assert (view[Layer.SHADOW] == 1).all()
-    canvas.put(Layer.IMAGE, np.zeros((6, 5, 3), np.float32), inner, inner)
-    image, at = canvas.view(frozenset({Layer.IMAGE}), canvas.rect)[Layer.IMAGE], inner.slices_in(canvas.rect)
+    layers.put(Layer.IMAGE, np.zeros((6, 5, 3), np.float32), inner, inner)
+    image, at = layers.view(frozenset({Layer.IMAGE}), layers.rect)[Layer.IMAGE], inner.slices_in(layers.rect)
     assert image[at].max() == 0
     untouched = image.copy()
     untouched[at] = plate[at]
@@ -45,14 +45,14 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
 
 def test_what_a_stage_wrote_of_image_lies_over_what_was_there() -> None:
     whole, inner, dark = Rect(0, 0, 40, 30), Rect(5, 5, 20, 20), Rect(10, 10, 30, 25)
-    canvas = Canvas(np.ones((30, 40, 3), np.float32), whole)
-    canvas.put(Layer.IMAGE, np.full((15, 15, 3), 3, np.float32), inner, inner)
-    plate, left = canvas.stored[Layer.PLATE], np.full((15, 20, 1), 0.5, np.float32)
+    layers = FrameLayers(np.ones((30, 40, 3), np.float32), whole)
+    layers.put(Layer.IMAGE, np.full((15, 15, 3), 3, np.float32), inner, inner)
+    plate, left = layers.stored[Layer.PLATE], np.full((15, 20, 1), 0.5, np.float32)
     light = Attenuated(plate, dark, left, np.float32(1), np.zeros(3, np.float32), lambda p, k, _, __, out: np.multiply(p, k, out))
-    canvas.put(Layer.IMAGE, Pixels(dark, rest=light), dark, dark)
+    layers.put(Layer.IMAGE, Pixels(dark, rest=light), dark, dark)
     expected = np.ones((30, 40, 3), np.float32)
     expected[inner.slices], expected[dark.slices] = 3, 0.5
-    assert np.array_equal(canvas.view(frozenset({Layer.IMAGE}), whole)[Layer.IMAGE], expected)
+    assert np.array_equal(layers.view(frozenset({Layer.IMAGE}), whole)[Layer.IMAGE], expected)
 
 
 class Bad(Stage):
@@ -68,7 +68,7 @@ def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
     rect = Rect(5, 6, 25, 26)
     plan = FramePlan(7, rect, rect, (Step("bad", "standard", rect, rect, "", 0.0),), ())
     with pytest.raises(RenderError, match=r"'bad' made 1 pixels.*frame 7, first at x 9, y 9"):
-        run_frame(np.ones((20, 20, 3), np.float32), FACTS.with_(index=7), plan, made_ready(plan, {"bad": Bad()}, SCENE))
+        run_frame(np.ones((20, 20, 3), np.float32), FACTS.with_(index=7), plan, ready_stages(plan, {"bad": Bad()}, SCENE))
 
 
 class Paint(Stage):
@@ -133,7 +133,7 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
         asked.append(rect)
         return picture.linear(rect)
 
-    found = run_frame(Pixels(plan.rect, rest=linear), f, plan, made_ready(plan, stages, SCENE))
+    found = run_frame(Pixels(plan.rect, rest=linear), f, plan, ready_stages(plan, stages, SCENE))
     assert plan.changed == Rect(20, 20, 90, 80)
     dimmed = samples(found.onto(picture))
     assert asked and all(Rect(40, 30, 60, 50).contains(r) for r in asked)
@@ -174,7 +174,7 @@ def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_mad
     f = FACTS.with_(model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
-    found = run_frame(Pixels(plan.rect, rest=picture.linear), f, plan, made_ready(plan, stages, SCENE))
+    found = run_frame(Pixels(plan.rect, rest=picture.linear), f, plan, ready_stages(plan, stages, SCENE))
     out = samples(found.onto(picture))
     assert np.isfinite(found.image).all()
     whole = picture.edited(plan.changed, picture.linear(plan.changed), found.image)
@@ -209,7 +209,7 @@ def test_composite_over_the_plate_with_opacity(opacity: float) -> None:
     f = FACTS.with_(opacity=opacity, model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     plate = np.random.default_rng(1).random((plan.rect.height, plan.rect.width, 3), dtype=np.float32)
-    result = run_frame(plate, f, plan, made_ready(plan, stages, SCENE))
+    result = run_frame(plate, f, plan, ready_stages(plan, stages, SCENE))
     np.testing.assert_allclose(result.image, plate + opacity * (np.float32([1, 0, 0]) - plate), atol=1e-6)
     assert set(result.seconds) == {"paint", "composite"}
 
@@ -256,10 +256,10 @@ class Remembers(Stage):
 def test_a_stage_sees_what_it_saw_of_earlier_frames_not_what_it_made_of_them() -> None:
     rect = Rect(0, 0, 6, 5)
     plan = FramePlan(0, rect, rect, (Step("remembers", LEVEL, rect, rect, "", 0.0),), ())
-    ready, past, seen = made_ready(plan, {"remembers": Remembers()}, SCENE), [], []
+    ready, past, seen = ready_stages(plan, {"remembers": Remembers()}, SCENE), [], []
     for k in range(4):
         made = run_frame(np.full((5, 6, 3), 10.0**k, np.float32), FACTS.with_(index=k), plan, ready, tuple(past))
-        past.append((made.canvas, FACTS.with_(index=k)))
+        past.append((made.layers, FACTS.with_(index=k)))
         seen.append(float(made.image[0, 0, 0]))
     assert seen == [1, 11, 111, 1110]
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from arfx.run import job, kernels
-from arfx.run.kernels import JOB, SYNTH, Kernel, compile_ahead, listed, unlisted_told
+from arfx.run.kernels import JOB, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
 from arfx.stages import STAGES
 from arfx_cli.console import Progress
 from arfx_cli.demo import EFFECTS
@@ -42,7 +42,7 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Kernel]:
     rows = [[names[0], "double", "(float64,)", 9.0], [names[0], "double", "(int64,)", 9.0], [names[1], "half", "(float64,)", 9.0]]
     (tmp_path / "list.json").write_text(json.dumps({"job": rows[:2], "gi": rows[2:]}))
     monkeypatch.setattr(kernels, "MANIFEST", tmp_path / "list.json")
-    return listed()
+    return listed_kernels()
 
 
 def compiled_files(folder: Path) -> int:
@@ -64,14 +64,14 @@ def test_what_is_missing_is_compiled_and_told_once(
 
 def test_only_the_parts_that_a_job_needs_are_compiled(two: list[Kernel], tmp_path: Path) -> None:
     assert compile_ahead(("gi",), lambda *a: None) == 1
-    assert [k.kept for k in two] == [False, False, True]
+    assert [k.is_cached for k in two] == [False, False, True]
 
 
 def test_a_helper_that_dies_or_knows_no_such_kernel_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     lost = [Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2
-    assert list(kernels._by_processes(deque([lost]), 1)) == lost
+    assert list(kernels._in_processes(deque([lost]), 1)) == lost
     monkeypatch.setattr(kernels.sys, "executable", "/bin/false")
-    assert list(kernels._by_processes(deque([[Kernel("arfx.run", "f", "(int64,)", 9.0)]]), 2)) == []
+    assert list(kernels._in_processes(deque([[Kernel("arfx.run", "f", "(int64,)", 9.0)]]), 2)) == []
 
 
 def test_helpers_end_with_their_job(two: list[Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +103,7 @@ def test_where_nothing_can_be_kept_one_notice_says_so(two: list[Kernel], monkeyp
 
 def test_what_is_not_in_the_list_is_told_once(two: list[Kernel]) -> None:
     notices: list[str] = []
-    with unlisted_told(notices.append):
+    with warn_if_unlisted(notices.append):
         two[0].load()
         assert notices == []
         for number in (1, 1.5 + 1j, True):
@@ -116,10 +116,10 @@ def test_the_list_fits_the_code() -> None:
     """Every function that it names is there, is kept on disk, and takes as many arguments as it says."""
     document = json.loads(kernels.MANIFEST.read_text(encoding="utf-8"))
     assert {SYNTH, JOB, "lightmap", *EFFECTS} <= document.keys() <= {SYNTH, JOB, "bench", *STAGES}
-    for kernel in listed():
+    for kernel in listed_kernels():
         function = kernel.function
         assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, kernel
-        assert kernel.kept in (True, False), kernel
+        assert kernel.is_cached in (True, False), kernel
 
 
 class Pair(NamedTuple):
@@ -136,7 +136,7 @@ def test_types_are_read_as_they_are_written() -> None:
     alike, mixed = Pair(np.zeros(2), np.zeros(2)), Pair(np.zeros(2), np.zeros((2, 2), np.uint8))
     for arguments in ((3,), (alike, True, np.float32(1)), (Both(mixed, 2), alike), ()):
         types = tuple(map(numba.typeof, arguments))
-        text = kernels.written(types)
+        text = kernels.signature(types)
         assert kernels._types(text) == types
         assert not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
 

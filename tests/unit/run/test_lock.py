@@ -32,7 +32,7 @@ def test_a_folder_is_held_by_one_and_free_when_that_is_killed(tmp_path: Path) ->
         p.kill()
         p.communicate()
     assert list(folder.iterdir()), "nobody cleared up"
-    with locked(folder, "-o", passing=True):
+    with locked(folder, "-o", temporary=True):
         pass
     assert not folder.exists()
 
@@ -52,7 +52,7 @@ def test_of_many_at_once_one_gets_in(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def try_it() -> None:
         start.wait()
         try:
-            with locked(tmp_path / "job", "-o", passing=True):
+            with locked(tmp_path / "job", "-o", temporary=True):
                 got.append("in")
                 done.wait()
         except ConfigError as e:
@@ -70,7 +70,7 @@ def test_of_many_at_once_one_gets_in(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_what_was_in_the_folder_stays(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("keep")
-    with locked(tmp_path, "--report", passing=True):
+    with locked(tmp_path, "--report", temporary=True):
         pass
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
     (tmp_path / "empty").mkdir()

@@ -208,7 +208,7 @@ def test_a_pipe_in_place_of_the_job_file_is_not_waited_for(tmp_path: Path) -> No
     job = JobFolder(tmp_path)
     os.mkfifo(job.job)
     with pytest.raises(ConfigError, match=r"job\.toml"):
-        job.check_strangers()
+        job.check_foreign_files()
 
 
 def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
@@ -221,7 +221,7 @@ def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
         (job.path / name).parent.mkdir(parents=True, exist_ok=True)
         (job.path / name).write_text("x")
     job.job.write_text(MARK)
-    job.check_strangers()
+    job.check_foreign_files()
     job.clear("chunks")
     assert not job.chunks.exists() and job.facts.exists()
     (job.path / "late.txt").write_text("came while the job ran")

@@ -9,7 +9,7 @@ import pytest
 from arfx.core.cost import Price, Prices
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.run.predict import JobPrediction, Terms, predict, stages_of, to_json
+from arfx.run.predict import JobPrediction, JobSize, predict, stages_of
 
 R = Rect(0, 0, 10, 10)
 PRICES = Prices(
@@ -19,7 +19,7 @@ PRICES = Prices(
     },
     threads=2, calibrated=True,
 )  # fmt: skip
-TERMS = Terms(frames=120, frame_mpx=0.1, decode_s=1.2, before_s=2.0, codec="h264", workers=2, keys=(0,))
+SIZE = JobSize(frames=120, frame_mpx=0.1, decode_s=1.2, before_s=2.0, codec="h264", workers=2, keys=(0,))
 
 
 def plans(busy: range, stage: str = "dof", level: str = "draft", seconds: float = 0.1) -> list[FramePlan]:
@@ -27,40 +27,40 @@ def plans(busy: range, stage: str = "dof", level: str = "draft", seconds: float 
     return [FramePlan(i, R, R, (step,) if i in busy else (), ()) for i in range(120)]
 
 
-def of(frames: list[FramePlan], terms: Terms = TERMS, prices: Prices = PRICES) -> JobPrediction:
+def of(frames: list[FramePlan], size: JobSize = SIZE, prices: Prices = PRICES) -> JobPrediction:
     prices = replace(prices, prices={**prices.prices, "prepare dof/draft": Price({"frames": 0.0}, 0.1)})
-    return predict(frames, stages_of(frames), terms, prices)
+    return predict(frames, stages_of(frames), size, prices)
 
 
 def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
-    terms = replace(TERMS, keys=(0, 30, 60, 90))
-    spread, together = of(plans(range(0, 120, 4)), terms), of(plans(range(30)), terms)
+    size = replace(SIZE, keys=(0, 30, 60, 90))
+    spread, together = of(plans(range(0, 120, 4)), size), of(plans(range(30)), size)
     assert spread.phases["stages"].seconds == pytest.approx(together.phases["stages"].seconds) == pytest.approx(3.0)
     assert spread.share == pytest.approx(0.5, abs=0.05) and together.share == pytest.approx(3.6 / 5.4)
     assert together.wall.seconds > spread.wall.seconds + 0.5, "while one thread renders, the other has nothing left to do"
 
 
 def test_the_second_thread_decodes_what_lies_before_its_stretch() -> None:
-    far, near = of(plans(range(120))), of(plans(range(120)), replace(TERMS, keys=(0, 60)))
+    far, near = of(plans(range(120))), of(plans(range(120)), replace(SIZE, keys=(0, 60)))
     assert far.phases["decode"].seconds == pytest.approx(1.2 + 0.6) and near.phases["decode"].seconds == pytest.approx(1.2)
 
 
 def test_the_report_prepares_a_stage_again_whose_health_is_checked() -> None:
     frames = plans(range(120), "gi")
-    found = predict(frames, stages_of(frames), replace(TERMS, checked=frozenset({"gi", "dof"})), PRICES)
+    found = predict(frames, stages_of(frames), replace(SIZE, checked=frozenset({"gi", "dof"})), PRICES)
     assert found.phases["report"].seconds == pytest.approx(0.5) and of(plans(range(9))).phases["report"].seconds == 0
-    told = to_json(found, PRICES)
+    told = found.to_json(PRICES)
     assert told["wall"]["low_s"] < told["wall"]["s"] < told["wall"]["high_s"] and told["phases"]["report"]["s"] > 0
 
 
 def test_one_thread_alone_is_faster_and_a_phase_without_price_makes_the_whole_unknown() -> None:
     alone = of(plans(range(30)), prices=replace(PRICES, alone=0.6))
     assert alone.wall.seconds < of(plans(range(30))).wall.seconds - 0.2
-    assert of(plans(range(30)), replace(TERMS, codec="av1")).wall is None
+    assert of(plans(range(30)), replace(SIZE, codec="av1")).wall is None
 
 
 def test_a_lone_worker_encodes_while_it_renders() -> None:
-    one = replace(TERMS, workers=1)
+    one = replace(SIZE, workers=1)
     slow_render, slow_encode = of(plans(range(120)), one), of([], one)  # 12 s against 1.2 s; nothing but decoding
     assert slow_render.share == pytest.approx((1.2 + 12.0) / (1.2 + 12.0 + 1.2))
     assert slow_encode.share == pytest.approx(0.5)

@@ -19,7 +19,7 @@ from arfx.errors import ConfigError
 from arfx.measure.bench_scene import ball, bench_scene
 from arfx.plan.planner import plan_frame
 from arfx.run.folder import JobFolder, read_lines
-from arfx.run.frame import made_ready, run_frame
+from arfx.run.frame import ready_stages, run_frame
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
 from arfx.run.parameters import parameters
@@ -81,7 +81,7 @@ def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
         stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite")} | {"dof": dof}
         levels = {n: level_named(s.levels, "standard") for n, s in stages.items()}
         whole = plan_frame(list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip=False)
-        ready = made_ready(whole, stages, at.scene)
+        ready = ready_stages(whole, stages, at.scene)
         pictures, times = {}, {True: [], False: []}
         for skip in [True, False] * 3:
             plan = plan_frame(list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip)

@@ -16,7 +16,7 @@ from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
 from arfx.plan.planner import plan_frame
-from arfx.run.frame import made_ready, run_frame
+from arfx.run.frame import ready_stages, run_frame
 from arfx.stages import STAGES
 from arfx.stages.dof import Dof
 from tests.scenes import box_model, camera, facts, layers_of, look_at, scene
@@ -62,8 +62,8 @@ def compose(s: Scene, f: FrameFacts, plate: np.ndarray) -> Shot:
     stages = {name: STAGES[name]() for name in MAKING}
     levels = {name: level_named(stages[name].levels, "high" if name == "raster" else "standard") for name in MAKING}
     plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect, skip=False)
-    made = run_frame(plate, f, plan, made_ready(plan, stages, s))
-    layers = made.canvas.view(Dof.reads, s.camera.rect)
+    made = run_frame(plate, f, plan, ready_stages(plan, stages, s))
+    layers = made.layers.view(Dof.reads, s.camera.rect)
     return Shot(s, f, layers)
 
 

@@ -112,7 +112,7 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, ready)
     out = t.plate.copy()
     out[plan.changed.slices] = made.image
-    coverage = made.canvas.view(frozenset({Layer.COVERAGE}), t.scene.camera.rect)[Layer.COVERAGE]
+    coverage = made.layers.view(frozenset({Layer.COVERAGE}), t.scene.camera.rect)[Layer.COVERAGE]
     return out, coverage
 
 

@@ -5,11 +5,11 @@ import time
 
 import pytest
 
-from arfx.run.ahead import Ahead, Behind
+from arfx.run.background_io import Prefetch, WriteBehind
 
 
 def test_the_items_come_in_order_and_then_it_is_over():
-    with Ahead(iter(range(100)), depth=3) as ahead:
+    with Prefetch(iter(range(100)), depth=3) as ahead:
         assert list(ahead) == list(range(100))
         with pytest.raises(StopIteration):
             next(ahead)
@@ -21,7 +21,7 @@ def test_an_error_comes_after_the_items_before_it():
         yield 2
         raise OSError("broken off")
 
-    with Ahead(items()) as ahead:
+    with Prefetch(items()) as ahead:
         assert next(ahead) == 1 and next(ahead) == 2
         with pytest.raises(OSError, match="broken off"):
             next(ahead)
@@ -39,7 +39,7 @@ def test_no_more_than_depth_wait_and_the_thread_ends_on_leaving():
             closed.set()
 
     source = items()
-    with Ahead(source, depth=4) as ahead:
+    with Prefetch(source, depth=4) as ahead:
         assert next(ahead) == 0
         while len(made) < 6:
             time.sleep(0.01)
@@ -53,7 +53,7 @@ def test_no_more_than_depth_wait_and_the_thread_ends_on_leaving():
 
 def test_what_is_put_is_taken_in_order_in_another_thread():
     taken = []
-    with Behind(lambda k: taken.append((k, threading.get_ident())), depth=2) as behind:
+    with WriteBehind(lambda k: taken.append((k, threading.get_ident())), depth=2) as behind:
         for k in range(50):
             behind.put(k)
     assert [k for k, _ in taken] == list(range(50))
@@ -70,11 +70,11 @@ def test_an_error_in_the_thread_comes_out_once_and_nothing_is_taken_after_it():
             raise OSError("disk full")
         taken.append(k)
 
-    with pytest.raises(OSError, match="disk full"), Behind(take) as behind:
+    with pytest.raises(OSError, match="disk full"), WriteBehind(take) as behind:
         for k in range(100):
             behind.put(k)
     assert taken == [0, 1, 2]
-    with pytest.raises(OSError, match="disk full"), Behind(take) as behind:
+    with pytest.raises(OSError, match="disk full"), WriteBehind(take) as behind:
         behind.put(3)  # the last: only leaving can tell
 
 
@@ -91,7 +91,7 @@ def test_after_an_error_outside_what_waits_is_left():
             time.sleep(0.001)
         gate.set()
 
-    with pytest.raises(ValueError, match="stop"), Behind(take, depth=4) as behind:
+    with pytest.raises(ValueError, match="stop"), WriteBehind(take, depth=4) as behind:
         for k in range(4):
             behind.put(k)
         begun.wait()
