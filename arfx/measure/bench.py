@@ -28,7 +28,7 @@ from arfx.plan.planner import plan_frame, terms_of
 from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
-FEWEST, MOST, BUDGET_S = 3, 25, 1.5
+MIN_RUNS, MAX_RUNS, BUDGET_S = 3, 25, 1.5
 SLOW_S = 3.0  # a run that takes longer is not made again for the median
 
 
@@ -61,8 +61,8 @@ class Cell:
 
     @property
     def done(self) -> bool:
-        fewest = 1 if max(self.seconds, default=0.0) > SLOW_S else FEWEST
-        return len(self.seconds) >= MOST or (len(self.seconds) >= fewest and sum(self.seconds) > BUDGET_S)
+        min_runs = 1 if max(self.seconds, default=0.0) > SLOW_S else MIN_RUNS
+        return len(self.seconds) >= MAX_RUNS or (len(self.seconds) >= min_runs and sum(self.seconds) > BUDGET_S)
 
     def to_json(self) -> dict[str, Any]:
         camera = self.frame.prepared.scene.camera
@@ -88,7 +88,7 @@ def bench(
     rows = []
     for size in sizes:
         cells = make_cells(bench_scene(*size), stage, level, stages)
-        _take_turns(cells, size, lambda done, total, size=size: progress(f"bench {size[0]}x{size[1]}", done, total))  # type: ignore[misc]
+        _interleave(cells, size, lambda done, total, size=size: progress(f"bench {size[0]}x{size[1]}", done, total))  # type: ignore[misc]
         rows += [c.to_json() for c in cells]
     return rows
 
@@ -133,21 +133,21 @@ def _cells(at: BenchScene, stages: Mapping[str, Stage], wanted: Collection[str],
     return [Cell(frame, chain[:k], step.stage, le, step.out) for k, step in steps for le in levels[step.stage]]
 
 
-def _take_turns(cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]) -> None:
+def _interleave(cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]) -> None:
     picture = np.random.default_rng(1).random((size[1], size[0], 3), np.float32)
     for _ in range(3):
         cv2.GaussianBlur(picture, (0, 0), 5)
     for cell in cells:  # loads, allocates, uploads: not counted, unless so slow that it hardly matters
         seconds = WALL.of(cell.render)
         if seconds > SLOW_S:
-            _count(cell, seconds, picture)
+            _record(cell, seconds, picture)
     while waiting := [c for c in cells if not c.done]:
         for cell in waiting:
-            _count(cell, WALL.of(cell.render), picture)
+            _record(cell, WALL.of(cell.render), picture)
         progress(sum(c.done for c in cells), len(cells))
 
 
-def _count(cell: Cell, seconds: float, picture: np.ndarray) -> None:
+def _record(cell: Cell, seconds: float, picture: np.ndarray) -> None:
     start = time.perf_counter()
     cv2.GaussianBlur(picture, (0, 0), 5)
     cell.seconds.append(seconds)

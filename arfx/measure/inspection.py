@@ -84,7 +84,7 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
             levels.append(float(divide(float(luma.mean()) - lowest, highest - lowest)))
             clipped.append(float((luma >= highest).mean()))
             dark.append(float((luma <= lowest).mean()))
-            _note(found, detector.search(luma), frame.index, luma, camera)
+            _record(found, detector.search(luma), frame.index, luma, camera)
         truncated = reader.truncated
     markers = confirmed(found, len(looked))
     seen = {i for m in markers for i in m.frames}
@@ -128,7 +128,7 @@ def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:
             "longest_gap_s": float(steps.max()) if gaps else 0.0}  # fmt: skip
 
 
-def _note(found: dict[str, Found], seen: list[Candidate], index: int, luma: np.ndarray, camera: Camera | None) -> None:
+def _record(found: dict[str, Found], seen: list[Candidate], index: int, luma: np.ndarray, camera: Camera | None) -> None:
     for c in seen:
         m = found.setdefault(c.key, Found(c.family, c.id))
         if index in m.quads:

@@ -114,7 +114,7 @@ def measure(job: Job, frames: int, progress: Callable[[str, int, int | None], No
     first = samples[0].index
     names = [s.stage for s in plans[first].steps]
     following = first + 1 if first + 1 in plans and [s.stage for s in plans[first + 1].steps] == names else None
-    slow = frozenset((n, s.levels[-1]) for n, s in stages.items() if s.levels[-1] == "reference" and _slow(n, job.prices))
+    slow = frozenset((n, s.levels[-1]) for n, s in stages.items() if s.levels[-1] == "reference" and _is_slow(n, job.prices))
     quality = job.inputs.config.pipeline.quality
     usual = {n: level_named(stages[n].levels, quality) for n in names}
     work = _Work(
@@ -145,7 +145,7 @@ def measure(job: Job, frames: int, progress: Callable[[str, int, int | None], No
     return found
 
 
-def _slow(stage: str, prices: Prices) -> bool:
+def _is_slow(stage: str, prices: Prices) -> bool:
     """Whether the reference takes more than two seconds for a megapixel, or that is unknown."""
     found = prices.predict(f"{stage}/reference", {"frames": 1.0, "mpx": 1.0, "object_mpx": 0.2})
     return found is None or found.seconds > 2.0

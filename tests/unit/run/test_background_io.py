@@ -87,7 +87,7 @@ def test_after_an_error_outside_what_waits_is_left():
         taken.append(k)
 
     def open_when_left(behind):
-        while not behind._over:
+        while not behind._failed:
             time.sleep(0.001)
         gate.set()
 

@@ -13,13 +13,14 @@ from arfx.run import job
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options
 from arfx.run.schedule import Chunk
+from tests.scenes import scene
 
 
 def test_an_error_beside_the_workers_stops_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Red where the generator is left to the collector of garbage: Python's end waited for workers with whole chunks to do."""
     stopped = []
 
-    def run(*_: Any) -> Iterator[dict[str, Any]]:
+    def run(*_: Any, **__: Any) -> Iterator[dict[str, Any]]:
         try:
             yield {"first": 0, "file": "x"}
         finally:
@@ -31,8 +32,9 @@ def test_an_error_beside_the_workers_stops_them(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(job, "run_processes", run)
     monkeypatch.setattr(job, "chunk_suffix", lambda _: ".nut")
     planned: Any = SimpleNamespace(
-        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None), facts=[], key="", log=SimpleNamespace(note=full)
-    )
+        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None), facts=[], key="", log=SimpleNamespace(note=full),
+        scene=scene(),
+    )  # fmt: skip
     with pytest.raises(OSError) as kept:  # holds the traceback, and with it the generator
         job._render(planned, [Chunk(0, 1, "a"), Chunk(2, 3, "b")], Options(workers=2))
     assert stopped and kept

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from arfx.run import job, kernels
+from arfx.run.folder import JobFolder
 from arfx.run.kernels import JOB, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
 from arfx.stages import STAGES
 from arfx_cli.console import Progress
@@ -150,8 +151,17 @@ def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, st
 
     monkeypatch.setattr(job, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     monkeypatch.setattr(job, "compile_ahead", compile_for_a_minute)
-    began = job._compiled(("job",), job.Options(), started)
-    assert clock[0] - began == (0 if started is None else 5.0 - started)
+    began: list[float] = []
+
+    def log(_: Path, start: float) -> None:
+        began.append(start)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(job, "pipeline", lambda _: ())
+    monkeypatch.setattr(job, "WorkLog", log)
+    with pytest.raises(KeyboardInterrupt):
+        job.plan_job(SimpleNamespace(config=None), JobFolder(Path("job")), job.Options(), started)  # type: ignore[arg-type]
+    assert clock[0] - began[0] == (0 if started is None else 5.0 - started)
 
 
 def test_what_is_compiled_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
