@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from arfx.analyse.light.surroundings import look_up
-from arfx.core.cube import CubeMap
+from arfx.core.cube import CubeMap, look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import harmonics

@@ -71,20 +71,17 @@ def eq2_yuv(coded: np.ndarray, alpha: float, matrix: str) -> np.ndarray:
     """(1 - alpha) |grad Y| + alpha (|grad U| + |grad V|) / 2. coded : (h, w, 3) R'G'B' 0..1"""
     yuv = (coded @ yuv_matrix(matrix).T.astype(coded.dtype)).astype(np.float32)
     strength = gradient(yuv)
-    out: np.ndarray = (1 - alpha) * strength[..., 0] + alpha * strength[..., 1:].mean(-1)
-    return out
+    return (1 - alpha) * strength[..., 0] + alpha * strength[..., 1:].mean(-1)
 
 
 def eq3_rgb(coded: np.ndarray) -> np.ndarray:
     """(|grad R| + |grad G| + |grad B|) / 3"""
-    out: np.ndarray = gradient(np.asarray(coded, np.float32)).mean(-1)
-    return out
+    return gradient(np.asarray(coded, np.float32)).mean(-1)
 
 
 def eq4_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601") -> np.ndarray:
     """(h, w) float32 beta Edge_YUV + (1 - beta) Edge_RGB, an edge where it is above the threshold."""
-    out: np.ndarray = (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(np.float32)
-    return out
+    return (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(np.float32)
 
 
 def gradient(a: np.ndarray) -> np.ndarray:
@@ -92,8 +89,7 @@ def gradient(a: np.ndarray) -> np.ndarray:
     dx, dy = np.zeros_like(a), np.zeros_like(a)
     dx[:, :-1] = np.diff(a, axis=1)
     dy[:-1] = np.diff(a, axis=0)
-    out: np.ndarray = np.sqrt(dx * dx + dy * dy)
-    return out
+    return np.sqrt(dx * dx + dy * dy)
 
 
 class PrintedWatercolor(Watercolor):

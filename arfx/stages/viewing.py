@@ -17,6 +17,12 @@ def direction_grid(camera: Camera) -> np.ndarray:
     return camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
 
 
+def seen_rect(camera: Camera, points: np.ndarray, pad_px: float) -> Rect:
+    """Pixels that hold points (n, 3), CAMERA axes, and around them; the whole frame where some are not before the camera."""
+    seen = camera.project(points)
+    return Rect.around(seen, pad_px) if np.isfinite(seen).all() else camera.rect
+
+
 def viewing(grid: np.ndarray, rect: Rect) -> np.ndarray:
     """(h, w, 3) float32 of the pixels of `rect`, linear between the entries of a table (gh, gw, 3) as `direction_grid` makes it.
 

@@ -22,6 +22,7 @@ START = np.float32(np.sqrt(3.0))
 # Cosine of the tilt of the five: a cosine lobe leaves 2/3 and 1/4 of the first two degrees of what is around (core.light), and
 # with cones of 30 degrees this tilt leaves .667 and .247. At 60 degrees it would be .583 and .126: light from above is lost.
 _TILT_COSINE = 0.619
+LOBES = 12  # widths of mirror cones
 _FAST = {"contract", "nsz", "arcp"}
 _DARK = np.float32(0.005)  # less of the background than this is none
 
@@ -32,6 +33,24 @@ class Bricks(NamedTuple):
     values: np.ndarray
     brick_of: np.ndarray
     meta: np.ndarray
+
+
+class ConesAround(NamedTuple):
+    """Cones about a normal. directions (k, 3) about +z, weights (k,), tangent and degrees of the half-angle, steps of one"""
+
+    directions: np.ndarray
+    weights: np.ndarray
+    tan_half: np.float32
+    half_deg: np.float32
+    steps: np.ndarray
+
+
+class Lobes(NamedTuple):
+    """Mirror cones by roughness: steps (LOBES, n, 3), of which counts (LOBES,), and tangents (LOBES,)"""
+
+    steps: np.ndarray
+    tangents: np.ndarray
+    counts: np.ndarray
 
 
 def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
@@ -77,6 +96,23 @@ def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
     """
     a = np.clip(np.asarray(roughness, float), 0.0, 1.0) ** 2
     return np.clip(np.tan(np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))), 0.01, None)
+
+
+def cones_around(n: int) -> ConesAround:
+    """The six, through n^3 voxels."""
+    directions, weights, tan_half = six_cones()
+    half_deg = np.float32(np.degrees(np.arctan(tan_half)))
+    return ConesAround(directions, weights, np.float32(tan_half), half_deg, steps_of(tan_half, n))
+
+
+def lobes(n: int) -> Lobes:
+    """LOBES of even steps of roughness, through n^3 voxels."""
+    tangents = mirror_tangent(np.linspace(0, 1, LOBES))
+    rows = [steps_of(float(t), n) for t in tangents]
+    steps = np.zeros((LOBES, max(map(len, rows)), 3), np.float32)
+    for k, r in enumerate(rows):
+        steps[k, : len(r)] = r
+    return Lobes(steps, tangents.astype(np.float32), np.array([len(r) for r in rows]))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

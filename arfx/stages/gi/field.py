@@ -2,12 +2,14 @@
 
 Planes first lose what the object hides of their light. Then voxels: direct light with a cone towards each light for its
 shadow, surroundings and darkened planes by six cones, light between the object's own surfaces closed in place; everything
-leaves diffusely. Then planes gain what the object sends. Source: docs/methods/gi.md#field.
+leaves diffusely. Then planes gain what the object sends. Where there are several planes, each also stands before a part of the
+others' sky, and the object's shadow on one is missing from its light on another: gathered coarsely, by the planes' own cones.
+Source: docs/methods/gi.md#field.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,8 +17,7 @@ import numpy as np
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.between_planes import coarse_places, light_between
-from arfx.stages.gi.cones import START, even_cones, six_cones, steps_of, trace_many, turned
+from arfx.stages.gi.cones import START, Bricks, even_cones, six_cones, steps_of, trace_many, turned
 from arfx.stages.gi.form_factors import Factors, factors_of, gather, solid
 from arfx.stages.gi.pyramid import Atlas, Coarser, Structure, atlas_of, nearer_first, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texture_places
@@ -27,6 +28,7 @@ _LEAST_LIGHT_DEG = 6.0  # full angle: a cone much narrower than a voxel would me
 ROUNDS = 2  # of light from the plane to the object and back
 GATHERED_BY = 2  # voxels a side that share what arrives, which is softer than they are
 _HIDDEN = 0.1  # of the hemisphere: what sees less of it lies under the object
+COARSE = 48  # texels a side of a plane by which other planes' light is gathered: it is soft
 _MOST_CLOSED = 0.95  # of the light between surfaces that is given back: a closed white cavity would never end
 
 
@@ -72,17 +74,22 @@ class Body:
     tan_half: float
     steps: np.ndarray
     open: np.ndarray
-    factors: tuple[Factors, ...] = ()
-    around: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
-    weights: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
-    coarse: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0, 0), np.float32))
+    factors: tuple[Factors, ...]
+    around: np.ndarray
+    weights: np.ndarray
+    coarse: np.ndarray
+
+    def traced(self, atlas: Atlas) -> tuple[Bricks, np.ndarray, np.float32]:
+        """As kernels take the voxels: bricks, their corner (3,) and side, metres."""
+        volume = self.voxels.volume
+        return atlas.bricks, np.array(volume.low_m, np.float32), np.float32(volume.voxel_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
     """atlas : radiance;  delta (p, side, side, 3) : indirect light that the object adds to the planes, as a share of all
     their light;  gain : the same as radiance of a white plane;  direct (p, side, side, 3) : share of all their light that it
-    leaves, direct light counted too;  open : of the body
+    leaves, direct light counted too
     deeper (p, side, side, 3) : by how much more a lamp's shadow takes, as other planes stand in the way of the soft light that
     is left in it; none where there is one plane;  brightest : no voxel sends more"""
 
@@ -90,7 +97,6 @@ class Field:
     delta: np.ndarray
     gain: np.ndarray
     direct: np.ndarray
-    open: np.ndarray
     deeper: np.ndarray
     brightest: float
 
@@ -122,16 +128,16 @@ def make_body(
             )
             open_.append(np.clip((1 - told.covered.sum(1)) / _HIDDEN, 0, 1).reshape(side, side))
             factors.append(told)
-            coarse.append(_coarse(1 - told.covered / weights, side))
+            coarse.append(coarse_places((1 - told.covered / weights).reshape(side, side, -1)))
             continue
         seen = _traced(opaque, steps, in_voxels(points, voxels.volume), np.tile(around, (len(points), 1, 1)), None, 0.0)[..., 3]
         texel, cone = np.nonzero(seen < 1)
         found.append(Cones(texel, cone, points[texel], around[cone], weights[cone], seen[texel, cone]))
         open_.append(np.clip(seen @ weights / _HIDDEN, 0, 1).reshape(side, side))
-        coarse.append(_coarse(seen, side))
+        coarse.append(coarse_places(seen.reshape(side, side, -1)))
     return Body(
         voxels, structure, opaque, gathering, places, tuple(found), tan_half, steps, np.array(open_, np.float32),
-        tuple(factors), np.array(turns, np.float32), weights, np.array(coarse, np.float32),
+        tuple(factors), np.array(turns, np.float32), weights, np.clip(np.array(coarse, np.float32), 0, 1),
     )  # fmt: skip
 
 
@@ -152,28 +158,18 @@ def _gathering(voxels: Voxels, opaque: Atlas) -> Gathering:
     return Gathering(of, cells, normal, directions, left)
 
 
-def _coarse(left: np.ndarray, side: int) -> np.ndarray:
-    """(c, c, k) of shares (side * side, k) 0..1 of texels, those of coarse_places."""
-    return np.clip(coarse_places(left.reshape(side, side, -1)), 0, 1)
-
-
 def in_voxels(points_m: np.ndarray, volume: Volume) -> np.ndarray:
     """Anchor axes, metres, to voxels of level 0 from the volume's corner; float32."""
-    return np.asarray((points_m - np.asarray(volume.low_m)) / volume.voxel_m, np.float32)
+    return ((points_m - np.asarray(volume.low_m)) / volume.voxel_m).astype(np.float32)
 
 
 def _traced(
     atlas: Atlas, steps: np.ndarray, origins: np.ndarray, directions: np.ndarray, normals: np.ndarray | None, start: float
 ) -> np.ndarray:
     """(m, k, 4) of cones from origins (m, 3), voxels, in directions (m, k, 3); normals : leave the surface itself out."""
-    m, k = directions.shape[:2]
-    clip = normals is not None
-    n = np.zeros((m, 3), np.float32) if normals is None else normals
-    out = trace_many(
-        atlas.bricks, steps, np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32),
-        np.ascontiguousarray(n, np.float32), np.float32(start), clip,
-    )  # fmt: skip
-    return np.asarray(out).reshape(m, k, 4)
+    n = np.zeros((len(origins), 3), np.float32) if normals is None else normals
+    o, d, n = (np.ascontiguousarray(a, np.float32) for a in (origins, directions, n))
+    return trace_many(atlas.bricks, steps, o, d, n, np.float32(start), normals is not None).reshape(*d.shape[:2], 4)
 
 
 def make_field(
@@ -196,9 +192,8 @@ def make_field(
     without = shaded.copy()
     values = np.zeros((len(body.voxels.cells), 4), np.float32)
     values[:, 3] = body.voxels.opacity
-    gain = np.stack(lost) if not sent_alone else np.zeros_like(np.stack(lost))
-    atlas = body.opaque
-    occluded = np.stack(lost)
+    occluded = np.zeros((len(lost), side, side, 3)) if sent_alone else np.stack(lost)
+    gain, atlas = occluded.copy(), body.opaque
     for turn in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
         dark = textured(back, (darkened * body.open[..., None] * mean).astype(np.float32), body.open, mean)
@@ -208,13 +203,13 @@ def make_field(
             atlas = atlas_of(body.structure, values)
         for k, cones in enumerate(body.cones):
             got = _sent(body, k, radiance, dark, side) if body.factors else _gathered(body, cones, atlas, side)
-            gain[k] = got + (0.0 if sent_alone else occluded[k])
+            gain[k] = got + occluded[k]
             shaded[k] = without[k] + divide(got, whole[k])
     deeper = np.zeros((0, side, side, 3), np.float32)
     if len(planes.axes) > 1 and not sent_alone:
         darkened = np.clip(shaded, 0, None) * body.open[..., None]
         ends = [textured(back, (t * mean).astype(np.float32), body.open, mean) for t in (darkened, np.ones_like(shaded))]
-        between, share = light_between(planes, body.places, body.around, body.weights, body.coarse, body.tan_half, *ends)
+        between, share = light_between(body, *ends)
         gain = gain + between
         shaded = shaded + np.stack([divide(b, w) for b, w in zip(between, whole, strict=True)])
         soft = [light.soft_radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
@@ -222,8 +217,8 @@ def make_field(
         deeper = np.stack([divide(a, w, where_zero=1.0) - 1 for a, w in zip(alone, whole, strict=True)]).astype(np.float32)
     delta = np.stack([divide(g, w) for g, w in zip(gain, whole, strict=True)])
     return Field(
-        atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), body.open,
-        deeper, float(values[:, :3].max(initial=0.0)),
+        atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), deeper,
+        float(values[:, :3].max(initial=0.0)),
     )  # fmt: skip
 
 
@@ -233,12 +228,8 @@ def textured(back: Behind, radiance: np.ndarray, known: np.ndarray, otherwise: n
 
 
 def _behind(points: np.ndarray, directions: np.ndarray, skip: int, tan_half: float, back: Behind) -> np.ndarray:
-    return np.asarray(
-        behind_many(
-            np.ascontiguousarray(points, np.float32), np.ascontiguousarray(directions, np.float32), np.int64(skip),
-            np.float32(tan_half), np.float32(np.degrees(np.arctan(tan_half))), back,
-        )
-    )  # fmt: skip
+    p, d = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(directions, np.float32)
+    return behind_many(p, d, np.int64(skip), np.float32(tan_half), np.float32(np.degrees(np.arctan(tan_half))), back)
 
 
 def _gathered(body: Body, cones: Cones, atlas: Atlas, side: int) -> np.ndarray:
@@ -299,7 +290,7 @@ def _voxel_radiance(body: Body, lights: list[tuple[np.ndarray, np.ndarray, float
     hidden = (1 - at.left @ weights)[at.of, None]
     # what surfaces of the object give each other: as if those that hide the surroundings were lit as it is itself
     closed = 1 - np.minimum(v.albedo * hidden, _MOST_CLOSED)
-    return np.asarray(divide(v.albedo * arriving, closed) + v.emission)
+    return divide(v.albedo * arriving, closed) + v.emission
 
 
 def _light_steps(size_deg: float, body: Body) -> np.ndarray:
@@ -309,3 +300,26 @@ def _light_steps(size_deg: float, body: Body) -> np.ndarray:
 def enlarged(texture: np.ndarray, side: int) -> np.ndarray:
     """(p, side, side, 3) of (p, n, n, 3): linear between texels."""
     return np.stack([cv2.resize(t, (side, side), interpolation=cv2.INTER_LINEAR) for t in texture])
+
+
+def coarse_places(places: np.ndarray) -> np.ndarray:
+    """(c, c, k) of the values (side, side, k) of a plane's texels: of every so many, c = COARSE at most."""
+    step = max(places.shape[0] // COARSE, 1)
+    return places[step // 2 :: step, step // 2 :: step]
+
+
+def light_between(body: Body, changed: Behind, unchanged: Behind) -> tuple[np.ndarray, np.ndarray]:
+    """(p, side, side, 3) radiance of white planes that they gain (or lose) because the other planes are changed, and the share
+    of the environment's light that they have with the other planes in it. Cost: O(planes x COARSE^2 x cones), once per light."""
+    side = body.places.shape[1]
+    gained, share = [], []
+    bare = unchanged._replace(axes=unchanged.axes[:0])
+    for k in range(len(body.places)):
+        at = coarse_places(body.places[k])
+        c, count = at.shape[0], body.around.shape[1]
+        points, around = np.repeat(at.reshape(-1, 3), count, 0), np.tile(body.around[k], (c * c, 1))
+        seen = [_behind(points, around, k, body.tan_half, a).reshape(c, c, count, 3) for a in (changed, unchanged, bare)]
+        more, with_planes, without = (v * body.weights[:, None] for v in (seen[0] - seen[1], *seen[1:]))
+        gained.append((more * body.coarse[k][..., None]).sum(2))
+        share.append(divide(with_planes.sum(2), without.sum(2), where_zero=1.0))
+    return enlarged(np.array(gained, np.float32), side), enlarged(np.array(share, np.float32), side)

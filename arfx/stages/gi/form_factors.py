@@ -24,7 +24,7 @@ from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
 from arfx.stages.gi.cones import mirror_tangent, turned
 from arfx.stages.gi.voxelise import Voxels
-from arfx.stages.triangles import Triangles
+from arfx.stages.triangles import Triangles, model_triangles
 
 METAL = 0.5  # metalness from which a part mirrors instead of scattering
 SHIFTS = 64  # different lattices
@@ -70,7 +70,8 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
     """places (side, side, 3) : of a plane's texels, anchor axes;  axes (4, 3) : of the plane;  cones (k, 3) : directions about
     its normal, each ray counts for the nearest;  rays : of each texel"""
     side = places.shape[0]
-    corners, normals, part_of = _triangles(scene)
+    corners, normals, part_of, _ = model_triangles(scene)
+    corners, normals = np.ascontiguousarray(corners, np.float32), normals.astype(np.float32)
     low, high = corners.reshape(-1, 3).min(0), corners.reshape(-1, 3).max(0)
     lift = _LIFT * max(float((high - low).max()), 1e-9)
     points = (places.reshape(-1, 3) + lift * axes[3]).astype(np.float32)
@@ -79,8 +80,9 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
     frame = turned(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
     lattice, nearest = lattices(rays, frame, cones)
     covered, inside = np.zeros((side * side, len(cones)), np.float32), np.zeros(side * side, np.float32)
-    metal = np.array([m.metallic >= METAL for m in (p.material for p in scene.model.parts)])
-    texels, hits, turned_to, metals = [], [], [], []
+    metal = np.array([p.material.metallic >= METAL for p in scene.model.parts])
+    texels, hits = [np.zeros(0, np.int32)], [np.zeros((0, 3), np.float32)]
+    reflections, metals = [np.zeros((0, 3), np.float32)], [np.zeros((0, 2), np.int64)]
     step = max(_BATCH // rays, 1)
     box = np.stack([low, high]).astype(np.float32)
     for first in range(0, side * side, step):
@@ -101,23 +103,18 @@ def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarra
         n = normals[prim[shines]]
         n = normalise(n[:, 0] * (1 - u - v) + n[:, 1] * u + n[:, 2] * v)
         d = direction[shines]
-        turned_to.append(d - 2 * (d * n).sum(1, keepdims=True) * n)
+        reflections.append(d - 2 * (d * n).sum(1, keepdims=True) * n)
         metals.append(np.stack([shines + sum(map(len, texels[:-1])), part_of[prim[shines]]], -1))
-    texel = np.concatenate(texels) if texels else np.zeros(0, np.int32)
-    place = np.concatenate(hits) if hits else np.zeros((0, 3), np.float32)
+    texel, place, directions = np.concatenate(texels), np.concatenate(hits), np.concatenate(reflections).astype(np.float32)
+    rows, part = np.concatenate(metals).T
     mirrored = []
-    if metals:
-        rows, part = np.concatenate(metals).T
-        directions = np.concatenate(turned_to).astype(np.float32)
-        for k in np.unique(part):
-            of = part == k
-            tangent = float(mirror_tangent(scene.model.parts[k].material.roughness))
-            mirrored.append(Mirrored(rows[of], place[rows[of]], directions[of], tangent))
+    for k in np.unique(part):
+        of, tangent = part == k, float(mirror_tangent(scene.model.parts[k].material.roughness))
+        mirrored.append(Mirrored(rows[of], place[rows[of]], directions[of], tangent))
     source = _sources(inside.reshape(side, side) > _INSIDE)
     voxel = voxel_at(voxels, place)
-    matt = voxel.copy() if mirrored else voxel
-    for m in mirrored:
-        matt[m.rows] = -1
+    matt = voxel.copy()
+    matt[rows] = -1
     return Factors(texel, voxel, 1 / rays, covered, source, tuple(mirrored), matt)
 
 
@@ -149,24 +146,13 @@ def _keys(cells: np.ndarray, n: int) -> np.ndarray:
     return np.asarray((cells[:, 2] * n + cells[:, 1]) * n + cells[:, 0])
 
 
-def _triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(corners (f, 3, 3) float32 metres, normals of the corners (f, 3, 3), part (f,)), anchor axes; those not finite left out."""
-    anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
-    parts = scene.model.parts
-    corners = np.concatenate([(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts])
-    normals = np.concatenate([(p.normals @ anchor[:3, :3].T)[p.faces] for p in parts])
-    part = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
-    good = np.isfinite(corners).all((1, 2))
-    return np.ascontiguousarray(corners[good], np.float32), normals[good].astype(np.float32), part[good]
-
-
 def _sources(inside: np.ndarray) -> np.ndarray:
     """(texels,) int32 : of the nearest texel that is not inside; every texel itself where all are."""
     own = np.arange(inside.size, dtype=np.int32)
     if not inside.any() or inside.all():
         return own
     row, column = distance_transform_edt(inside, return_distances=False, return_indices=True)
-    return np.asarray(row.ravel() * inside.shape[1] + column.ravel(), np.int32)
+    return (row.ravel() * inside.shape[1] + column.ravel()).astype(np.int32)
 
 
 def lattices(rays: int, frame: np.ndarray, cones: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.light import Light
+from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -18,7 +18,7 @@ from arfx.core.stage import View
 from arfx.errors import RenderError
 from arfx.stages.gi.field import Body, Field, enlarged, make_field, textured
 from arfx.stages.gi.plane_pixels import measured
-from arfx.stages.gi.pyramid import Atlas, Coarser, nearer_first
+from arfx.stages.gi.pyramid import Coarser, nearer_first
 from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Behind, Planes, from_light, irradiance, octahedral
 
@@ -54,7 +54,7 @@ class Around:
     """cube (6, n, n, 3) WORLD axes, and factor (3,) that scales it to the light
     picture (p, side, side, 3), known (p, side, side) on the planes
     mean (3,) of it near the object, rounded;  back : for the cones, with the mean instead of the picture
-    soft : least channel of the light without a direction, of a white surface on the plane;  sent : most of any voxel"""
+    soft : least channel of the light without a direction, of a white surface on the plane"""
 
     cube: np.ndarray
     factor: np.ndarray
@@ -63,21 +63,14 @@ class Around:
     mean: np.ndarray
     back: Behind
     soft: float
-    atlas: Atlas | None = None
-    sent: float = 0.0
 
-    def lit(self, field: Field) -> Around:
-        """With the voxels' light, and the picture darkened and lit by the object."""
+    def lit(self, field: Field, open_: np.ndarray) -> Behind:
+        """For the cones, with the picture darkened and lit by the object. open_ : of the `Body`"""
         side = self.picture.shape[1]
-        open_ = enlarged(field.open, side)
+        known = enlarged(open_, side)
         # what the picture does not show is filled before there is a shadow on it, not with the shadow's mean
-        picture = filled(self.picture, self.known, self.mean) * enlarged(field.direct, side) * open_[..., None]
-        return replace(self, atlas=field.atlas, sent=field.brightest, back=textured(self.back, picture, open_, self.mean))
-
-    @property
-    def brightest(self) -> float:
-        """Radiance that no cone exceeds: of the environment, the picture and the voxels."""
-        return max(float(self.back.maps.max()), float(self.back.textures.max()), self.sent)
+        picture = filled(self.picture, self.known, self.mean) * enlarged(field.direct, side) * known[..., None]
+        return textured(self.back, picture, known, self.mean)
 
 
 def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
@@ -121,23 +114,23 @@ def at_horizon(cube: np.ndarray, up: np.ndarray, colour: np.ndarray, want: np.nd
 def rounded(light: Light) -> Light:
     """The light in steps too small to show in what it does by way of the voxels: what is made for it is kept."""
 
-    def steps(v: Any) -> tuple[float, float, float]:
-        a = np.asarray(v, float)
-        out = np.where(a > 1e-6, np.exp(np.round(np.log(np.maximum(a, 1e-6)) / _LIGHT_STEP) * _LIGHT_STEP), 0.0)
-        return float(out[0]), float(out[1]), float(out[2])
+    def coarse(li: DirectionalLight) -> DirectionalLight:
+        rgb, size_deg = triple(_in_steps(li.rgb, _LIGHT_STEP)), round(li.angular_size_deg)
+        return replace(li, direction=triple(np.round(li.unit, 2)), rgb=rgb, angular_size_deg=size_deg)
 
-    lights = tuple(
-        replace(
-            li, direction=tuple(np.round(li.unit, 2).tolist()), rgb=steps(li.rgb), angular_size_deg=round(li.angular_size_deg)
-        )
-        for li in light.lights
-    )
-    soft: tuple[tuple[float, float, float], ...] = ()
+    soft = np.asarray(light.soft, float).reshape(-1, 3)
     if light.soft:
-        a = np.asarray(light.soft, float)
-        share = np.round(divide(a, a[0]) / _LIGHT_STEP) * _LIGHT_STEP
-        soft = tuple((float(r[0]), float(r[1]), float(r[2])) for r in share * np.array(steps(a[0])))
-    return replace(light, ambient_rgb=steps(light.ambient_rgb), lights=lights, soft=soft)
+        soft = np.round(divide(soft, soft[0]) / _LIGHT_STEP) * _LIGHT_STEP * _in_steps(soft[0], _LIGHT_STEP)
+    return replace(
+        light, ambient_rgb=triple(_in_steps(light.ambient_rgb, _LIGHT_STEP)), lights=tuple(map(coarse, light.lights)),
+        soft=tuple(map(triple, soft)),
+    )  # fmt: skip
+
+
+def _in_steps(value: ArrayLike, step: float) -> np.ndarray:
+    """The nearest power of e^step; 0 up to 1e-6."""
+    a = np.asarray(value, float)
+    return np.where(a > 1e-6, np.exp(np.round(np.log(np.maximum(a, 1e-6)) / step) * step), 0.0)
 
 
 def checked(environment: CubeMap) -> np.ndarray:
@@ -161,12 +154,9 @@ def around(view: View, seen: Rect, planes: Planes, places: np.ndarray) -> Around
     mean = plane_mean(picture, known, places, planes, scene, 0.4 * light.radiance(up))
     p = len(planes.axes)
     textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
-    turn = scene.world_from_anchor.rotation.astype(np.float32)
     maps = factor.astype(np.float32) * view.memo.of_light.get(cube.tobytes(), lambda: octahedral(cube))
-    back = Behind(
-        planes.axes, planes.reach, textures, mips, maps,
-        np.array(HALF_ANGLES_DEG, np.float32), turn,
-    )  # fmt: skip
+    widths, turn = np.array(HALF_ANGLES_DEG, np.float32), scene.world_from_anchor.rotation.astype(np.float32)
+    back = Behind(planes.axes, planes.reach, textures, mips, maps, widths, turn)
     return Around(cube, factor, picture, known, mean, back, float(light.soft_radiance(up).min()))
 
 
@@ -179,9 +169,8 @@ def plane_mean(
     near = ((places[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1) < (3 * radius) ** 2
     weight = known[0, ::step, ::step] * near
     if not weight.sum() > 0:
-        return np.asarray(otherwise, float)
-    mean = (picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum()
-    return np.asarray(np.where(mean > 1e-6, np.exp(np.round(np.log(np.maximum(mean, 1e-6)) / _STEP) * _STEP), 0.0))
+        return otherwise
+    return _in_steps((picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum(), _STEP)
 
 
 def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelSettings) -> Field:
@@ -195,5 +184,4 @@ def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelS
         back = made.back._replace(maps=factor.astype(np.float32) * maps)
         return make_field(body, view.scene, coarse, planes, back, made.mean, at.bounce, at.sent_alone)
 
-    found: Field = kept.get(key, make)
-    return found
+    return kept.get(key, make)

@@ -14,34 +14,15 @@ import numba
 import numpy as np
 
 from arfx.core.parallel import parallel_rows
-from arfx.stages.gi.cones import START, Bricks, frame_of, trace
+from arfx.stages.gi.cones import LOBES, START, Bricks, ConesAround, Lobes, frame_of, trace
 from arfx.stages.gi.split_sum import gloss_weights
 from arfx.stages.gi.surroundings import Behind, behind
 
 _FAST = {"contract", "nsz", "arcp"}
-LOBES = 12  # widths of mirror cones
 _AGREE = np.float32(0.02)  # least sum of weights with which neighbours stand for a pixel
 _BEND = np.float32(0.5)  # normals of neighbours that differ by more lie on two sides of an edge
 DIFFUSE, GLOSS = 1, 2  # what is gathered at a point
 _FEW = 256  # points: below it threads cost more than they save
-
-
-class ConesAround(NamedTuple):
-    """Cones about a normal. directions (k, 3) about +z, weights (k,), tangent and degrees of the half-angle, steps of one"""
-
-    directions: np.ndarray
-    weights: np.ndarray
-    tan_half: np.float32
-    half_deg: np.float32
-    steps: np.ndarray
-
-
-class Lobes(NamedTuple):
-    """Mirror cones by roughness: steps (LOBES, n, 3), of which counts (LOBES,), and tangents (LOBES,)"""
-
-    steps: np.ndarray
-    tangents: np.ndarray
-    counts: np.ndarray
 
 
 class Surface(NamedTuple):
@@ -78,12 +59,8 @@ def light_points(points: np.ndarray, wanted: np.ndarray, eye: np.ndarray, *scene
     points (m, 7) : unit normal, place (metres), anchor axes, roughness (of `blurred`);  wanted (m,) : DIFFUSE and GLOSS, added
     scene : the other arguments of `_light_points`
     """
-
-    def some(a: int, b: int) -> np.ndarray:
-        part: np.ndarray = _light_points(points[a:b], wanted[a:b], eye, *scene)
-        return part
-
-    return np.concatenate([np.zeros((0, 6), np.float32), *parallel_rows(some, len(points), least=_FEW)])
+    parts = parallel_rows(lambda a, b: _light_points(points[a:b], wanted[a:b], eye, *scene), len(points), least=_FEW)
+    return np.concatenate([np.zeros((0, 6), np.float32), *parts])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

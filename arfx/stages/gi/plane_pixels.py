@@ -1,20 +1,34 @@
-"""What the object changes on the real planes, looked up where each pixel's viewing ray meets them. Cost: O(pixels)."""
+"""What the object changes on the real planes, looked up where each pixel's viewing ray meets them, and its mirror image in them.
+
+The mirror image is one cone about the mirrored line of sight, only where it can meet the object. What the plane mirrors without
+the object is in the picture already; what the object sends takes its place, so the change is F x (object - (1 - left) x what is
+behind it), as a share of the pixel. F as for the object's own gloss.
+Source: docs/methods/gi.md#delta. Cost: O(pixels + pixels of the mirror image x steps). Leaves out: highlights of the lamps, and
+their shadow in the mirror image's place.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from arfx.core.parallel import parallel_rows
-from arfx.stages.gi.surroundings import WARP, first_plane
-from arfx.stages.viewing import GRID_PX
+from arfx.core.pose import Pose
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.stages.gi.cones import Bricks, trace
+from arfx.stages.gi.split_sum import gloss_weights
+from arfx.stages.gi.surroundings import WARP, Behind, Planes, behind, first_plane
+from arfx.stages.viewing import GRID_PX, seen_rect
 
 _FAST = {"contract", "nsz", "arcp"}
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 _SAME = np.float32(0.02)  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
+BLUR = 0.6  # a rough plane's mirror image is wider by this share of the object's height, times the lobe's tangent
+SHARPEST = 0.2  # roughness of the narrowest cone: a narrower one would show the voxels themselves
 _RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
 
 
@@ -47,19 +61,17 @@ def measured(real: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(real, np.float32)
 
 
-def add_delta(shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, *rest: Any) -> np.ndarray:
-    """(h, w, 3) float32 shadow + weight x (delta - deeper x what the shadow takes), never below 0.
+def add_delta(
+    shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, nodes: np.ndarray, origin: np.ndarray, axes: np.ndarray,
+    change: Change, real: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """(h, w, 3) float32 shadow + weight x (delta - deeper x what the shadow takes), never below 0. Arguments as `_add_delta`"""
 
-    rest : the other arguments of `_add_delta`
-    """
-    others, real = rest[:-1], rest[-1]
-    one: Any = _add_delta
+    def rows(a: int, b: int) -> np.ndarray:
+        measured = real[a:b] if real.size else real
+        return _add_delta(shadow[a:b], x0, y0 + a, within, nodes, origin, axes, change, measured)
 
-    def some(a: int, b: int) -> np.ndarray:
-        part: np.ndarray = one(shadow[a:b], x0, y0 + a, within, *others, real[a:b] if real.size else real)
-        return part
-
-    return np.concatenate(parallel_rows(some, len(shadow)))
+    return np.concatenate(parallel_rows(rows, len(shadow)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -77,7 +89,6 @@ def _add_delta(
     step = np.float32(1.0 / GRID_PX)
     n = delta.shape[1]
     side = np.float32(n)
-    single = axes.shape[0] == 1
     nearness, scale, rim = one / (radius_m * radius_m), one / half_m, one / (one - _RIM)
     x_from, x_to = max(within[0], x0), min(within[2], x0 + shadow.shape[1])
     for y in range(max(within[1], y0), min(within[3], y0 + shadow.shape[0])):
@@ -98,23 +109,11 @@ def _add_delta(
                 sz = (gy * nodes[iy, ix + 1, 2] + fy * nodes[iy + 1, ix + 1, 2] - az) * step
             fx = np.float32(x - ix * GRID_PX)
             dx, dy, dz = ax + fx * sx, ay + fx * sy, az + fx * sz
-            if single:
-                p = 0
-                h = (origin[0] - axes[0, 0, 0]) * axes[0, 3, 0] + (origin[1] - axes[0, 0, 1]) * axes[0, 3, 1]
-                h += (origin[2] - axes[0, 0, 2]) * axes[0, 3, 2]
-                falls = -(dx * axes[0, 3, 0] + dy * axes[0, 3, 1] + dz * axes[0, 3, 2])
-                if not (falls > np.float32(1e-6) and h > 0):
-                    continue
-                t = h / falls
-            else:
-                p, t = first_plane(axes, origin[0], origin[1], origin[2], dx, dy, dz)
-                if p < 0 or not t > 0:
-                    continue
-            qx, qy, qz = (
-                origin[0] + t * dx - axes[p, 0, 0],
-                origin[1] + t * dy - axes[p, 0, 1],
-                origin[2] + t * dz - axes[p, 0, 2],
-            )
+            p, t = first_plane(axes, origin[0], origin[1], origin[2], dx, dy, dz)
+            if p < 0 or not t > 0:
+                continue
+            qx, qy = origin[0] + t * dx - axes[p, 0, 0], origin[1] + t * dy - axes[p, 0, 1]
+            qz = origin[2] + t * dz - axes[p, 0, 2]
             a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
             b = qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]
             away = (a * a + b * b) * nearness
@@ -154,3 +153,82 @@ def shown_radius_m(delta: np.ndarray, places: np.ndarray, axes: np.ndarray, leas
         return 0.0
     # as far again as to the next texel, and room for the rim to fade
     return float(min(away[shows].max() * 1.1 / float(_RIM), most_m))
+
+
+class Gloss(NamedTuple):
+    """Of the planes. f0, roughness;  table : `split_sum`;  walk, tangent : of the mirror cone
+    least : share mirrored under which nothing shows"""
+
+    f0: np.float32
+    roughness: np.float32
+    table: np.ndarray
+    walk: np.ndarray
+    tangent: np.float32
+    least: np.float32
+
+
+def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame: Rect) -> Rect:
+    """Pixels in which the planes can mirror the object; the whole frame where its image reaches behind the camera.
+
+    tangent : of the lobe's half-angle, by which a rough plane widens the image
+    """
+    corners = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
+    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+    camera_from_anchor = pose @ scene.world_from_anchor
+    out = EMPTY
+    for axes in planes.axes.astype(float):
+        normal = axes[3]
+        height = (corners - axes[0]) @ normal
+        if (eye - axes[0]) @ normal <= 0 or height.max() <= 0:
+            continue
+        mirrored = corners - 2 * np.clip(height, 0, None)[:, None] * normal
+        reach = BLUR * tangent * float(height.max())
+        spread = np.concatenate([mirrored + s * reach * a for s in (-1, 1) for a in (axes[1], axes[2])])
+        out = out.union(seen_rect(scene.camera, camera_from_anchor.apply(spread), 2.0))
+    return out.clip(frame)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def mirror_in_planes(
+    plate, directions, origin, bias, gloss: Gloss, bricks: Bricks, low, size, back: Behind, real
+):  # fmt: skip  # pragma: no cover - compiled
+    """(h, w, 3) float32: radiance that the planes' mirror image of the object adds to the picture, or takes from it.
+
+    plate (h, w, 3) : of the picture;  directions (h, w, 3) : viewing, z = 1, and origin (3,) : the camera, both anchor axes
+    low (3,), size : corner and side of the voxels, metres;  real : as `add_delta`
+    """
+    axes, tangent = back.axes, gloss.tangent
+    rows, columns = plate.shape[:2]
+    out = np.zeros((rows, columns, 3), np.float32)
+    zero, one = np.float32(0), np.float32(1)
+    half_deg = np.float32(np.arctan(tangent) * np.float32(57.29578))
+    for i in range(rows):
+        for j in range(columns):
+            dx, dy, dz = directions[i, j, 0], directions[i, j, 1], directions[i, j, 2]
+            p, t = first_plane(axes, origin[0], origin[1], origin[2], dx, dy, dz)
+            if p < 0 or not t > 0:
+                continue
+            share = agrees(real, i, j, t)
+            if share <= 0:
+                continue
+            px, py, pz = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
+            nx, ny, nz = axes[p, 3, 0], axes[p, 3, 1], axes[p, 3, 2]
+            s = one / np.sqrt(dx * dx + dy * dy + dz * dz)
+            dx, dy, dz = dx * s, dy * s, dz * s
+            along = dx * nx + dy * ny + dz * nz
+            ga, gb = gloss_weights(gloss.table, gloss.roughness, -along)
+            f = (gloss.f0 * ga + gb) * share
+            if f < gloss.least:
+                continue
+            d = dx - 2 * along * nx, dy - 2 * along * ny, dz - 2 * along * nz
+            at = (px - low[0]) / size, (py - low[1]) / size, (pz - low[2]) / size
+            r, g, b, left = trace(bricks, gloss.walk, at, d, at, (zero, zero, zero), False)
+            if left >= one:
+                continue
+            er, eg, eb = behind(back, p, (px, py, pz), d, tangent, half_deg)
+            out[i, j, 0] = f * (r - (one - left) * er)
+            out[i, j, 1] = f * (g - (one - left) * eg)
+            out[i, j, 2] = f * (b - (one - left) * eb)
+            for c in range(3):  # the picture cannot lose more than it shows
+                out[i, j, c] = max(out[i, j, c], min(bias[c] - plate[i, j, c], zero))
+    return out

@@ -43,7 +43,6 @@ class Structure:
     brick_of: np.ndarray
     meta: np.ndarray
     floats: int
-    bricks: tuple[int, ...]
     coarser: Coarser
 
     @property
@@ -98,7 +97,7 @@ def structure_of(cells: np.ndarray, n: int, coarser: Coarser = nearer_first) -> 
     layers = [Layer(n, np.ascontiguousarray(cells, np.int32), np.zeros((0, 8), np.int32))]
     while layers[-1].n > 1:
         layers.append(_above(layers[-1]))
-    grids, meta, floats, counts, start = [], [], 0, [], 0
+    grids, meta, floats, start = [], [], 0, 0
     for k, layer in enumerate(layers):
         across = layer.n // BRICK + 1
         grid = np.full(across**3, -1, np.int32)
@@ -107,10 +106,9 @@ def structure_of(cells: np.ndarray, n: int, coarser: Coarser = nearer_first) -> 
         grid[used] = np.arange(len(used), dtype=np.int32)
         meta.append([layer.n, across, start, floats])
         grids.append(grid)
-        counts.append(len(used))
         start += len(grid)
         floats += len(used) * SAMPLES * (4 if k == 0 else 24)
-    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats, tuple(counts), coarser)
+    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats, coarser)
 
 
 def levels_of(structure: Structure, values: np.ndarray) -> list[np.ndarray]:
@@ -119,11 +117,9 @@ def levels_of(structure: Structure, values: np.ndarray) -> list[np.ndarray]:
     values (v, 4) float32 : radiance times opacity, and opacity
     """
     out = [np.ascontiguousarray(values, np.float32)[:, None, :]]
-    for below, layer in zip(structure.layers[:-1], structure.layers[1:], strict=True):
-        made = np.zeros((len(layer.cells), 6, 4), np.float32)
-        structure.coarser(out[-1], layer.children, made)
-        out.append(made)
-        assert below.n == 2 * layer.n
+    for layer in structure.layers[1:]:
+        out.append(np.zeros((len(layer.cells), 6, 4), np.float32))
+        structure.coarser(out[-2], layer.children, out[-1])
     return out
 
 

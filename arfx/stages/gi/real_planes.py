@@ -6,7 +6,7 @@ Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around 
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -15,9 +15,10 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import HALF_GREY, divide, normalise
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.surroundings import ENDLESS, Planes, unwarped
+from arfx.stages.viewing import seen_rect
 
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
@@ -29,38 +30,26 @@ COARSE = 16  # texels of a plane by which the unseen parts are filled
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
 
 
-_BALLS: WeakKeyDictionary[Scene, tuple[np.ndarray, float]] = WeakKeyDictionary()
-_PLANES: WeakKeyDictionary[Scene, Planes] = WeakKeyDictionary()
-
-
+@lru_cache(maxsize=4)
 def ball_of(scene: Scene) -> tuple[np.ndarray, float]:
     """Centre (3,), anchor axes, and radius, metres, of a ball around the object."""
-    found = _BALLS.get(scene)
-    if found is None:
-        p = scene.world_from_anchor.inverse().apply(scene.model_points_m)
-        p = p[np.isfinite(p).all(1)]
-        centre = (p.min(0) + p.max(0)) / 2
-        found = _BALLS[scene] = centre, max(float(np.linalg.norm(p - centre, axis=1).max()), 1e-6)
-    return found
+    p = scene.world_from_anchor.inverse().apply(scene.model_points_m)
+    p = p[np.isfinite(p).all(1)]
+    centre = (p.min(0) + p.max(0)) / 2
+    return centre, max(float(np.linalg.norm(p - centre, axis=1).max()), 1e-6)
 
 
+@lru_cache(maxsize=4)
 def planes_of(scene: Scene) -> Planes:
-    """The anchor's plane first; other markers' and measured ones only where the object stands before them. Once per scene."""
-    found = _PLANES.get(scene)
-    if found is None:
-        found = _PLANES[scene] = _planes(scene)
-    return found
-
-
-def _planes(scene: Scene) -> Planes:
+    """The anchor's plane first; other markers' and measured ones only where the object stands before them."""
     anchor_from_world = scene.world_from_anchor.inverse()
     centre, radius = ball_of(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
     bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
-    told: list[tuple[Pose, RealPlane | None, float, float]]
-    told = [(pose, None, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
-    told += [(p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
-    for pose, measured, cosine, apart_m in told:
+    known: list[tuple[Pose, RealPlane | None, float, float]]
+    known = [(pose, None, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
+    known += [(p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
+    for pose, measured, cosine, apart_m in known:
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
         same = [k for k, a in enumerate(axes) if n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m]
@@ -101,16 +90,13 @@ def disc_rect(scene: Scene, planes: Planes, radius_m: float, pose: Pose, frame: 
     """Pixels of the picture in which the discs of all planes lie; the whole frame where one reaches behind the camera."""
     angle = np.arange(32) * np.pi / 16
     ring = 1.02 * radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
-    out = Rect(0, 0, 0, 0)
+    out = EMPTY
     for axes in planes.axes.astype(float):
         points = axes[0] + ring[:, :1] * axes[1] + ring[:, 1:] * axes[2]
         eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
         if (eye - axes[0]) @ axes[3] <= 0:
             continue
-        seen = scene.camera.project((pose @ scene.world_from_anchor).apply(points))
-        if not np.isfinite(seen).all():
-            return frame
-        out = out.union(Rect.around(seen, 1.0))
+        out = out.union(seen_rect(scene.camera, (pose @ scene.world_from_anchor).apply(points), 1.0))
     return out.clip(frame)
 
 
@@ -119,7 +105,7 @@ def texture_places(planes: Planes, side: int) -> np.ndarray:
     t = unwarped((np.arange(side) + 0.5) / side * 2 - 1) * planes.half_m
     v, u = np.meshgrid(t, t, indexing="ij")
     a = planes.axes.astype(float)[:, :, None, None]
-    return np.asarray(a[:, 0] + u[..., None] * a[:, 1] + v[..., None] * a[:, 2])
+    return a[:, 0] + u[..., None] * a[:, 1] + v[..., None] * a[:, 2]
 
 
 def picture_on_planes(

@@ -2,7 +2,7 @@
 
 Object pixels: cosine-weighted rays for what is matt, microfacet normals (GGX) for gloss. Plane pixels: cosine-weighted
 rays; only those that meet the object count, as what it sends less what it hides. Bright parts of the environment and what
-glows are looked for as well (reference_lights.py). Random numbers are keyed by pixel, sample and dimension, so that a part of
+glows are sampled as well (reference_sampling.py). Random numbers are keyed by pixel, sample and dimension, so that a part of
 the picture gets the same as the whole. Not denoised: the error of a plane pixel falls with the root of the samples.
 Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators).
 """
@@ -16,14 +16,13 @@ import numpy as np
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
 from arfx.stages.gi.frame_light import environment_cube
 from arfx.stages.gi.plane_pixels import DARKEST, agrees, measured
 from arfx.stages.gi.real_planes import ball_of
-from arfx.stages.gi.reference_draw import Draw, Gloss, about, cosine_directions
-from arfx.stages.gi.reference_lights import Lights, shared
+from arfx.stages.gi.reference_sampling import Draw, Gloss, Lights, about, cosine_directions, shared
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
 from arfx.stages.gi.surroundings import Planes
 
@@ -52,25 +51,17 @@ class Tracer:
         on_plane = (plane >= 0) & ~on_object
         out = np.zeros((len(origins), 3))
         sky = ~on_object & ~on_plane
-        out[sky] = self.around.environment(directions[sky]) * self._weights(density, sky, directions)
+        out[sky] = self.sampled.environment(directions, density, sky)
         rows = np.flatnonzero(on_object)
         if len(rows):
             met = hit.of(rows)
-            out[rows] = self.leaves(met, -directions[rows], draw.of(rows), bounces, self._weights(density, rows, directions, met))
+            glow = shared(density, rows, self.sampled.emitter_density(met, directions[rows]))
+            out[rows] = self.leaves(met, -directions[rows], draw.of(rows), bounces, glow)
         rows = np.flatnonzero(on_plane)
         if len(rows):
             places = origins[rows] + distance[rows, None] * directions[rows]
             out[rows] = self.around.picture(places, plane[rows]) * self.left(places, plane[rows], draw.of(rows), bounces)
         return out
-
-    def _weights(
-        self, density: np.ndarray | None, rows: np.ndarray, directions: np.ndarray, met: Hit | None = None
-    ) -> np.ndarray:
-        """(m, 1) weights of rays that reach the environment, or `met` what may glow."""
-        own = None if density is None else density[rows]
-        if met is None:
-            return shared(own, self.sampled.environment_density(directions[rows]))
-        return shared(own, self.sampled.emitter_density(met, directions[rows]))
 
     def found(
         self, start: np.ndarray, draw: Draw, value: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], change: bool = False
@@ -123,15 +114,13 @@ class Tracer:
             out = out + hit.mirrors * self.along(start, d, draw, bounces - 1)
         elif hit.mirrors.any():
             out = out + hit.mirrors * self.around.even(normal)
-        return np.asarray(out)
+        return out
 
     def direct(self, points: np.ndarray, normals: np.ndarray, draw: Draw) -> np.ndarray:
         """(n, 3) of white surfaces, by one ray to each light's disc."""
         out = np.zeros((len(points), 3))
         for d, rgb, size_deg in self.lights:
-            u, v = draw.pair()
-            r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
-            towards = normalise(about(np.broadcast_to(d, points.shape), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
+            towards = _in_disc(d, size_deg, draw)
             facing = np.clip((normals * towards).sum(1), 0, None)
             rows = np.flatnonzero(facing > 0)
             if len(rows):
@@ -147,9 +136,7 @@ class Tracer:
         whole = np.array(self.whole)[plane]
         lost = np.zeros((len(places), 3))
         for d, rgb, size_deg in self.lights:
-            u, v = draw.pair()
-            r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
-            towards = normalise(about(np.broadcast_to(d, places.shape), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
+            towards = _in_disc(d, size_deg, draw)
             rows = np.flatnonzero(normals @ d > 0)
             if len(rows):
                 lost[rows] += ((normals[rows] @ d) * self.rays.blocked(start[rows], towards[rows]))[:, None] * rgb
@@ -184,33 +171,27 @@ class Tracer:
             nearer = hit.distance[rows] < distance
             rows, plane, distance = rows[nearer], plane[nearer], distance[nearer]
         if len(rows):
-            behind = self.around.environment(d[rows]) * self._weights(density, rows, d)
+            behind = self.sampled.environment(d, density, rows)
             other = np.flatnonzero(plane >= 0)
             behind[other] = self.around.picture(start[rows[other]] + distance[other, None] * d[rows[other]], plane[other])
             # the last bounce takes the light that nothing hides, instead of none: nearer the truth than a black object
             met = hit.of(rows)
-            glow = self._weights(density, rows, d, met)
+            glow = shared(density, rows, self.sampled.emitter_density(met, d[rows]))
             sent = self.leaves(met, -d[rows], draw.of(rows), max(bounces - 1, 0), glow)
             out[rows] = sent - behind
-        if bounces > 0 and len(self.around.axes) > 1:
-            out += self._by_other_planes(start, d, hit, draw)
-        return out
-
-    def _by_other_planes(self, start: np.ndarray, d: np.ndarray, hit: Hit, draw: Draw) -> np.ndarray:
-        """(n, 3) change of what rays that pass the object bring from another plane, which it shades or lights."""
-        out = np.zeros((len(start), 3))
-        plane, distance = self.around.first_plane(start, d)
-        rows = np.flatnonzero((plane >= 0) & ~(hit.distance < distance))
-        if len(rows):
-            places = start[rows] + distance[rows, None] * d[rows]
-            left = self.left(places, plane[rows], draw.of(rows), 0)
-            out[rows] = self.around.picture(places, plane[rows]) * (left - 1)
+        if bounces > 0 and len(self.around.axes) > 1:  # rays that pass the object bring less or more from planes that it changes
+            plane, distance = self.around.first_plane(start, d)
+            rows = np.flatnonzero((plane >= 0) & ~(hit.distance < distance))
+            if len(rows):
+                places = start[rows] + distance[rows, None] * d[rows]
+                left = self.left(places, plane[rows], draw.of(rows), 0)
+                out[rows] += self.around.picture(places, plane[rows]) * (left - 1)
         return out
 
 
 def trace_frame(
     view: View, planes: Planes, seen: Rect, disc: Rect, samples: int, strength: float,
-    gloss: tuple[float, float] = (0.0, 0.0), mirror: Rect = EMPTY,
+    gloss: tuple[float, float], mirror: Rect,
 ) -> Mapping[Layer, np.ndarray]:  # fmt: skip
     """VIRTUAL and SHADOW with indirect light. seen : pixels of the picture that are looked at;  disc : planes' pixels
     gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object
@@ -277,6 +258,13 @@ def trace_frame(
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.clip(shadow, 0, None)}
 
 
+def _in_disc(d: np.ndarray, size_deg: float, draw: Draw) -> np.ndarray:
+    """(n, 3) unit directions to points of a light's disc around d (3,)."""
+    u, v = draw.pair()
+    r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
+    return normalise(about(np.broadcast_to(d, (len(u), 3)), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
+
+
 def matt_density(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(n,) per steradian of `cosine_directions`."""
     return np.asarray(np.clip((normals * directions).sum(1), 0, None) / np.pi)
@@ -316,9 +304,6 @@ def _object_light(
         density = matt_density(n[dull], d)
         return body_share(d) * density[:, None], density
 
-    def gloss_value(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return gloss.at(np.arange(len(lobes)), d)
-
     for s in range(samples):
         if len(dull):
             draw = Draw(key[dull], s, samples, seed)
@@ -329,7 +314,7 @@ def _object_light(
             draw = Draw(key[lobes], s, samples, seed ^ 0x5BD1E995)
             some, d, weight, density = gloss.directions(draw)
             total[lobes[some]] += weight * tracer.along(start[lobes[some]], d, draw.of(some), BOUNCES, density)
-            total[lobes] += tracer.found(start[lobes], draw, gloss_value)
+            total[lobes] += tracer.found(start[lobes], draw, lambda d: gloss.at(np.arange(len(lobes)), d))
     return total / samples
 
 

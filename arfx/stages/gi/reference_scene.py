@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.cube import face_directions, solid_angles
+from arfx.core.cube import face_directions, look_up, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.surroundings import ENDLESS, Planes
-from arfx.stages.triangles import Triangles
+from arfx.stages.gi.surroundings import ENDLESS, Planes, irradiance
+from arfx.stages.triangles import Triangles, model_triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +42,9 @@ class RayScene:
     emitting (triangles,) : each one's share of that"""
 
     def __init__(self, scene: Scene) -> None:
-        anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
-        linear = anchor[:3, :3] / np.cbrt(abs(np.linalg.det(anchor[:3, :3])))
-        triangles, self.parts, part_of, face_of = [], scene.model.parts, [], []
-        self.normals = [p.normals @ linear.T for p in self.parts]
-        for k, p in enumerate(self.parts):
-            corners = (p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces]
-            good = np.isfinite(corners).all((1, 2))
-            triangles.append(corners[good])
-            part_of.append(np.full(int(good.sum()), k))
-            face_of.append(np.flatnonzero(good))
-        every = np.concatenate(triangles)
-        self.part_of, self.face_of = np.concatenate(part_of), np.concatenate(face_of)
+        every, self._normals, self.part_of, self.face_of = model_triangles(scene)
+        self.parts, self._corners = scene.model.parts, every
         self.lift = 1e-4 * max(float(np.ptp(every.reshape(-1, 3), axis=0).max()), 1e-9)
-        self._corners = every
         across = np.cross(every[:, 1] - every[:, 0], every[:, 2] - every[:, 0])
         self._face_normal = normalise(across)
         strength = np.array([max(p.material.emissive) for p in self.parts], float)[self.part_of]
@@ -87,7 +76,7 @@ class RayScene:
                 continue
             corner = part.faces[self.face_of[prim[rows]]]
             w = np.stack([1 - u[rows] - v[rows], u[rows], v[rows]], -1)[..., None]
-            hit.normal[rows] = normalise((self.normals[k][corner] * w).sum(1))
+            hit.normal[rows] = normalise((self._normals[prim[rows]] * w).sum(1))
             m = part.material
             base = np.broadcast_to(np.asarray(m.base_colour[:3], float), (len(rows), 3))
             if part.colours is not None:
@@ -172,27 +161,9 @@ class Surroundings:
             out[known] = (p[j, i] * (1 - fx) + p[j, i1] * fx) * (1 - fy) + (p[j1, i] * (1 - fx) + p[j1, i1] * fx) * fy
         return out, known
 
-    def on_cube(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(face (n,), u, v (n,) in -1..1, as core.cube.face_directions) of directions (n, 3), anchor axes."""
-        d = directions @ self.turn.T
-        axis = np.abs(d).argmax(1)
-        major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
-        q = divide(d, np.abs(major)[:, None])
-        x, y, z = q[:, 0], q[:, 1], q[:, 2]
-        # rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
-        return 2 * axis + (major < 0), np.choose(axis, [-z, x, x]), np.choose(axis, [y, -z, y])
-
     def environment(self, directions: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the cube, linear between a face's texels."""
-        face, u, v = self.on_cube(directions)
-        last = self.cube.shape[1] - 1
-        s, t = (np.clip((w + 1) / 2 * (last + 1) - 0.5, 0, last) for w in (u, v))
-        i, j = np.minimum(s.astype(int), max(last - 1, 0)), np.minimum(t.astype(int), max(last - 1, 0))
-        i1, j1 = np.minimum(i + 1, last), np.minimum(j + 1, last)
-        fs, ft = (s - i)[:, None], (t - j)[:, None]
-        c = self.cube
-        above = c[face, j, i] * (1 - fs) + c[face, j, i1] * fs
-        return np.asarray(above * (1 - ft) + (c[face, j1, i] * (1 - fs) + c[face, j1, i1] * fs) * ft)
+        """(n, 3) radiance of the cube in directions (n, 3), anchor axes."""
+        return look_up(self.cube, directions @ self.turn.T)
 
     def even(self, normals: np.ndarray) -> np.ndarray:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""
@@ -202,10 +173,3 @@ class Surroundings:
             c = np.clip(normals[a : a + 20000] @ d.T, 0, None)
             out[a : a + 20000] = divide(c @ flat, (c @ solid)[:, None])
         return out
-
-
-def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(3,) radiance of a white surface of that normal, axes of the cube."""
-    d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
-    weight = np.clip(d @ normal, 0, None) * solid
-    return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())

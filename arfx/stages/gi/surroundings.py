@@ -69,8 +69,7 @@ def _directions() -> np.ndarray:
     u, v = np.where(over_v, -uu, uu), np.where(over_u, -vv, vv)
     z = 1 - np.abs(u) - np.abs(v)
     fold = np.clip(-z, 0, None)
-    out: np.ndarray = normalise(np.stack([u - np.sign(u) * fold, v - np.sign(v) * fold, z], -1))
-    return out
+    return normalise(np.stack([u - np.sign(u) * fold, v - np.sign(v) * fold, z], -1))
 
 
 @lru_cache(maxsize=2)
@@ -111,7 +110,7 @@ def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(3,) radiance of a white diffuse surface of unit normal (3,), axes of the cube, under all of its hemisphere."""
     d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
     weight = np.clip(d @ normal, 0, None) * solid
-    return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())
+    return (weight[..., None] * cube).sum((0, 1, 2)) / weight.sum()
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -158,7 +157,7 @@ def warped(x):  # pragma: no cover - compiled
 def unwarped(u: np.ndarray) -> np.ndarray:
     """The inverse of `warped`."""
     k = float(WARP)
-    return np.asarray(u / (k - (k - 1) * np.abs(u)))
+    return u / (k - (k - 1) * np.abs(u))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

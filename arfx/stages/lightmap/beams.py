@@ -24,16 +24,10 @@ REACH = 12.0
 
 @dataclass(frozen=True)
 class Beam:
-    """One directional light. direction : unit, anchor axes, rounded;  size_deg : full angle of its disc, rounded
-    (a dataclass of floats: equal beams cast equal shadows)"""
+    """A directional light, rounded: equal beams cast equal shadows. direction : unit, anchor axes;  size_deg : full angle"""
 
     direction: tuple[float, float, float]
     size_deg: float
-
-    @property
-    def on_plane(self) -> bool:
-        """Does it reach the plane's front at all?"""
-        return self.direction[2] > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +69,7 @@ def frame_light(light: Light, world_from_anchor: Pose, hard: bool, plane_blocks:
         d, colour = li.unit, np.clip(np.asarray(li.rgb, float), 0, None)
         if not d.any() or not np.isfinite(colour).all() or not colour.any():
             continue
-        size = 0.0 if hard or not np.isfinite(li.angular_size_deg) else float(li.angular_size_deg)
-        size = 0.0 if hard else float(np.clip(size, SMALLEST_DEG, LARGEST_DEG))
+        size = 0.0 if hard else float(np.clip(np.nan_to_num(li.angular_size_deg, posinf=0), SMALLEST_DEG, LARGEST_DEG))
         towards.append(d)
         rgb.append(colour)
         sizes.append(size)
@@ -105,13 +98,6 @@ def rounded(direction: np.ndarray, size_deg: float) -> Beam:
             break
         steps = again
     return Beam((float(d[0]), float(d[1]), float(d[2])), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG)
-
-
-def disc(n: int) -> np.ndarray:
-    """(n, 2) points of equal area on the unit disc (Vogel's spiral)."""
-    i = np.arange(n) + 0.5
-    r, phi = np.sqrt(i / n), i * np.pi * (3 - np.sqrt(5))
-    return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
 
 
 def disc_directions(beam: Beam, points: np.ndarray, over_plane: bool = True) -> np.ndarray:

@@ -44,16 +44,12 @@ def make_caster(scene: Scene) -> Caster:
     """All parts of the scene's model together, whatever their material: what is transparent casts a full shadow."""
     anchor_from_world = scene.world_from_anchor.inverse()
     vertices = anchor_from_world.apply(scene.model_points_m)
-    faces, start = [], 0
-    for part in scene.model.parts:
-        faces.append(part.faces + start)
-        start += len(part.vertices)
-    every = np.concatenate(faces).astype(np.int32)
+    starts = np.cumsum([0, *(len(p.vertices) for p in scene.model.parts)])
+    every = np.concatenate([p.faces + k for p, k in zip(scene.model.parts, starts, strict=False)]).astype(np.int32)
     used = vertices[np.unique(every)]
     extent = float(np.ptp(used, axis=0).max())
-    sunk = -_SUNK * extent
-    cut = bool((used[:, 2] < sunk).any())
-    over, over_faces = _above_plane(vertices, every) if cut else (vertices, every)
+    sunk = (used[:, 2] < -_SUNK * extent).any()
+    over, over_faces = _above_plane(vertices, every) if sunk else (vertices, every)
     a, b, c = (over[over_faces[:, i]] for i in range(3))
     top = float(over[:, 2].max(initial=0.0))
     linear = scene.world_from_model[:3, :3]
@@ -137,19 +133,15 @@ def _outline(points: np.ndarray) -> np.ndarray:
         hull = points
     if len(hull) <= _HULL_POINTS:
         return hull
-    # extreme points in spread directions, pushed out to the planes that bound the rest: a slightly larger hull
+    # extreme points in 400 even directions, pushed out to the planes that bound the rest: a slightly larger hull
     middle = (hull.min(0) + hull.max(0)) / 2
-    grown = middle + (hull[_extreme(hull - middle)] - middle) * 1.02
-    grown[:, 2] = np.maximum(grown[:, 2], 0)
-    return grown
-
-
-def _extreme(points: np.ndarray) -> np.ndarray:
-    """Indices of the points that lie farthest in 400 even directions."""
     i = np.arange(400) + 0.5
     z, phi = 1 - 2 * i / 400, i * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
-    return np.unique((points @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0))
+    extreme = np.unique(((hull - middle) @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0))
+    grown = middle + (hull[extreme] - middle) * 1.02
+    grown[:, 2] = np.maximum(grown[:, 2], 0)
+    return grown
 
 
 def _faceting(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, extent: float) -> tuple[float, float]:

@@ -48,20 +48,13 @@ class _Dimming(NamedTuple):
     strength: np.float32
 
 
-class _Room(NamedTuple):
-    """To work in: borders of runs (6, n); of a line's pixels (n,), taken (c, n);  spans (t, 2) : runs of each picture"""
+class _Scratch(NamedTuple):
+    """Borders of runs (3, 6, n): of a line, of the lines above and below;  lines (6 + c, n), place (n,) : of a line's pixels
+    spans (t, 2) : runs of each picture"""
 
-    ends: np.ndarray
-    above: np.ndarray
-    below: np.ndarray
-    px: np.ndarray
-    py: np.ndarray
+    borders: np.ndarray
+    lines: np.ndarray
     place: np.ndarray
-    fu: np.ndarray
-    fv: np.ndarray
-    dark: np.ndarray
-    open_: np.ndarray
-    taken: np.ndarray
     spans: np.ndarray
 
 
@@ -134,22 +127,21 @@ def _look_up(
     channels = dimming.shares.shape[1]
     out = np.empty((height, width, channels), np.float32)
     runs = (x0 + width - 1) // GRID_PX + 1 - x0 // GRID_PX
-    ends, lines = np.empty((18, runs + 1), np.float32), np.empty((6 + channels, (runs + 1) * GRID_PX), np.float32)
+    borders, lines = np.empty((3, 6, runs + 1), np.float32), np.empty((6 + channels, (runs + 1) * GRID_PX), np.float32)
     place, spans = np.empty((runs + 1) * GRID_PX, np.int32), np.zeros((pictures.meta.shape[0], 2), np.int64)
-    room = _Room(
-        ends[:6], ends[6:12], ends[12:], lines[0], lines[1], place, lines[2], lines[3], lines[4], lines[5], lines[6:], spans
-    )
-    _look_up_lines(x0, y0, nodes, origin, pictures, dimming, room, out)
+    _look_up_lines(x0, y0, nodes, origin, pictures, dimming, _Scratch(borders, lines, place, spans), out)
     return out
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up_lines(
-    x0, y0, nodes, origin, pictures: Pictures, dimming: _Dimming, room: _Room, out
+    x0, y0, nodes, origin, pictures: Pictures, dimming: _Dimming, scratch: _Scratch, out
 ):  # fmt: skip  # pragma: no cover - compiled
     texels, meta, affine, dark_columns = pictures
     shares, blocked, faint, rise, strength = dimming
-    ends, above, below, px, py, place, fu, fv, dark, open_, taken, spans = room
+    borders, lines, place, spans = scratch
+    ends, above, below = borders[0], borders[1], borders[2]
+    px, py, fu, fv, dark, open_, taken = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5], lines[6:]
     height, width, channels = out.shape
     zero, one = np.float32(0), np.float32(1)
     step, count = np.float32(1.0 / GRID_PX), shares.shape[0]

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.core.numerics import normalise
-from arfx.stages.lightmap.beams import Beam, disc, disc_directions
+from arfx.core.facts import PlaneShadow
+from arfx.core.numerics import divide, normalise
+from arfx.errors import RenderError
+from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.penumbra import smoothed
-from arfx.stages.lightmap.silhouette import hidden_share
-from arfx.stages.triangles import Triangles, hemisphere
+from arfx.stages.lightmap.silhouette import hidden_share, smoothed
+from arfx.stages.triangles import Triangles, disc, hemisphere
 
 _LIFT = 1e-4  # of the extent, off the plane: a base that lies in it would hide every ray or none, by rounding
 _MARGIN = 3  # texels without shadow around it
@@ -51,19 +52,41 @@ class PlaneTexture:
     texel_from_m: np.ndarray
 
 
-def ambient_texture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
-    """The share of the hemisphere, weighted by its cosine, that is hidden. centre, half (2,) : the box, metres."""
-    n = level.ambient_texels
-    t = (np.arange(n) + 0.5) / n * 2 - 1
+def hidden_fraction(
+    caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, texels: int, directions: int
+) -> np.ndarray:
+    """(texels, texels) fraction of the hemisphere, cosine-weighted, that is hidden. centre, half (2,) : the box, metres"""
+    t = (np.arange(texels) + 0.5) / texels * 2 - 1
     x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, _LIFT * caster.extent_m)], -1)
-    dark = 1 - rays.visible_fraction(points, hemisphere(level.ambient_rays)).reshape(n, n)
+    return 1 - rays.visible_fraction(points, hemisphere(directions)).reshape(texels, texels)
+
+
+def ambient_texture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
+    """Smoothed `hidden_fraction` of the same box."""
+    n = level.ambient_texels
+    dark = hidden_fraction(caster, rays, centre, half, n, level.ambient_rays)
     dark = cv2.GaussianBlur(dark.astype(np.float32), (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
-    scale = n / (2 * half)
-    low = centre - half
+    scale, low = n / (2 * half), centre - half
     return PlaneTexture(
         _rimmed(dark), np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]])
     )
+
+
+def blocked_texture(shadow: PlaneShadow, ambient_share: np.ndarray) -> PlaneTexture:
+    """Fraction of the directional light that a real shadow already takes: (1 - ratio) / (1 - ambient fraction), 0..1.
+
+    ambient_share (3,). With it the object's shadow is what it takes of the light that is there:
+    ratio = (ambient x V + direct x left x V_l) / (ambient + direct x left), so that the result is never darker than the
+    ambient light alone with the object in it, however dark the plate is.
+    """
+    (x0, y0, x1, y1), ratio = shadow.box_m, np.array(shadow.ratio)
+    if ratio.ndim != 2 or not ratio.size or not np.isfinite(ratio).all() or not (x1 > x0 and y1 > y0):
+        raise RenderError("facts: the real shadow on the plane needs a box with an extent and a grid of finite numbers")
+    taken = np.clip(divide(1 - ratio, 1 - float(ambient_share.mean())), 0, 1)
+    rows, columns = taken.shape
+    sx, sy = columns / (x1 - x0), rows / (y1 - y0)
+    return PlaneTexture(np.pad(taken, 1).astype(np.float32), np.array([[sx, 0, 0.5 - x0 * sx], [0, sy, 0.5 - y0 * sy]]))
 
 
 def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
@@ -123,7 +146,7 @@ def _traced(dark: np.ndarray, rays: Triangles, beam: Beam, count: int, matrix: n
     if not len(u):
         return dark
     places = np.linalg.solve(matrix[:, :2], np.stack([u, v]) - matrix[:, 2:]).T
-    out: np.ndarray = dark.copy()
+    out = dark.copy()
     points = np.column_stack([places, np.full(len(u), _LIFT * extent_m)])
     out[v, u] = 1 - rays.visible_fraction(points, disc_directions(beam, disc(count)))
     return out
@@ -131,7 +154,4 @@ def _traced(dark: np.ndarray, rays: Triangles, beam: Beam, count: int, matrix: n
 
 def _rimmed(dark: np.ndarray) -> np.ndarray:
     """float32, contiguous, 0 along the border: what is looked up outside meets nothing."""
-    out: np.ndarray = np.ascontiguousarray(np.clip(dark, 0, 1), np.float32)
-    out[[0, -1]] = 0
-    out[:, [0, -1]] = 0
-    return out
+    return np.pad(np.clip(dark, 0, 1)[1:-1, 1:-1], 1).astype(np.float32)

@@ -16,8 +16,8 @@ from arfx.core.model import Model
 from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
-from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture
-from arfx.stages.triangles import Triangles, hemisphere
+from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture, hidden_fraction
+from arfx.stages.triangles import Triangles
 
 _TEXELS, _RAYS = 64, 400
 _BORDER = 2.5  # heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less
@@ -35,10 +35,7 @@ class Ground:
         border = max(_BORDER * self.caster.height_m, 1e-3 * self.caster.extent_m)
         low, high = ground.min(0) - border, ground.max(0) + border
         self.centre_m, self.half_m = (low + high) / 2, (high - low) / 2
-        t = (np.arange(_TEXELS) + 0.5) / _TEXELS * 2 - 1
-        x, y = np.meshgrid(self.centre_m[0] + self.half_m[0] * t, self.centre_m[1] + self.half_m[1] * t)
-        points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 1e-4 * self.caster.extent_m)], -1)
-        self.hidden = (1 - self.rays.visible_fraction(points, hemisphere(_RAYS))).reshape(_TEXELS, _TEXELS)
+        self.hidden = hidden_fraction(self.caster, self.rays, self.centre_m, self.half_m, _TEXELS, _RAYS)
         self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
         self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
         self._whole_outline_m = lru_cache(maxsize=256)(self._joined)
@@ -49,24 +46,20 @@ class Ground:
 
         ambient_share, and beside each beam its share : of the plane's light, 0..1
         """
-        shown = tuple(beam for beam, share in beams if share > faint and beam.on_plane)
+        shown = tuple(beam for beam, share in beams if share > faint and beam.direction[2] > 0)
         return self._whole_outline_m(int(np.ceil(ambient_share * _SHARE_STEP)), shown, faint)
 
     def _joined(self, share: int, beams: tuple[Beam, ...], faint: float) -> np.ndarray:
         points = np.concatenate([self.ambient_outline_m(share, faint), *(self.beam_outline_m(b) for b in beams)])
         return _sides(_hull(points)) if len(points) else points
 
-    def ambient_box_m(self, faint: float) -> tuple[np.ndarray, np.ndarray]:
-        """Centre and half sides (2,), metres, of the box in which ambient light can be taken visibly."""
-        points = self.ambient_outline_m(_SHARE_STEP, faint)
-        if not len(points):
-            return self.centre_m, self.half_m
-        low, high = points.min(0), points.max(0)
-        return (low + high) / 2, (high - low) / 2
-
     def _ambient_picture(self, faint: float, level: PlaneLevel) -> PlaneTexture:
         """What the object takes of the ambient light, where that can be more than `faint`."""
-        return ambient_texture(self.caster, self.rays, *self.ambient_box_m(faint), level)
+        points, centre, half = self.ambient_outline_m(_SHARE_STEP, faint), self.centre_m, self.half_m
+        if len(points):
+            low, high = points.min(0), points.max(0)
+            centre, half = (low + high) / 2, (high - low) / 2
+        return ambient_texture(self.caster, self.rays, centre, half, level)
 
     def _ambient_outline_m(self, share: int, faint: float) -> np.ndarray:
         dark = np.argwhere(self.hidden * share / _SHARE_STEP > faint)[:, ::-1]
@@ -106,5 +99,4 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 def _sides(hull: np.ndarray) -> np.ndarray:
     t = np.linspace(0, 1, _SIDES + 1)[:-1, None, None]
-    out: np.ndarray = (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)
-    return out
+    return (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)

@@ -17,10 +17,10 @@ import numpy as np
 
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
-from arfx.stages.lightmap.beams import Beam, disc, disc_directions
+from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.silhouette import highest
-from arfx.stages.triangles import Triangles
+from arfx.stages.triangles import Triangles, disc
 
 _EMPTY = -1e9
 _LIFT_TEXELS = 1.5

@@ -54,8 +54,7 @@ def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
 def highlight_width(size_deg: np.ndarray) -> np.ndarray:
     """What a light's disc (full angle) adds to roughness^4: a disc of radius a spreads half-vectors by a^2 / 16, the lobe's
     own spread is roughness^4 / 2."""
-    out: np.ndarray = np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8
-    return out.astype(np.float32)
+    return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")

@@ -24,15 +24,14 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
 from arfx.stages.lightmap.beams import FrameLight, frame_light
-from arfx.stages.lightmap.blocked import blocked_texture
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.lookup import light_left
-from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, bounded
+from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, blocked_texture, bounded
 from arfx.stages.lightmap.region import ground_of
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
 from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
 from arfx.stages.triangles import Triangles
-from arfx.stages.viewing import direction_grid
+from arfx.stages.viewing import direction_grid, seen_rect
 
 _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
 
@@ -118,17 +117,15 @@ class Lightmap(Stage):
         eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
         left = np.ones((len(reaching), now.rect.height, now.rect.width), np.float32)
-        anchor_from_world = view.scene.world_from_anchor.inverse()
         if self.params.self_shadow > 0:
-            at = SELF_LEVELS[view.level]
+            anchor_from_world = view.scene.world_from_anchor.inverse()
+            at, caster = SELF_LEVELS[view.level], prepared.caster
             for i, k in enumerate(reaching):
                 beam = light.beams[k]
                 if at.rays:
-                    left[i] = by_rays(
-                        coverage, normal, position, prepared.rays, prepared.caster, beam, anchor_from_world, at, eye
-                    )
+                    left[i] = by_rays(coverage, normal, position, prepared.rays, caster, beam, anchor_from_world, at, eye)
                 else:
-                    found = view.memo.of_light.get(("depth", beam), partial(depth_map, prepared.caster, beam, at))
+                    found = view.memo.of_light.get(("depth", beam), partial(depth_map, caster, beam, at))
                     left[i] = by_map(coverage, normal, position, found, anchor_from_world, at)
             if self.params.self_shadow < 1:
                 left = 1 + np.float32(self.params.self_shadow) * (left - 1)
@@ -142,11 +139,8 @@ class Lightmap(Stage):
         surface = Surface(*(now[Layer(name)] for name in Surface._fields))
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
         lights = Lights(light.towards[reaching].astype(f32), rgb, highlight_width(light.sizes_deg[reaching]), left)
-        virtual: np.ndarray = shade(
-            surface, eye.astype(f32), lights, self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft),
-            np.array(facts.bias_rgb, f32),
-        )  # fmt: skip
-        return virtual
+        soft = f32(self.params.ambient) * harmonic_terms(light.soft, light.ambient)
+        return shade(surface, eye.astype(f32), lights, soft, not len(light.soft), np.array(facts.bias_rgb, f32))
 
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
         scene = view.scene
@@ -154,9 +148,9 @@ class Lightmap(Stage):
         strength = self.params.shadow_strength
         if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
             return neutral(Layer.SHADOW, view.rect)
-        textures, shares = [prepared.ambient], [self._ambient * light.ambient_share]
+        textures, shares = [prepared.ambient], [np.float32(self.params.ambient) * light.ambient_share]
         for beam, share in zip(light.beams, light.direct_shares, strict=True):
-            if beam.on_plane and share.max() > 0:
+            if beam.direction[2] > 0 and share.max() > 0:
                 make = lambda b=beam: bounded(  # noqa: E731
                     beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[view.level], self.hard), scene.surface_m
                 )
@@ -187,10 +181,6 @@ class Lightmap(Stage):
             rect = rect.clip(_around(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene))
         return rect, f"shadow takes up to {100 * most:.0f} % of the plane's light" if not rect.empty else "shadow out of view"
 
-    @property
-    def _ambient(self) -> np.float32:
-        return np.float32(self.params.ambient)
-
     def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
         return frame_light(scene.light_of(facts), scene.world_from_anchor, self.hard, self.params.plane_blocks)
 
@@ -198,8 +188,7 @@ class Lightmap(Stage):
 def _around(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
     """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are not before the camera."""
     points = np.column_stack([points_m, np.zeros(len(points_m))])
-    seen = scene.camera.project(facts.pose.apply(scene.world_from_anchor.apply(points)))
-    return Rect.around(seen, 1.0) if np.isfinite(seen).all() else scene.camera.rect
+    return seen_rect(scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0)
 
 
 def _darkest(light: FrameLight, scene: Scene) -> float:

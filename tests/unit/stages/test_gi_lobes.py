@@ -13,7 +13,7 @@ from arfx.stages.gi.cones import six_cones, turned
 from arfx.stages.gi.field import GATHERED_BY, make_body
 from arfx.stages.gi.pixels import leaning
 from arfx.stages.gi.real_planes import filled, planes_of
-from arfx.stages.gi.reference_draw import Draw, Gloss
+from arfx.stages.gi.reference_sampling import Draw, Gloss
 from arfx.stages.gi.reference_scene import Surroundings
 from arfx.stages.gi.split_sum import gloss_weights, split_sum
 from arfx.stages.gi.surroundings import ENDLESS, HALF_ANGLES_DEG, Behind, behind_many, octahedral

@@ -13,7 +13,7 @@ from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.scene import Scene
 from arfx.stages.gi import GiParams
-from arfx.stages.gi.reference_draw import Draw, Gloss
+from arfx.stages.gi.reference_sampling import Draw, Gloss
 from tests.unit.stages.gi_scenes import MATT_WHITE, ball, from_above, ground_points, on_plane, run_gi
 
 CAMERA = Camera(64, 48, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]))

@@ -18,11 +18,11 @@ from arfx.core.stage import ReadyStage
 from arfx.errors import RenderError
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.lightmap import stage as stage_module
-from arfx.stages.lightmap.beams import QUANTUM, REACH, disc, disc_directions, rounded
+from arfx.stages.lightmap.beams import QUANTUM, REACH, disc_directions, rounded
 from arfx.stages.lightmap.caster import make_caster
 from arfx.stages.lightmap.plane import PLANE_LEVELS, beam_texture
 from arfx.stages.lightmap.silhouette import hidden_share, highest
-from arfx.stages.triangles import Triangles
+from arfx.stages.triangles import Triangles, disc
 from tests.scenes import box_model, layers_of
 from tests.unit.stages.lightmap_scenes import (
     HIDES,
