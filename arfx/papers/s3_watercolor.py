@@ -47,15 +47,14 @@ class PrintedWatercolorParams(WatercolorParams):
 def eq1_sites(rect: Rect, cell_px: float, key: int) -> Sites:
     """V(i, j) = (W/n (j + 1/2 + r), H/m (i + 1/2 + r')), r in (-1/2, 1/2). In the pixels' own coordinates.
 
-    key : of the random numbers, as core.noise takes it
-    """
+    key : of the random numbers, as core.noise takes it"""
     n, m = max(round(rect.width / cell_px), 1), max(round(rect.height / cell_px), 1)
     r = [noise(Rect.of(n, m), key, channel) for channel in (0, 1)]
     x = rect.x0 - 0.5 + rect.width / n * (np.arange(n) + r[0])
     y = rect.y0 - 0.5 + rect.height / m * (np.arange(m)[:, None] + r[1])
-    place = [np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y)]
+    position = [np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y)]
     zero = np.zeros(m * n, np.float32)
-    return Sites(place[0], place[1], zero, np.arange(m * n), place[0] / STEPS, place[1] / STEPS)
+    return Sites(position[0], position[1], zero, np.arange(m * n), position[0] / STEPS, position[1] / STEPS)
 
 
 def named_by_colour(coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect) -> tuple[np.ndarray, int]:

@@ -35,8 +35,7 @@ class Triangles:
     def visible_fraction(self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
         """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met from each point (n, 3).
 
-        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface
-        """
+        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface"""
         k = len(directions)
         out = np.empty(len(points))
         step = max(_BATCH // k, 1)

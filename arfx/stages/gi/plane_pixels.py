@@ -16,35 +16,31 @@ import numba
 import numpy as np
 
 from arfx.core.parallel import parallel_rows
-from arfx.core.pose import Pose
-from arfx.core.rect import EMPTY, Rect
-from arfx.core.scene import Scene
-from arfx.stages.gi.cones import Bricks, trace
-from arfx.stages.gi.split_sum import gloss_weights
-from arfx.stages.gi.surroundings import WARP, Behind, Planes, behind, first_plane
-from arfx.stages.viewing import GRID_PX, seen_rect
+from arfx.stages.gi.cones import LOBES, Bricks, Lobes, trace
+from arfx.stages.gi.pixels import gloss_weights, split_sum
+from arfx.stages.gi.surroundings import WARP, Background, background_radiance, first_plane
+from arfx.stages.viewing import GRID_PX
 
 _FAST = {"contract", "nsz", "arcp"}
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 _SAME = np.float32(0.02)  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
-BLUR = 0.6  # a rough plane's mirror image is wider by this share of the object's height, times the lobe's tangent
 SHARPEST = 0.2  # roughness of the narrowest cone: a narrower one would show the voxels themselves
 _RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
 
 
-class Change(NamedTuple):
+class PlaneChange(NamedTuple):
     """What the object changes on the planes. delta (p, side, side, 3) : over half_m, and within radius_m of the origin
-    deeper : as delta, or (0, ...) = none;  weight : of all of it"""
+    extra_occlusion : as delta, or (0, ...) = none;  weight : of all of it"""
 
     delta: np.ndarray
-    deeper: np.ndarray
+    extra_occlusion: np.ndarray
     half_m: np.float32
     radius_m: np.float32
     weight: np.float32
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def agrees(real, row, column, depth):  # pragma: no cover - compiled
+def depth_agreement(real, row, column, depth):  # pragma: no cover - compiled
     """0..1 : is the real surface in this pixel the plane at `depth`? real (h, w) metres, inf = not measured; or (0, 0)"""
     if real.shape[0] == 0:
         return np.float32(1)
@@ -63,7 +59,7 @@ def measured(real: np.ndarray) -> np.ndarray:
 
 def add_delta(
     shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, nodes: np.ndarray, origin: np.ndarray, axes: np.ndarray,
-    change: Change, real: np.ndarray,
+    change: PlaneChange, real: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 shadow + weight x (delta - deeper x what the shadow takes), never below 0. Arguments as `_add_delta`"""
 
@@ -76,14 +72,13 @@ def add_delta(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _add_delta(
-    shadow, x0, y0, within, nodes, origin, axes, change: Change, real
+    shadow, x0, y0, within, nodes, origin, axes, change: PlaneChange, real
 ):  # fmt: skip  # pragma: no cover - compiled
     """`add_delta` of some lines.
 
     within (4,) : x0, y0, x1, y1 of the pixels to change;  nodes (gh, gw, 3) : viewing directions every GRID_PX pixels and
-    origin (3,) : the camera, both anchor axes;  axes : of `Planes`;  real : as `agrees`; what is not on a plane stays
-    """
-    delta, deeper, half_m, radius_m, weight = change
+    origin (3,) : the camera, both anchor axes;  axes : of `Planes`;  real : as `depth_agreement`; what is not on a plane stays"""
+    delta, extra_occlusion, half_m, radius_m, weight = change
     out = shadow.copy()
     one, half = np.float32(1), np.float32(0.5)
     step = np.float32(1.0 / GRID_PX)
@@ -122,7 +117,7 @@ def _add_delta(
             fade = weight
             if away > _RIM * _RIM:
                 fade = (one - np.sqrt(away)) * rim * weight
-            fade *= agrees(real, y - y0, x - x0, t)
+            fade *= depth_agreement(real, y - y0, x - x0, t)
             a, b = a * scale, b * scale
             u, v = WARP * a / (one + (WARP - one) * abs(a)), WARP * b / (one + (WARP - one) * abs(b))
             s = min(max((u + one) * half * side - half, np.float32(0)), side - np.float32(1.001))
@@ -134,21 +129,20 @@ def _add_delta(
             row, column, k = np.uintp(y - y0), np.uintp(x - x0), np.uintp(p)
             for c in range(3):
                 value = w00 * delta[k, j, i, c] + w01 * delta[k, j, i1, c] + w10 * delta[k, j1, i, c] + w11 * delta[k, j1, i1, c]
-                if deeper.shape[0]:
-                    more = w00 * deeper[k, j, i, c] + w01 * deeper[k, j, i1, c]
-                    more += w10 * deeper[k, j1, i, c] + w11 * deeper[k, j1, i1, c]
+                if extra_occlusion.shape[0]:
+                    more = w00 * extra_occlusion[k, j, i, c] + w01 * extra_occlusion[k, j, i1, c]
+                    more += w10 * extra_occlusion[k, j1, i, c] + w11 * extra_occlusion[k, j1, i1, c]
                     value -= more * (one - out[row, column, c])
                 out[row, column, c] = max(out[row, column, c] + fade * value, np.float32(0))
     return out
 
 
-def shown_radius_m(delta: np.ndarray, places: np.ndarray, axes: np.ndarray, least: float, most_m: float) -> float:
+def visible_radius_m(delta: np.ndarray, positions: np.ndarray, axes: np.ndarray, least: float, most_m: float) -> float:
     """Distance from the planes' origins beyond which no texel changes by `least`; at most `most_m`.
 
-    delta, places (p, side, side, 3);  axes (p, 4, 3)
-    """
+    delta, positions (p, side, side, 3);  axes (p, 4, 3)"""
     shows = np.abs(delta).max(-1) >= least
-    away = np.linalg.norm(places - axes[:, None, None, 0], axis=-1)
+    away = np.linalg.norm(positions - axes[:, None, None, 0], axis=-1)
     if not shows.any():
         return 0.0
     # as far again as to the next texel, and room for the rim to fade
@@ -167,37 +161,21 @@ class Gloss(NamedTuple):
     least: np.float32
 
 
-def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame: Rect) -> Rect:
-    """Pixels in which the planes can mirror the object; the whole frame where its image reaches behind the camera.
-
-    tangent : of the lobe's half-angle, by which a rough plane widens the image
-    """
-    corners = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
-    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
-    camera_from_anchor = pose @ scene.world_from_anchor
-    out = EMPTY
-    for axes in planes.axes.astype(float):
-        normal = axes[3]
-        height = (corners - axes[0]) @ normal
-        if (eye - axes[0]) @ normal <= 0 or height.max() <= 0:
-            continue
-        mirrored = corners - 2 * np.clip(height, 0, None)[:, None] * normal
-        reach = BLUR * tangent * float(height.max())
-        spread = np.concatenate([mirrored + s * reach * a for s in (-1, 1) for a in (axes[1], axes[2])])
-        out = out.union(seen_rect(scene.camera, camera_from_anchor.apply(spread), 2.0))
-    return out.clip(frame)
+def gloss_of(f0: float, roughness: float, lobes: Lobes, least: float) -> Gloss:
+    k = round(max(roughness, SHARPEST) * (LOBES - 1))
+    walk = lobes.steps[k, : lobes.counts[k]]
+    return Gloss(np.float32(f0), np.float32(roughness), split_sum(), walk, lobes.tangents[k], np.float32(least))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def mirror_in_planes(
-    plate, directions, origin, bias, gloss: Gloss, bricks: Bricks, low, size, back: Behind, real
+    plate, directions, origin, bias, gloss: Gloss, bricks: Bricks, low, size, background: Background, real
 ):  # fmt: skip  # pragma: no cover - compiled
     """(h, w, 3) float32: radiance that the planes' mirror image of the object adds to the picture, or takes from it.
 
     plate (h, w, 3) : of the picture;  directions (h, w, 3) : viewing, z = 1, and origin (3,) : the camera, both anchor axes
-    low (3,), size : corner and side of the voxels, metres;  real : as `add_delta`
-    """
-    axes, tangent = back.axes, gloss.tangent
+    low (3,), size : corner and side of the voxels, metres;  real : as `add_delta`"""
+    axes, tangent = background.axes, gloss.tangent
     rows, columns = plate.shape[:2]
     out = np.zeros((rows, columns, 3), np.float32)
     zero, one = np.float32(0), np.float32(1)
@@ -208,8 +186,8 @@ def mirror_in_planes(
             p, t = first_plane(axes, origin[0], origin[1], origin[2], dx, dy, dz)
             if p < 0 or not t > 0:
                 continue
-            share = agrees(real, i, j, t)
-            if share <= 0:
+            agreement = depth_agreement(real, i, j, t)
+            if agreement <= 0:
                 continue
             px, py, pz = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
             nx, ny, nz = axes[p, 3, 0], axes[p, 3, 1], axes[p, 3, 2]
@@ -217,18 +195,18 @@ def mirror_in_planes(
             dx, dy, dz = dx * s, dy * s, dz * s
             along = dx * nx + dy * ny + dz * nz
             ga, gb = gloss_weights(gloss.table, gloss.roughness, -along)
-            f = (gloss.f0 * ga + gb) * share
+            f = (gloss.f0 * ga + gb) * agreement
             if f < gloss.least:
                 continue
             d = dx - 2 * along * nx, dy - 2 * along * ny, dz - 2 * along * nz
             at = (px - low[0]) / size, (py - low[1]) / size, (pz - low[2]) / size
-            r, g, b, left = trace(bricks, gloss.walk, at, d, at, (zero, zero, zero), False)
-            if left >= one:
+            r, g, b, transmittance = trace(bricks, gloss.walk, at, d, at, (zero, zero, zero), False)
+            if transmittance >= one:
                 continue
-            er, eg, eb = behind(back, p, (px, py, pz), d, tangent, half_deg)
-            out[i, j, 0] = f * (r - (one - left) * er)
-            out[i, j, 1] = f * (g - (one - left) * eg)
-            out[i, j, 2] = f * (b - (one - left) * eb)
+            er, eg, eb = background_radiance(background, p, (px, py, pz), d, tangent, half_deg)
+            out[i, j, 0] = f * (r - (one - transmittance) * er)
+            out[i, j, 1] = f * (g - (one - transmittance) * eg)
+            out[i, j, 2] = f * (b - (one - transmittance) * eb)
             for c in range(3):  # the picture cannot lose more than it shows
                 out[i, j, c] = max(out[i, j, c], min(bias[c] - plate[i, j, c], zero))
     return out

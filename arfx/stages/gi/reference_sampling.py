@@ -37,7 +37,7 @@ def uniform(pixel: np.ndarray, sample: int, dimension: int, seed: int) -> np.nda
     return np.asarray(s / 4294967296.0)
 
 
-class Draw:
+class Sampler:
     """Random numbers of some pixels for one sample; every call takes new dimensions. strata : of the first pair"""
 
     def __init__(self, pixel: np.ndarray, sample: int, samples: int, seed: int, dimension: int = 0) -> None:
@@ -50,7 +50,7 @@ class Draw:
             return uniform(self.pixel, self.sample, d, self.seed), uniform(self.pixel, self.sample, d + 1, self.seed)
         return self._lattice(1000)
 
-    def second(self) -> tuple[np.ndarray, np.ndarray]:
+    def pair_for_lights(self) -> tuple[np.ndarray, np.ndarray]:
         """As the first pair of numbers is: spread evenly over the samples of a pixel's own place; later ones are `pair`s."""
         if self.dimension >= _DEEPER:
             return self.pair()
@@ -62,8 +62,8 @@ class Draw:
         v = self.sample * 0.6180339887498949 + uniform(self.pixel, 0, shift + 1, self.seed)
         return u % 1, v % 1
 
-    def of(self, rows: np.ndarray) -> Draw:
-        return Draw(self.pixel[rows], self.sample, self.samples, self.seed, self.dimension + _DEEPER)
+    def of(self, rows: np.ndarray) -> Sampler:
+        return Sampler(self.pixel[rows], self.sample, self.samples, self.seed, self.dimension + _DEEPER)
 
 
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -72,17 +72,17 @@ def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u, np.cross(normals, u)
 
 
-def about(normals: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+def in_frame_of(normals: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """(n, 3) x, y, z (n,) in a frame whose z is the unit normal (n, 3)."""
     u, v = tangents(normals)
     return x[:, None] * u + y[:, None] * v + z[:, None] * normals
 
 
-def cosine_directions(normals: np.ndarray, draw: Draw) -> np.ndarray:
+def cosine_directions(normals: np.ndarray, draw: Sampler) -> np.ndarray:
     """(n, 3) unit, with a density as their cosine to the normals (n, 3)."""
     u, v = draw.pair()
     r, phi = np.sqrt(u), 2 * np.pi * v
-    return about(normals, r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u))
+    return in_frame_of(normals, r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u))
 
 
 class Gloss:
@@ -96,7 +96,7 @@ class Gloss:
         local[:, 2] = np.clip(local[:, 2], 1e-4, None)  # normals of a mesh may look away from what sees it
         self._v = normalise(local)
 
-    def directions(self, draw: Draw) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def directions(self, draw: Sampler) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """(rows (m,) that leave the surface, unit directions (m, 3), weights (m, 3), densities (m,))."""
         u, w = draw.pair()
         v, a = self._v, self.a[:, None]
@@ -115,7 +115,7 @@ class Gloss:
         d = 2 * (v * h).sum(1, keepdims=True) * h - v
         rows = np.flatnonzero(d[:, 2] > 1e-5)
         value, density = self._at(rows, d[rows], h[rows])
-        return rows, about(self.n[rows], *d[rows].T), divide(value, density[:, None]), density
+        return rows, in_frame_of(self.n[rows], *d[rows].T), divide(value, density[:, None]), density
 
     def at(self, rows: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(reflected share times cosine (m, 3), density (m,)) for lobes `rows` (m,) and unit directions (m, 3); 0 from below."""
@@ -140,9 +140,9 @@ class Gloss:
 class Lights:
     """Samples of environment and emitting triangles. bright, glows : whether there is a need for either"""
 
-    def __init__(self, rays: RayScene, around: Surroundings) -> None:
-        self._rays, self._around, self._turn, self._size = rays, around, around.turn, around.cube.shape[1]
-        grey = np.asarray(around.cube, float) @ _GREY
+    def __init__(self, rays: RayScene, surroundings: Surroundings) -> None:
+        self._rays, self._surroundings, self._turn, self._size = rays, surroundings, surroundings.turn, surroundings.cube.shape[1]
+        grey = np.asarray(surroundings.cube, float) @ _GREY
         solid = np.tile(solid_angles(self._size), (6, 1, 1))
         mean = float((grey * solid).sum() / solid.sum())
         self.bright = mean > 0 and float(grey.max()) > EVEN * mean
@@ -166,14 +166,15 @@ class Lights:
         return np.asarray(self._chance[(face * n + row) * n + column] * n**2 / 4 * (1 + u**2 + v**2) ** 1.5)
 
     def environment(self, directions: np.ndarray, density: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
-        """(m, 3) radiance from directions[rows], weighted as `shared`."""
-        return self._around.environment(directions[rows]) * shared(density, rows, self.environment_density(directions[rows]))
+        """(m, 3) radiance from directions[rows], weighted as `balance_weight`."""
+        weight = balance_weight(density, rows, self.environment_density(directions[rows]))
+        return self._surroundings.environment(directions[rows]) * weight
 
-    def to_environment(self, count: int, draw: Draw) -> tuple[np.ndarray, np.ndarray]:
+    def to_environment(self, count: int, draw: Sampler) -> tuple[np.ndarray, np.ndarray]:
         """(unit directions (n, 3), density (n,))."""
-        x, y = draw.second()
+        x, y = draw.pair_for_lights()
         n = self._size
-        texel, x = _chosen(self._up_to, x)
+        texel, x = _pick(self._up_to, x)
         face, row, column = texel // n**2, texel // n % n, texel % n
         u, v = (column + x) / n * 2 - 1, (row + y) / n * 2 - 1
         directions = _cube_directions(face, u, v) @ self._turn
@@ -183,28 +184,28 @@ class Lights:
         """(n,) per steradian with which `to_emitters` takes what was hit; 0 for what does not glow."""
         facing = np.abs((hit.face_normal * directions).sum(1))
         away = np.where(hit.met, hit.distance, 0.0) ** 2
-        return np.where(facing > 1e-6, hit.chosen * divide(away, facing), 0.0)
+        return np.where(facing > 1e-6, hit.light_density * divide(away, facing), 0.0)
 
-    def to_emitters(self, points: np.ndarray, draw: Draw) -> tuple[np.ndarray, np.ndarray]:
+    def to_emitters(self, points: np.ndarray, draw: Sampler) -> tuple[np.ndarray, np.ndarray]:
         """(unit directions (n, 3), distance (n,)) from points (n, 3) to places on what glows."""
-        x, y = draw.second()
-        triangle, x = _chosen(self._triangle_up_to, x)
+        x, y = draw.pair_for_lights()
+        triangle, x = _pick(self._triangle_up_to, x)
         a, b, c = self._rays.corners_of(triangle)
         root = np.sqrt(x)[:, None]
-        place = (1 - root) * a + root * (1 - y[:, None]) * b + root * y[:, None] * c
-        d = place - points
+        position = (1 - root) * a + root * (1 - y[:, None]) * b + root * y[:, None] * c
+        d = position - points
         distance = np.linalg.norm(d, axis=1)
         return divide(d, distance[:, None]), distance
 
 
-def shared(density: np.ndarray | None, rows: np.ndarray, other: np.ndarray) -> np.ndarray:
+def balance_weight(density: np.ndarray | None, rows: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(m, 1) weight of samples drawn with `density[rows]`, where `other` (m,) might have drawn them too; 1 for mirrors (None)"""
     if density is None:
         return np.ones((len(other), 1))
     return divide(density[rows], density[rows] + other, where_zero=1.0)[:, None]
 
 
-def _chosen(up_to: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pick(up_to: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(index (n,) into chances whose sums are `up_to`, what is left of x (n,) within it, 0..1)."""
     total = up_to[-1]
     index = np.minimum(np.searchsorted(up_to, x * total, side="right"), len(up_to) - 1)

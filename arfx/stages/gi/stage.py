@@ -1,7 +1,7 @@
 """Gi: indirect light between the object, its surroundings and the real planes.
 
-The object in the light of its surroundings (occlusion, colour bleeding, reflections of the picture),
-and what it adds to and takes from the real planes, as a ratio. Takes the place of lightmap's light without a direction.
+Occlusion, colour bleeding and reflections of the picture on the object, and what the object adds to and takes from the planes,
+as a ratio. It replaces lightmap's ambient light.
 
 Voxels are made once per clip, their light once per light; planes see the object by rays, once per clip, and are gathered in
 their own texels, so a still light costs a frame only the object's own cones and a look-up. `reference` traces rays (embree)
@@ -28,26 +28,16 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
-from arfx.stages.gi.cones import LOBES, ConesAround, Lobes, cones_around, lobes, mirror_tangent
-from arfx.stages.gi.field import Body, Field, make_body
-from arfx.stages.gi.frame_light import LevelSettings, around, frame_field, rounded
+from arfx.stages.gi.cones import DiffuseCones, Lobes, diffuse_cones, lobes, mirror_tangent
+from arfx.stages.gi.field import Field, VoxelModel, make_voxel_model
+from arfx.stages.gi.frame_light import LevelSettings, frame_field, incoming_light, rounded
 from arfx.stages.gi.health import furnace, seams
-from arfx.stages.gi.pixels import Anchor, Limits, Surface, chosen, light_points, reflected, spread
-from arfx.stages.gi.plane_pixels import (
-    DARKEST,
-    SHARPEST,
-    Change,
-    Gloss,
-    add_delta,
-    measured,
-    mirror_in_planes,
-    mirror_rect,
-    shown_radius_m,
-)
-from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
+from arfx.stages.gi.pixels import Anchor, Limits, gather_points, interpolate, reflected_light, select_points, split_sum
+from arfx.stages.gi.plane_pixels import DARKEST, PlaneChange, add_delta, gloss_of, measured, mirror_in_planes, visible_radius_m
+from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, mirror_rect, planes_of, texel_positions
 from arfx.stages.gi.reference import trace_frame
-from arfx.stages.gi.split_sum import split_sum
-from arfx.stages.gi.surroundings import Behind, Planes
+from arfx.stages.gi.surroundings import Background, Planes
+from arfx.stages.lightmap.shading import Surface
 from arfx.stages.viewing import direction_grid, viewing
 
 SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
@@ -64,8 +54,7 @@ class GiParams:
     strength : share of the computed change of the real planes that is shown, 0..1
     plane_gloss : of the real plane, share of light that it mirrors seen from above: 0 = matt, varnish and glass .04, 0..1
     plane_roughness : of its gloss, 0 (a mirror) to 1
-    samples : rays per pixel of level reference
-    """
+    samples : rays per pixel of level reference"""
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0
@@ -79,14 +68,14 @@ class GiParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. grid : viewing directions;  places : of the texels of the picture on the planes"""
+    """Of one clip, worker and level. grid : viewing directions;  positions : of the texels of the picture on the planes"""
 
     planes: Planes
     grid: np.ndarray
-    body: Body
-    cones: ConesAround
+    model: VoxelModel
+    cones: DiffuseCones
     lobes: Lobes
-    places: np.ndarray
+    positions: np.ndarray
 
 
 class Gi(Stage):
@@ -107,7 +96,7 @@ class Gi(Stage):
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.drawn_box.clip(frame)
-        if size_px := self._unseen_px(facts, scene):
+        if size_px := self._imperceptible_px(facts, scene):
             return Demand(model, f"no cones: the model is matt and grey, and what it changes is {size_px} px wide; even light")
         disc, why = self._disc(facts, scene, frame)
         mirror = self._mirror_rect(facts, scene, frame)
@@ -120,7 +109,7 @@ class Gi(Stage):
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         """The picture that the object reflects lies on the planes around it; blocks of pixels are whole."""
         block = self.settings[level].block if level in self.settings else 1
-        return out.pad(2 * block).align(block, block).union(_seen(facts, scene)).clip(scene.camera.rect)
+        return out.pad(2 * block).align(block, block).union(_reflected_rect(facts, scene)).clip(scene.camera.rect)
 
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
         """The voxels' light is made for each light and its surroundings, both rounded."""
@@ -135,61 +124,62 @@ class Gi(Stage):
         if level == "reference":
             return None
         planes, at = planes_of(scene), self.settings[level]
-        body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays, at.coarser)
+        model = make_voxel_model(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays, at.downsample)
         return Prepared(
-            planes, direction_grid(scene.camera), body, cones_around(at.voxels), lobes(at.voxels),
-            texture_places(planes, _texture_side(scene, at)),
+            planes, direction_grid(scene.camera), model, diffuse_cones(at.voxels), lobes(at.voxels),
+            texel_positions(planes, _texture_side(scene, at)),
         )  # fmt: skip
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         facts, now, scene, pose, frame = view.facts, view.layers, view.scene, view.pose, view.scene.camera.rect
-        if self._unseen_px(facts, scene):  # the light's soft part on the object as if nothing were in its way
+        if self._imperceptible_px(facts, scene):  # the light's soft part on the object as if nothing were in its way
             soft = view.light.soft_radiance(now[Layer.NORMAL]) * now[Layer.ALBEDO] * now[Layer.COVERAGE][..., None]
             return {Layer.VIRTUAL: now[Layer.VIRTUAL] + soft.astype(np.float32), Layer.SHADOW: now[Layer.SHADOW].copy()}
         disc, mirror = self._disc(facts, scene, frame)[0], self._mirror_rect(facts, scene, frame)
         if view.level == "reference":
             return trace_frame(
-                view, planes_of(scene), _seen(facts, scene), disc, self.params.samples, self.params.strength,
+                view, planes_of(scene), _reflected_rect(facts, scene), disc, self.params.samples, self.params.strength,
                 (self.params.plane_gloss, self.params.plane_roughness), mirror,
             )  # fmt: skip
         at, planes, f32 = self.settings[view.level], prepared.planes, np.float32
-        made = around(view, _seen(facts, scene), planes, prepared.places)
-        whole = frame_field(view, prepared.body, planes, made, at)
-        back = made.lit(whole, prepared.body.open)
-        virtual = self._virtual(view, prepared, whole, back, made.soft)
+        incoming = incoming_light(view, _reflected_rect(facts, scene), planes, prepared.positions)
+        indirect = frame_field(view, prepared.model, planes, incoming, at)
+        background = incoming.background_with(indirect, prepared.model.visibility)
+        virtual = self._virtual(view, prepared, indirect, background, incoming.soft)
         shadow, real = now[Layer.SHADOW], measured(now[Layer.REAL_DEPTH])
-        radius = shown_radius_m(whole.delta, prepared.body.places, planes.axes, SHOWS, self._radius_m(view.light, scene))
+        radius = visible_radius_m(indirect.delta, prepared.model.positions, planes.axes, SHOWS, self._radius_m(view.light, scene))
         anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
         if not disc.empty and radius > 0:
             disc = disc_rect(scene, planes, radius, pose, frame)
             nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(f32)
 
-            def added(layer: np.ndarray, delta: np.ndarray, weight: float) -> np.ndarray:
+            def add_change(layer: np.ndarray, delta: np.ndarray, weight: float) -> np.ndarray:
                 """The layer and `weight` times what lies on the planes."""
                 return add_delta(
                     layer, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
                     anchor_from_camera.translation_m.astype(f32), planes.axes,
-                    Change(delta, whole.deeper, f32(planes.half_m), f32(radius), f32(weight)), real,
+                    PlaneChange(delta, indirect.extra_occlusion, f32(planes.half_m), f32(radius), f32(weight)), real,
                 )  # fmt: skip
 
-            virtual, shadow = self.on_planes(whole, virtual, shadow, view, added)
+            virtual, shadow = self.on_planes(indirect, virtual, shadow, view, add_change)
         if not (mirror := mirror.clip(view.rect)).empty:
             plate, bias = np.ascontiguousarray(now.crop(mirror)[Layer.PLATE]), np.array(facts.bias_rgb, f32)
-            bricks, low_m, voxel_m = prepared.body.traced(whole.atlas)
+            bricks, low_m, voxel_m = prepared.model.traced(indirect.atlas)
+            gloss = gloss_of(self.params.plane_gloss, self.params.plane_roughness, prepared.lobes, SHOWS)
             rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, mirror)
             change = self.params.strength * mirror_in_planes(
-                plate, rays, anchor_from_camera.translation_m.astype(f32), bias, self._plane_gloss(prepared.lobes), bricks, low_m,
-                voxel_m, back, np.ascontiguousarray(real[mirror.slices_in(view.rect)]) if real.size else real,
+                plate, rays, anchor_from_camera.translation_m.astype(f32), bias, gloss, bricks, low_m,
+                voxel_m, background, np.ascontiguousarray(real[mirror.slices_in(view.rect)]) if real.size else real,
             )  # fmt: skip
             virtual, shadow = self.in_mirrors(change, plate - bias, virtual, shadow, view, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
 
     def on_planes(
         self, field: Field, virtual: np.ndarray, shadow: np.ndarray, view: View,
-        added: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
+        add_change: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """VIRTUAL and SHADOW with what the object does to the planes: a share of the pixel."""
-        return virtual, added(shadow, field.delta, self.params.strength)
+        return virtual, add_change(shadow, field.delta, self.params.strength)
 
     def in_mirrors(
         self, change: np.ndarray, light: np.ndarray, virtual: np.ndarray, shadow: np.ndarray, view: View, within: Rect
@@ -199,7 +189,7 @@ class Gi(Stage):
         out[at] = np.clip(out[at] + change / np.maximum(light, DARKEST), 0, None)
         return virtual, out
 
-    def _virtual(self, view: View, prepared: Prepared, field: Field, back: Behind, soft: float) -> np.ndarray:
+    def _virtual(self, view: View, prepared: Prepared, field: Field, background: Background, soft: float) -> np.ndarray:
         """soft : least channel of the light without a direction, of a white surface on the plane"""
         now, out, at = view.layers, view[Layer.VIRTUAL].copy(), self.settings[view.level]
         block = at.block
@@ -211,27 +201,20 @@ class Gi(Stage):
         surface = Surface(*(part[Layer(name)] for name in Surface._fields))
         eye = anchor.apply(view.pose.inverse().translation_m).astype(f32)
         axes = Anchor(anchor.rotation.astype(f32), anchor.translation_m.astype(f32), eye)
-        cones = *prepared.body.traced(field.atlas), prepared.cones, prepared.lobes, back
-        brightest = max(float(back.maps.max()), float(back.textures.max()), field.brightest)
+        cones = *prepared.model.traced(field.atlas), prepared.cones, prepared.lobes, background
+        brightest = max(float(background.maps.max()), float(background.textures.max()), field.brightest)
         limits = Limits(f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(soft, brightest)), split_sum())
         points, light, index = np.zeros((0, 7), f32), np.zeros((0, 6), f32), np.zeros((0, 0), np.int32)
         if block > 1:
-            points, wanted, index = chosen(surface, box.x0, box.y0, block, axes, limits)
-            light = light_points(points, wanted, eye, *cones)
-        voxel_m = f32(prepared.body.voxels.volume.voxel_m)
-        spread_light, points, wanted, pixels = spread(
+            points, gather, index = select_points(surface, box.x0, box.y0, block, axes, limits)
+            light = gather_points(points, gather, eye, *cones)
+        voxel_m = f32(prepared.model.voxels.volume.voxel_m)
+        interpolated, points, gather, pixels = interpolate(
             surface, box.x0, box.y0, block if block > 1 else 0, axes, limits, voxel_m, points, light, index
         )
-        fresh = light_points(points, wanted, eye, *cones)
-        out[box.slices_in(now.rect)] += reflected(surface, axes, limits, spread_light, fresh, wanted, pixels)
+        gathered = gather_points(points, gather, eye, *cones)
+        out[box.slices_in(now.rect)] += reflected_light(surface, axes, limits, interpolated, gathered, gather, pixels)
         return out
-
-    def _plane_gloss(self, lobes: Lobes) -> Gloss:
-        p, k = self.params, round(max(self.params.plane_roughness, SHARPEST) * (LOBES - 1))
-        walk = lobes.steps[k, : lobes.counts[k]]
-        return Gloss(
-            np.float32(p.plane_gloss), np.float32(p.plane_roughness), split_sum(), walk, lobes.tangents[k], np.float32(SHOWS)
-        )
 
     def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels in which glossy planes can mirror the object."""
@@ -254,19 +237,19 @@ class Gi(Stage):
     def _radius_m(self, light: Light, scene: Scene) -> float:
         """Of the disc on the planes; 0 where there is no indirect light at all."""
         up = scene.world_from_anchor.rotation[:, 2]
-        soft, whole = light.soft_radiance(up).max(), light.radiance(up).max()
+        soft, total = light.soft_radiance(up).max(), light.radiance(up).max()
         materials = [p.material for p in scene.model.parts]
         glow = max(max(m.emissive) for m in materials)
         peak = float(soft) + sum(max(li.rgb) for li in light.lights) + glow
         if peak <= 0:
             return 0.0
-        share = max(float(soft), peak) / max(float(whole), 1e-3)
-        return disc_radius_m(scene, planes_of(scene), share)
+        ratio = max(float(soft), peak) / max(float(total), 1e-3)
+        return disc_radius_m(scene, planes_of(scene), ratio)
 
-    def _unseen_px(self, facts: FrameFacts, scene: Scene) -> int:
-        """Size of all that cones could tell, where nobody could see it, else 0: the planes change by half a grey level within
+    def _imperceptible_px(self, facts: FrameFacts, scene: Scene) -> int:
+        """Size of all that cones could change, where it is imperceptible, else 0: the planes change by half a grey level within
         a few pixels only, and the object neither colours nor mirrors anything."""
-        if facts.model_box.empty or self.params.plane_gloss > 0 or not plain(scene):
+        if facts.model_box.empty or self.params.plane_gloss > 0 or not is_plain_grey(scene):
             return 0
         radius = self._radius_m(scene.light_of(facts), scene)
         wide = facts.model_box.union(disc_rect(scene, planes_of(scene), radius, facts.pose, scene.camera.rect))
@@ -274,7 +257,7 @@ class Gi(Stage):
         return size if size <= SMALL_PX else 0
 
 
-def _seen(facts: FrameFacts, scene: Scene) -> Rect:
+def _reflected_rect(facts: FrameFacts, scene: Scene) -> Rect:
     """Pixels of the picture that the object may reflect."""
     planes = planes_of(scene)
     return disc_rect(scene, planes, planes.half_m, facts.pose, scene.camera.rect)
@@ -288,7 +271,7 @@ def _texture_side(scene: Scene, at: LevelSettings) -> int:
     return at.texture_side if any(a and b for a, b in zip(sharp, mirrors, strict=True)) else min(at.texture_side, 64)
 
 
-def plain(scene: Scene) -> bool:
+def is_plain_grey(scene: Scene) -> bool:
     """Whether the model is matt and grey all over: nothing glows, mirrors more than half a grey level, or has a colour."""
     for part in scene.model.parts:
         m = part.material

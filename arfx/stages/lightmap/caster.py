@@ -10,7 +10,7 @@ from arfx.core.numerics import arccos, divide, normalise
 from arfx.core.scene import Scene
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
-_SAME_PLACE = 1e-6  # of the extent: a seam's two vertices differ by rounding
+_WELD_DISTANCE = 1e-6  # of the extent: a seam's two vertices differ by rounding
 _COARSEST_SAG = 0.02  # of the extent; facets that stand off further are not taken for a smooth surface
 _HULL_POINTS = 64
 
@@ -24,8 +24,7 @@ class Caster:
     edges (e, 5) int32 : of those, see `_edges`;  across (3, m') float32 : their normals, as long as twice their area
     outline (k, 3) float64 : points whose hull holds everything above the plane
     extent_m : largest side;  height_m : highest point over the plane, >= 0
-    sag_m, facet_slope : how far flat facets lie below the smooth surface that their normals tell of, and by what slope
-    """
+    sag_m, facet_slope : how far flat facets lie below the smooth surface of their normals, and by what slope"""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -67,9 +66,9 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     if not len(faces):
         return np.zeros((0, 5), np.int32)
     low, size = vertices.min(0), float(np.ptp(vertices, axis=0).max())
-    grid = np.round(divide(vertices - low, _SAME_PLACE * size))
-    _, first, place = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    at = first[place.ravel()[faces]]
+    grid = np.round(divide(vertices - low, _WELD_DISTANCE * size))
+    _, first, vertex = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    at = first[vertex.ravel()[faces]]
     run = np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]])
     face = np.tile(np.arange(len(faces)), 3)
     keep = run[:, 0] != run[:, 1]
@@ -117,8 +116,8 @@ def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
     n = len(vertices)
     new = np.arange(n, n + 3 * len(triangles)).reshape(-1, 3)
     every = np.concatenate([vertices, triangles.reshape(-1, 3)])
-    kept, place = np.unique(np.concatenate([whole, new]), return_inverse=True)
-    return every[kept], place.reshape(-1, 3).astype(np.int32)
+    kept, vertex = np.unique(np.concatenate([whole, new]), return_inverse=True)
+    return every[kept], vertex.reshape(-1, 3).astype(np.int32)
 
 
 def _outline(points: np.ndarray) -> np.ndarray:

@@ -19,12 +19,9 @@ import numpy as np
 _MANY = 48  # crossings of a row from which on counting is quicker than sorting
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 COARSE = 8  # texels a side of a cell of the height map
-# Width of the box in radii of the penumbra, for K directions: the mean distance of K points on a unit disc is
-# sqrt(pi / K); less than that leaves steps, more blurs beyond the true penumbra.
-_PITCHES = 1.0
 
 
-def jitter(n: int) -> np.ndarray:
+def sample_offsets(n: int) -> np.ndarray:
     """(n, 2) offsets within +-0.5 that fill a texel evenly (R2 sequence, Roberts 2018), their mean 0."""
     g = 1.32471795724474602596
     i = np.arange(1, n + 1)[:, None]
@@ -32,17 +29,16 @@ def jitter(n: int) -> np.ndarray:
     return at - at.mean(0)
 
 
-def hidden_share(
+def covered_fraction(
     points: np.ndarray, edges: np.ndarray, across: np.ndarray, directions: np.ndarray, slopes: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
     """(rows, columns) float32: in what share of the directions a texel is covered.
 
     points (n, 3) float32 : column, row (texel centres at integers) and height above the plane, in texels
     edges (e, 5), across (3, m) : see Caster;  directions (k, 3) : towards the light, in the axes of `across`
-    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape : columns a multiple of 64
-    """
+    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape : columns a multiple of 64"""
     rows, columns = shape
-    offsets = jitter(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
+    offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
     return _count(
         points, edges, across, directions.astype(np.float32), np.ascontiguousarray(slopes, np.float32),
         offsets.astype(np.float32), rows, columns // 64,
@@ -99,8 +95,7 @@ def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover 
     """Set the bits of the texels around which the contour winds: the sum of its edges to the left of them is not 0.
 
     Each row keeps the columns in which edges cross it, sorted. A vertex belongs to the row above it, whichever edge asks,
-    so that the sums of every row end at 0.
-    """
+    so that the sums of every row end at 0."""
     zero, columns = np.int64(0), np.int64(words * 64)
     start = np.zeros(rows + 1, np.int64)
     for c in range(contour.shape[0]):
@@ -168,11 +163,10 @@ def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover 
 
 
 @numba.njit(cache=True, nogil=True)
-def highest(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
+def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
     """(rows, columns) float32: the greatest height of the triangles at each texel's centre; `empty` where there is none.
 
-    u, v, height : (n,) float32 of the vertices, texels (centres at integers)
-    """
+    u, v, height : (n,) float32 of the vertices, texels (centres at integers)"""
     out = np.full((rows, columns), empty, np.float32)
     zero = np.int64(0)
     for f in range(faces.shape[0]):
@@ -209,19 +203,19 @@ def highest(u, v, height, faces, rows, columns, empty):  # pragma: no cover - co
 
 
 def smoothed(
-    share: np.ndarray, points: np.ndarray, faces: np.ndarray, slope: np.ndarray, radii: tuple[float, float], count: int
+    fraction: np.ndarray, points: np.ndarray, faces: np.ndarray, slope: np.ndarray, radii: tuple[float, float], count: int
 ) -> np.ndarray:
-    """`share` (rows, columns) float32 after the boxes.
+    """`fraction` (rows, columns) float32 after the boxes.
 
-    points (n, 3) float32, faces, as for `hidden_share`;  slope (2,) of the light's middle
-    radii : columns and rows by which one texel of height opens the penumbra, half its width;  count : directions used
-    """
-    half = np.array(radii) * (_PITCHES * np.sqrt(np.pi / count)) / 2
+    points (n, 3) float32, faces, as for `covered_fraction`;  slope (2,) of the light's middle
+    radii : columns and rows by which one texel of height opens the penumbra, half its width;  count : directions used"""
+    # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more blurs beyond the true penumbra
+    half = np.array(radii) * np.sqrt(np.pi / count) / 2
     top = float(points[:, 2].max(initial=0.0))
     if top * float(half.max()) <= 0.5:
-        return share
-    height = _caster_height(points, faces, slope, share.shape)
-    return _boxes(share, height, np.float32(half[0]), np.float32(half[1]))
+        return fraction
+    height = _caster_height(points, faces, slope, fraction.shape)
+    return _boxes(fraction, height, np.float32(half[0]), np.float32(half[1]))
 
 
 def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -230,7 +224,7 @@ def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, sha
     h = np.ascontiguousarray(points[:, 2])
     u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
     v = ((points[:, 1] + np.float32(slope[1]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
-    height = highest(u, v, h, faces, rows, columns, np.float32(-1))
+    height = height_map(u, v, h, faces, rows, columns, np.float32(-1))
     empty = height < 0
     if empty.all():
         return np.zeros(shape, np.float32)
@@ -242,24 +236,24 @@ def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, sha
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _boxes(share, height, across, down):  # pragma: no cover - compiled
+def _boxes(fraction, height, across, down):  # pragma: no cover - compiled
     """A box of half-width across x height along the rows, then down x height along the columns, exact for parts of texels."""
-    rows, columns = share.shape
+    rows, columns = fraction.shape
     half, one = np.float32(0.5), np.float32(1)
     middle = np.empty((rows, columns), np.float32)
     total = np.zeros(columns + 1, np.float32)
     last = np.float32(columns)
     for y in range(rows):
         for x in range(columns):
-            total[x + 1] = total[x] + share[y, x]
+            total[x + 1] = total[x] + fraction[y, x]
         for x in range(columns):
             r = max(across * height[y, x], half)
             centre = np.float32(x) + half
             a, b = max(centre - r, np.float32(0)), min(centre + r, last)
             ia, ib = np.int32(a), min(np.int32(b), np.int32(columns - 1))
             ka, kb = np.uintp(ia), np.uintp(ib)
-            low = total[ka] + (a - np.float32(ia)) * share[y, ka]
-            high = total[kb] + (b - np.float32(ib)) * share[y, kb]
+            low = total[ka] + (a - np.float32(ia)) * fraction[y, ka]
+            high = total[kb] + (b - np.float32(ib)) * fraction[y, kb]
             middle[y, x] = (high - low) / (b - a)
     sums = np.zeros((rows + 1, columns), np.float32)
     for y in range(rows):
