@@ -106,9 +106,11 @@ def memory() -> None:
     scene = bench_scene(640, 480, model=ball()).scene
     for n in (64, 128, 256):
         structure = structure_of(voxelise(scene, n).cells, n)
+        size = 4 * structure.floats + structure.brick_of.nbytes
+        dense = sum(4 * (4 if k == 0 else 24) * layer.n**3 for k, layer in enumerate(structure.layers))
         print(
-            f"{n}^3: {len(structure.layers[0].cells)} voxels, {structure.bytes / 2**20:.1f} MiB, "
-            f"dense {structure.dense_bytes / 2**20:.0f} MiB, {structure.dense_bytes / structure.bytes:.0f} times as much",
+            f"{n}^3: {len(structure.layers[0].cells)} voxels, {size / 2**20:.1f} MiB, "
+            f"dense {dense / 2**20:.0f} MiB, {dense / size:.0f} times as much",
             flush=True,
         )
 

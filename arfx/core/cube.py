@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from arfx.core.codec import Document
-from arfx.core.numerics import normalise
+from arfx.core.numerics import divide, normalise
 
 _MOST = 6e4  # float16 ends at 65504
 
@@ -39,6 +39,27 @@ def solid_angles(size: int) -> np.ndarray:
     out: np.ndarray = corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
     out.setflags(write=False)
     return out
+
+
+def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(face (n,), u, v (n,) in -1..1, along columns and rows) of directions (n, 3) of any length."""
+    axis = np.abs(directions).argmax(1)
+    major = np.take_along_axis(directions, axis[:, None], 1)[:, 0]
+    x, y, z = divide(directions, np.abs(major)[:, None]).T
+    # rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
+    return 2 * axis + (major < 0), np.choose(axis, [-z, x, x]), np.choose(axis, [y, -z, y])
+
+
+def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear between the texels of a face."""
+    last = faces.shape[1] - 1
+    face, u, v = on_cube(np.asarray(directions, float))
+    x, y = (np.clip((t + 1) / 2 * (last + 1) - 0.5, 0, last) for t in (u, v))
+    i, j = np.minimum(x.astype(int), max(last - 1, 0)), np.minimum(y.astype(int), max(last - 1, 0))
+    i1, j1 = np.minimum(i + 1, last), np.minimum(j + 1, last)
+    fx, fy = (x - i)[:, None], (y - j)[:, None]
+    top = faces[face, j, i] * (1 - fx) + faces[face, j, i1] * fx
+    return np.asarray(top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy)
 
 
 @dataclass(frozen=True)

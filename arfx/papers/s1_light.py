@@ -28,7 +28,7 @@ from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import UNKNOWN, Observation
 from arfx.analyse.light.patches import WHITE
 from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, weights
-from arfx.analyse.light.static_frame import Lights, RoomLight, Told, report_of
+from arfx.analyse.light.static_frame import Lights, RoomLight, report_of
 from arfx.analyse.light.surroundings import Look
 from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap, face_directions
@@ -47,8 +47,7 @@ _RIDGE = 1e-3  # of the harmonics' own weight: directions that no marker faced s
 @dataclass(frozen=True)
 class PrintedLightParams(LightParams):
     """peak : a light stands where the map exceeds this share of its largest value (I_c of (9))
-    peak_apart_deg : and every other direction closer than this (epsilon of (9))
-    """
+    peak_apart_deg : and every other direction closer than this (epsilon of (9))"""
 
     formula: str = field(default="paper", init=False)
     peak: float = 0.8
@@ -66,8 +65,7 @@ class SmallestVector:
     bias : b'/g', in units of grey (what dividing (2) by g gives);  bias_printed : 1/b' (as printed)
     y : (t,) x_t / g', so that grey = rho y + bias;  nullity, rank : of the system;  smallest : its singular value
     condition : largest singular value over the smallest but one, the smallest being the solution's; at most 1e12
-    gap : the smallest but one over the smallest, at most 1e12: near 1 where noise alone tells the solution apart
-    """
+    gap : the smallest but one over the smallest, at most 1e12: near 1 where noise alone tells the solution apart"""
 
     gain: float
     bias: float
@@ -87,15 +85,14 @@ def eq6_smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = 
     eigenvalue is the smallest root of a secular equation in the 2 x 2 rest, O(frames x patches), and good to half as many
     digits. The vector is biased where I is noisy, and depends on the units of I.
 
-    Raises ValueError where no patch is finite.
-    """
+    Raises ValueError where no patch is finite."""
     value = np.asarray(intensity, float)
     rho = np.broadcast_to(np.asarray(albedo, float), value.shape)
-    fine = np.isfinite(value) & np.isfinite(rho)
-    seen = fine.any(1)
+    valid = np.isfinite(value) & np.isfinite(rho)
+    seen = valid.any(1)
     if not seen.any():
         raise ValueError("no finite intensity")
-    grey, r, m = np.where(fine, value, 0)[seen], np.where(fine, rho, 0)[seen], fine[seen].astype(float)
+    grey, r, m = np.where(valid, value, 0)[seen], np.where(valid, rho, 0)[seen], valid[seen].astype(float)
     frames = len(grey)
     if frames <= dense:
         rows = np.zeros((grey.size, frames + 2))
@@ -136,18 +133,20 @@ def gain_and_bias(
         if not weight.any():
             parts.append(fallback(grey, weight, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12))
             continue
-        found = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
+        solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
         seen = weight.any(1)
-        why = f"the system has nullity {found.nullity}, not 1" if found.nullity > 1 else "only noise tells the solution apart"
-        blank = abs(found.gain) > 1e8 * float(np.abs(grey).max()) or found.gain == 0  # g' = 0: b' and x alone, of one albedo
-        part = fallback(grey, weight, rho, why, found.rank, found.condition)
-        if found.nullity < 2 and not blank and found.gap > LEAST_GAP:
-            b = found.bias_printed if printed_bias else found.bias
-            residual = (grey - rho * found.y[:, None] - found.bias) * weight
+        one = solution.nullity < 2
+        why = "only noise tells the solution apart" if one else f"the system has nullity {solution.nullity}, not 1"
+        # g' = 0: b' and x alone, of one albedo
+        blank = abs(solution.gain) > 1e8 * float(np.abs(grey).max()) or solution.gain == 0
+        part = fallback(grey, weight, rho, why, solution.rank, solution.condition)
+        if one and not blank and solution.gap > LEAST_GAP:
+            b = solution.bias_printed if printed_bias else solution.bias
+            residual = (grey - rho * solution.y[:, None] - solution.bias) * weight
             spread = float((residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1))
             own = np.where(seen, divide(spread, (weight * rho * rho).sum(1)), part["var_y_own"])
             part |= {
-                "y": found.y, "var_y_own": own, "bias": b, "bias_95": (b, b), "determined": True, "reason": "",
+                "y": solution.y, "var_y_own": own, "bias": b, "bias_95": (b, b), "determined": True, "reason": "",
                 "misfit": float(np.sqrt(spread)),
             }  # fmt: skip
         parts.append(part | {"unknowns": int(seen.sum()) + 2})
@@ -155,19 +154,11 @@ def gain_and_bias(
     return assemble(parts, share, ignored)
 
 
-def solved(
-    intensity: np.ndarray, variance: np.ndarray, clipped: np.ndarray, params: LightParams
-) -> tuple[Photometry, Told | None]:  # fmt: skip
-    """As `light.fold.solved`."""
-    return gain_and_bias(intensity, WHITE, clipped=clipped, ink=params.ink, paper=params.paper), None
-
-
 def _secular(grey: np.ndarray, r: np.ndarray, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(smallest singular vector (t + 2,), a few singular values, largest first, the two smallest last).
 
     The normal matrix is [[G, F], [F^T, D]] with G 2 x 2 and D diagonal. Below the smallest of D its eigenvalues are the
-    roots of the eigenvalues of G - l - F (D - l)^-1 F^T, which fall with l.
-    """
+    roots of the eigenvalues of G - l - F (D - l)^-1 F^T, which fall with l."""
     G = np.array([[(grey * grey).sum(), -(grey * m).sum()], [-(grey * m).sum(), m.sum()]])
     F = np.stack([-(r * grey).sum(1), (r * m).sum(1)])
     D = (r * r).sum(1)
@@ -211,11 +202,11 @@ class LightMap:
         self.doubt = np.full(self.M.shape, UNKNOWN)
 
     def add(self, seen: Observation) -> None:
-        """One after the other; what is not finite is left out."""
+        """One after the other; observations that are not finite are left out."""
         for n, x, variance in zip(seen.normals, seen.irradiance, seen.variance, strict=True):
             length = float(np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]))
-            fine = np.isfinite([length, *x, *variance]).all() and length > 0
-            if not fine or (variance < 0).any() or (variance >= UNKNOWN).any():
+            valid = np.isfinite([length, *x, *variance]).all() and length > 0
+            if not valid or (variance < 0).any() or (variance >= UNKNOWN).any():
                 continue
             nx, ny, nz = n / length
             v = self.sphere.vertices
@@ -229,8 +220,7 @@ def eq9_lights(M: np.ndarray, level: int, I_c: float, epsilon_deg: float) -> np.
 
     M : (v, 3) or (v,) values at the vertices of icosphere(level);  I_c : of the channels' mean
     Candidates are the middles of the triangles of the upper hemisphere (z >= 0); a light stands where M exceeds I_c and
-    every other candidate closer than epsilon_deg.
-    """
+    every other candidate closer than epsilon_deg."""
     values = np.asarray(M, float)
     values = values.mean(-1) if values.ndim == 2 else values
     sphere = icosphere(level)
@@ -250,8 +240,7 @@ def eq9_lights(M: np.ndarray, level: int, I_c: float, epsilon_deg: float) -> np.
 def lights_of(seen: Sequence[Observation], params: PrintedLightParams) -> tuple[list[Light], list[np.ndarray]]:
     """One light per observation, and the map beside its lamps as a cube (6, n, n, 3), in the axes of the normals.
 
-    The hemisphere's axis is the mean of all normals.
-    """
+    The hemisphere's axis is the mean of all normals."""
     turn = upright(normalise(np.concatenate([o.normals for o in seen]).sum(0)))
     level, map_ = params.map_level, LightMap(params.map_level, params.map_blur_rad)
     sphere, size = map_.sphere, CUBE[level]
@@ -266,10 +255,10 @@ def lights_of(seen: Sequence[Observation], params: PrintedLightParams) -> tuple[
         brightest = float(M[sphere.faces].mean((1, 2)).max())
         peaks = eq9_lights(M, level, params.peak * brightest, params.peak_apart_deg)
         least = M[known].min(0) if known.any() else np.zeros(3)
-        lamps, rest = [], M.copy()
+        directional, rest = [], M.copy()
         for d in peaks[:2]:
             rgb = np.clip(sphere.interpolate(M, d) - least, 0, None)
-            lamps.append(DirectionalLight(triple(turn.T @ d), triple(rgb), 0.0))
+            directional.append(DirectionalLight(triple(turn.T @ d), triple(rgb), 0.0))
             rest -= np.clip(sphere.vertices @ d, 0, None)[:, None] * rgb
         weight = known.astype(float)
         normal = basis.T @ (basis * weight[:, None]) + _RIDGE * max(weight.sum(), 1.0) * np.eye(9)
@@ -278,7 +267,7 @@ def lights_of(seen: Sequence[Observation], params: PrintedLightParams) -> tuple[
         filled = np.where(faced[:, None], rest, basis @ soft)
         cubes.append((share[..., None] * filled[corners]).sum(1).reshape(6, size, size, 3))
         light = Light.of_soft(soft, (), "marker").turned(turn.T)
-        out.append(replace(light, lights=tuple(lamps)))
+        out.append(replace(light, lights=tuple(directional)))
     return out, cubes
 
 
@@ -300,13 +289,13 @@ class PrintedRoomLight(RoomLight):
         self.maps = {}
         if not self.lit:
             return super().told(rests, looks)
-        found, cubes = lights_of(self.observations, self.params)
+        solution, cubes = lights_of(self.observations, self.params)
         last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
         self.maps = {k: cubes[i] for k, i in zip(self.frames, last, strict=True)}
-        middle = found[len(found) // 2]
+        middle = solution[len(solution) // 2]
         peaks = f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map, as printed: no confidence is known"
         verdict = MEASURED if middle.lights else REFUSED
-        lights = {k: found[i] for k, i in zip(self.frames, last, strict=True)}
+        lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
         return lights, report_of(verdict, "marker", peaks, middle, **self.about_normals())
 
 
@@ -320,6 +309,9 @@ class PrintedLight(LightOfMarkers):
             parts.append(PrintedRoomLight(*of))
             return parts[-1]
 
-        clip = lighted(clip, self.readings, self.looks, self.job.light, self.job.panorama, solved, room)
+        def solve(grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, p: LightParams) -> tuple[Photometry, None]:
+            return gain_and_bias(grey, WHITE, clipped=clipped, ink=p.ink, paper=p.paper), None
+
+        clip = lighted(clip, self.readings, self.looks, self.job.light, self.job.panorama, solve, room)
         maps = {k: CubeMap.of(cube, part.room[k]) for part in parts for k, cube in part.maps.items()}
         return clip.adding(f.with_(light_map=maps[k]) if k in maps else f for k, f in enumerate(clip.facts))

@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from arfx.analyse.light.surroundings import look_up
-from arfx.core.cube import CubeMap
+from arfx.core.cube import CubeMap, look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import harmonics
@@ -37,11 +36,11 @@ class PrintedLightmapParams(LightmapParams):
     formula: str = field(default="paper", init=False)
 
 
-def printed_map(found: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | None:
+def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | None:
     """(cube (6, n, n, 3), map_from_world (3, 3)) of M beside its lights' own cosine lobes; None where no map was written."""
-    if found is None:
+    if light_map_ is None:
         return None
-    cube, axes = found.faces(), np.eye(3) if found.axes is None else np.array(found.axes).reshape(3, 3)
+    cube, axes = light_map_.faces(), np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
     if cube.shape[1] < 2 or not np.isfinite(cube).all() or not np.isfinite(axes).all():
         raise RenderError("facts: the light map needs faces of finite numbers, 2 x 2 or more")
     return cube, axes
@@ -62,29 +61,29 @@ class PrintedLightmap(Lightmap):
     hard = True
 
     def shaded(
-        self, now: Layers, left: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
+        self, now: Layers, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
     ) -> np.ndarray:
         """(3): I(v) = g rho_v M(n_v) + b, with g = 1, and the lights' part of M where they reach."""
         covered = now[Layer.COVERAGE] > 0
-        n, rho, place, glow, material = (
+        n, rho, position, glow, material = (
             now[name][covered] for name in (Layer.NORMAL, Layer.ALBEDO, Layer.POSITION, Layer.EMISSIVE, Layer.MATERIAL)
         )
         metal, roughness, specular = material[:, 0, None], material[:, 1], material[:, 2, None]
         mirrored = 0.08 * specular * (1 - metal) + rho * metal
-        rho, v = rho * (1 - metal), normalise(eye - place)
-        found = printed_map(facts.light_map) if self.params.ambient else None
-        if found is not None:
-            cube, map_from_world = found
+        rho, v = rho * (1 - metal), normalise(eye - position)
+        light_map_ = printed_map(facts.light_map) if self.params.ambient else None
+        if light_map_ is not None:
+            cube, map_from_world = light_map_
             I_v = rho * look_up(cube, n @ map_from_world.T)
         elif self.params.ambient:
             I_v = rho * (np.clip(harmonics(n) @ light.soft, 0, None) if len(light.soft) else light.ambient)
         else:
             I_v = np.zeros(rho.shape)
-        for k, share in zip(reaching, left, strict=True):
+        for k, visible in zip(reaching, visibility, strict=True):
             d = light.towards[k]
             reflected = rho * np.maximum(n @ d, 0)[:, None] + mirrored * phong(n, v, d, roughness)[:, None]
-            I_v += light.rgb[k] * light.on_object[k] * share[covered][:, None] * reflected
-        if found is not None:  # what the lights' lobes have more than the map is not left in the shade
+            I_v += light.rgb[k] * light.on_object[k] * visible[covered][:, None] * reflected
+        if light_map_ is not None:  # what the lights' lobes have more than the map is not left in the shade
             I_v = np.maximum(I_v, 0)
         virtual = np.zeros(now[Layer.NORMAL].shape, np.float32)
         virtual[covered] = now[Layer.COVERAGE][covered][:, None] * (I_v + glow + np.array(facts.bias_rgb))

@@ -47,8 +47,7 @@ class PrintedDofParams(DofParams):
     """near_m : nearest clip plane, where the blur counts fully; 0 = the nearest thing in the frame
     far_m : farthest clip plane; 0 = the farthest thing in the frame
     coc_mm : diameter of the largest blur circle that passes as sharp
-    mean_px : side of the mean filter, odd
-    """
+    mean_px : side of the mean filter, odd"""
 
     formula: str = field(default="paper", init=False)
     near_m: float = 0.0

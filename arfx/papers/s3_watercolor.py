@@ -47,15 +47,14 @@ class PrintedWatercolorParams(WatercolorParams):
 def eq1_sites(rect: Rect, cell_px: float, key: int) -> Sites:
     """V(i, j) = (W/n (j + 1/2 + r), H/m (i + 1/2 + r')), r in (-1/2, 1/2). In the pixels' own coordinates.
 
-    key : of the random numbers, as core.noise takes it
-    """
+    key : of the random numbers, as core.noise takes it"""
     n, m = max(round(rect.width / cell_px), 1), max(round(rect.height / cell_px), 1)
     r = [noise(Rect.of(n, m), key, channel) for channel in (0, 1)]
     x = rect.x0 - 0.5 + rect.width / n * (np.arange(n) + r[0])
     y = rect.y0 - 0.5 + rect.height / m * (np.arange(m)[:, None] + r[1])
-    place = [np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y)]
+    position = [np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y)]
     zero = np.zeros(m * n, np.float32)
-    return Sites(place[0], place[1], zero, np.arange(m * n), place[0] / STEPS, place[1] / STEPS)
+    return Sites(position[0], position[1], zero, np.arange(m * n), position[0] / STEPS, position[1] / STEPS)
 
 
 def named_by_colour(coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect) -> tuple[np.ndarray, int]:
@@ -71,20 +70,17 @@ def eq2_yuv(coded: np.ndarray, alpha: float, matrix: str) -> np.ndarray:
     """(1 - alpha) |grad Y| + alpha (|grad U| + |grad V|) / 2. coded : (h, w, 3) R'G'B' 0..1"""
     yuv = (coded @ yuv_matrix(matrix).T.astype(coded.dtype)).astype(np.float32)
     strength = gradient(yuv)
-    out: np.ndarray = (1 - alpha) * strength[..., 0] + alpha * strength[..., 1:].mean(-1)
-    return out
+    return (1 - alpha) * strength[..., 0] + alpha * strength[..., 1:].mean(-1)
 
 
 def eq3_rgb(coded: np.ndarray) -> np.ndarray:
     """(|grad R| + |grad G| + |grad B|) / 3"""
-    out: np.ndarray = gradient(np.asarray(coded, np.float32)).mean(-1)
-    return out
+    return gradient(np.asarray(coded, np.float32)).mean(-1)
 
 
 def eq4_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601") -> np.ndarray:
     """(h, w) float32 beta Edge_YUV + (1 - beta) Edge_RGB, an edge where it is above the threshold."""
-    out: np.ndarray = (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(np.float32)
-    return out
+    return (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(np.float32)
 
 
 def gradient(a: np.ndarray) -> np.ndarray:
@@ -92,8 +88,7 @@ def gradient(a: np.ndarray) -> np.ndarray:
     dx, dy = np.zeros_like(a), np.zeros_like(a)
     dx[:, :-1] = np.diff(a, axis=1)
     dy[:-1] = np.diff(a, axis=0)
-    out: np.ndarray = np.sqrt(dx * dx + dy * dy)
-    return out
+    return np.sqrt(dx * dx + dy * dy)
 
 
 class PrintedWatercolor(Watercolor):

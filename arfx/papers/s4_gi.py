@@ -84,14 +84,14 @@ class PrintedEnvironment(Environment):
 
 class PrintedGi(Gi):
     levels = ("standard",)
-    settings = {"standard": replace(LEVELS["standard"], plane_rays=0, coarser=step2_mean, sent_alone=True)}
+    settings = {"standard": replace(LEVELS["standard"], plane_rays=0, downsample=step2_mean, sent_alone=True)}
     Params = PrintedGiParams
 
     def on_planes(
         self, field: Field, virtual: np.ndarray, shadow: np.ndarray, view: View,
-        added: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
+        add_change: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        changed = added(virtual, step2_delta(field), -self.params.strength * self.params.plane_albedo)
+        changed = add_change(virtual, step2_delta(field), -self.params.strength * self.params.plane_albedo)
         return virtual + (1 - view[Layer.COVERAGE][..., None]) * (changed - virtual), shadow
 
     def in_mirrors(

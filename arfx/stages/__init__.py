@@ -24,15 +24,15 @@ GROUP = "arfx.stages"
 class Classes(Mapping[str, Any]):
     """name -> class, imported when looked up."""
 
-    def __init__(self, places: dict[str, str]) -> None:
-        self._places = places
+    def __init__(self, paths: dict[str, str]) -> None:
+        self._paths = paths
 
     def __getitem__(self, name: str) -> Any:
-        module, _, cls = self._places[name].rpartition(".")
+        module, _, cls = self._paths[name].rpartition(".")
         return getattr(import_module(module), cls)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
+        return iter(self._paths)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -41,11 +41,10 @@ class Classes(Mapping[str, Any]):
 class Table(Classes):
     """Stages in running order.
 
-    Raises ConfigError, with the distribution, for a plug-in that cannot be loaded or placed, or whose name is taken.
-    """
+    Raises ConfigError, with the distribution, for a plug-in that cannot be loaded or placed, or whose name is taken."""
 
     def __getitem__(self, name: str) -> Any:
-        return super().__getitem__(name) if name in self._places else self._loaded(name, self.plugins[name])
+        return super().__getitem__(name) if name in self._paths else self._loaded(name, self.plugins[name])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._order)
@@ -55,13 +54,13 @@ class Table(Classes):
         """Stages of other distributions, by name."""
         from importlib.metadata import entry_points
 
-        found: dict[str, EntryPoint] = {}
+        entries: dict[str, EntryPoint] = {}
         for point in entry_points(group=GROUP):
-            if point.name in self._places or point.name in found:
-                first = _told(found[point.name]) if point.name in found else "arfx itself"
-                raise ConfigError(f"stage {point.name!r} is in {first} and in {_told(point)}", "uninstall one of them")
-            found[point.name] = point
-        return found
+            if point.name in self._paths or point.name in entries:
+                first = _distribution(entries[point.name]) if point.name in entries else "arfx itself"
+                raise ConfigError(f"stage {point.name!r} is in {first} and in {_distribution(point)}", "uninstall one of them")
+            entries[point.name] = point
+        return entries
 
     def source(self, name: str) -> tuple[Path, str]:
         """The module, or the folder of the outermost package, that a plug-in comes from, and its distribution's version."""
@@ -72,13 +71,13 @@ class Table(Classes):
 
     @cached_property
     def _order(self) -> tuple[str, ...]:
-        order, waiting = list(self._places), sorted(self.plugins)
+        order, waiting = list(self._paths), sorted(self.plugins)
         while waiting:
             name = next((n for n in waiting if not self[n].after or self[n].after in order), None)
             if name is None:
                 name, after = waiting[0], self[waiting[0]].after
                 raise ConfigError(
-                    f"stage {name!r} of {_told(self.plugins[name])} is to run after {after!r}, which there is not",
+                    f"stage {name!r} of {_distribution(self.plugins[name])} is to run after {after!r}, which there is not",
                     f"one of {', '.join(order)}",
                 )
             waiting.remove(name)
@@ -94,15 +93,15 @@ class Table(Classes):
             stage = point.load()
         except Exception as e:  # whatever another's module raises
             raise ConfigError(
-                f"stage {name!r} of {_told(point)} cannot be loaded: {type(e).__name__}: {e}",
+                f"stage {name!r} of {_distribution(point)} cannot be loaded: {type(e).__name__}: {e}",
                 "uninstall it, or install a version that fits this arfx",
             ) from e
         if not (isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name):
-            raise ConfigError(f"{point.value} of {_told(point)} is not a Stage named {name!r}", "uninstall it")
+            raise ConfigError(f"{point.value} of {_distribution(point)} is not a Stage named {name!r}", "uninstall it")
         return stage
 
 
-def _told(point: EntryPoint) -> str:
+def _distribution(point: EntryPoint) -> str:
     return "a distribution without a name" if point.dist is None else f"{point.dist.name} {point.dist.version}"
 
 

@@ -34,17 +34,17 @@ class Composite(Stage):
         return Demand(frame, "something virtual is in view", within_earlier=True)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
-        """The object's box; beside it nothing is mixed: the light alone is less, and worked out where somebody asks for it."""
+        """The object's box; the shadow beside it is worked out only where a later stage asks for it."""
         now, facts = view.layers, view.facts
         box = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.drawn_box))
-        dark, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
+        shaded, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
         opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-        made = np.empty((box.rect.height, box.rect.width, 3), np.float32)
+        mixed = np.empty((box.rect.height, box.rect.width, 3), np.float32)
         if not box.rect.empty:
-            virtual, left = box[Layer.VIRTUAL], box.one_channel(Layer.SHADOW)
-            _over(box[Layer.PLATE], virtual, box[Layer.COVERAGE], left, opacity, bias, made)
-        rest = Attenuated(plate, dark.rect, dark.one_channel(Layer.SHADOW), opacity, bias, shade)
-        return {Layer.IMAGE: Pixels(now.rect, made, rest, box.rect)}
+            virtual, transmittance = box[Layer.VIRTUAL], box.one_channel(Layer.SHADOW)
+            _over(box[Layer.PLATE], virtual, box[Layer.COVERAGE], transmittance, opacity, bias, mixed)
+        rest = Attenuated(plate, shaded.rect, shaded.one_channel(Layer.SHADOW), opacity, bias, shade)
+        return {Layer.IMAGE: Pixels(now.rect, mixed, rest, box.rect)}
 
 
 # Both take differences, so that a pixel with nothing virtual keeps its exact value.
@@ -54,15 +54,15 @@ class Composite(Stage):
 def shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
     """The plane's pixels without an object before it: the same as `_over` with coverage 0. shadow : (h, w, 3 or 1)"""
     width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
-    line, left, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    line, transmittance, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     for k in range(width):
         below[k] = bias[k % 3]
     for y in range(plate.shape[0]):
         for x in range(plate.shape[1]):
             for c in range(3):
-                line[3 * x + c], left[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
+                line[3 * x + c], transmittance[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
         for k in range(width):
-            line[k] += opacity * (line[k] * (left[k] - one) + below[k] * (one - left[k]))
+            line[k] += opacity * (line[k] * (transmittance[k] - one) + below[k] * (one - transmittance[k]))
         for x in range(plate.shape[1]):
             for c in range(3):
                 out[y, x, c] = line[3 * x + c]
@@ -74,8 +74,9 @@ def _over(plate, virtual, coverage, shadow, opacity, bias, out):  # pragma: no c
     step = 1 if shadow.shape[2] == 3 else 0
     for y in range(plate.shape[0]):
         for x in range(plate.shape[1]):
-            left = np.float32(1) - coverage[y, x]
+            transmittance = np.float32(1) - coverage[y, x]
             for c in range(3):
                 p = plate[y, x, c]
-                kept = bias[c] * (left - shadow[y, x, c * step] * left)
-                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (shadow[y, x, c * step] * left - np.float32(1)) + kept)
+                kept = bias[c] * (transmittance - shadow[y, x, c * step] * transmittance)
+                dim = shadow[y, x, c * step] * transmittance - np.float32(1)
+                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * dim + kept)

@@ -30,27 +30,26 @@ def reach_px(scene: Scene) -> int:
     return 2 * _PASSES * window_px(scene)
 
 
-def refined(mask: np.ndarray, there: np.ndarray, plate: np.ndarray, radius_px: int) -> np.ndarray:
+def refined(mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: int) -> np.ndarray:
     """mask (h, w) float32 0..1, its edges moved to those of plate; the same bits where it is even all around.
 
-    there : (h, w) float32, 1 where the mask means anything, else 0;  plate : (h, w, 3) linear light
-    """
+    valid : (h, w) float32, 1 where the mask means anything, else 0;  plate : (h, w, 3) linear light"""
     reach = 2 * _PASSES * radius_px
     around = np.ones((2 * reach + 1,) * 2, np.uint8)
-    least = cv2.erode(np.where(there > 0, mask, 1).astype(np.float32), around)
-    mixed = (cv2.dilate(np.where(there > 0, mask, 0).astype(np.float32), around) > least) & (there > 0)
+    least = cv2.erode(np.where(valid > 0, mask, 1).astype(np.float32), around)
+    mixed = (cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least) & (valid > 0)
     rows, columns = np.flatnonzero(mixed.any(1)), np.flatnonzero(mixed.any(0))
     if not len(rows):
         return mask
     whole = Rect(0, 0, mask.shape[1], mask.shape[0])
     rect = Rect(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1).pad(reach).clip(whole)
-    here = rect.slices
+    box = rect.slices
     # about as the eye grades it: square root of linear light, at most 2
-    guide = [np.sqrt(np.clip(plate[here][..., c], 0, 4)).astype(np.float32) for c in range(3)]
-    moved = _guided(mask[here], guide, radius_px, np.ascontiguousarray(there[here], np.float32))
+    guide = [np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32) for c in range(3)]
+    moved = _guided(mask[box], guide, radius_px, np.ascontiguousarray(valid[box], np.float32))
     moved = np.clip((moved - _FAINT) / (1 - 2 * _FAINT), 0, 1)
     out = mask.copy()
-    out[here] = np.where(mixed[here], moved, mask[here])
+    out[box] = np.where(mixed[box], moved, mask[box])
     return out
 
 

@@ -4,8 +4,7 @@ Only where the job measures the real scene's depth. How much nearer the real sur
 what is hidden; depth maps end some pixels beside the things that they show, so a guided filter moves that mask's edge to
 the picture's own and softens it. It looks at the object's pixels alone: its outline stays as it is.
 Cost: O(pixels of the object before which something real stands). Leaves out: the shadow of what is nearer on the object
-(`holdout` keeps the object's off it).
-Source: guided filter (`guided`), each mean weighted by where the object is.
+(`holdout` keeps the object's off it). Source: guided filter (`guided`), each mean weighted by where the object is.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -47,14 +46,14 @@ class Hide(Stage):
     always, requires = True, frozenset({"depth"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        told = facts.real_depth
-        if told is None:
+        depth = facts.real_depth
+        if depth is None:
             return Demand(EMPTY, "the real scene's depth is not known")
         if facts.model_box.empty:
             return Demand(EMPTY, "model out of view")
         box = facts.drawn_box.clip(frame)
         farthest = facts.depth_range_m[1]
-        nearer = told.tiles[1] * farthest > 1 + self.params.margin
+        nearer = depth.tiles[1] * farthest > 1 + self.params.margin
         rect = EMPTY
         for y, x in np.argwhere(nearer):
             corners = (x, y, x + 1, y + 1)
@@ -68,19 +67,18 @@ class Hide(Stage):
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         coverage, virtual = view[Layer.COVERAGE], view[Layer.VIRTUAL]
-        seen = rough_mask(coverage, view[Layer.DEPTH], view[Layer.REAL_DEPTH], np.float32(self.params.margin))
-        there = (coverage > 0).astype(np.float32)
-        if (seen < 1).any():
-            seen = refined(seen, there, view[Layer.PLATE], window_px(view.scene))
-        return {Layer.COVERAGE: coverage * seen, Layer.VIRTUAL: virtual * seen[..., None]}
+        visibility = rough_mask(coverage, view[Layer.DEPTH], view[Layer.REAL_DEPTH], np.float32(self.params.margin))
+        valid = (coverage > 0).astype(np.float32)
+        if (visibility < 1).any():
+            visibility = refined(visibility, valid, view[Layer.PLATE], window_px(view.scene))
+        return {Layer.COVERAGE: coverage * visibility, Layer.VIRTUAL: virtual * visibility[..., None]}
 
 
 @numba.njit(cache=True, nogil=True)
 def rough_mask(coverage, depth, real, margin):  # pragma: no cover - compiled
     """(h, w) float32: 1 = seen, 0 = hidden, by depth alone; 1 where the object is not or a depth is none.
 
-    depth, real : (h, w) m
-    """
+    depth, real : (h, w) m"""
     out = np.ones(coverage.shape, np.float32)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):

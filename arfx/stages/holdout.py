@@ -35,8 +35,7 @@ _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
 @dataclass(frozen=True)
 class HoldoutParams:
     """tolerance : least share of its distance by which a real surface may be off the plane and take its whole shadow; from twice
-    that on it takes none. Noisy depth has more: three standard deviations of what is measured on the markers' prints
-    """
+    that on it takes none. Noisy depth has more: three standard deviations of what is measured on the markers' prints"""
 
     tolerance: float = 0.01
 
@@ -71,22 +70,22 @@ class Holdout(Stage):
         if inside.empty:
             return {Layer.SHADOW: Pixels(inside, np.empty((0, 0, 3), np.float32))}
         around = inside.pad(reach_px(scene)).clip(now.rect)
-        part, told = now.crop(around), view.facts.real_depth
-        tolerance = max(self.params.tolerance, 0.0 if told is None else _SIGMAS * told.noise)
-        share = on_plane(part[Layer.REAL_DEPTH], plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around), tolerance)
-        if (share < 1).any():
-            share = refined(share, np.ones_like(share), part[Layer.PLATE], window_px(scene))
-        share = share[inside.slices_in(around)]
+        part, depth = now.crop(around), view.facts.real_depth
+        tolerance = max(self.params.tolerance, 0.0 if depth is None else _SIGMAS * depth.noise)
+        dioptres = plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around)
+        fraction = on_plane(part[Layer.REAL_DEPTH], dioptres, tolerance)
+        if (fraction < 1).any():
+            fraction = refined(fraction, np.ones_like(fraction), part[Layer.PLATE], window_px(scene))
+        fraction = fraction[inside.slices_in(around)]
         shadow = now.crop(inside).one_channel(Layer.SHADOW)
-        left = shadow + (1 - shadow) * (1 - share[..., None])  # the same bits where share is 1
-        return {Layer.SHADOW: Pixels(inside, np.broadcast_to(left, (*share.shape, 3)))}
+        ratio = shadow + (1 - shadow) * (1 - fraction[..., None])  # the same bits where the fraction is 1
+        return {Layer.SHADOW: Pixels(inside, np.broadcast_to(ratio, (*fraction.shape, 3)))}
 
 
 def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.ndarray:
     """(h, w) float32, 1/m: of the plane z = 0 along each pixel's axis; <= 0 where it is not in view.
 
-    grid : as `direction_grid`
-    """
+    grid : as `direction_grid`"""
     normal = camera_from_plane.rotation[:, 2]
     height = float(normal @ camera_from_plane.translation_m)
     return viewing((grid @ normal)[..., None] * divide(1.0, height), rect)[..., 0]
@@ -95,9 +94,8 @@ def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.
 def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.ndarray:
     """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was measured.
 
-    real_m : (h, w) metres;  dioptres : of the plane, 1/m;  tolerance : share of the plane's distance, twice that gives 0
-    """
+    real_m : (h, w) metres;  dioptres : of the plane, 1/m;  tolerance : share of the plane's distance, twice that gives 0"""
     known = np.isfinite(real_m) & (real_m > 0)
     off = np.abs(np.where(known, real_m, 0) * dioptres - 1)
-    share = np.clip(2 - off * np.float32(1 / tolerance), 0, 1)
-    return np.where(known, share, 1).astype(np.float32)
+    fraction = np.clip(2 - off * np.float32(1 / tolerance), 0, 1)
+    return np.where(known, fraction, 1).astype(np.float32)

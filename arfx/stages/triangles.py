@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from arfx.core.numerics import divide
+from arfx.core.scene import Scene
 
 _BATCH = 1 << 19  # rays in flight: bounds memory to about 40 MB
 
@@ -34,8 +35,7 @@ class Triangles:
     def visible_fraction(self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
         """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met from each point (n, 3).
 
-        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface
-        """
+        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface"""
         k = len(directions)
         out = np.empty(len(points))
         step = max(_BATCH // k, 1)
@@ -51,14 +51,26 @@ class Triangles:
         return out
 
 
-def _spiral(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """n points of equal area on the unit disc: radius squared and angle (Vogel's spiral)."""
+def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(corners (f, 3, 3) metres, normals of the corners (f, 3, 3), part (f,), face of the part (f,)) of the scene's model in
+    anchor axes; triangles that are not finite are left out. Normals have the length that the model's scale gives them."""
+    anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
+    parts = scene.model.parts
+    corners = np.concatenate([(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts])
+    normals = np.concatenate([(p.normals @ anchor[:3, :3].T)[p.faces] for p in parts])
+    part = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
+    face = np.concatenate([np.arange(len(p.faces)) for p in parts])
+    good = np.isfinite(corners).all((1, 2))
+    return corners[good], normals[good], part[good], face[good]
+
+
+def disc(n: int) -> np.ndarray:
+    """(n, 2) points of equal area on the unit disc (Vogel's spiral)."""
     i = np.arange(n) + 0.5
-    return i / n, i * np.pi * (3 - np.sqrt(5))
+    r, phi = np.sqrt(i / n), i * np.pi * (3 - np.sqrt(5))
+    return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
 
 
 def hemisphere(n: int) -> np.ndarray:
     """(n, 3) unit directions around +z whose mean visibility is the cosine-weighted one (Malley's method)."""
-    r2, phi = _spiral(n)
-    r = np.sqrt(r2)
-    return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - r2)], -1)
+    return np.column_stack([disc(n), np.sqrt(1 - (np.arange(n) + 0.5) / n)])

@@ -17,11 +17,16 @@ def direction_grid(camera: Camera) -> np.ndarray:
     return camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
 
 
+def seen_rect(camera: Camera, points: np.ndarray, pad_px: float) -> Rect:
+    """Pixels that hold points (n, 3), CAMERA axes, and around them; the whole frame where some are not before the camera."""
+    seen = camera.project(points)
+    return Rect.around(seen, pad_px) if np.isfinite(seen).all() else camera.rect
+
+
 def viewing(grid: np.ndarray, rect: Rect) -> np.ndarray:
     """(h, w, 3) float32 of the pixels of `rect`, linear between the entries of a table (gh, gw, 3) as `direction_grid` makes it.
 
-    The same for a pixel whatever the rectangle.
-    """
+    The same for a pixel whatever the rectangle."""
     x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)
     i, j = x // GRID_PX, y // GRID_PX
     fx, fy = (x % GRID_PX / GRID_PX)[None, :, None], (y % GRID_PX / GRID_PX)[:, None, None]

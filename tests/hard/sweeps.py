@@ -26,7 +26,7 @@ from arfx.errors import ArfxError
 from arfx.papers.s1_light import eq8_weight, gain_and_bias
 from arfx.papers.s2_dof import printed_limits
 from arfx.papers.s4_gi import step2_mean
-from arfx.stages.gi.pyramid import levels_of, nearer_first, structure_of
+from arfx.stages.gi.pyramid import front_to_back, levels_of, structure_of
 
 DELTAS = tuple(10.0**-k for k in range(1, 13))
 Round = Callable[[Any], Any]
@@ -254,7 +254,7 @@ def _wall(delta: float, formula: str, rounded: Round) -> float:
     """A wall of opacity 1 - delta, one voxel thick, at the mip level of eight voxels: what leaks beside what should."""
     values = np.zeros((len(_WALL), 4), np.float32)
     values[:, 3] = rounded(1 - delta)
-    level = levels_of(structure_of(_WALL, 16, nearer_first if formula == "corrected" else step2_mean), values)[3]
+    level = levels_of(structure_of(_WALL, 16, front_to_back if formula == "corrected" else step2_mean), values)[3]
     return abs(float(level[:, 0, 3].max()) - (1 - delta))
 
 

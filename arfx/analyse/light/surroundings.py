@@ -22,7 +22,7 @@ import numpy as np
 from arfx.analyse.light.given import STANDS_OUT
 from arfx.analyse.light.icosphere import icosphere
 from arfx.core.codec import stored
-from arfx.core.cube import CubeMap, face_directions, solid_angles
+from arfx.core.cube import CubeMap, face_directions, look_up, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, Light, harmonics
 from arfx.core.numerics import divide, normalise
@@ -95,23 +95,6 @@ def mip_chain(faces: np.ndarray) -> list[np.ndarray]:
         n = out[-1].shape[1] // 2
         out.append(out[-1].reshape(6, n, 2, n, 2, 3).mean((2, 4)))
     return out
-
-
-def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(k, 3) radiance in directions (k, 3), axes of the cube (6, n, n, 3): linear between the texels of a face."""
-    size = faces.shape[1]
-    d = np.asarray(directions, float)
-    axis = np.abs(d).argmax(1)
-    major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
-    q = d / np.maximum(np.abs(major), 1e-12)[:, None]
-    u, v = np.choose(axis, [-q[:, 2], q[:, 0], q[:, 0]]), np.choose(axis, [q[:, 1], -q[:, 2], q[:, 1]])
-    face = 2 * axis + (major < 0)
-    x, y = (np.clip((t + 1) / 2 * size - 0.5, 0, size - 1) for t in (u, v))
-    i, j = np.minimum(x.astype(int), max(size - 2, 0)), np.minimum(y.astype(int), max(size - 2, 0))
-    i1, j1 = np.minimum(i + 1, size - 1), np.minimum(j + 1, size - 1)
-    fx, fy = (x - i)[:, None], (y - j)[:, None]
-    top = faces[face, j, i] * (1 - fx) + faces[face, j, i1] * fx
-    return np.asarray(top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy)
 
 
 def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:

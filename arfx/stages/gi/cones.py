@@ -22,16 +22,35 @@ START = np.float32(np.sqrt(3.0))
 # Cosine of the tilt of the five: a cosine lobe leaves 2/3 and 1/4 of the first two degrees of what is around (core.light), and
 # with cones of 30 degrees this tilt leaves .667 and .247. At 60 degrees it would be .583 and .126: light from above is lost.
 _TILT_COSINE = 0.619
+LOBES = 12  # widths of mirror cones
 _FAST = {"contract", "nsz", "arcp"}
 _DARK = np.float32(0.005)  # less of the background than this is none
 
 
 class Bricks(NamedTuple):
-    """What a cone reads: values of an `Atlas`;  brick_of, meta : of its `Structure`"""
+    """What a cone reads: values (n,) float32 in bricks;  brick_of, meta : of their `Structure`"""
 
     values: np.ndarray
     brick_of: np.ndarray
     meta: np.ndarray
+
+
+class DiffuseCones(NamedTuple):
+    """Cones about a normal. directions (k, 3) about +z, weights (k,), tangent and degrees of the half-angle, steps of one"""
+
+    directions: np.ndarray
+    weights: np.ndarray
+    tan_half: np.float32
+    half_deg: np.float32
+    steps: np.ndarray
+
+
+class Lobes(NamedTuple):
+    """Mirror cones by roughness: steps (LOBES, n, 3), of which counts (LOBES,), and tangents (LOBES,)"""
+
+    steps: np.ndarray
+    tangents: np.ndarray
+    counts: np.ndarray
 
 
 def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
@@ -43,7 +62,7 @@ def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
     return directions, np.array([0.25] + [0.15] * 5, np.float32), float(np.tan(np.radians(30)))
 
 
-def even_cones(count: int) -> tuple[np.ndarray, np.ndarray, float]:
+def cosine_cones(count: int) -> tuple[np.ndarray, np.ndarray, float]:
     """The same for `count` directions of equal weight, denser towards the normal as the cosine is."""
     # the mean solid angle of a direction is that of the cosine's lobe, pi, by count
     half = np.arccos(1 - 0.5 / count)
@@ -54,8 +73,7 @@ def steps_of(tan_half: float, n: int, spacing: float = 0.5, start: float | None 
     """(k, 3) float32: distance of each sample, voxels; its level; the exponent ds / s of its opacity.
 
     spacing : of samples, in diameters of the cone there. Goes on to 8 n, beyond which nothing of the volume is larger than
-    a few degrees. start : distance of the first; None = where the cone is a voxel wide, or one voxel
-    """
+    a few degrees. start : distance of the first; None = where the cone is a voxel wide, or one voxel"""
     out, finest = [], 2 * tan_half
     top = int(np.log2(n))
     t = min(1.0 / finest, 1.0) if start is None else start
@@ -73,10 +91,26 @@ def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
     """Tangent of the half-angle of a cone about the mirrored direction that blurs like a GGX lobe of width roughness^2.
 
     Half of the microfacets' normals lie within atan(a) (GGX: D integrates to tan^2 / (a^2 + tan^2)); the mirrored direction
-    turns twice as far. Of a cone, half lies within 1 / sqrt(2) of its half-angle: so it is that much wider.
-    """
+    turns twice as far. Of a cone, half lies within 1 / sqrt(2) of its half-angle: so it is that much wider."""
     a = np.clip(np.asarray(roughness, float), 0.0, 1.0) ** 2
     return np.clip(np.tan(np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))), 0.01, None)
+
+
+def diffuse_cones(n: int) -> DiffuseCones:
+    """The six, through n^3 voxels."""
+    directions, weights, tan_half = six_cones()
+    half_deg = np.float32(np.degrees(np.arctan(tan_half)))
+    return DiffuseCones(directions, weights, np.float32(tan_half), half_deg, steps_of(tan_half, n))
+
+
+def lobes(n: int) -> Lobes:
+    """LOBES of even steps of roughness, through n^3 voxels."""
+    tangents = mirror_tangent(np.linspace(0, 1, LOBES))
+    rows = [steps_of(float(t), n) for t in tangents]
+    steps = np.zeros((LOBES, max(map(len, rows)), 3), np.float32)
+    for k, r in enumerate(rows):
+        steps[k, : len(r)] = r
+    return Lobes(steps, tangents.astype(np.float32), np.array([len(r) for r in rows]))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -84,15 +118,14 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # prag
     """(r, g, b, share of the background that is left).
 
     start, unit direction, point and normal of the surface it starts on : x, y, z in voxels of level 0
-    clip : leave the surface's own voxels out
-    """
+    clip : leave the surface's own voxels out"""
     values, brick_of, meta = bricks
     (ox, oy, oz), (dx, dy, dz), (px, py, pz), (nx, ny, nz) = start, direction, point, normal
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
-    r, g, b, left = zero, zero, zero, one
+    r, g, b, transmittance = zero, zero, zero, one
     wx, wy, wz = dx * dx, dy * dy, dz * dz
     fx0, fy0, fz0 = (0 if dx >= 0 else 4), (8 if dy >= 0 else 12), (16 if dz >= 0 else 20)
-    reach = half * (abs(nx) + abs(ny) + abs(nz))
+    half_extent = half * (abs(nx) + abs(ny) + abs(nz))
     size = np.float32(meta[0, 0])
     for k in range(steps.shape[0]):
         t = steps[k, 0]
@@ -111,7 +144,7 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # prag
         if clip:
             # the highest a voxel of the sample can be over the tangent plane
             h = (x - px) * nx + (y - py) * ny + (z - pz) * nz
-            if h * inv <= -reach:
+            if h * inv <= -half_extent:
                 continue
         x, y, z = x * inv + half, y * inv + half, z * inv + half  # sample i + 1 lies at cell i's centre
         ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -127,7 +160,7 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # prag
         at = meta[level, 3] + (np.int64(brick) * 125 + ((iz & 3) * 5 + (iy & 3)) * 5 + (ix & 3)) * width
         # height of the cell centre of sample (ix, iy, iz) over the tangent plane, voxels of this level
         h0 = (np.float32(ix) - half - px * inv) * nx + (np.float32(iy) - half - py * inv) * ny
-        h0 = h0 + (np.float32(iz) - half - pz * inv) * nz - reach
+        h0 = h0 + (np.float32(iz) - half - pz * inv) * nz - half_extent
         cr, cg, cb, ca = zero, zero, zero, zero
         for corner in range(8):
             cx, cy, cz = corner & 1, (corner >> 1) & 1, corner >> 2
@@ -151,20 +184,20 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # prag
                 ca += w * (wx * values[a + 3] + wy * values[e + 3] + wz * values[f + 3])
         if ca <= np.float32(1e-6):
             continue
-        taken = one - (one - min(ca, one)) ** steps[k, 2]
-        scale = left * taken / ca
+        absorbed = one - (one - min(ca, one)) ** steps[k, 2]
+        scale = transmittance * absorbed / ca
         r += scale * cr
         g += scale * cg
         b += scale * cb
-        left *= one - taken
-        if left < _DARK:
-            left = zero
+        transmittance *= one - absorbed
+        if transmittance < _DARK:
+            transmittance = zero
             break
-    return r, g, b, left
+    return r, g, b, transmittance
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def frame_of(nx, ny, nz):  # pragma: no cover - compiled
+def tangent_frame(nx, ny, nz):  # pragma: no cover - compiled
     """Two unit vectors that make a right-handed frame with the unit normal; continuous but at (0, 0, -1) (Frisvad 2012)."""
     if nz < np.float32(-0.99999):
         return np.float32(0), np.float32(-1), np.float32(0), np.float32(-1), np.float32(0), np.float32(0)
@@ -173,19 +206,20 @@ def frame_of(nx, ny, nz):  # pragma: no cover - compiled
     return np.float32(1) - nx * nx * a, b, -nx, b, np.float32(1) - ny * ny * a, -ny
 
 
-def turned(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3), as `frame_of` does."""
-    frames = _frames(np.ascontiguousarray(normals, np.float32))
+def around_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3), as `tangent_frame` does."""
+    frames = _tangent_frames(np.ascontiguousarray(normals, np.float32))
     u, v = frames[:, None, :3], frames[:, None, 3:]
     out = directions[None, :, :1] * u + directions[None, :, 1:2] * v + directions[None, :, 2:] * normals[:, None]
     return np.asarray(out, np.float32)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _frames(normals):  # pragma: no cover - compiled
+def _tangent_frames(normals):  # pragma: no cover - compiled
     out = np.empty((normals.shape[0], 6), np.float32)
     for i in range(normals.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = frame_of(normals[i, 0], normals[i, 1], normals[i, 2])
+        x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = tangent_frame(x, y, z)
     return out
 
 
@@ -200,7 +234,7 @@ def trace_many(bricks: Bricks, steps, origins, directions, normals, start, clip)
         for c in range(count):
             d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
             from_ = x + start * nx, y + start * ny, z + start * nz
-            r, g, b, left = trace(bricks, steps, from_, d, (x, y, z), (nx, ny, nz), clip)
+            r, g, b, transmittance = trace(bricks, steps, from_, d, (x, y, z), (nx, ny, nz), clip)
             k = i * count + c
-            out[k, 0], out[k, 1], out[k, 2], out[k, 3] = r, g, b, left
+            out[k, 0], out[k, 1], out[k, 2], out[k, 3] = r, g, b, transmittance
     return out

@@ -22,9 +22,9 @@ from scipy.spatial import cKDTree
 from arfx.core.model import OPAQUE
 from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.cones import mirror_tangent, turned
+from arfx.stages.gi.cones import around_normals, mirror_tangent
 from arfx.stages.gi.voxelise import Voxels
-from arfx.stages.triangles import Triangles
+from arfx.stages.triangles import Triangles, model_triangles
 
 METAL = 0.5  # metalness from which a part mirrors instead of scattering
 SHIFTS = 64  # different lattices
@@ -39,86 +39,83 @@ class Mirrored:
     axes;  tangent : of its lobe's half-angle"""
 
     rows: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     direction: np.ndarray
     tangent: float
 
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """Of one plane. texel, voxel (m,) int32, one entry per ray that meets the object: the voxel it meets;  share : of each ray
-    matt (m,) : voxel, -1 where a ray meets metal
+    """Of one plane. texel, voxel (m,) int32, one entry per ray that meets the object: the voxel it meets;  fraction : of each ray
+    diffuse_voxel (m,) : voxel, -1 where a ray meets metal
     covered (texels, cones) float32 : share of a texel's hemisphere in which a cone is blocked
     source (texels,) int32 : texel whose values count, another where one lies in the object itself
     mirrored : those on metal"""
 
     texel: np.ndarray
     voxel: np.ndarray
-    share: float
+    fraction: float
     covered: np.ndarray
     source: np.ndarray
     mirrored: tuple[Mirrored, ...]
-    matt: np.ndarray
+    diffuse_voxel: np.ndarray
 
 
 def solid(scene: Scene) -> bool:
-    """Whether rays tell all: no part can be seen through."""
+    """Whether rays suffice: no part can be seen through."""
     return all(p.material.alpha_mode == OPAQUE for p in scene.model.parts)
 
 
-def factors_of(scene: Scene, voxels: Voxels, places: np.ndarray, axes: np.ndarray, cones: np.ndarray, rays: int) -> Factors:
-    """places (side, side, 3) : of a plane's texels, anchor axes;  axes (4, 3) : of the plane;  cones (k, 3) : directions about
+def factors_of(scene: Scene, voxels: Voxels, positions: np.ndarray, axes: np.ndarray, cones: np.ndarray, rays: int) -> Factors:
+    """positions (side, side, 3) : of a plane's texels, anchor axes;  axes (4, 3) : of the plane;  cones (k, 3) : directions about
     its normal, each ray counts for the nearest;  rays : of each texel"""
-    side = places.shape[0]
-    corners, normals, part_of = _triangles(scene)
+    side = positions.shape[0]
+    corners, normals, part_of, _ = model_triangles(scene)
+    corners, normals = np.ascontiguousarray(corners, np.float32), normals.astype(np.float32)
     low, high = corners.reshape(-1, 3).min(0), corners.reshape(-1, 3).max(0)
     lift = _LIFT * max(float((high - low).max()), 1e-9)
-    points = (places.reshape(-1, 3) + lift * axes[3]).astype(np.float32)
+    points = (positions.reshape(-1, 3) + lift * axes[3]).astype(np.float32)
     mesh = Triangles(corners, robust=True)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float32)
-    frame = turned(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
+    frame = around_normals(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
     lattice, nearest = lattices(rays, frame, cones)
     covered, inside = np.zeros((side * side, len(cones)), np.float32), np.zeros(side * side, np.float32)
-    metal = np.array([m.metallic >= METAL for m in (p.material for p in scene.model.parts)])
-    texels, hits, turned_to, metals = [], [], [], []
+    metal = np.array([p.material.metallic >= METAL for p in scene.model.parts])
+    texels, hits = [np.zeros(0, np.int32)], [np.zeros((0, 3), np.float32)]
+    reflections, metals = [np.zeros((0, 3), np.float32)], [np.zeros((0, 2), np.int64)]
     step = max(_BATCH // rays, 1)
     box = np.stack([low, high]).astype(np.float32)
     for first in range(0, side * side, step):
-        texel, cone, direction = aimed(points[first : first + step], first, side, lattice, nearest, box)
+        texel, cone, direction = rays_towards_object(points[first : first + step], first, side, lattice, nearest, box)
         if not len(texel):
             continue
-        found = mesh.first_hits(points[texel], direction)
-        prim = np.asarray(found["primID"]).astype(np.int64)
+        result = mesh.first_hits(points[texel], direction)
+        prim = np.asarray(result["primID"]).astype(np.int64)
         met = np.flatnonzero(prim >= 0)
         texel, cone, direction, prim = texel[met], cone[met], direction[met], prim[met]
         np.add.at(covered, (texel, cone), np.float32(1 / rays))
         leaving = (normal[prim] * direction).sum(1) > 0
         inside += np.bincount(texel[leaving], minlength=side * side).astype(np.float32) / rays
         texels.append(texel.astype(np.int32))
-        hits.append(points[texel] + np.asarray(found["tfar"], np.float32)[met, None] * direction)
+        hits.append(points[texel] + np.asarray(result["tfar"], np.float32)[met, None] * direction)
         shines = np.flatnonzero(metal[part_of[prim]] & ~leaving)
-        u, v = (np.asarray(found[name], np.float32)[met][shines, None] for name in "uv")
+        u, v = (np.asarray(result[name], np.float32)[met][shines, None] for name in "uv")
         n = normals[prim[shines]]
         n = normalise(n[:, 0] * (1 - u - v) + n[:, 1] * u + n[:, 2] * v)
         d = direction[shines]
-        turned_to.append(d - 2 * (d * n).sum(1, keepdims=True) * n)
+        reflections.append(d - 2 * (d * n).sum(1, keepdims=True) * n)
         metals.append(np.stack([shines + sum(map(len, texels[:-1])), part_of[prim[shines]]], -1))
-    texel = np.concatenate(texels) if texels else np.zeros(0, np.int32)
-    place = np.concatenate(hits) if hits else np.zeros((0, 3), np.float32)
+    texel, position, directions = np.concatenate(texels), np.concatenate(hits), np.concatenate(reflections).astype(np.float32)
+    rows, part = np.concatenate(metals).T
     mirrored = []
-    if metals:
-        rows, part = np.concatenate(metals).T
-        directions = np.concatenate(turned_to).astype(np.float32)
-        for k in np.unique(part):
-            of = part == k
-            tangent = float(mirror_tangent(scene.model.parts[k].material.roughness))
-            mirrored.append(Mirrored(rows[of], place[rows[of]], directions[of], tangent))
+    for k in np.unique(part):
+        of, tangent = part == k, float(mirror_tangent(scene.model.parts[k].material.roughness))
+        mirrored.append(Mirrored(rows[of], position[rows[of]], directions[of], tangent))
     source = _sources(inside.reshape(side, side) > _INSIDE)
-    voxel = voxel_at(voxels, place)
-    matt = voxel.copy() if mirrored else voxel
-    for m in mirrored:
-        matt[m.rows] = -1
-    return Factors(texel, voxel, 1 / rays, covered, source, tuple(mirrored), matt)
+    voxel = voxel_at(voxels, position)
+    diffuse_voxel = voxel.copy()
+    diffuse_voxel[rows] = -1
+    return Factors(texel, voxel, 1 / rays, covered, source, tuple(mirrored), diffuse_voxel)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -132,32 +129,21 @@ def gather(texel, voxel, radiance, out):  # pragma: no cover - compiled
             out[t, 2] += radiance[v, 2]
 
 
-def voxel_at(voxels: Voxels, places: np.ndarray) -> np.ndarray:
-    """(m,) int32 row of the voxel that holds each place (m, 3), metres, anchor axes; of the nearest where none does."""
+def voxel_at(voxels: Voxels, positions: np.ndarray) -> np.ndarray:
+    """(m,) int32 row of the voxel that holds each position (m, 3), metres, anchor axes; of the nearest where none does."""
     n = voxels.volume.n
     row_of = np.full(n**3, -1, np.int32)  # for a moment: 8 MB at 128
     row_of[_keys(voxels.cells, n)] = np.arange(len(voxels.cells), dtype=np.int32)
-    cell = ((places - np.asarray(voxels.volume.low_m, np.float32)) / np.float32(voxels.volume.voxel_m)).astype(np.int32)
+    cell = ((positions - np.asarray(voxels.volume.low_m, np.float32)) / np.float32(voxels.volume.voxel_m)).astype(np.int32)
     out = row_of[_keys(np.clip(cell, 0, n - 1), n)]
-    lost = np.flatnonzero(out < 0)
-    if len(lost):
-        out[lost] = cKDTree(voxels.centres_m).query(places[lost])[1]
+    missing = np.flatnonzero(out < 0)
+    if len(missing):
+        out[missing] = cKDTree(voxels.centres_m).query(positions[missing])[1]
     return out
 
 
 def _keys(cells: np.ndarray, n: int) -> np.ndarray:
     return np.asarray((cells[:, 2] * n + cells[:, 1]) * n + cells[:, 0])
-
-
-def _triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(corners (f, 3, 3) float32 metres, normals of the corners (f, 3, 3), part (f,)), anchor axes; those not finite left out."""
-    anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
-    parts = scene.model.parts
-    corners = np.concatenate([(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts])
-    normals = np.concatenate([(p.normals @ anchor[:3, :3].T)[p.faces] for p in parts])
-    part = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
-    good = np.isfinite(corners).all((1, 2))
-    return np.ascontiguousarray(corners[good], np.float32), normals[good].astype(np.float32), part[good]
 
 
 def _sources(inside: np.ndarray) -> np.ndarray:
@@ -166,14 +152,13 @@ def _sources(inside: np.ndarray) -> np.ndarray:
     if not inside.any() or inside.all():
         return own
     row, column = distance_transform_edt(inside, return_distances=False, return_indices=True)
-    return np.asarray(row.ravel() * inside.shape[1] + column.ravel(), np.int32)
+    return (row.ravel() * inside.shape[1] + column.ravel()).astype(np.int32)
 
 
 def lattices(rays: int, frame: np.ndarray, cones: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cosine-weighted unit directions (SHIFTS, rays, 3) float32 about a plane's normal, and the nearest cone of each.
 
-    frame (3, 3) : rows are the plane's x, y and normal;  cones (k, 3) : unit, about the normal z
-    """
+    frame (3, 3) : rows are the plane's x, y and normal;  cones (k, 3) : unit, about the normal z"""
     shift, i = np.arange(SHIFTS)[:, None] / SHIFTS, np.arange(rays)
     u, phi = ((i + 0.5) / rays + shift) % 1, 2 * np.pi * ((i * 0.6180339887498949 + 7 * shift) % 1)
     r = np.sqrt(u)
@@ -182,12 +167,11 @@ def lattices(rays: int, frame: np.ndarray, cones: np.ndarray) -> tuple[np.ndarra
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def aimed(points, first, side, lattice, nearest, box):  # pragma: no cover - compiled
+def rays_towards_object(points, first, side, lattice, nearest, box):  # pragma: no cover - compiled
     """Rays from texels that can meet the object: (texel (m,), cone (m,), unit direction (m, 3)).
 
     points (t, 3) float32 : of texels `first` and on, of a plane `side` texels wide;  lattice, nearest : of `lattices`
-    box (2, 3) : lowest and highest corner of the object
-    """
+    box (2, 3) : lowest and highest corner of the object"""
     shifts, rays = lattice.shape[:2]
     most = points.shape[0] * rays
     texel, cone, direction = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.float32)

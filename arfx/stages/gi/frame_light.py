@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.light import Light
+from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
 from arfx.errors import RenderError
-from arfx.stages.gi.field import Body, Field, enlarged, make_field, textured
+from arfx.stages.gi.field import Field, VoxelModel, make_field, upsampled, with_texture
 from arfx.stages.gi.plane_pixels import measured
-from arfx.stages.gi.pyramid import Atlas, Coarser, nearer_first
-from arfx.stages.gi.real_planes import ball_of, filled, mip_chain, picture_on_planes
-from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Behind, Planes, from_light, irradiance, octahedral
+from arfx.stages.gi.pyramid import Downsample, front_to_back
+from arfx.stages.gi.real_planes import bounding_ball, filled, mip_chain, picture_on_planes
+from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Background, Planes, from_light, irradiance, octahedral
 
 SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03
@@ -31,10 +31,9 @@ _STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %:
 class LevelSettings:
     """voxels a side;  plane_side : texels of a plane's change, a power of two, plane_cones each
     texture_side : texels of the picture on it, a power of two
-    plane_rays : of each texel towards the object, 0 = its cones tell alone
+    plane_rays : of each texel towards the object, 0 = cones alone
     block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels
-    coarser : of the pyramid;  sent_alone : as field.make_field
-    """
+    downsample : of the pyramid;  sent_alone : as field.make_field"""
 
     voxels: int
     plane_side: int
@@ -45,39 +44,29 @@ class LevelSettings:
     sharp: float
     gloss_floor: float
     plane_rays: int = 0
-    coarser: Coarser = nearer_first
+    downsample: Downsample = front_to_back
     sent_alone: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Around:
-    """cube (6, n, n, 3) WORLD axes, and factor (3,) that scales it to the light
-    picture (p, side, side, 3), known (p, side, side) on the planes
-    mean (3,) of it near the object, rounded;  back : for the cones, with the mean instead of the picture
-    soft : least channel of the light without a direction, of a white surface on the plane;  sent : most of any voxel"""
+class IncomingLight:
+    """picture (p, side, side, 3), known (p, side, side) on the planes
+    mean (3,) of it near the object, rounded;  background : for the cones, with the mean instead of the picture
+    soft : least channel of the light without a direction, of a white surface on the plane"""
 
-    cube: np.ndarray
-    factor: np.ndarray
     picture: np.ndarray
     known: np.ndarray
     mean: np.ndarray
-    back: Behind
+    background: Background
     soft: float
-    atlas: Atlas | None = None
-    sent: float = 0.0
 
-    def lit(self, field: Field) -> Around:
-        """With the voxels' light, and the picture darkened and lit by the object."""
+    def background_with(self, field: Field, visibility: np.ndarray) -> Background:
+        """For the cones, with the picture darkened and lit by the object. visibility : of the `VoxelModel`"""
         side = self.picture.shape[1]
-        open_ = enlarged(field.open, side)
+        known = upsampled(visibility, side)
         # what the picture does not show is filled before there is a shadow on it, not with the shadow's mean
-        picture = filled(self.picture, self.known, self.mean) * enlarged(field.direct, side) * open_[..., None]
-        return replace(self, atlas=field.atlas, sent=field.brightest, back=textured(self.back, picture, open_, self.mean))
-
-    @property
-    def brightest(self) -> float:
-        """Radiance that no cone exceeds: of the environment, the picture and the voxels."""
-        return max(float(self.back.maps.max()), float(self.back.textures.max()), self.sent)
+        picture = filled(self.picture, self.known, self.mean) * upsampled(field.direct, side) * known[..., None]
+        return with_texture(self.background, picture, known, self.mean)
 
 
 def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
@@ -104,40 +93,39 @@ def at_horizon(cube: np.ndarray, up: np.ndarray, colour: np.ndarray, want: np.nd
 
     A mirror would show a hard ring there, between a picture and a guess; so the lowest SOFT_DEG go over from one to the other,
     and the rest is scaled so that the light on the plane stays. None where that cannot be.
-    up (3,), cube : WORLD axes;  colour (3,) of the plane;  want (3,) : radiance of a white surface in the plane
-    """
+    up (3,), cube : WORLD axes;  colour (3,) of the plane;  want (3,) : radiance of a white surface in the plane"""
     if not np.isfinite(colour).all():
         return None
     t = np.clip((face_directions(cube.shape[1]) @ up) / np.sin(np.radians(SOFT_DEG)), 0, 1)
     sky = (t * t * (3 - 2 * t))[..., None]
     colour = np.clip(colour, 0, None)
-    left = want - irradiance((1 - sky) * np.ones(3), up) * colour
-    factor = divide(left, irradiance(sky * cube, up))
-    if not ((factor > 1e-3) & (factor < 1e3)).all() or not (left > 0.3 * want).all():
+    remaining = want - irradiance((1 - sky) * np.ones(3), up) * colour
+    factor = divide(remaining, irradiance(sky * cube, up))
+    if not ((factor > 1e-3) & (factor < 1e3)).all() or not (remaining > 0.3 * want).all():
         return None
     return sky * cube + (1 - sky) * colour / factor, factor
 
 
 def rounded(light: Light) -> Light:
-    """The light in steps too small to show in what it does by way of the voxels: what is made for it is kept."""
+    """The light in steps too small to show by way of the voxels, so that their light can be cached."""
 
-    def steps(v: Any) -> tuple[float, float, float]:
-        a = np.asarray(v, float)
-        out = np.where(a > 1e-6, np.exp(np.round(np.log(np.maximum(a, 1e-6)) / _LIGHT_STEP) * _LIGHT_STEP), 0.0)
-        return float(out[0]), float(out[1]), float(out[2])
+    def coarse(li: DirectionalLight) -> DirectionalLight:
+        rgb, size_deg = triple(_in_steps(li.rgb, _LIGHT_STEP)), round(li.angular_size_deg)
+        return replace(li, direction=triple(np.round(li.unit, 2)), rgb=rgb, angular_size_deg=size_deg)
 
-    lights = tuple(
-        replace(
-            li, direction=tuple(np.round(li.unit, 2).tolist()), rgb=steps(li.rgb), angular_size_deg=round(li.angular_size_deg)
-        )
-        for li in light.lights
-    )
-    soft: tuple[tuple[float, float, float], ...] = ()
+    soft = np.asarray(light.soft, float).reshape(-1, 3)
     if light.soft:
-        a = np.asarray(light.soft, float)
-        share = np.round(divide(a, a[0]) / _LIGHT_STEP) * _LIGHT_STEP
-        soft = tuple((float(r[0]), float(r[1]), float(r[2])) for r in share * np.array(steps(a[0])))
-    return replace(light, ambient_rgb=steps(light.ambient_rgb), lights=lights, soft=soft)
+        soft = np.round(divide(soft, soft[0]) / _LIGHT_STEP) * _LIGHT_STEP * _in_steps(soft[0], _LIGHT_STEP)
+    return replace(
+        light, ambient_rgb=triple(_in_steps(light.ambient_rgb, _LIGHT_STEP)), lights=tuple(map(coarse, light.lights)),
+        soft=tuple(map(triple, soft)),
+    )  # fmt: skip
+
+
+def _in_steps(value: ArrayLike, step: float) -> np.ndarray:
+    """The nearest power of e^step; 0 up to 1e-6."""
+    a = np.asarray(value, float)
+    return np.where(a > 1e-6, np.exp(np.round(np.log(np.maximum(a, 1e-6)) / step) * step), 0.0)
 
 
 def checked(environment: CubeMap) -> np.ndarray:
@@ -148,52 +136,48 @@ def checked(environment: CubeMap) -> np.ndarray:
     return cube
 
 
-def around(view: View, seen: Rect, planes: Planes, places: np.ndarray) -> Around:
-    """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  places : of the
+def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray) -> IncomingLight:
+    """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  positions : of the
     texels of the picture on the planes"""
     facts, scene, light = view.facts, view.scene, view.light
     cube, factor = environment_cube(facts, scene, light)
     picture, known = picture_on_planes(
         view[Layer.PLATE], view.rect, seen, scene.camera, view.pose @ scene.world_from_anchor,
-        places, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(view[Layer.REAL_DEPTH]),
+        positions, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(view[Layer.REAL_DEPTH]),
     )  # fmt: skip
     up = scene.world_from_anchor.rotation[:, 2]
-    mean = plane_mean(picture, known, places, planes, scene, 0.4 * light.radiance(up))
+    mean = plane_mean(picture, known, positions, planes, scene, 0.4 * light.radiance(up))
     p = len(planes.axes)
     textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
-    turn = scene.world_from_anchor.rotation.astype(np.float32)
     maps = factor.astype(np.float32) * view.memo.of_light.get(cube.tobytes(), lambda: octahedral(cube))
-    back = Behind(
-        planes.axes, planes.reach, textures, mips, maps,
-        np.array(HALF_ANGLES_DEG, np.float32), turn,
-    )  # fmt: skip
-    return Around(cube, factor, picture, known, mean, back, float(light.soft_radiance(up).min()))
+    widths, turn = np.array(HALF_ANGLES_DEG, np.float32), scene.world_from_anchor.rotation.astype(np.float32)
+    extents = np.column_stack([np.full(p, planes.half_m), planes.bounds]).astype(np.float32)
+    background = Background(planes.axes, extents, textures, mips, maps, widths, turn)
+    return IncomingLight(picture, known, mean, background, float(light.soft_radiance(up).min()))
 
 
 def plane_mean(
-    picture: np.ndarray, known: np.ndarray, places: np.ndarray, planes: Planes, scene: Scene, otherwise: np.ndarray
+    picture: np.ndarray, known: np.ndarray, positions: np.ndarray, planes: Planes, scene: Scene, otherwise: np.ndarray
 ) -> np.ndarray:
     """(3,) mean radiance of the first plane within three radii of the object, in steps of 5 %; `otherwise` if unknown."""
-    radius = ball_of(scene)[1]
+    radius = bounding_ball(scene)[1]
     step = max(picture.shape[1] // 64, 1)
-    near = ((places[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1) < (3 * radius) ** 2
+    near = ((positions[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1) < (3 * radius) ** 2
     weight = known[0, ::step, ::step] * near
     if not weight.sum() > 0:
-        return np.asarray(otherwise, float)
-    mean = (picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum()
-    return np.asarray(np.where(mean > 1e-6, np.exp(np.round(np.log(np.maximum(mean, 1e-6)) / _STEP) * _STEP), 0.0))
+        return otherwise
+    return _in_steps((picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum(), _STEP)
 
 
-def frame_field(view: View, body: Body, planes: Planes, made: Around, at: LevelSettings) -> Field:
-    """The voxels' light and the planes' change, made anew only where light, environment or plane differ."""
-    coarse, kept = rounded(view.light), view.memo.of_light
+def frame_field(view: View, model: VoxelModel, planes: Planes, incoming: IncomingLight, at: LevelSettings) -> Field:
+    """The voxels' light and the planes' change, cached by light, environment and plane."""
+    coarse, memo = rounded(view.light), view.memo.of_light
     cube, factor = environment_cube(view.facts, view.scene, coarse)
-    key = (repr(coarse), cube.tobytes(), made.mean.tobytes())
+    key = (repr(coarse), cube.tobytes(), incoming.mean.tobytes())
 
     def make() -> Field:
-        maps = kept.get(cube.tobytes(), lambda: octahedral(cube))
-        back = made.back._replace(maps=factor.astype(np.float32) * maps)
-        return make_field(body, view.scene, coarse, planes, back, made.mean, at.bounce, at.sent_alone)
+        maps = memo.get(cube.tobytes(), lambda: octahedral(cube))
+        background = incoming.background._replace(maps=factor.astype(np.float32) * maps)
+        return make_field(model, view.scene, coarse, planes, background, incoming.mean, at.bounce, at.sent_alone)
 
-    found: Field = kept.get(key, make)
-    return found
+    return memo.get(key, make)

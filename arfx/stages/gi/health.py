@@ -35,8 +35,7 @@ def seams(job: JobView) -> Iterator[Check]:
 def seam_ratio(faces: np.ndarray) -> float:
     """Median step across the edges of a cube (6, n, n, 3) over that within its faces next to them; 1 = no seam.
 
-    Flat maps have neither: steps below a thousandth of the mean count as that.
-    """
+    Flat maps have neither: steps below a thousandth of the mean count as that."""
     n = faces.shape[1]
     directions = face_directions(n)
     flat, values = directions.reshape(-1, 3), faces.reshape(-1, faces.shape[-1])

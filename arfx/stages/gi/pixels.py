@@ -1,57 +1,35 @@
 """Indirect light on the object's pixels: gathered at every second pixel of every second line (or at all), from the pixel's
-own place and normal, then spread to the others where normal and plane agree; where they do not, gathered again.
+own position and normal, then interpolated where normal and plane agree; where they do not, gathered again.
 
-Diffuse: six cones. Gloss: one cone about the lobe's middle, as wide as the roughness asks. Cost: O(covered pixels x
-cones x steps). Source: docs/methods/gi.md#cones.
+Diffuse: six cones. Gloss: one cone about the lobe's middle, as wide as the roughness asks; of what lies about the mirrored
+direction F0 x a + b is reflected, the split sum of GGX with Smith's height-correlated G and Schlick's F, over the microfacets
+that the viewer sees, as the reference traces it. Karis' fit of it (2014, for phones) is a fifth too dark for metal of roughness
+.4, and below zero for what is rough and dark. Cost: O(covered pixels x cones x steps). Source: docs/methods/gi.md#cones;
+Karis 2013 (split sum); Heitz 2014 (G), 2018 (visible normals). Leaves out: light from microfacet to microfacet.
 """
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
 from arfx.core.parallel import parallel_rows
-from arfx.stages.gi.cones import START, Bricks, frame_of, trace
-from arfx.stages.gi.split_sum import gloss_weights
-from arfx.stages.gi.surroundings import Behind, behind
+from arfx.stages.gi.cones import LOBES, START, Bricks, DiffuseCones, Lobes, tangent_frame, trace
+from arfx.stages.gi.surroundings import Background, background_radiance
+from arfx.stages.lightmap.shading import Surface
 
 _FAST = {"contract", "nsz", "arcp"}
-LOBES = 12  # widths of mirror cones
-_AGREE = np.float32(0.02)  # least sum of weights with which neighbours stand for a pixel
+_AGREE = np.float32(0.02)  # least sum of weights with which neighbours are interpolated
 _BEND = np.float32(0.5)  # normals of neighbours that differ by more lie on two sides of an edge
 DIFFUSE, GLOSS = 1, 2  # what is gathered at a point
+ROUGHNESSES, COSINES = 16, 32  # entries of the split sum's table
+_MICROFACETS = 512
+_SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
 _FEW = 256  # points: below it threads cost more than they save
-
-
-class ConesAround(NamedTuple):
-    """Cones about a normal. directions (k, 3) about +z, weights (k,), tangent and degrees of the half-angle, steps of one"""
-
-    directions: np.ndarray
-    weights: np.ndarray
-    tan_half: np.float32
-    half_deg: np.float32
-    steps: np.ndarray
-
-
-class Lobes(NamedTuple):
-    """Mirror cones by roughness: steps (LOBES, n, 3), of which counts (LOBES,), and tangents (LOBES,)"""
-
-    steps: np.ndarray
-    tangents: np.ndarray
-    counts: np.ndarray
-
-
-class Surface(NamedTuple):
-    """Layers of the object over one rectangle."""
-
-    coverage: np.ndarray
-    normal: np.ndarray
-    position: np.ndarray
-    albedo: np.ndarray
-    material: np.ndarray
 
 
 class Anchor(NamedTuple):
@@ -72,26 +50,21 @@ class Limits(NamedTuple):
     table: np.ndarray
 
 
-def light_points(points: np.ndarray, wanted: np.ndarray, eye: np.ndarray, *scene: Any) -> np.ndarray:
+def gather_points(points: np.ndarray, gather: np.ndarray, eye: np.ndarray, *scene: Any) -> np.ndarray:
     """(m, 6) float32: radiance of a white diffuse surface, and what comes from about the mirrored direction.
 
-    points (m, 7) : unit normal, place (metres), anchor axes, roughness (of `blurred`);  wanted (m,) : DIFFUSE and GLOSS, added
-    scene : the other arguments of `_light_points`
-    """
-
-    def some(a: int, b: int) -> np.ndarray:
-        part: np.ndarray = _light_points(points[a:b], wanted[a:b], eye, *scene)
-        return part
-
-    return np.concatenate([np.zeros((0, 6), np.float32), *parallel_rows(some, len(points), least=_FEW)])
+    points (m, 7) : unit normal, position (metres), anchor axes, `widened_roughness`;  gather (m,) : DIFFUSE and GLOSS, added
+    scene : the other arguments of `_gather_points`"""
+    parts = parallel_rows(lambda a, b: _gather_points(points[a:b], gather[a:b], eye, *scene), len(points), least=_FEW)
+    return np.concatenate([np.zeros((0, 6), np.float32), *parts])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _light_points(
-    points, wanted, eye, bricks: Bricks, low, size, around: ConesAround, mirror: Lobes, back: Behind
+def _gather_points(
+    points, gather, eye, bricks: Bricks, low, size, diffuse_cones: DiffuseCones, mirror: Lobes, background: Background
 ):  # fmt: skip  # pragma: no cover - compiled
-    """`light_points` of some. low (3,), size : corner and side of the voxels, metres"""
-    directions, weights, tan_half, half_deg, steps = around
+    """`gather_points` of some. low (3,), size : corner and side of the voxels, metres"""
+    directions, weights, tan_half, half_deg, steps = diffuse_cones
     lobes, tangents, counts = mirror
     out = np.zeros((points.shape[0], 6), np.float32)
     cones = directions.shape[0]
@@ -99,9 +72,9 @@ def _light_points(
         nx, ny, nz, x, y, z = points[i, 0], points[i, 1], points[i, 2], points[i, 3], points[i, 4], points[i, 5]
         px, py, pz = (x - low[0]) / size, (y - low[1]) / size, (z - low[2]) / size
         ox, oy, oz = px + START * nx, py + START * ny, pz + START * nz
-        ux, uy, uz, vx, vy, vz = frame_of(nx, ny, nz)
-        first = 0 if wanted[i] & DIFFUSE else cones
-        last = cones + 1 if wanted[i] & GLOSS else cones
+        ux, uy, uz, vx, vy, vz = tangent_frame(nx, ny, nz)
+        first = 0 if gather[i] & DIFFUSE else cones
+        last = cones + 1 if gather[i] & GLOSS else cones
         for c in range(first, last):
             if c < cones:
                 c0, c1, c2 = directions[c, 0], directions[c, 1], directions[c, 2]
@@ -113,17 +86,17 @@ def _light_points(
                 ex, ey, ez = ex * s, ey * s, ez * s
                 twice = np.float32(2) * (nx * ex + ny * ey + nz * ez)
                 dx, dy, dz = twice * nx - ex, twice * ny - ey, twice * nz - ez
-                dx, dy, dz = leaning(points[i, 6], nx, ny, nz, dx, dy, dz)
+                dx, dy, dz = off_specular_peak(points[i, 6], nx, ny, nz, dx, dy, dz)
                 k = min(max(int(points[i, 6] * np.float32(LOBES - 1) + np.float32(0.5)), 0), LOBES - 1)
                 w, to, tan_here, walk = np.float32(1), 3, tangents[k], lobes[k, : counts[k]]
                 deg_here = np.float32(np.arctan(tan_here) * np.float32(57.29578))
             d = dx, dy, dz
-            r, g, b, left = trace(bricks, walk, (ox, oy, oz), d, (px, py, pz), (nx, ny, nz), True)
-            if left > 0:
-                er, eg, eb = behind(back, -1, (x, y, z), d, tan_here, deg_here)
-                r += left * er
-                g += left * eg
-                b += left * eb
+            r, g, b, transmittance = trace(bricks, walk, (ox, oy, oz), d, (px, py, pz), (nx, ny, nz), True)
+            if transmittance > 0:
+                er, eg, eb = background_radiance(background, -1, (x, y, z), d, tan_here, deg_here)
+                r += transmittance * er
+                g += transmittance * eg
+                b += transmittance * eb
             out[i, to] += w * r
             out[i, to + 1] += w * g
             out[i, to + 2] += w * b
@@ -131,7 +104,7 @@ def _light_points(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def leaning(roughness, nx, ny, nz, dx, dy, dz):  # pragma: no cover - compiled
+def off_specular_peak(roughness, nx, ny, nz, dx, dy, dz):  # pragma: no cover - compiled
     """Unit direction of a lobe's middle: the mirrored direction d, and the rougher the nearer to the normal, as what would go
     under the surface is missing (Lagarde and de Rousiers 2014)."""
     one = np.float32(1)
@@ -143,17 +116,16 @@ def leaning(roughness, nx, ny, nz, dx, dy, dz):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def chosen(surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits):  # pragma: no cover - compiled
-    """Points that stand for blocks: (points (m, 7), wanted (m,), index (rows, columns) of blocks, -1 = none).
+def select_points(surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits):  # pragma: no cover - compiled
+    """A point for each block: (points (m, 7), gather (m,), index (rows, columns) of blocks, -1 = none).
 
-    x0, y0 : place of the arrays in the picture: blocks are aligned with the picture. The most covered pixel stands for all.
-    """
-    coverage, normal, position, _, material = surface
+    x0, y0 : position of the arrays in the picture, with which blocks are aligned. The point is the most covered pixel's."""
+    coverage, normal, position, _, material, _ = surface
     rows, columns = coverage.shape
     by0, bx0 = y0 // block, x0 // block
     brows, bcolumns = (y0 + rows - 1) // block - by0 + 1, (x0 + columns - 1) // block - bx0 + 1
     index = np.full((brows, bcolumns), -1, np.int32)
-    points, wanted = np.empty((brows * bcolumns, 7), np.float32), np.zeros(brows * bcolumns, np.int8)
+    points, gather = np.empty((brows * bcolumns, 7), np.float32), np.zeros(brows * bcolumns, np.int8)
     m = 0
     for j in range(brows):
         for i in range(bcolumns):
@@ -162,34 +134,34 @@ def chosen(surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits):  # 
                 for x in range(max((i + bx0) * block - x0, 0), min((i + bx0 + 1) * block - x0, columns)):
                     if coverage[y, x] > best:
                         best, at_y, at_x = coverage[y, x], y, x
-            if at_y < 0 or not _place(normal, position, at_y, at_x, anchor, points[m]):
+            if at_y < 0 or not _surface_point(normal, position, at_y, at_x, anchor, points[m]):
                 continue
             rough = material[at_y, at_x, 1]
-            points[m, 6] = blurred(rough, coverage, normal, at_y, at_x)
-            shines = rough >= limits.sharp and mirrors(surface, at_y, at_x, points[m], anchor.eye, limits)
-            wanted[m] = DIFFUSE + GLOSS if shines else DIFFUSE
+            points[m, 6] = widened_roughness(rough, coverage, normal, at_y, at_x)
+            shines = rough >= limits.sharp and shows_specular(surface, at_y, at_x, points[m], anchor.eye, limits)
+            gather[m] = DIFFUSE + GLOSS if shines else DIFFUSE
             index[j, i] = m
             m += 1
-    return points[:m], wanted[:m], index
+    return points[:m], gather[:m], index
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def spread(
+def interpolate(
     surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits, size, points, light, index
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), wanted (m,), pixels (m, 2)) of those that
+    """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), gather (m,), pixels (m, 2)) of those that
     still have to be gathered. light (n, 6), index : of the blocks;  block 0 : there are none"""
-    coverage, normal, position, _, material = surface
+    coverage, normal, position, _, material, _ = surface
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 6), np.float32)
-    left, wanted = np.empty((rows * columns, 7), np.float32), np.empty(rows * columns, np.int8)
+    remaining, gather = np.empty((rows * columns, 7), np.float32), np.empty(rows * columns, np.int8)
     pixels = np.empty((rows * columns, 2), np.int32)
     here = np.zeros(7, np.float32)
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     m = 0
     for y in range(rows):
         for x in range(columns):
-            if coverage[y, x] <= 0 or not _place(normal, position, y, x, anchor, here):
+            if coverage[y, x] <= 0 or not _surface_point(normal, position, y, x, anchor, here):
                 continue
             total = zero
             if block > 0:
@@ -214,7 +186,7 @@ def spread(
                     total += w
                     for c in range(6):
                         out[y, x, c] += w * light[index[j, i], c]
-            shines = mirrors(surface, y, x, here, anchor.eye, limits)
+            shines = shows_specular(surface, y, x, here, anchor.eye, limits)
             need = 0
             if total < _AGREE:
                 need = DIFFUSE + GLOSS if shines else DIFFUSE
@@ -224,36 +196,35 @@ def spread(
                 if shines and material[y, x, 1] < limits.sharp:
                     need = GLOSS
             if need:
-                left[m] = here
-                left[m, 6] = blurred(material[y, x, 1], coverage, normal, y, x)
-                wanted[m] = need
+                remaining[m] = here
+                remaining[m, 6] = widened_roughness(material[y, x, 1], coverage, normal, y, x)
+                gather[m] = need
                 pixels[m, 0], pixels[m, 1] = y, x
                 m += 1
-    return out, left[:m], wanted[:m], pixels[:m]
+    return out, remaining[:m], gather[:m], pixels[:m]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def reflected(
-    surface: Surface, anchor: Anchor, limits: Limits, light, fresh, wanted, pixels
+def reflected_light(
+    surface: Surface, anchor: Anchor, limits: Limits, light, gathered, gather, pixels
 ):  # fmt: skip  # pragma: no cover - compiled
-    """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage. fresh (m, 6) : of the pixels (m, 2)
+    """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage. gathered (m, 6) : of the pixels (m, 2)
 
-    Where too little is mirrored to be gathered, what is mirrored is the light that falls on the surface.
-    """
-    coverage, normal, position, albedo, material = surface
+    Where too little is mirrored to be gathered, what is mirrored is the light that falls on the surface."""
+    coverage, normal, position, albedo, material, _ = surface
     eye, table = anchor.eye, limits.table
     for i in range(pixels.shape[0]):
         to = light[pixels[i, 0], pixels[i, 1]]
         for c in range(6):
-            if wanted[i] & (DIFFUSE if c < 3 else GLOSS):
-                to[c] = fresh[i, c]
+            if gather[i] & (DIFFUSE if c < 3 else GLOSS):
+                to[c] = gathered[i, c]
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
     here = np.zeros(7, np.float32)
     one, zero = np.float32(1), np.float32(0)
     for y in range(rows):
         for x in range(columns):
-            if coverage[y, x] <= 0 or not _place(normal, position, y, x, anchor, here):
+            if coverage[y, x] <= 0 or not _surface_point(normal, position, y, x, anchor, here):
                 continue
             ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
             s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
@@ -262,21 +233,20 @@ def reflected(
             f0 = np.float32(0.08) * material[y, x, 2] * (one - metal)
             if f0 + metal <= zero:
                 gb = zero
-            shines = 3 if mirrors(surface, y, x, here, eye, limits) else 0
+            shines = 3 if shows_specular(surface, y, x, here, eye, limits) else 0
             for c in range(3):
                 a = albedo[y, x, c]
-                matt = a * (one - metal) * (one - min(f0 * ga + gb, one))
+                diffuse = a * (one - metal) * (one - min(f0 * ga + gb, one))
                 gloss = (f0 + a * metal) * ga + gb
-                out[y, x, c] = coverage[y, x] * (matt * light[y, x, c] + gloss * light[y, x, shines + c])
+                out[y, x, c] = coverage[y, x] * (diffuse * light[y, x, c] + gloss * light[y, x, shines + c])
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def mirrors(surface: Surface, y, x, here, eye, limits: Limits):  # pragma: no cover - compiled
+def shows_specular(surface: Surface, y, x, here, eye, limits: Limits):  # pragma: no cover - compiled
     """Whether what the pixel mirrors can change it by half a grey level: specular x Fresnel over what that is of its own light.
 
-    here (6+,) : normal and place, as eye anchor axes
-    """
+    here (6+,) : normal and place, as eye anchor axes"""
     albedo, material = surface.albedo, surface.material
     zero, one = np.float32(0), np.float32(1)
     metal = material[y, x, 0]
@@ -291,12 +261,11 @@ def mirrors(surface: Surface, y, x, here, eye, limits: Limits):  # pragma: no co
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def blurred(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
+def widened_roughness(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
     """Roughness whose lobe is as wide as what one pixel of the curved surface mirrors, if that is more than its own.
 
     Neighbours whose normals differ by d mirror directions 2 d apart: half of that is the half-angle. Without it a mirror's rim
-    shows every n-th pixel of what it squeezes together.
-    """
+    shows every n-th pixel of what it squeezes together."""
     rows, columns = coverage.shape
     most = np.float32(0)
     for k in range(4):
@@ -313,7 +282,7 @@ def blurred(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def _place(normal, position, y, x, anchor: Anchor, out):  # pragma: no cover - compiled
+def _surface_point(normal, position, y, x, anchor: Anchor, out):  # pragma: no cover - compiled
     """Normal and place of a pixel in anchor axes, into out[:6]; False where it has none."""
     rotation, offset = anchor.rotation, anchor.offset
     a, b, c = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
@@ -326,3 +295,46 @@ def _place(normal, position, y, x, anchor: Anchor, out):  # pragma: no cover - c
         out[k] = (rotation[k, 0] * a + rotation[k, 1] * b + rotation[k, 2] * c) * s
         out[3 + k] = rotation[k, 0] * p + rotation[k, 1] * q + rotation[k, 2] * r + offset[k]
     return True
+
+
+@lru_cache(maxsize=1)
+def split_sum() -> np.ndarray:
+    """(ROUGHNESSES, COSINES, 2) float32 (a, b) for roughness and cosine of view from 0 to 1, both ends included."""
+    a = np.maximum(np.linspace(0, 1, ROUGHNESSES), _SMOOTHEST)[:, None, None] ** 2
+    nv = np.maximum(np.linspace(0, 1, COSINES), 1e-3)[:, None]
+    k = np.arange(_MICROFACETS)
+    r, phi = np.sqrt((k + 0.5) / _MICROFACETS), 2 * np.pi * (k * 0.6180339887498949 % 1)
+    across = np.sqrt(1 - nv * nv)
+    # the view direction where the surface is stretched to a half ball, of which it sees a disc
+    sx, sz = a * across / np.hypot(a * across, nv), nv / np.hypot(a * across, nv)
+    x, y = r * np.cos(phi), r * np.sin(phi)
+    s = (1 + sz) / 2
+    y = (1 - s) * np.sqrt(1 - x * x) + s * y
+    z = np.sqrt(np.clip(1 - x * x - y * y, 0, None))
+    # across the view, up the disc (both unit) and along the view; then shrunk back
+    hx, hy, hz = a * (z * sx - y * sz), a * x, np.maximum(y * sx + z * sz, 1e-9)
+    length = np.sqrt(hx * hx + hy * hy + hz * hz)
+    hx, hz = hx / length, hz / length
+    vh = np.clip(across * hx + nv * hz, 0, 1)
+    nl = 2 * vh * hz - nv
+    a2, light = a * a, np.clip(nl, 1e-6, None)
+    view = np.sqrt(a2 + (1 - a2) * nv * nv)
+    # G2 over G1 of the view
+    unmasked = np.where(nl > 0, light * (nv + view) / (light * view + nv * np.sqrt(a2 + (1 - a2) * light * light)), 0.0)
+    grazing = (1 - vh) ** 5
+    out = np.stack([((1 - grazing) * unmasked).mean(-1), (grazing * unmasked).mean(-1)], -1)
+    return np.ascontiguousarray(out, np.float32)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+def gloss_weights(table, roughness, cosine):  # pragma: no cover - compiled
+    """(a, b) : F0 x a + b of what lies about the mirrored direction is reflected. table : `split_sum`, linear between entries"""
+    one, zero = np.float32(1), np.float32(0)
+    s = min(max(roughness, zero), one) * np.float32(table.shape[0] - 1)
+    t = min(max(cosine, zero), one) * np.float32(table.shape[1] - 1)
+    i, j = min(int(s), table.shape[0] - 2), min(int(t), table.shape[1] - 2)
+    fs, ft = s - np.float32(i), t - np.float32(j)
+    w00, w01, w10, w11 = (one - fs) * (one - ft), (one - fs) * ft, fs * (one - ft), fs * ft
+    a = w00 * table[i, j, 0] + w01 * table[i, j + 1, 0] + w10 * table[i + 1, j, 0] + w11 * table[i + 1, j + 1, 0]
+    b = w00 * table[i, j, 1] + w01 * table[i, j + 1, 1] + w10 * table[i + 1, j, 1] + w11 * table[i + 1, j + 1, 1]
+    return a, b

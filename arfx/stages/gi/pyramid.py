@@ -8,21 +8,21 @@ voxel thick stays opaque. Radiance is premultiplied by opacity. Source: docs/met
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numba
 import numpy as np
 
 from arfx.stages.gi.cones import Bricks
 
-Coarser = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+Downsample = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 BRICK = 4  # cells a side; a brick stores one more, so that values between cells need one brick
 _SIDE = BRICK + 1
 SAMPLES = _SIDE**3
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class PyramidLevel:
     """One level's cells. cells (v, 3) int32;  children (v, 8) int32 into the level below, -1 = empty; level 0 has none"""
 
     n: int
@@ -36,41 +36,17 @@ class Structure:
 
     brick_of : int32, all levels' grids of bricks, -1 = empty
     meta (levels, 4) int64 : cells a side, bricks a side, first entry in brick_of, first float in the atlas
-    floats : of the atlas;  coarser(below, children, out) : makes the voxels of a level from those below, (v, 6, 4) out
-    """
+    floats : of the atlas;  downsample(below, children, out) : makes the voxels of a level from those below, (v, 6, 4) out"""
 
-    layers: tuple[Layer, ...]
+    layers: tuple[PyramidLevel, ...]
     brick_of: np.ndarray
     meta: np.ndarray
     floats: int
-    bricks: tuple[int, ...]
-    coarser: Coarser
-
-    @property
-    def bytes(self) -> int:
-        """Of what a cone reads."""
-        return 4 * self.floats + self.brick_of.nbytes
-
-    @property
-    def dense_bytes(self) -> int:
-        """Of the same values without bricks."""
-        return sum(4 * (4 if k == 0 else 24) * layer.n**3 for k, layer in enumerate(self.layers))
-
-
-@dataclass(frozen=True, eq=False)
-class Atlas:
-    """What a cone reads: values (float32) in the bricks of a structure."""
-
-    values: np.ndarray
-    structure: Structure = field(repr=False)
-
-    @property
-    def bricks(self) -> Bricks:
-        return Bricks(self.values, self.structure.brick_of, self.structure.meta)
+    downsample: Downsample
 
 
 @numba.njit(cache=True, nogil=True)
-def nearer_first(below, children, out):  # pragma: no cover - compiled
+def front_to_back(below, children, out):  # pragma: no cover - compiled
     """For each axis direction the nearer child hides the farther one; the mean of the four columns."""
     directed = below.shape[1] == 6
     one, quarter = np.float32(1), np.float32(0.25)
@@ -83,22 +59,22 @@ def nearer_first(below, children, out):  # pragma: no cover - compiled
                 base = (u if column & 1 else 0) + (v if column & 2 else 0)
                 near = children[p, base + (bit if backward else 0)]
                 far = children[p, base + (0 if backward else bit)]
-                left = one
+                transmittance = one
                 if near >= 0:
-                    left = one - below[near, source, 3]
+                    transmittance = one - below[near, source, 3]
                     for k in range(4):
                         out[p, d, k] += quarter * below[near, source, k]
                 if far >= 0:
                     for k in range(4):
-                        out[p, d, k] += quarter * left * below[far, source, k]
+                        out[p, d, k] += quarter * transmittance * below[far, source, k]
 
 
-def structure_of(cells: np.ndarray, n: int, coarser: Coarser = nearer_first) -> Structure:
+def structure_of(cells: np.ndarray, n: int, downsample: Downsample = front_to_back) -> Structure:
     """cells (v, 3) int of level 0;  n : voxels a side, a power of two. n levels need log2 n filter passes."""
-    layers = [Layer(n, np.ascontiguousarray(cells, np.int32), np.zeros((0, 8), np.int32))]
+    layers = [PyramidLevel(n, np.ascontiguousarray(cells, np.int32), np.zeros((0, 8), np.int32))]
     while layers[-1].n > 1:
-        layers.append(_above(layers[-1]))
-    grids, meta, floats, counts, start = [], [], 0, [], 0
+        layers.append(_parent_level(layers[-1]))
+    grids, meta, floats, start = [], [], 0, 0
     for k, layer in enumerate(layers):
         across = layer.n // BRICK + 1
         grid = np.full(across**3, -1, np.int32)
@@ -107,45 +83,41 @@ def structure_of(cells: np.ndarray, n: int, coarser: Coarser = nearer_first) -> 
         grid[used] = np.arange(len(used), dtype=np.int32)
         meta.append([layer.n, across, start, floats])
         grids.append(grid)
-        counts.append(len(used))
         start += len(grid)
         floats += len(used) * SAMPLES * (4 if k == 0 else 24)
-    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats, tuple(counts), coarser)
+    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats, downsample)
 
 
 def levels_of(structure: Structure, values: np.ndarray) -> list[np.ndarray]:
     """Values of every level: (v, 1, 4) of level 0 as given, then (v, 6, 4) by direction of travel +x, -x, +y, -y, +z, -z.
 
-    values (v, 4) float32 : radiance times opacity, and opacity
-    """
+    values (v, 4) float32 : radiance times opacity, and opacity"""
     out = [np.ascontiguousarray(values, np.float32)[:, None, :]]
-    for below, layer in zip(structure.layers[:-1], structure.layers[1:], strict=True):
-        made = np.zeros((len(layer.cells), 6, 4), np.float32)
-        structure.coarser(out[-1], layer.children, made)
-        out.append(made)
-        assert below.n == 2 * layer.n
+    for layer in structure.layers[1:]:
+        out.append(np.zeros((len(layer.cells), 6, 4), np.float32))
+        structure.downsample(out[-2], layer.children, out[-1])
     return out
 
 
-def atlas_of(structure: Structure, values: np.ndarray) -> Atlas:
+def atlas_of(structure: Structure, values: np.ndarray) -> Bricks:
     """The pyramid of `values` (v, 4), packed."""
     atlas = np.zeros(structure.floats, np.float32)
-    for k, (layer, made) in enumerate(zip(structure.layers, levels_of(structure, values), strict=True)):
+    for k, (layer, level_values) in enumerate(zip(structure.layers, levels_of(structure, values), strict=True)):
         _, across, first, at = structure.meta[k]
-        _pack(layer.cells, made, structure.brick_of[first : first + across**3], across, atlas[at:])
-    return Atlas(atlas, structure)
+        _pack(layer.cells, level_values, structure.brick_of[first : first + across**3], across, atlas[at:])
+    return Bricks(atlas, structure.brick_of, structure.meta)
 
 
-def _above(layer: Layer) -> Layer:
+def _parent_level(layer: PyramidLevel) -> PyramidLevel:
     half = layer.n // 2
     parent = layer.cells // 2
     key = (parent[:, 2].astype(np.int64) * half + parent[:, 1]) * half + parent[:, 0]
-    found, inverse = np.unique(key, return_inverse=True)
+    keys, inverse = np.unique(key, return_inverse=True)
     slot = (layer.cells[:, 2] % 2) * 4 + (layer.cells[:, 1] % 2) * 2 + layer.cells[:, 0] % 2
-    children = np.full((len(found), 8), -1, np.int32)
+    children = np.full((len(keys), 8), -1, np.int32)
     children[inverse.ravel(), slot] = np.arange(len(key), dtype=np.int32)
-    cells = np.stack([found % half, found // half % half, found // half**2], -1).astype(np.int32)
-    return Layer(half, cells, children)
+    cells = np.stack([keys % half, keys // half % half, keys // half**2], -1).astype(np.int32)
+    return PyramidLevel(half, cells, children)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -6,7 +6,7 @@ Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around 
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -15,9 +15,10 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import HALF_GREY, divide, normalise
 from arfx.core.pose import Pose
 from arfx.core.real_plane import RealPlane
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.surroundings import ENDLESS, Planes, unwarped
+from arfx.stages.viewing import seen_rect
 
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
@@ -26,41 +27,30 @@ _SAME_PLANE_M, _SAME_COSINE = 0.02, 0.99
 _SAME_MEASURED_M, _SAME_MEASURED_COSINE = 0.03, 0.985  # of planes that are measured as depth
 _SAME_DEPTH = 0.03  # of the distance
 COARSE = 16  # texels of a plane by which the unseen parts are filled
+BLUR = 0.6  # a rough plane's mirror image is wider by this share of the object's height, times the lobe's tangent
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
 
 
-_BALLS: WeakKeyDictionary[Scene, tuple[np.ndarray, float]] = WeakKeyDictionary()
-_PLANES: WeakKeyDictionary[Scene, Planes] = WeakKeyDictionary()
-
-
-def ball_of(scene: Scene) -> tuple[np.ndarray, float]:
+@lru_cache(maxsize=4)
+def bounding_ball(scene: Scene) -> tuple[np.ndarray, float]:
     """Centre (3,), anchor axes, and radius, metres, of a ball around the object."""
-    found = _BALLS.get(scene)
-    if found is None:
-        p = scene.world_from_anchor.inverse().apply(scene.model_points_m)
-        p = p[np.isfinite(p).all(1)]
-        centre = (p.min(0) + p.max(0)) / 2
-        found = _BALLS[scene] = centre, max(float(np.linalg.norm(p - centre, axis=1).max()), 1e-6)
-    return found
+    p = scene.world_from_anchor.inverse().apply(scene.model_points_m)
+    p = p[np.isfinite(p).all(1)]
+    centre = (p.min(0) + p.max(0)) / 2
+    return centre, max(float(np.linalg.norm(p - centre, axis=1).max()), 1e-6)
 
 
+@lru_cache(maxsize=4)
 def planes_of(scene: Scene) -> Planes:
-    """The anchor's plane first; other markers' and measured ones only where the object stands before them. Once per scene."""
-    found = _PLANES.get(scene)
-    if found is None:
-        found = _PLANES[scene] = _planes(scene)
-    return found
-
-
-def _planes(scene: Scene) -> Planes:
+    """The anchor's plane first; other markers' and measured ones only where the object stands before them."""
     anchor_from_world = scene.world_from_anchor.inverse()
-    centre, radius = ball_of(scene)
+    centre, radius = bounding_ball(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
     bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
-    told: list[tuple[Pose, RealPlane | None, float, float]]
-    told = [(pose, None, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
-    told += [(p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
-    for pose, measured, cosine, apart_m in told:
+    known: list[tuple[Pose, RealPlane | None, float, float]]
+    known = [(pose, None, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
+    known += [(p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
+    for pose, measured, cosine, apart_m in known:
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
         same = [k for k, a in enumerate(axes) if n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m]
@@ -85,15 +75,14 @@ def _bounds(measured: RealPlane | None, axes: np.ndarray, origin: np.ndarray) ->
     return out
 
 
-def disc_radius_m(scene: Scene, planes: Planes, share: float) -> float:
+def disc_radius_m(scene: Scene, planes: Planes, fraction: float) -> float:
     """Beyond this distance from the object's foot the change of the plane is under half a grey level.
 
-    share : of the plane's light that is indirect, times how much brighter than that light the object can be (>= 1)
-    """
-    centre, radius = ball_of(scene)
+    fraction : of the plane's light that is indirect, times how much brighter than that light the object can be (>= 1)"""
+    centre, radius = bounding_ball(scene)
     height = max(float(centre[2]) + radius, 1e-9)
     # form factor of the ball from a place on the plane at distance d, at most (r / d)^2 x height / d
-    d = float(np.cbrt(max(share, 0.0) * radius**2 * height / SHOWS))
+    d = float(np.cbrt(max(fraction, 0.0) * radius**2 * height / SHOWS))
     return float(np.clip(d, NEAREST * radius, planes.half_m))
 
 
@@ -101,39 +90,55 @@ def disc_rect(scene: Scene, planes: Planes, radius_m: float, pose: Pose, frame: 
     """Pixels of the picture in which the discs of all planes lie; the whole frame where one reaches behind the camera."""
     angle = np.arange(32) * np.pi / 16
     ring = 1.02 * radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
-    out = Rect(0, 0, 0, 0)
+    out = EMPTY
     for axes in planes.axes.astype(float):
         points = axes[0] + ring[:, :1] * axes[1] + ring[:, 1:] * axes[2]
         eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
         if (eye - axes[0]) @ axes[3] <= 0:
             continue
-        seen = scene.camera.project((pose @ scene.world_from_anchor).apply(points))
-        if not np.isfinite(seen).all():
-            return frame
-        out = out.union(Rect.around(seen, 1.0))
+        out = out.union(seen_rect(scene.camera, (pose @ scene.world_from_anchor).apply(points), 1.0))
     return out.clip(frame)
 
 
-def texture_places(planes: Planes, side: int) -> np.ndarray:
+def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame: Rect) -> Rect:
+    """Pixels in which the planes can mirror the object; the whole frame where its image reaches behind the camera.
+
+    tangent : of the lobe's half-angle, by which a rough plane widens the image"""
+    corners = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
+    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+    camera_from_anchor = pose @ scene.world_from_anchor
+    out = EMPTY
+    for axes in planes.axes.astype(float):
+        normal = axes[3]
+        height = (corners - axes[0]) @ normal
+        if (eye - axes[0]) @ normal <= 0 or height.max() <= 0:
+            continue
+        mirrored = corners - 2 * np.clip(height, 0, None)[:, None] * normal
+        reach = BLUR * tangent * float(height.max())
+        spread = np.concatenate([mirrored + s * reach * a for s in (-1, 1) for a in (axes[1], axes[2])])
+        out = out.union(seen_rect(scene.camera, camera_from_anchor.apply(spread), 2.0))
+    return out.clip(frame)
+
+
+def texel_positions(planes: Planes, side: int) -> np.ndarray:
     """(p, side, side, 3) float64 metres, anchor axes, of the texels' centres."""
     t = unwarped((np.arange(side) + 0.5) / side * 2 - 1) * planes.half_m
     v, u = np.meshgrid(t, t, indexing="ij")
     a = planes.axes.astype(float)[:, :, None, None]
-    return np.asarray(a[:, 0] + u[..., None] * a[:, 1] + v[..., None] * a[:, 2])
+    return a[:, 0] + u[..., None] * a[:, 1] + v[..., None] * a[:, 2]
 
 
 def picture_on_planes(
-    plate: np.ndarray, rect: Rect, allowed: Rect, camera: Camera, camera_from_anchor: Pose, places: np.ndarray,
+    plate: np.ndarray, rect: Rect, allowed: Rect, camera: Camera, camera_from_anchor: Pose, positions: np.ndarray,
     axes: np.ndarray, bias: np.ndarray, real: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """The picture's radiance on the planes (p, side, side, 3) float32 and whether it is known there (p, side, side).
 
-    plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  places : of `texture_places`
-    real : (h, w) measured depth; a pixel that shows something before a plane does not show the plane
-    """
+    plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  positions : of `texel_positions`
+    real : (h, w) measured depth; a pixel that shows something before a plane does not show the plane"""
     allowed = allowed.clip(rect)
     eye = camera_from_anchor.inverse().translation_m
-    placed = camera_from_anchor.apply(places)
+    placed = camera_from_anchor.apply(positions)
     seen = camera.project(placed)
     fronts = ((eye - axes[:, 0]) * axes[:, 3]).sum(-1) > 0
     inside = np.isfinite(seen).all(-1) & fronts[:, None, None]
@@ -145,7 +150,7 @@ def picture_on_planes(
         with np.errstate(invalid="ignore"):
             inside[inside] = ~(np.abs(depth - placed[inside][:, 2]) > _SAME_DEPTH * placed[inside][:, 2]) | ~np.isfinite(depth)
     out = np.zeros((*seen.shape[:3], 3), np.float32)
-    for k in range(len(places)):
+    for k in range(len(positions)):
         if inside[k].any():
             out[k] = cv2.remap(
                 plate, (x[k] - rect.x0).astype(np.float32), (y[k] - rect.y0).astype(np.float32), cv2.INTER_LINEAR,

@@ -7,31 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.cube import face_directions, solid_angles
+from arfx.core.cube import face_directions, look_up, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.surroundings import ENDLESS, Planes
-from arfx.stages.triangles import Triangles
+from arfx.stages.gi.surroundings import ENDLESS, Planes, irradiance
+from arfx.stages.triangles import Triangles, model_triangles
 
 
 @dataclass(frozen=True, eq=False)
 class Hit:
     """met (n,);  distance (n,) inf where nothing is;  place, normal (n, 3);  matt, mirrors, emission (n, 3) of the surface
-    face_normal (n, 3) : of the flat triangle, unit;  chosen (n,) : density per square metre of samples on what glows
-    """
+    face_normal (n, 3) : of the flat triangle, unit;  light_density (n,) : density per square metre of samples on what glows"""
 
     met: np.ndarray
     distance: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     normal: np.ndarray
-    matt: np.ndarray
-    mirrors: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
     emission: np.ndarray
     face_normal: np.ndarray
-    chosen: np.ndarray
+    light_density: np.ndarray
 
     def of(self, rows: np.ndarray) -> Hit:
         return Hit(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
@@ -42,28 +41,17 @@ class RayScene:
     emitting (triangles,) : each one's share of that"""
 
     def __init__(self, scene: Scene) -> None:
-        anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
-        linear = anchor[:3, :3] / np.cbrt(abs(np.linalg.det(anchor[:3, :3])))
-        triangles, self.parts, part_of, face_of = [], scene.model.parts, [], []
-        self.normals = [p.normals @ linear.T for p in self.parts]
-        for k, p in enumerate(self.parts):
-            corners = (p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces]
-            good = np.isfinite(corners).all((1, 2))
-            triangles.append(corners[good])
-            part_of.append(np.full(int(good.sum()), k))
-            face_of.append(np.flatnonzero(good))
-        every = np.concatenate(triangles)
-        self.part_of, self.face_of = np.concatenate(part_of), np.concatenate(face_of)
-        self.lift = 1e-4 * max(float(np.ptp(every.reshape(-1, 3), axis=0).max()), 1e-9)
-        self._corners = every
-        across = np.cross(every[:, 1] - every[:, 0], every[:, 2] - every[:, 0])
+        corners, self._normals, self.part_of, self.face_of = model_triangles(scene)
+        self.parts, self._corners = scene.model.parts, corners
+        self.lift = 1e-4 * max(float(np.ptp(corners.reshape(-1, 3), axis=0).max()), 1e-9)
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._face_normal = normalise(across)
         strength = np.array([max(p.material.emissive) for p in self.parts], float)[self.part_of]
         weight = strength * np.linalg.norm(across, axis=1) / 2
         self.emits = float(weight.sum())
         self.emitting = divide(weight, self.emits)
-        self._chosen = divide(strength, self.emits)
-        self._triangles = Triangles(every)
+        self._light_density = divide(strength, self.emits)
+        self._triangles = Triangles(corners)
         self.blocked = self._triangles.blocked
 
     def corners_of(self, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -71,23 +59,23 @@ class RayScene:
         return c[:, 0], c[:, 1], c[:, 2]
 
     def first(self, origins: np.ndarray, directions: np.ndarray) -> Hit:
-        found = self._triangles.first_hits(origins, directions)
-        prim = np.asarray(found["primID"]).astype(np.int64)
-        met = (prim >= 0) & (np.asarray(found["geomID"]).astype(np.int64) >= 0)
+        result = self._triangles.first_hits(origins, directions)
+        prim = np.asarray(result["primID"]).astype(np.int64)
+        met = (prim >= 0) & (np.asarray(result["geomID"]).astype(np.int64) >= 0)
         n = len(origins)
-        distance = np.where(met, np.asarray(found["tfar"], float), np.inf)
-        of: list[np.ndarray] = [np.zeros((n, 3)) for _ in range(6)]
-        hit = Hit(met, distance, of[0], of[1], of[2], of[3], of[4], of[5], np.zeros(n))
-        hit.face_normal[met], hit.chosen[met] = self._face_normal[prim[met]], self._chosen[prim[met]]
-        hit.place[met] = origins[met] + distance[met, None] * directions[met]
-        u, v = np.asarray(found["u"], float), np.asarray(found["v"], float)
+        distance = np.where(met, np.asarray(result["tfar"], float), np.inf)
+        z = np.zeros((6, n, 3))
+        hit = Hit(met, distance, z[0], z[1], z[2], z[3], z[4], z[5], np.zeros(n))
+        hit.face_normal[met], hit.light_density[met] = self._face_normal[prim[met]], self._light_density[prim[met]]
+        hit.position[met] = origins[met] + distance[met, None] * directions[met]
+        u, v = np.asarray(result["u"], float), np.asarray(result["v"], float)
         for k, part in enumerate(self.parts):
             rows = np.flatnonzero(met & (self.part_of[np.where(met, prim, 0)] == k))
             if not len(rows):
                 continue
             corner = part.faces[self.face_of[prim[rows]]]
             w = np.stack([1 - u[rows] - v[rows], u[rows], v[rows]], -1)[..., None]
-            hit.normal[rows] = normalise((self.normals[k][corner] * w).sum(1))
+            hit.normal[rows] = normalise((self._normals[prim[rows]] * w).sum(1))
             m = part.material
             base = np.broadcast_to(np.asarray(m.base_colour[:3], float), (len(rows), 3))
             if part.colours is not None:
@@ -98,8 +86,8 @@ class RayScene:
                 base = base * _texel(m.base_texture, uv)
                 glow = glow * _texel(m.emissive_texture, uv)
             f0 = 0.08 * m.specular * (1 - m.metallic)
-            hit.matt[rows] = base * (1 - m.metallic) * (1 - f0)
-            hit.mirrors[rows] = f0 + base * m.metallic
+            hit.diffuse[rows] = base * (1 - m.metallic) * (1 - f0)
+            hit.specular[rows] = f0 + base * m.metallic
             hit.emission[rows] = glow
         return hit
 
@@ -129,7 +117,7 @@ class Surroundings:
         u, v = (a.ravel()[:, None] for a in np.meshgrid(grid, grid))
         self._means = np.tile(0.4 * irradiance(cube, self.turn[:, 2]), (len(self.axes), 1))
         for k, axes in enumerate(self.axes):
-            sampled, known = self._look(axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k))
+            sampled, known = self._picture_at(axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k))
             self._means[k] = sampled[known].mean(0) if known.any() else self._means[0]
         d, solid = face_directions(cube.shape[1]).reshape(-1, 3), np.tile(solid_angles(cube.shape[1]).ravel(), 6)
         below = (d @ self.turn[:, 2] < 0)[:, None]
@@ -151,18 +139,18 @@ class Surroundings:
             plane, distance = np.where(nearer, k, plane), np.where(nearer, t, distance)
         return plane, distance
 
-    def picture(self, places: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    def picture(self, positions: np.ndarray, plane: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does not."""
-        seen, known = self._look(places, plane)
+        seen, known = self._picture_at(positions, plane)
         return np.where(known[:, None], seen, self._means[plane])
 
-    def _look(self, places: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        at = self._camera.project(self._pose.apply(places))
+    def _picture_at(self, positions: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = self._camera.project(self._pose.apply(positions))
         front = ((self._eye - self.axes[plane, 0]) * self.axes[plane, 3]).sum(-1) > 0
         r = self._at
         with np.errstate(invalid="ignore"):
             known = np.isfinite(at).all(-1) & (at >= [r.x0, r.y0]).all(-1) & (at <= [r.x1 - 1, r.y1 - 1]).all(-1) & front
-        out = np.zeros((len(places), 3))
+        out = np.zeros((len(positions), 3))
         x, y = at[known, 0] - r.x0, at[known, 1] - r.y0
         if len(x):
             i, j = np.minimum(x.astype(int), max(r.width - 2, 0)), np.minimum(y.astype(int), max(r.height - 2, 0))
@@ -172,29 +160,11 @@ class Surroundings:
             out[known] = (p[j, i] * (1 - fx) + p[j, i1] * fx) * (1 - fy) + (p[j1, i] * (1 - fx) + p[j1, i1] * fx) * fy
         return out, known
 
-    def on_cube(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(face (n,), u, v (n,) in -1..1, as core.cube.face_directions) of directions (n, 3), anchor axes."""
-        d = directions @ self.turn.T
-        axis = np.abs(d).argmax(1)
-        major = np.take_along_axis(d, axis[:, None], 1)[:, 0]
-        q = divide(d, np.abs(major)[:, None])
-        x, y, z = q[:, 0], q[:, 1], q[:, 2]
-        # rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
-        return 2 * axis + (major < 0), np.choose(axis, [-z, x, x]), np.choose(axis, [y, -z, y])
-
     def environment(self, directions: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the cube, linear between a face's texels."""
-        face, u, v = self.on_cube(directions)
-        last = self.cube.shape[1] - 1
-        s, t = (np.clip((w + 1) / 2 * (last + 1) - 0.5, 0, last) for w in (u, v))
-        i, j = np.minimum(s.astype(int), max(last - 1, 0)), np.minimum(t.astype(int), max(last - 1, 0))
-        i1, j1 = np.minimum(i + 1, last), np.minimum(j + 1, last)
-        fs, ft = (s - i)[:, None], (t - j)[:, None]
-        c = self.cube
-        above = c[face, j, i] * (1 - fs) + c[face, j, i1] * fs
-        return np.asarray(above * (1 - ft) + (c[face, j1, i] * (1 - fs) + c[face, j1, i1] * fs) * ft)
+        """(n, 3) radiance of the cube in directions (n, 3), anchor axes."""
+        return look_up(self.cube, directions @ self.turn.T)
 
-    def even(self, normals: np.ndarray) -> np.ndarray:
+    def unoccluded_irradiance(self, normals: np.ndarray) -> np.ndarray:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""
         flat, d, solid = self._flat
         out = np.empty((len(normals), 3))
@@ -202,10 +172,3 @@ class Surroundings:
             c = np.clip(normals[a : a + 20000] @ d.T, 0, None)
             out[a : a + 20000] = divide(c @ flat, (c @ solid)[:, None])
         return out
-
-
-def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(3,) radiance of a white surface of that normal, axes of the cube."""
-    d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
-    weight = np.clip(d @ normal, 0, None) * solid
-    return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())

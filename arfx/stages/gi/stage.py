@@ -1,7 +1,7 @@
 """Gi: indirect light between the object, its surroundings and the real planes.
 
-The object in the light of its surroundings (occlusion, colour bleeding, reflections of the picture),
-and what it adds to and takes from the real planes, as a ratio. Takes the place of lightmap's light without a direction.
+Occlusion, colour bleeding and reflections of the picture on the object, and what the object adds to and takes from the planes,
+as a ratio. It replaces lightmap's ambient light.
 
 Voxels are made once per clip, their light once per light; planes see the object by rays, once per clip, and are gathered in
 their own texels, so a still light costs a frame only the object's own cones and a look-up. `reference` traces rays (embree)
@@ -12,8 +12,9 @@ caustics, refraction, light that the object sends through its own transparent pa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,17 +28,16 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
-from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
-from arfx.stages.gi.field import Body, Field, make_body
-from arfx.stages.gi.frame_light import Around, LevelSettings, around, frame_field, rounded
+from arfx.stages.gi.cones import DiffuseCones, Lobes, diffuse_cones, lobes, mirror_tangent
+from arfx.stages.gi.field import Field, VoxelModel, make_voxel_model
+from arfx.stages.gi.frame_light import LevelSettings, frame_field, incoming_light, rounded
 from arfx.stages.gi.health import furnace, seams
-from arfx.stages.gi.pixels import LOBES, Anchor, ConesAround, Limits, Lobes, Surface, chosen, light_points, reflected, spread
-from arfx.stages.gi.plane_gloss import SHARPEST, Gloss, mirror_in_planes, mirror_rect
-from arfx.stages.gi.plane_pixels import DARKEST, Change, add_delta, measured, shown_radius_m
-from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, planes_of, texture_places
+from arfx.stages.gi.pixels import Anchor, Limits, gather_points, interpolate, reflected_light, select_points, split_sum
+from arfx.stages.gi.plane_pixels import DARKEST, PlaneChange, add_delta, gloss_of, measured, mirror_in_planes, visible_radius_m
+from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, mirror_rect, planes_of, texel_positions
 from arfx.stages.gi.reference import trace_frame
-from arfx.stages.gi.split_sum import split_sum
-from arfx.stages.gi.surroundings import Planes
+from arfx.stages.gi.surroundings import Background, Planes
+from arfx.stages.lightmap.shading import Surface
 from arfx.stages.viewing import direction_grid, viewing
 
 SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
@@ -54,8 +54,7 @@ class GiParams:
     strength : share of the computed change of the real planes that is shown, 0..1
     plane_gloss : of the real plane, share of light that it mirrors seen from above: 0 = matt, varnish and glass .04, 0..1
     plane_roughness : of its gloss, 0 (a mirror) to 1
-    samples : rays per pixel of level reference
-    """
+    samples : rays per pixel of level reference"""
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0
@@ -69,16 +68,14 @@ class GiParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. body : voxels, None at level reference"""
+    """Of one clip, worker and level. grid : viewing directions;  positions : of the texels of the picture on the planes"""
 
     planes: Planes
     grid: np.ndarray
-    body: Body | None
-    lobes: np.ndarray
-    counts: np.ndarray
-    tangents: np.ndarray
-    steps: np.ndarray
-    places: np.ndarray
+    model: VoxelModel
+    cones: DiffuseCones
+    lobes: Lobes
+    positions: np.ndarray
 
 
 class Gi(Stage):
@@ -99,7 +96,7 @@ class Gi(Stage):
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.drawn_box.clip(frame)
-        if size_px := self._unseen_px(facts, scene):
+        if size_px := self._imperceptible_px(facts, scene):
             return Demand(model, f"no cones: the model is matt and grey, and what it changes is {size_px} px wide; even light")
         disc, why = self._disc(facts, scene, frame)
         mirror = self._mirror_rect(facts, scene, frame)
@@ -112,8 +109,7 @@ class Gi(Stage):
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         """The picture that the object reflects lies on the planes around it; blocks of pixels are whole."""
         block = self.settings[level].block if level in self.settings else 1
-        frame = scene.camera.rect
-        return out.pad(2 * block).align(block, block).union(self._seen(facts, scene, frame)).clip(frame)
+        return out.pad(2 * block).align(block, block).union(_reflected_rect(facts, scene)).clip(scene.camera.rect)
 
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
         """The voxels' light is made for each light and its surroundings, both rounded."""
@@ -121,70 +117,69 @@ class Gi(Stage):
             return {"new_lights": None}
         return {"new_lights": (repr(rounded(facts.light)), facts.environment)}
 
-    def health(self, job: JobView) -> Iterator[Check]:
-        yield from seams(job)
-        yield from furnace(job)
+    def health(self, job: JobView) -> Iterable[Check]:
+        return chain(seams(job), furnace(job))
 
-    def prepare(self, scene: Scene, level: str) -> Prepared:
-        planes = planes_of(scene)
-        grid = direction_grid(scene.camera)
-        empty = np.zeros(0, np.float32)
+    def prepare(self, scene: Scene, level: str) -> Prepared | None:
         if level == "reference":
-            return Prepared(planes, grid, None, empty, empty, empty, empty, empty)
-        at = self.settings[level]
-        body = make_body(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays, at.coarser)
-        tangents = mirror_tangent(np.linspace(0, 1, LOBES))
-        rows = [steps_of(float(t), at.voxels) for t in tangents]
-        lobes = np.zeros((LOBES, max(len(r) for r in rows), 3), np.float32)
-        for k, r in enumerate(rows):
-            lobes[k, : len(r)] = r
+            return None
+        planes, at = planes_of(scene), self.settings[level]
+        model = make_voxel_model(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays, at.downsample)
         return Prepared(
-            planes, grid, body, lobes, np.array([len(r) for r in rows]), tangents.astype(np.float32),
-            steps_of(six_cones()[2], at.voxels), texture_places(planes, _texture_side(scene, at)),
+            planes, direction_grid(scene.camera), model, diffuse_cones(at.voxels), lobes(at.voxels),
+            texel_positions(planes, _texture_side(scene, at)),
         )  # fmt: skip
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
-        facts, now, scene, pose = view.facts, view.layers, view.scene, view.pose
-        frame = scene.camera.rect
-        if self._unseen_px(facts, scene):
-            return even_light(view)
-        disc = self._disc(facts, scene, frame)[0]
+        facts, now, scene, pose, frame = view.facts, view.layers, view.scene, view.pose, view.scene.camera.rect
+        if self._imperceptible_px(facts, scene):  # the light's soft part on the object as if nothing were in its way
+            soft = view.light.soft_radiance(now[Layer.NORMAL]) * now[Layer.ALBEDO] * now[Layer.COVERAGE][..., None]
+            return {Layer.VIRTUAL: now[Layer.VIRTUAL] + soft.astype(np.float32), Layer.SHADOW: now[Layer.SHADOW].copy()}
+        disc, mirror = self._disc(facts, scene, frame)[0], self._mirror_rect(facts, scene, frame)
         if view.level == "reference":
             return trace_frame(
-                view, prepared.planes, self._seen(facts, scene, frame), disc, self.params.samples, self.params.strength,
-                (self.params.plane_gloss, self.params.plane_roughness), self._mirror_rect(facts, scene, frame),
+                view, planes_of(scene), _reflected_rect(facts, scene), disc, self.params.samples, self.params.strength,
+                (self.params.plane_gloss, self.params.plane_roughness), mirror,
             )  # fmt: skip
-        at = self.settings[view.level]
-        made = around(view, self._seen(facts, scene, frame), prepared.planes, prepared.places)
-        whole = frame_field(view, prepared.body, prepared.planes, made, at)
-        virtual = self._virtual(view, prepared, at, made.lit(whole))
+        at, planes, f32 = self.settings[view.level], prepared.planes, np.float32
+        incoming = incoming_light(view, _reflected_rect(facts, scene), planes, prepared.positions)
+        indirect = frame_field(view, prepared.model, planes, incoming, at)
+        background = incoming.background_with(indirect, prepared.model.visibility)
+        virtual = self._virtual(view, prepared, indirect, background, incoming.soft)
         shadow, real = now[Layer.SHADOW], measured(now[Layer.REAL_DEPTH])
-        radius = shown_radius_m(whole.delta, prepared.body.places, prepared.planes.axes, SHOWS, self._radius_m(view.light, scene))
+        radius = visible_radius_m(indirect.delta, prepared.model.positions, planes.axes, SHOWS, self._radius_m(view.light, scene))
+        anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
         if not disc.empty and radius > 0:
-            disc = disc_rect(scene, prepared.planes, radius, pose, frame)
-            anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
-            nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(np.float32)
+            disc = disc_rect(scene, planes, radius, pose, frame)
+            nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(f32)
 
-            def added(layer: np.ndarray, delta: np.ndarray, weight: float) -> np.ndarray:
+            def add_change(layer: np.ndarray, delta: np.ndarray, weight: float) -> np.ndarray:
                 """The layer and `weight` times what lies on the planes."""
-                changed: np.ndarray = add_delta(
+                return add_delta(
                     layer, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
-                    anchor_from_camera.translation_m.astype(np.float32), prepared.planes.axes,
-                    Change(delta, whole.deeper, np.float32(prepared.planes.half_m), np.float32(radius), np.float32(weight)), real,
+                    anchor_from_camera.translation_m.astype(f32), planes.axes,
+                    PlaneChange(delta, indirect.extra_occlusion, f32(planes.half_m), f32(radius), f32(weight)), real,
                 )  # fmt: skip
-                return changed
 
-            virtual, shadow = self.on_planes(whole, virtual, shadow, view, added)
-        if self.params.plane_gloss > 0 and self.params.strength > 0:
-            virtual, shadow = self._mirrored(view, prepared, made.lit(whole), virtual, shadow, real)
+            virtual, shadow = self.on_planes(indirect, virtual, shadow, view, add_change)
+        if not (mirror := mirror.clip(view.rect)).empty:
+            plate, bias = np.ascontiguousarray(now.crop(mirror)[Layer.PLATE]), np.array(facts.bias_rgb, f32)
+            bricks, low_m, voxel_m = prepared.model.traced(indirect.atlas)
+            gloss = gloss_of(self.params.plane_gloss, self.params.plane_roughness, prepared.lobes, SHOWS)
+            rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, mirror)
+            change = self.params.strength * mirror_in_planes(
+                plate, rays, anchor_from_camera.translation_m.astype(f32), bias, gloss, bricks, low_m,
+                voxel_m, background, np.ascontiguousarray(real[mirror.slices_in(view.rect)]) if real.size else real,
+            )  # fmt: skip
+            virtual, shadow = self.in_mirrors(change, plate - bias, virtual, shadow, view, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
 
     def on_planes(
         self, field: Field, virtual: np.ndarray, shadow: np.ndarray, view: View,
-        added: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
+        add_change: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """VIRTUAL and SHADOW with what the object does to the planes: a share of the pixel."""
-        return virtual, added(shadow, field.delta, self.params.strength)
+        return virtual, add_change(shadow, field.delta, self.params.strength)
 
     def in_mirrors(
         self, change: np.ndarray, light: np.ndarray, virtual: np.ndarray, shadow: np.ndarray, view: View, within: Rect
@@ -194,79 +189,47 @@ class Gi(Stage):
         out[at] = np.clip(out[at] + change / np.maximum(light, DARKEST), 0, None)
         return virtual, out
 
-    def _virtual(self, view: View, prepared: Prepared, at: LevelSettings, back: Around) -> np.ndarray:
-        now, out = view.layers, view[Layer.VIRTUAL].copy()
+    def _virtual(self, view: View, prepared: Prepared, field: Field, background: Background, soft: float) -> np.ndarray:
+        """soft : least channel of the light without a direction, of a white surface on the plane"""
+        now, out, at = view.layers, view[Layer.VIRTUAL].copy(), self.settings[view.level]
         block = at.block
         box = view.facts.drawn_box.align(block, block).clip(now.rect)
         if box.empty:
             return out
         part = now.crop(box)
-        assert prepared.body is not None and back.atlas is not None
-        anchor = view.scene.world_from_anchor.inverse()
-        f32, volume = np.float32, prepared.body.voxels.volume
-        directions, weights, tan_half = six_cones()
-        surface = Surface(*(part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)))
+        anchor, f32 = view.scene.world_from_anchor.inverse(), np.float32
+        surface = Surface(*(part[Layer(name)] for name in Surface._fields))
         eye = anchor.apply(view.pose.inverse().translation_m).astype(f32)
         axes = Anchor(anchor.rotation.astype(f32), anchor.translation_m.astype(f32), eye)
-        cones: Any = (
-            back.atlas.bricks, np.array(volume.low_m, f32), f32(volume.voxel_m),
-            ConesAround(directions, weights, f32(tan_half), f32(np.degrees(np.arctan(tan_half))), prepared.steps),
-            Lobes(prepared.lobes, prepared.tangents, prepared.counts), back.back,
-        )  # fmt: skip
-        limits = Limits(f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(back.soft, back.brightest)), split_sum())
-        points, light = np.zeros((0, 7), f32), np.zeros((0, 6), f32)
-        index = np.zeros((0, 0), np.int32)
+        cones = *prepared.model.traced(field.atlas), prepared.cones, prepared.lobes, background
+        brightest = max(float(background.maps.max()), float(background.textures.max()), field.brightest)
+        limits = Limits(f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(soft, brightest)), split_sum())
+        points, light, index = np.zeros((0, 7), f32), np.zeros((0, 6), f32), np.zeros((0, 0), np.int32)
         if block > 1:
-            points, wanted, index = chosen(surface, box.x0, box.y0, block, axes, limits)
-            light = light_points(points, wanted, eye, *cones)
-        near: Any = surface, box.x0, box.y0, block if block > 1 else 0, axes, limits, f32(volume.voxel_m), points, light, index
-        spread_light, points, wanted, pixels = spread(*near)
-        fresh = light_points(points, wanted, eye, *cones)
-        out[box.slices_in(now.rect)] += reflected(surface, axes, limits, spread_light, fresh, wanted, pixels)
+            points, gather, index = select_points(surface, box.x0, box.y0, block, axes, limits)
+            light = gather_points(points, gather, eye, *cones)
+        voxel_m = f32(prepared.model.voxels.volume.voxel_m)
+        interpolated, points, gather, pixels = interpolate(
+            surface, box.x0, box.y0, block if block > 1 else 0, axes, limits, voxel_m, points, light, index
+        )
+        gathered = gather_points(points, gather, eye, *cones)
+        out[box.slices_in(now.rect)] += reflected_light(surface, axes, limits, interpolated, gathered, gather, pixels)
         return out
-
-    def _mirrored(
-        self, view: View, prepared: Prepared, back: Around, virtual: np.ndarray, shadow: np.ndarray, real: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        now, facts, scene, rect = view.layers, view.facts, view.scene, view.rect
-        assert prepared.body is not None and back.atlas is not None
-        within = self._mirror_rect(facts, scene, scene.camera.rect).clip(rect)
-        if within.empty:
-            return virtual, shadow
-        f32, volume = np.float32, prepared.body.voxels.volume
-        lobe = round(max(self.params.plane_roughness, SHARPEST) * (LOBES - 1))
-        anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
-        rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, within)
-        bias = np.array(facts.bias_rgb, f32)
-        plate = np.ascontiguousarray(now.crop(within)[Layer.PLATE])
-        gloss = Gloss(
-            f32(self.params.plane_gloss), f32(self.params.plane_roughness), split_sum(),
-            prepared.lobes[lobe, : prepared.counts[lobe]], prepared.tangents[lobe], f32(SHOWS),
-        )  # fmt: skip
-        arguments: Any = (
-            plate, rays, anchor_from_camera.translation_m.astype(f32), bias, gloss, back.atlas.bricks,
-            np.array(volume.low_m, f32), f32(volume.voxel_m), back.back,
-            real if not real.size else np.ascontiguousarray(real[within.slices_in(rect)]),
-        )  # fmt: skip
-        change = self.params.strength * mirror_in_planes(*arguments)
-        return self.in_mirrors(change, plate - bias, virtual, shadow, view, within)
 
     def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels in which glossy planes can mirror the object."""
-        pose = facts.camera_from_world
-        if pose is None or self.params.plane_gloss <= 0 or self.params.strength <= 0:
+        if self.params.plane_gloss <= 0 or self.params.strength <= 0:
             return EMPTY
-        return mirror_rect(scene, planes_of(scene), float(mirror_tangent(self.params.plane_roughness)), pose, frame)
+        return mirror_rect(scene, planes_of(scene), float(mirror_tangent(self.params.plane_roughness)), facts.pose, frame)
 
     def _disc(self, facts: FrameFacts, scene: Scene, frame: Rect) -> tuple[Rect, str]:
         """Pixels of the real planes that may change, and why those or none."""
-        pose = facts.camera_from_world
-        if pose is None or self.params.strength <= 0:
+        if self.params.strength <= 0:
             return EMPTY, "planes left alone"
         radius = self._radius_m(scene.light_of(facts), scene)
         if radius <= 0:
             return EMPTY, "no indirect light on the plane"
-        rect = disc_rect(scene, planes_of(scene), radius, pose, frame)
+        rect = disc_rect(scene, planes_of(scene), radius, facts.pose, frame)
         if rect.empty:
             return rect, "plane out of view or seen from behind"
         return rect, f"plane changes by half a grey level within {100 * radius:.0f} cm"
@@ -274,31 +237,30 @@ class Gi(Stage):
     def _radius_m(self, light: Light, scene: Scene) -> float:
         """Of the disc on the planes; 0 where there is no indirect light at all."""
         up = scene.world_from_anchor.rotation[:, 2]
-        soft, whole = light.soft_radiance(up).max(), light.radiance(up).max()
+        soft, total = light.soft_radiance(up).max(), light.radiance(up).max()
         materials = [p.material for p in scene.model.parts]
         glow = max(max(m.emissive) for m in materials)
         peak = float(soft) + sum(max(li.rgb) for li in light.lights) + glow
         if peak <= 0:
             return 0.0
-        share = max(float(soft), peak) / max(float(whole), 1e-3)
-        return disc_radius_m(scene, planes_of(scene), share)
+        ratio = max(float(soft), peak) / max(float(total), 1e-3)
+        return disc_radius_m(scene, planes_of(scene), ratio)
 
-    def _unseen_px(self, facts: FrameFacts, scene: Scene) -> int:
-        """Size of all that cones could tell, where nobody could see it, else 0: the planes change by half a grey level within
+    def _imperceptible_px(self, facts: FrameFacts, scene: Scene) -> int:
+        """Size of all that cones could change, where it is imperceptible, else 0: the planes change by half a grey level within
         a few pixels only, and the object neither colours nor mirrors anything."""
-        pose = facts.camera_from_world
-        if pose is None or facts.model_box.empty or self.params.plane_gloss > 0 or not plain(scene):
+        if facts.model_box.empty or self.params.plane_gloss > 0 or not is_plain_grey(scene):
             return 0
         radius = self._radius_m(scene.light_of(facts), scene)
-        wide = facts.model_box.union(disc_rect(scene, planes_of(scene), radius, pose, scene.camera.rect))
+        wide = facts.model_box.union(disc_rect(scene, planes_of(scene), radius, facts.pose, scene.camera.rect))
         size = max(wide.width, wide.height)
         return size if size <= SMALL_PX else 0
 
-    def _seen(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
-        """Pixels of the picture that the object may reflect."""
-        pose = facts.camera_from_world
-        planes = planes_of(scene)
-        return EMPTY if pose is None else disc_rect(scene, planes, planes.half_m, pose, frame)
+
+def _reflected_rect(facts: FrameFacts, scene: Scene) -> Rect:
+    """Pixels of the picture that the object may reflect."""
+    planes = planes_of(scene)
+    return disc_rect(scene, planes, planes.half_m, facts.pose, scene.camera.rect)
 
 
 def _texture_side(scene: Scene, at: LevelSettings) -> int:
@@ -309,7 +271,7 @@ def _texture_side(scene: Scene, at: LevelSettings) -> int:
     return at.texture_side if any(a and b for a, b in zip(sharp, mirrors, strict=True)) else min(at.texture_side, 64)
 
 
-def plain(scene: Scene) -> bool:
+def is_plain_grey(scene: Scene) -> bool:
     """Whether the model is matt and grey all over: nothing glows, mirrors more than half a grey level, or has a colour."""
     for part in scene.model.parts:
         m = part.material
@@ -320,9 +282,3 @@ def plain(scene: Scene) -> bool:
         if max(m.base_colour[:3]) - min(m.base_colour[:3]) > SHOWS:
             return False
     return True
-
-
-def even_light(now: View) -> Mapping[Layer, np.ndarray]:
-    """VIRTUAL with the light's soft part on the object as if nothing were in its way, SHADOW as it is."""
-    soft = now.light.soft_radiance(now[Layer.NORMAL]) * now[Layer.ALBEDO] * now[Layer.COVERAGE][..., None]
-    return {Layer.VIRTUAL: now[Layer.VIRTUAL] + soft.astype(np.float32), Layer.SHADOW: now[Layer.SHADOW].copy()}

@@ -32,25 +32,20 @@ _FAST = {"contract", "nsz", "arcp"}
 @dataclass(frozen=True, eq=False)
 class Planes:
     """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures
-    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was seen to end; +-ENDLESS
-    """
+    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was seen to end; +-ENDLESS"""
 
     axes: np.ndarray
     half_m: float
     bounds: np.ndarray
 
-    @property
-    def reach(self) -> np.ndarray:
-        """(p, 5) float32, as `behind` takes them: half_m and bounds."""
-        return np.concatenate([np.full((len(self.axes), 1), self.half_m), self.bounds], 1).astype(np.float32)
 
-
-class Behind(NamedTuple):
-    """What is behind the voxels. axes (p, 4, 3), reach (p, 5) : of `Planes`;  textures (p, texels, 3) : mips of all levels in one
-    row;  mips (levels, 2) : offset, side;  maps, widths, turn : of the environment, as of `look_at`"""
+class Background(NamedTuple):
+    """What is behind the voxels. axes (p, 4, 3) : of `Planes`, extents (p, 5) : half_m and bounds
+    textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side
+    maps, widths, turn : of the environment, as of `environment_radiance`"""
 
     axes: np.ndarray
-    reach: np.ndarray
+    extents: np.ndarray
     textures: np.ndarray
     mips: np.ndarray
     maps: np.ndarray
@@ -69,8 +64,7 @@ def _directions() -> np.ndarray:
     u, v = np.where(over_v, -uu, uu), np.where(over_u, -vv, vv)
     z = 1 - np.abs(u) - np.abs(v)
     fold = np.clip(-z, 0, None)
-    out: np.ndarray = normalise(np.stack([u - np.sign(u) * fold, v - np.sign(v) * fold, z], -1))
-    return out
+    return normalise(np.stack([u - np.sign(u) * fold, v - np.sign(v) * fold, z], -1))
 
 
 @lru_cache(maxsize=2)
@@ -111,11 +105,11 @@ def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(3,) radiance of a white diffuse surface of unit normal (3,), axes of the cube, under all of its hemisphere."""
     d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
     weight = np.clip(d @ normal, 0, None) * solid
-    return np.asarray((weight[..., None] * cube).sum((0, 1, 2)) / weight.sum())
+    return (weight[..., None] * cube).sum((0, 1, 2)) / weight.sum()
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def look_at(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: no cover - compiled
+def environment_radiance(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: no cover - compiled
     """(r, g, b) of the environment. maps : of `octahedral`;  turn (3, 3) : axes of the maps from those of d (any length)."""
     x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
     y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
@@ -139,13 +133,13 @@ def look_at(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: no cover - com
     w00, w01, w10, w11 = (one - fs) * (one - ft), fs * (one - ft), (one - fs) * ft, fs * ft
     r, g, b = zero, zero, zero
     for q in range(2):
-        share = m if q else one - m
-        if share <= 0:
+        weight = m if q else one - m
+        if weight <= 0:
             continue
         p = maps[k + q]
-        r += share * (w00 * p[j, i, 0] + w01 * p[j, i + 1, 0] + w10 * p[j + 1, i, 0] + w11 * p[j + 1, i + 1, 0])
-        g += share * (w00 * p[j, i, 1] + w01 * p[j, i + 1, 1] + w10 * p[j + 1, i, 1] + w11 * p[j + 1, i + 1, 1])
-        b += share * (w00 * p[j, i, 2] + w01 * p[j, i + 1, 2] + w10 * p[j + 1, i, 2] + w11 * p[j + 1, i + 1, 2])
+        r += weight * (w00 * p[j, i, 0] + w01 * p[j, i + 1, 0] + w10 * p[j + 1, i, 0] + w11 * p[j + 1, i + 1, 0])
+        g += weight * (w00 * p[j, i, 1] + w01 * p[j, i + 1, 1] + w10 * p[j + 1, i, 1] + w11 * p[j + 1, i + 1, 1])
+        b += weight * (w00 * p[j, i, 2] + w01 * p[j, i + 1, 2] + w10 * p[j + 1, i, 2] + w11 * p[j + 1, i + 1, 2])
     return r, g, b
 
 
@@ -158,13 +152,13 @@ def warped(x):  # pragma: no cover - compiled
 def unwarped(u: np.ndarray) -> np.ndarray:
     """The inverse of `warped`."""
     k = float(WARP)
-    return np.asarray(u / (k - (k - 1) * np.abs(u)))
+    return u / (k - (k - 1) * np.abs(u))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def first_plane(axes, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
     """(plane, distance) of the nearest plane that is met from its front; plane -1 = none."""
-    best, found = np.float32(1e30), -1
+    best, nearest = np.float32(1e30), -1
     for p in range(axes.shape[0]):
         nx, ny, nz = axes[p, 3, 0], axes[p, 3, 1], axes[p, 3, 2]
         towards = -(dx * nx + dy * ny + dz * nz)
@@ -173,17 +167,17 @@ def first_plane(axes, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
         h = (x - axes[p, 0, 0]) * nx + (y - axes[p, 0, 1]) * ny + (z - axes[p, 0, 2]) * nz
         t = max(h, np.float32(0)) / towards
         if t < best:
-            best, found = t, p
-    return found, best
+            best, nearest = t, p
+    return nearest, best
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
-    """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over `covers` sides of it."""
+def plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compiled
+    """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over `footprint` sides of it."""
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
     far = max(abs(a), abs(b))
     last = np.float32(mips.shape[0] - 1)
-    level = np.log2(max(covers * np.float32(mips[0, 1]), one))
+    level = np.log2(max(footprint * np.float32(mips[0, 1]), one))
     # beyond the texture the plane looks as its outer parts do on average: not as near the object, with its shadow
     level = min(max(level, max(last - _OUTER, zero) * min(max((far - one) * np.float32(2), zero), one)), last)
     l0 = int(level)
@@ -191,8 +185,8 @@ def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
     u, v = min(max(warped(a), -one), one), min(max(warped(b), -one), one)
     r, g, c = zero, zero, zero
     for q in range(2):
-        share = m if q else one - m
-        if share <= 0:
+        weight = m if q else one - m
+        if weight <= 0:
             continue
         offset, n = mips[l0 + q, 0], mips[l0 + q, 1]
         s = min(max((u + one) * half * np.float32(n) - half, zero), np.float32(n - 1))
@@ -202,29 +196,28 @@ def on_plane(texture, mips, a, b, covers):  # pragma: no cover - compiled
         fs, fw = s - np.float32(i), w - np.float32(j)
         at00, at01, at10, at11 = offset + j * n + i, offset + j * n + i1, offset + j1 * n + i, offset + j1 * n + i1
         w00, w01, w10, w11 = (one - fs) * (one - fw), fs * (one - fw), (one - fs) * fw, fs * fw
-        r += share * (w00 * texture[at00, 0] + w01 * texture[at01, 0] + w10 * texture[at10, 0] + w11 * texture[at11, 0])
-        g += share * (w00 * texture[at00, 1] + w01 * texture[at01, 1] + w10 * texture[at10, 1] + w11 * texture[at11, 1])
-        c += share * (w00 * texture[at00, 2] + w01 * texture[at01, 2] + w10 * texture[at10, 2] + w11 * texture[at11, 2])
+        r += weight * (w00 * texture[at00, 0] + w01 * texture[at01, 0] + w10 * texture[at10, 0] + w11 * texture[at11, 0])
+        g += weight * (w00 * texture[at00, 1] + w01 * texture[at01, 1] + w10 * texture[at10, 1] + w11 * texture[at11, 1])
+        c += weight * (w00 * texture[at00, 2] + w01 * texture[at01, 2] + w10 * texture[at10, 2] + w11 * texture[at11, 2])
     return r, g, c
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def behind(back: Behind, skip, point, direction, tan_half, half_deg):  # pragma: no cover - compiled
+def background_radiance(background: Background, skip, point, direction, tan_half, half_deg):  # pragma: no cover - compiled
     """(r, g, b) of what lies behind the voxels from a point (metres) on: planes nearest first, then the environment.
 
     A cone that lies across a plane's horizon sees it with the part of its width that is under it, and the environment with
     the rest, about the middle of that and narrower.
-    Where a plane ends, what is behind it is seen. point, direction : x, y, z;  skip : a plane not to be met
-    """
-    axes, reach, textures, mips, maps, widths, turn = back
+    Beyond a plane's end the next one shows. point, direction : x, y, z;  skip : a plane not to be met"""
+    axes, extents, textures, mips, maps, widths, turn = background
     (x, y, z), (dx, dy, dz) = point, direction
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     wide = tan_half / np.sqrt(one + tan_half * tan_half)
-    r, g, b, left = zero, zero, zero, one
+    r, g, b, transmittance = zero, zero, zero, one
     nearer_than = np.float32(-1)
     ux, uy, uz, over = dx, dy, dz, one  # direction of what is over the horizon, and how much of the cone's width
     for _ in range(axes.shape[0]):
-        best, p, lies = np.float32(1e30), -1, zero
+        best, p, sine_below = np.float32(1e30), -1, zero
         for k in range(axes.shape[0]):
             down = -(dx * axes[k, 3, 0] + dy * axes[k, 3, 1] + dz * axes[k, 3, 2])
             if k == skip or down <= -wide:
@@ -234,49 +227,49 @@ def behind(back: Behind, skip, point, direction, tan_half, half_deg):  # pragma:
             h = (x - axes[k, 0, 0]) * axes[k, 3, 0] + (y - axes[k, 0, 1]) * axes[k, 3, 1] + (z - axes[k, 0, 2]) * axes[k, 3, 2]
             t = max(h, zero) / max(low, np.float32(1e-4))
             if t > nearer_than and t < best:
-                best, p, lies = t, k, down
+                best, p, sine_below = t, k, down
         if p < 0:
             break
         nearer_than = best
-        half_m = reach[p, 0]
-        share = left * min(max(half + half * lies / wide, zero), one)
-        sink = max(half * (lies + wide) - lies, zero)
+        half_m = extents[p, 0]
+        weight = transmittance * min(max(half + half * sine_below / wide, zero), one)
+        sink = max(half * (sine_below + wide) - sine_below, zero)
         ex, ey, ez = dx - sink * axes[p, 3, 0], dy - sink * axes[p, 3, 1], dz - sink * axes[p, 3, 2]
         qx, qy, qz = x + best * ex - axes[p, 0, 0], y + best * ey - axes[p, 0, 1], z + best * ez - axes[p, 0, 2]
         a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
         c = qx * axes[p, 2, 0] + qy * axes[p, 2, 1] + qz * axes[p, 2, 2]
-        inside = min(min(a - reach[p, 1], c - reach[p, 2]), min(reach[p, 3] - a, reach[p, 4] - c))
-        there = min(max(half + inside / (one + one) / max(best * tan_half, EDGE * half_m), zero), one)
-        share *= there
-        if share <= zero:
+        inside = min(min(a - extents[p, 1], c - extents[p, 2]), min(extents[p, 3] - a, extents[p, 4] - c))
+        inside_weight = min(max(half + inside / (one + one) / max(best * tan_half, EDGE * half_m), zero), one)
+        weight *= inside_weight
+        if weight <= zero:
             continue
         a, c = a / half_m, c / half_m
         # of the texture's side: the warp's slope is WARP / (1 + (WARP - 1) |x|)^2
         slope = one + (WARP - one) * max(abs(a), abs(c))
-        pr, pg, pb = on_plane(textures[p], mips, a, c, best * tan_half / half_m * WARP / (slope * slope))
-        r += share * pr
-        g += share * pg
-        b += share * pb
-        left -= share
-        if abs(lies) < wide:
-            rise = half * there * (lies + wide)
+        pr, pg, pb = plane_radiance(textures[p], mips, a, c, best * tan_half / half_m * WARP / (slope * slope))
+        r += weight * pr
+        g += weight * pg
+        b += weight * pb
+        transmittance -= weight
+        if abs(sine_below) < wide:
+            rise = half * inside_weight * (sine_below + wide)
             ux, uy, uz = ux + rise * axes[p, 3, 0], uy + rise * axes[p, 3, 1], uz + rise * axes[p, 3, 2]
             over *= one - half * rise / wide
-        if left <= np.float32(1e-3):
+        if transmittance <= np.float32(1e-3):
             break
-    if left > np.float32(1e-3):
-        er, eg, eb = look_at(maps, widths, turn, ux, uy, uz, half_deg * over)
-        r += left * er
-        g += left * eg
-        b += left * eb
+    if transmittance > np.float32(1e-3):
+        er, eg, eb = environment_radiance(maps, widths, turn, ux, uy, uz, half_deg * over)
+        r += transmittance * er
+        g += transmittance * eg
+        b += transmittance * eb
     return r, g, b
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def behind_many(points, directions, skip, tan_half, half_deg, back: Behind):  # pragma: no cover - compiled
-    """(m, 3) of `behind` from points (m, 3), metres, along directions (m, 3)."""
+def background_radiances(points, directions, skip, tan_half, half_deg, background: Background):  # pragma: no cover - compiled
+    """(m, 3) of `background_radiance` from points (m, 3), metres, along directions (m, 3)."""
     out = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
         p, d = (points[i, 0], points[i, 1], points[i, 2]), (directions[i, 0], directions[i, 1], directions[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = behind(back, skip, p, d, tan_half, half_deg)
+        out[i, 0], out[i, 1], out[i, 2] = background_radiance(background, skip, p, d, tan_half, half_deg)
     return out

@@ -57,16 +57,15 @@ class Voxels:
 class _Material(NamedTuple):
     """colours (n, 4) and uv (n, 2) of a part's corners, base and glow textures, emission (3,), cutoff of opacity
 
-    share (2,) : of the base colour that is reflected, and what is reflected beside it: metals count as matt, as voxels are
-    coarser than any highlight.
-    """
+    reflectance (2,) : of the base colour, and of white beside it: metals count as diffuse, as voxels are
+    coarser than any highlight."""
 
     colours: np.ndarray
     uv: np.ndarray
     base: np.ndarray
     glow: np.ndarray
     emission: np.ndarray
-    share: np.ndarray
+    reflectance: np.ndarray
     cutoff: np.float32
 
 
@@ -106,13 +105,11 @@ def voxelise(scene: Scene, n: int) -> Voxels:
         _accumulate(v, faces, normals, _material(part), n, per_side, bricks, sums)
     brick, cell = np.nonzero(sums[:, :, 0] > 0)
     s = sums[brick, cell].astype(float)
-    place, inside = where[brick], cell
-    coarse = np.stack([place % per_side, place // per_side % per_side, place // per_side**2], -1)
-    fine = np.stack([inside % BRICK, inside // BRICK % BRICK, inside // BRICK**2], -1)
+    zyx = np.array(np.unravel_index(where[brick], (per_side,) * 3)) * BRICK + np.unravel_index(cell, (BRICK,) * 3)
     mean = divide(s[:, 1:], s[:, :1])
     opacity = np.minimum(_GAIN * s[:, 0], 1) * np.clip(mean[:, 9], 0, 1)
     return Voxels(
-        volume, (coarse * BRICK + fine).astype(np.int32), opacity.astype(np.float32), mean[:, :3].astype(np.float32),
+        volume, np.ascontiguousarray(zyx[::-1].T, np.int32), opacity.astype(np.float32), mean[:, :3].astype(np.float32),
         mean[:, 3:6].astype(np.float32), normalise(mean[:, 6:9]).astype(np.float32),
     )  # fmt: skip
 
@@ -123,23 +120,19 @@ def _material(part: Part) -> _Material:
     if part.colours is not None:
         colours *= part.colours.astype(np.float32)
     uv = np.zeros((count, 2), np.float32) if part.uv is None else part.uv.astype(np.float32)
-    white = np.ones((1, 1, 4), np.float32)
+    base, glow = np.ones((1, 1, 4), np.float32), np.ones((1, 1, 3), np.float32)
     decode = SRGB.decode(np.arange(256) / 255).astype(np.float32)
-    base = white
     if m.base_texture is not None and part.uv is not None:
         base = np.dstack([decode[m.base_texture[..., :3]], m.base_texture[..., 3:].astype(np.float32) / 255])
-    glow = white[..., :3]
     if m.emissive_texture is not None and part.uv is not None:
         glow = decode[m.emissive_texture]
     f0 = 0.08 * m.specular * (1 - m.metallic)
-    share = np.array([(1 - m.metallic) * (1 - f0) + m.metallic, f0], np.float32)
+    reflectance = np.array([(1 - m.metallic) * (1 - f0) + m.metallic, f0], np.float32)
     cutoff = m.alpha_cutoff if m.alpha_mode == MASK else -1.0
     if m.alpha_mode not in (MASK, BLEND):
-        colours[:, 3] = 1
-        base = base.copy()
-        base[..., 3] = 1
+        colours[:, 3] = base[..., 3] = 1
     return _Material(
-        colours, uv, np.ascontiguousarray(base), np.ascontiguousarray(glow), np.asarray(m.emissive, np.float32), share,
+        colours, uv, np.ascontiguousarray(base), np.ascontiguousarray(glow), np.asarray(m.emissive, np.float32), reflectance,
         np.float32(cutoff),
     )  # fmt: skip
 
@@ -162,6 +155,16 @@ def _steps(a, b, c):  # pragma: no cover - compiled
     return min(int(np.sqrt(longest) / np.float32(_FINEST)) + 1, _MOST), area
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+def _sample(a, b, c, i, j, m):  # pragma: no cover - compiled
+    """Centroid of sub-triangle j of row i when every edge is cut into m: weights of the three corners, and its voxel."""
+    third = np.float32(1.0 / 3.0) if j % 2 == 0 else np.float32(2.0 / 3.0)
+    p, q = (np.float32(i) + third) / np.float32(m), (np.float32(j // 2) + third) / np.float32(m)
+    w = np.float32(1) - p - q
+    x, y = np.floor(a[0] * w + b[0] * p + c[0] * q), np.floor(a[1] * w + b[1] * p + c[1] * q)
+    return w, p, q, int(x), int(y), int(np.floor(a[2] * w + b[2] * p + c[2] * q))
+
+
 @numba.njit(cache=True, nogil=True)
 def _mark(v, faces, n, per_side, bricks):  # pragma: no cover - compiled
     """bricks : 0 where a sample falls, else as it was."""
@@ -170,26 +173,15 @@ def _mark(v, faces, n, per_side, bricks):  # pragma: no cover - compiled
         m, _ = _steps(a, b, c)
         for i in range(m):
             for j in range(2 * (m - i) - 1):
-                p, q = _barycentric(i, j, m)
-                w = np.float32(1) - p - q
-                x = int(np.floor(a[0] * w + b[0] * p + c[0] * q))
-                y = int(np.floor(a[1] * w + b[1] * p + c[1] * q))
-                z = int(np.floor(a[2] * w + b[2] * p + c[2] * q))
+                _, _, _, x, y, z = _sample(a, b, c, i, j, m)
                 if 0 <= x < n and 0 <= y < n and 0 <= z < n:
                     bricks[((z // BRICK) * per_side + y // BRICK) * per_side + x // BRICK] = 0
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _barycentric(i, j, m):  # pragma: no cover - compiled
-    """Centroid of sub-triangle j of row i when every edge is cut into m: weights of the second and third corner."""
-    third = np.float32(1.0 / 3.0) if j % 2 == 0 else np.float32(2.0 / 3.0)
-    return (np.float32(i) + third) / np.float32(m), (np.float32(j // 2) + third) / np.float32(m)
 
 
 @numba.njit(cache=True, nogil=True)
 def _accumulate(v, faces, normals, look: _Material, n, per_side, bricks, sums):  # pragma: no cover - compiled
     """sums (b, 64, 11) += area, and times the area: albedo (3), emission (3), normal (3), alpha."""
-    colours, uv, base, glow, emission, share, cutoff = look
+    colours, uv, base, glow, emission, reflectance, cutoff = look
     rows, columns, grows, gcolumns = base.shape[0], base.shape[1], glow.shape[0], glow.shape[1]
     for f in range(faces.shape[0]):
         i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -200,11 +192,7 @@ def _accumulate(v, faces, normals, look: _Material, n, per_side, bricks, sums): 
         each = area / np.float32(m * m)
         for i in range(m):
             for j in range(2 * (m - i) - 1):
-                p, q = _barycentric(i, j, m)
-                w = np.float32(1) - p - q
-                x = int(np.floor(a[0] * w + b[0] * p + c[0] * q))
-                y = int(np.floor(a[1] * w + b[1] * p + c[1] * q))
-                z = int(np.floor(a[2] * w + b[2] * p + c[2] * q))
+                w, p, q, x, y, z = _sample(a, b, c, i, j, m)
                 if not (0 <= x < n and 0 <= y < n and 0 <= z < n):
                     continue
                 s = uv[i0, 0] * w + uv[i1, 0] * p + uv[i2, 0] * q
@@ -222,7 +210,7 @@ def _accumulate(v, faces, normals, look: _Material, n, per_side, bricks, sums): 
                 lit = glow[min(int(t * grows), grows - 1), min(int(s * gcolumns), gcolumns - 1)]
                 for k in range(3):
                     colour = (colours[i0, k] * w + colours[i1, k] * p + colours[i2, k] * q) * texel[k]
-                    to[1 + k] += each * (colour * share[0] + share[1])
+                    to[1 + k] += each * (colour * reflectance[0] + reflectance[1])
                     to[4 + k] += each * emission[k] * lit[k]
                     to[7 + k] += each * (normals[i0, k] * w + normals[i1, k] * p + normals[i2, k] * q)
                 to[10] += each * alpha

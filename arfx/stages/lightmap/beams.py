@@ -1,6 +1,6 @@
 """The light of one frame as the shadows need it: directions in the plane's axes, sizes, and each part's share of the plane.
 
-Directions and sizes are rounded, finely, for shadows only: what is made for a light is kept and found again by them.
+Directions and sizes are quantised, finely, for shadows only: they are the keys by which shadows are cached.
 """
 
 from __future__ import annotations
@@ -24,16 +24,10 @@ REACH = 12.0
 
 @dataclass(frozen=True)
 class Beam:
-    """One directional light. direction : unit, anchor axes, rounded;  size_deg : full angle of its disc, rounded
-    (a dataclass of floats: equal beams cast equal shadows)"""
+    """A directional light, rounded: equal beams cast equal shadows. direction : unit, anchor axes;  size_deg : full angle"""
 
     direction: tuple[float, float, float]
     size_deg: float
-
-    @property
-    def on_plane(self) -> bool:
-        """Does it reach the plane's front at all?"""
-        return self.direction[2] > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +35,7 @@ class FrameLight:
     """towards (l, 3) unit, WORLD frame; rgb (l, 3) : on a facing surface; on_object (l,) share of the disc over the horizon
     beams : the same lights, rounded, anchor axes
     soft (9, 3) harmonics or empty; ambient (3,)
-    plane_ambient (3,), plane_direct (l, 3) : radiance of the white plane from each part, nothing in the way
-    """
+    plane_ambient (3,), plane_direct (l, 3) : radiance of the white plane from each part, nothing in the way"""
 
     towards: np.ndarray
     rgb: np.ndarray
@@ -55,12 +48,12 @@ class FrameLight:
     plane_direct: np.ndarray
 
     @property
-    def ambient_share(self) -> np.ndarray:
+    def ambient_fraction(self) -> np.ndarray:
         """(3,) of the plane's light that is ambient; 0 where there is no light."""
         return divide(self.plane_ambient, self.plane_ambient + self.plane_direct.sum(0))
 
     @property
-    def direct_shares(self) -> np.ndarray:
+    def direct_fractions(self) -> np.ndarray:
         """(l, 3) of the plane's light that each directional light gives."""
         return divide(self.plane_direct, self.plane_ambient + self.plane_direct.sum(0))
 
@@ -68,33 +61,25 @@ class FrameLight:
 def frame_light(light: Light, world_from_anchor: Pose, hard: bool, plane_blocks: bool) -> FrameLight:
     """hard : lights without size;  plane_blocks : what is behind the plane does not light the object.
 
-    Lights without a direction or without finite colour are left out; negative colour counts as none.
-    """
-    towards, rgb, sizes, beams = [], [], [], []
-    for li in light.lights:
-        d, colour = li.unit, np.clip(np.asarray(li.rgb, float), 0, None)
-        if not d.any() or not np.isfinite(colour).all() or not colour.any():
-            continue
-        size = 0.0 if hard or not np.isfinite(li.angular_size_deg) else float(li.angular_size_deg)
-        size = 0.0 if hard else float(np.clip(size, SMALLEST_DEG, LARGEST_DEG))
-        towards.append(d)
-        rgb.append(colour)
-        sizes.append(size)
-        beams.append(rounded(world_from_anchor.rotation.T @ d, size))
-    t, c = np.array(towards, float).reshape(-1, 3), np.array(rgb, float).reshape(-1, 3)
-    s = np.array(sizes, float)
+    Lights without a direction or without finite colour are left out; negative colour counts as none."""
+    lights = [(li.unit, np.clip(np.asarray(li.rgb, float), 0, None), li.angular_size_deg) for li in light.lights]
+    lights = [(d, rgb, size) for d, rgb, size in lights if d.any() and np.isfinite(rgb).all() and rgb.any()]
+    t, c = (np.array([li[i] for li in lights], float).reshape(-1, 3) for i in (0, 1))
+    sizes_deg = np.nan_to_num(np.array([li[2] for li in lights], float), posinf=0)
+    s = np.zeros(len(lights)) if hard else np.clip(sizes_deg, SMALLEST_DEG, LARGEST_DEG)
+    beams = tuple(quantised(world_from_anchor.rotation.T @ d, size) for d, size in zip(t, s.tolist(), strict=True))
     up = world_from_anchor.rotation[:, 2]
     rise = t @ up
     elevation_deg = np.degrees(np.arcsin(np.clip(rise, -1, 1)))
     seen = np.clip(0.5 + elevation_deg / np.maximum(s, SMALLEST_DEG), 0, 1) if plane_blocks else np.ones(len(s))
     return FrameLight(
-        t, c, seen, s, tuple(beams), np.array(light.soft, float).reshape(-1, 3), np.asarray(light.ambient_rgb, float),
+        t, c, seen, s, beams, np.array(light.soft, float).reshape(-1, 3), np.asarray(light.ambient_rgb, float),
         np.clip(light.soft_radiance(up), 0, None), c * np.clip(rise, 0, None)[:, None],
     )  # fmt: skip
 
 
-def rounded(direction: np.ndarray, size_deg: float) -> Beam:
-    """The beam that stands for a direction (3,), unit, anchor axes: within QUANTUM of it."""
+def quantised(direction: np.ndarray, size_deg: float) -> Beam:
+    """The beam nearest a direction (3,), unit, anchor axes: within QUANTUM of it."""
     d = np.asarray(direction, float)
     steps = np.round(d / QUANTUM)
     # rounded and scaled to a unit again it may round to a neighbour: until it stays, so that equal lights are equal keys
@@ -107,19 +92,11 @@ def rounded(direction: np.ndarray, size_deg: float) -> Beam:
     return Beam((float(d[0]), float(d[1]), float(d[2])), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG)
 
 
-def disc(n: int) -> np.ndarray:
-    """(n, 2) points of equal area on the unit disc (Vogel's spiral)."""
-    i = np.arange(n) + 0.5
-    r, phi = np.sqrt(i / n), i * np.pi * (3 - np.sqrt(5))
-    return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
-
-
 def disc_directions(beam: Beam, points: np.ndarray, over_plane: bool = True) -> np.ndarray:
     """(n, 3) unit directions, anchor axes, to `points` (n, 2) of the light's unit disc.
 
     The first axis of the disc lies level, the second rises. over_plane : what would lie under the horizon is mirrored over
-    it, and no direction is lower than 1 / REACH: a shadow has an end.
-    """
+    it, and no direction is lower than 1 / REACH: a shadow has an end."""
     w = np.array(beam.direction)
     level = normalise(np.array([-w[1], w[0], 0.0]))
     if not level.any():
@@ -129,6 +106,6 @@ def disc_directions(beam: Beam, points: np.ndarray, over_plane: bool = True) -> 
     d = normalise(w + radius * (points[:, :1] * level + points[:, 1:] * rise))
     if not over_plane:
         return d
-    ground = np.linalg.norm(d[:, :2], axis=1)
-    d[:, 2] = np.maximum(np.abs(d[:, 2]), ground / REACH)
+    horizontal = np.linalg.norm(d[:, :2], axis=1)
+    d[:, 2] = np.maximum(np.abs(d[:, 2]), horizontal / REACH)
     return normalise(d)

@@ -10,7 +10,7 @@ from arfx.core.numerics import arccos, divide, normalise
 from arfx.core.scene import Scene
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
-_SAME_PLACE = 1e-6  # of the extent: a seam's two vertices differ by rounding
+_WELD_DISTANCE = 1e-6  # of the extent: a seam's two vertices differ by rounding
 _COARSEST_SAG = 0.02  # of the extent; facets that stand off further are not taken for a smooth surface
 _HULL_POINTS = 64
 
@@ -24,8 +24,7 @@ class Caster:
     edges (e, 5) int32 : of those, see `_edges`;  across (3, m') float32 : their normals, as long as twice their area
     outline (k, 3) float64 : points whose hull holds everything above the plane
     extent_m : largest side;  height_m : highest point over the plane, >= 0
-    sag_m, facet_slope : how far flat facets lie below the smooth surface that their normals tell of, and by what slope
-    """
+    sag_m, facet_slope : how far flat facets lie below the smooth surface of their normals, and by what slope"""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -44,16 +43,12 @@ def make_caster(scene: Scene) -> Caster:
     """All parts of the scene's model together, whatever their material: what is transparent casts a full shadow."""
     anchor_from_world = scene.world_from_anchor.inverse()
     vertices = anchor_from_world.apply(scene.model_points_m)
-    faces, start = [], 0
-    for part in scene.model.parts:
-        faces.append(part.faces + start)
-        start += len(part.vertices)
-    every = np.concatenate(faces).astype(np.int32)
+    starts = np.cumsum([0, *(len(p.vertices) for p in scene.model.parts)])
+    every = np.concatenate([p.faces + k for p, k in zip(scene.model.parts, starts, strict=False)]).astype(np.int32)
     used = vertices[np.unique(every)]
     extent = float(np.ptp(used, axis=0).max())
-    sunk = -_SUNK * extent
-    cut = bool((used[:, 2] < sunk).any())
-    over, over_faces = _above_plane(vertices, every) if cut else (vertices, every)
+    sunk = (used[:, 2] < -_SUNK * extent).any()
+    over, over_faces = _above_plane(vertices, every) if sunk else (vertices, every)
     a, b, c = (over[over_faces[:, i]] for i in range(3))
     top = float(over[:, 2].max(initial=0.0))
     linear = scene.world_from_model[:3, :3]
@@ -71,9 +66,9 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     if not len(faces):
         return np.zeros((0, 5), np.int32)
     low, size = vertices.min(0), float(np.ptp(vertices, axis=0).max())
-    grid = np.round(divide(vertices - low, _SAME_PLACE * size))
-    _, first, place = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    at = first[place.ravel()[faces]]
+    grid = np.round(divide(vertices - low, _WELD_DISTANCE * size))
+    _, first, vertex = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    at = first[vertex.ravel()[faces]]
     run = np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]])
     face = np.tile(np.arange(len(faces)), 3)
     keep = run[:, 0] != run[:, 1]
@@ -121,8 +116,8 @@ def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
     n = len(vertices)
     new = np.arange(n, n + 3 * len(triangles)).reshape(-1, 3)
     every = np.concatenate([vertices, triangles.reshape(-1, 3)])
-    kept, place = np.unique(np.concatenate([whole, new]), return_inverse=True)
-    return every[kept], place.reshape(-1, 3).astype(np.int32)
+    kept, vertex = np.unique(np.concatenate([whole, new]), return_inverse=True)
+    return every[kept], vertex.reshape(-1, 3).astype(np.int32)
 
 
 def _outline(points: np.ndarray) -> np.ndarray:
@@ -137,19 +132,15 @@ def _outline(points: np.ndarray) -> np.ndarray:
         hull = points
     if len(hull) <= _HULL_POINTS:
         return hull
-    # extreme points in spread directions, pushed out to the planes that bound the rest: a slightly larger hull
+    # extreme points in 400 even directions, pushed out to the planes that bound the rest: a slightly larger hull
     middle = (hull.min(0) + hull.max(0)) / 2
-    grown = middle + (hull[_extreme(hull - middle)] - middle) * 1.02
-    grown[:, 2] = np.maximum(grown[:, 2], 0)
-    return grown
-
-
-def _extreme(points: np.ndarray) -> np.ndarray:
-    """Indices of the points that lie farthest in 400 even directions."""
     i = np.arange(400) + 0.5
     z, phi = 1 - 2 * i / 400, i * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
-    return np.unique((points @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0))
+    extreme = np.unique(((hull - middle) @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0))
+    grown = middle + (hull[extreme] - middle) * 1.02
+    grown[:, 2] = np.maximum(grown[:, 2], 0)
+    return grown
 
 
 def _faceting(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, extent: float) -> tuple[float, float]:

@@ -22,9 +22,9 @@ from arfx.stages.lightmap.plane import PlaneTexture
 from arfx.stages.viewing import GRID_PX
 
 _NOWHERE = np.float32(1e9)  # on the plane, metres: as far from every picture as can be
-_BENT = np.float32(0.01)  # relative change of distance over a run: places are off by up to a quarter of it times the run
+_CURVATURE = np.float32(0.01)  # relative change of distance over a run: places are off by up to a quarter of it times the run
 _UNSEEN = 0.001  # share of the light: of white, less than half a step of 10 bits
-_TOGETHER = 2  # runs that are tested at once
+_STRIDE = 2  # runs that are tested at once
 
 
 class Pictures(NamedTuple):
@@ -38,68 +38,60 @@ class Pictures(NamedTuple):
 
 
 class _Dimming(NamedTuple):
-    """What pictures take of the light. shares (t, 1 or 3);  blocked : the last picture is of what is blocked already
-    faint, strength : of `light_left`;  rise : over faint, of what is kept of a darkening"""
+    """How pictures dim the light. weights (t, 1 or 3);  blocked : the last picture is of what is blocked already
+    faint, strength : of `shadow_ratio`;  rise : over faint, of what is kept of a darkening"""
 
-    shares: np.ndarray
+    weights: np.ndarray
     blocked: bool
     faint: np.float32
     rise: np.float32
     strength: np.float32
 
 
-class _Room(NamedTuple):
-    """To work in: borders of runs (6, n); of a line's pixels (n,), taken (c, n);  spans (t, 2) : runs of each picture"""
+class _Scratch(NamedTuple):
+    """Borders of runs (3, 6, n): of a line, of the lines above and below;  lines (6 + c, n), cell (n,) : of a line's pixels
+    spans (t, 2) : runs of each picture"""
 
-    ends: np.ndarray
-    above: np.ndarray
-    below: np.ndarray
-    px: np.ndarray
-    py: np.ndarray
-    place: np.ndarray
-    fu: np.ndarray
-    fv: np.ndarray
-    dark: np.ndarray
-    open_: np.ndarray
-    taken: np.ndarray
+    borders: np.ndarray
+    lines: np.ndarray
+    cell: np.ndarray
     spans: np.ndarray
 
 
-def light_left(
-    rect: Rect, grid: np.ndarray, anchor_from_camera: Pose, textures: Sequence[PlaneTexture], shares: np.ndarray,
+def shadow_ratio(
+    rect: Rect, grid: np.ndarray, anchor_from_camera: Pose, textures: Sequence[PlaneTexture], weights: np.ndarray,
     blocked: PlaneTexture | None, faint: float, strength: float,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 ratio of the light that the object leaves the plane; 1 where it leaves all. Read-only, and one value
     for three channels where every light has one.
 
     grid (gh, gw, 3) : float32 viewing directions as `direction_grid` makes them
-    textures, shares (t, 3) : the ambient light first, then the directional ones; each one's part of the plane's light
+    textures, weights (t, 3) : the ambient light first, then the directional ones; each one's part of the plane's light
     blocked : share of every directional light that something real takes already
     faint : darkening under it is left out, over 3 times as much kept whole, faded between;  strength : 0..1
-    Where what is kept of the only light is less than _UNSEEN, it need not be looked up.
-    """
+    Where less than _UNSEEN of the only light is taken, nothing is looked up."""
     every = (*textures, blocked) if blocked is not None else tuple(textures)
-    alone = _shows_from(faint, strength) / max(float(shares.max()), 1e-6) if len(every) == 1 else 0.0
+    alone = _shows_from(faint, strength) / max(float(weights.max()), 1e-6) if len(every) == 1 else 0.0
     pictures = _packed(every, alone)
-    grey = bool((shares == shares[:, :1]).all())
+    grey = bool((weights == weights[:, :1]).all())
     # of the whole grid only the nodes around the rectangle
     gx, gy = rect.x0 // GRID_PX, rect.y0 // GRID_PX
     near = grid[gy : (rect.y1 - 1) // GRID_PX + 2, gx : (rect.x1 - 1) // GRID_PX + 2]
     nodes = anchor_from_camera.rotation.astype(np.float32) @ near.reshape(-1, 3).T
-    left = _look_up(
+    ratio = _look_up(
         rect.x0 - gx * GRID_PX, rect.y0 - gy * GRID_PX, rect.width, rect.height, nodes.reshape(3, *near.shape[:2]),
         anchor_from_camera.translation_m.astype(np.float32), pictures,
         _Dimming(
-            shares[:, : 1 if grey else 3].astype(np.float32), blocked is not None, np.float32(faint),
+            weights[:, : 1 if grey else 3].astype(np.float32), blocked is not None, np.float32(faint),
             np.float32(0.5 / max(faint, 1e-6)), np.float32(strength),
         ),
     )  # fmt: skip
-    return np.broadcast_to(left, (rect.height, rect.width, 3))
+    return np.broadcast_to(ratio, (rect.height, rect.width, 3))
 
 
 @lru_cache(maxsize=4)
 def _shows_from(faint: float, strength: float) -> float:
-    """The least darkening of which, faded as `light_left` tells, more is kept than _UNSEEN."""
+    """The least darkening of which, faded as in `shadow_ratio`, more remains than _UNSEEN."""
     t = np.linspace(0, 1, 200)
     dark = faint * (1 + 2 * t)
     return float(np.interp(_UNSEEN, strength * dark * t * t * (3 - 2 * t), dark))
@@ -107,7 +99,7 @@ def _shows_from(faint: float, strength: float) -> float:
 
 @lru_cache(maxsize=4)
 def _packed(every: tuple[PlaneTexture, ...], faint: float) -> Pictures:
-    """Kept while the light stays the same, and asked for again every frame."""
+    """Cached: looked up in every frame while the light stays the same."""
     sizes = np.array([[t.dark.size, *t.dark.shape] for t in every], np.int64)
     meta = np.column_stack([np.cumsum(sizes[:, 0]) - sizes[:, 0], sizes[:, 1:]])
     texels = every[0].dark.ravel() if len(every) == 1 else np.concatenate([t.dark.ravel() for t in every])
@@ -131,28 +123,27 @@ def _look_up(
     x0, y0, width, height, nodes, origin, pictures: Pictures, dimming: _Dimming
 ):  # fmt: skip  # pragma: no cover - compiled
     """(h, w, c)"""
-    channels = dimming.shares.shape[1]
+    channels = dimming.weights.shape[1]
     out = np.empty((height, width, channels), np.float32)
     runs = (x0 + width - 1) // GRID_PX + 1 - x0 // GRID_PX
-    ends, lines = np.empty((18, runs + 1), np.float32), np.empty((6 + channels, (runs + 1) * GRID_PX), np.float32)
-    place, spans = np.empty((runs + 1) * GRID_PX, np.int32), np.zeros((pictures.meta.shape[0], 2), np.int64)
-    room = _Room(
-        ends[:6], ends[6:12], ends[12:], lines[0], lines[1], place, lines[2], lines[3], lines[4], lines[5], lines[6:], spans
-    )
-    _look_up_lines(x0, y0, nodes, origin, pictures, dimming, room, out)
+    borders, lines = np.empty((3, 6, runs + 1), np.float32), np.empty((6 + channels, (runs + 1) * GRID_PX), np.float32)
+    cell, spans = np.empty((runs + 1) * GRID_PX, np.int32), np.zeros((pictures.meta.shape[0], 2), np.int64)
+    _look_up_lines(x0, y0, nodes, origin, pictures, dimming, _Scratch(borders, lines, cell, spans), out)
     return out
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _look_up_lines(
-    x0, y0, nodes, origin, pictures: Pictures, dimming: _Dimming, room: _Room, out
+    x0, y0, nodes, origin, pictures: Pictures, dimming: _Dimming, scratch: _Scratch, out
 ):  # fmt: skip  # pragma: no cover - compiled
     texels, meta, affine, dark_columns = pictures
-    shares, blocked, faint, rise, strength = dimming
-    ends, above, below, px, py, place, fu, fv, dark, open_, taken, spans = room
+    weights, blocked, faint, rise, strength = dimming
+    borders, lines, cell, spans = scratch
+    ends, above, below = borders[0], borders[1], borders[2]
+    px, py, fu, fv, dark, visibility, darkening = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5], lines[6:]
     height, width, channels = out.shape
     zero, one = np.float32(0), np.float32(1)
-    step, count = np.float32(1.0 / GRID_PX), shares.shape[0]
+    step, count = np.float32(1.0 / GRID_PX), weights.shape[0]
     g0 = x0 // GRID_PX
     runs, lead = (x0 + width - 1) // GRID_PX + 1 - g0, x0 - g0 * GRID_PX
     first, last = runs, np.int64(0)
@@ -172,20 +163,20 @@ def _look_up_lines(
             out[j] = one
             continue
         _ends(nodes, origin, iy, np.float32((y0 + j) % GRID_PX) * step, g0, ends)
-        _places(ends, origin, first, last, px, py)
+        _plane_points(ends, origin, first, last, px, py)
         start, stop = max(first * GRID_PX - lead, 0), min(last * GRID_PX - lead, width)
         out[j, :start], out[j, stop:] = one, one
-        taken[:, start:stop] = zero
-        open_[start:stop] = one
+        darkening[:, start:stop] = zero
+        visibility[start:stop] = one
         for m in range(meta.shape[0]):
             k = meta.shape[0] - 1 - m  # what is blocked comes last in the list and first here
             rows, columns = meta[k, 1], meta[k, 2]
             part = texels[meta[k, 0] : meta[k, 0] + rows * columns]
             i0, i1 = max(spans[k, 0] * GRID_PX - lead, 0), min(spans[k, 1] * GRID_PX - lead, width)
             n = max(i1 - i0, 0)
-            _cells(px[lead + i0 : lead + i0 + n], py[lead + i0 : lead + i0 + n], affine[k], rows, columns, place, fu, fv)
-            _bilinear(part, np.int32(columns), place[:n], fu, fv, dark)
-            seen = open_[i0 : i0 + n]
+            _cells(px[lead + i0 : lead + i0 + n], py[lead + i0 : lead + i0 + n], affine[k], rows, columns, cell, fu, fv)
+            _bilinear(part, np.int32(columns), cell[:n], fu, fv, dark)
+            seen = visibility[i0 : i0 + n]
             if k == count:
                 for i in range(n):
                     seen[i] = one - dark[i]
@@ -194,14 +185,14 @@ def _look_up_lines(
                 for i in range(n):
                     dark[i] *= seen[i]
             for channel in range(channels):
-                _add(taken[channel, i0 : i0 + n], dark, shares[k, channel])
+                _add(darkening[channel, i0 : i0 + n], dark, weights[k, channel])
         if blocked:  # what is there already is less than the whole light
             for channel in range(channels):
-                ambient = shares[0, channel]
+                ambient = weights[0, channel]
                 for i in range(start, stop):
-                    taken[channel, i] /= max(ambient + (one - ambient) * open_[i], np.float32(1e-6))
+                    darkening[channel, i] /= max(ambient + (one - ambient) * visibility[i], np.float32(1e-6))
         n = stop - start
-        r, g, b = taken[0, start:stop], taken[channels // 2, start:stop], taken[channels - 1, start:stop]
+        r, g, b = darkening[0, start:stop], darkening[channels // 2, start:stop], darkening[channels - 1, start:stop]
         for i in range(n):
             t = min(max((max(max(r[i], g[i]), b[i]) - faint) * rise, zero), one)
             dark[i] = strength * t * t * (np.float32(3) - t - t)
@@ -217,7 +208,7 @@ def _look_up_lines(
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _cells(xs, ys, affine, rows, columns, place, fu, fv):  # pragma: no cover - compiled
+def _cells(xs, ys, affine, rows, columns, cell, fu, fv):  # pragma: no cover - compiled
     """Of plane places xs, ys (n,) the texel at the cell's low corner, by number, and how far in the cell they lie."""
     zero = np.float32(0)
     last_u, last_v, across = np.float32(columns - 1.01), np.float32(rows - 1.01), np.int32(columns)
@@ -228,25 +219,25 @@ def _cells(xs, ys, affine, rows, columns, place, fu, fv):  # pragma: no cover - 
         v = min(max(wx * xs[i] + wy * ys[i] + w0, zero), last_v)
         iu, iv = np.int32(u), np.int32(v)
         fu[i], fv[i] = u - np.float32(iu), v - np.float32(iv)
-        place[i] = iv * across + iu
+        cell[i] = iv * across + iu
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _bilinear(part, across, place, fu, fv, dark):  # pragma: no cover - compiled
+def _bilinear(part, across, cell, fu, fv, dark):  # pragma: no cover - compiled
     """dark (n,) : bilinear value of the picture `part` in those cells."""
     one = np.uintp(1)
-    for i in range(place.shape[0]):
-        a = np.uintp(place[i])
-        c = np.uintp(place[i] + across)
+    for i in range(cell.shape[0]):
+        a = np.uintp(cell[i])
+        c = np.uintp(cell[i] + across)
         e = part[a] + fu[i] * (part[a + one] - part[a])
         f = part[c] + fu[i] * (part[c + one] - part[c])
         dark[i] = e + fv[i] * (f - e)
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _add(out, dark, share):  # pragma: no cover - compiled
+def _add(out, dark, weight):  # pragma: no cover - compiled
     for i in range(out.shape[0]):
-        out[i] += share * dark[i]
+        out[i] += weight * dark[i]
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
@@ -274,14 +265,14 @@ def _meet(dx, dy, dz, ox, oy, oz, far, x, y):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _places(ends, origin, first, last, px, py):  # pragma: no cover - compiled
+def _plane_points(ends, origin, first, last, px, py):  # pragma: no cover - compiled
     """px, py : where the pixels of the runs first ... last - 1 see the plane; as far from every picture as can be if nowhere."""
     step = np.float32(1.0 / GRID_PX)
     far, x, y = ends[3], ends[4], ends[5]
     for q in range(first, last):
         at = q * GRID_PX
         s, t = far[q], far[q + 1]
-        if min(s, t) > np.float32(0) and abs(t - s) <= _BENT * min(s, t):
+        if min(s, t) > np.float32(0) and abs(t - s) <= _CURVATURE * min(s, t):
             x0, y0, first_px = x[q], y[q], np.uintp(at)
             dx, dy = (x[q + 1] - x0) * step, (y[q + 1] - y0) * step
             for i in range(GRID_PX):
@@ -304,10 +295,10 @@ def _dark_runs(above, below, affine, dark_columns, columns):  # pragma: no cover
     distance, plane x and y"""
     runs = above.shape[1] - 1
     first, last = np.int64(0), runs
-    while first < last and not _may_be_dark(above, below, first, min(first + _TOGETHER, runs), affine, dark_columns, columns):
-        first += _TOGETHER
-    while last > first and not _may_be_dark(above, below, max(last - _TOGETHER, 0), last, affine, dark_columns, columns):
-        last -= _TOGETHER
+    while first < last and not _may_be_dark(above, below, first, min(first + _STRIDE, runs), affine, dark_columns, columns):
+        first += _STRIDE
+    while last > first and not _may_be_dark(above, below, max(last - _STRIDE, 0), last, affine, dark_columns, columns):
+        last -= _STRIDE
     return first, max(last, first)
 
 

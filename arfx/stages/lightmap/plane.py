@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.core.numerics import normalise
-from arfx.stages.lightmap.beams import Beam, disc, disc_directions
+from arfx.core.facts import PlaneShadow
+from arfx.core.numerics import divide, normalise
+from arfx.errors import RenderError
+from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.penumbra import smoothed
-from arfx.stages.lightmap.silhouette import hidden_share
-from arfx.stages.triangles import Triangles, hemisphere
+from arfx.stages.lightmap.silhouette import covered_fraction, smoothed
+from arfx.stages.triangles import Triangles, disc, hemisphere
 
 _LIFT = 1e-4  # of the extent, off the plane: a base that lies in it would hide every ray or none, by rounding
 _MARGIN = 3  # texels without shadow around it
@@ -51,19 +52,40 @@ class PlaneTexture:
     texel_from_m: np.ndarray
 
 
-def ambient_texture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
-    """The share of the hemisphere, weighted by its cosine, that is hidden. centre, half (2,) : the box, metres."""
-    n = level.ambient_texels
-    t = (np.arange(n) + 0.5) / n * 2 - 1
+def hidden_fraction(
+    caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, texels: int, directions: int
+) -> np.ndarray:
+    """(texels, texels) fraction of the hemisphere, cosine-weighted, that is hidden. centre, half (2,) : the box, metres"""
+    t = (np.arange(texels) + 0.5) / texels * 2 - 1
     x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, _LIFT * caster.extent_m)], -1)
-    dark = 1 - rays.visible_fraction(points, hemisphere(level.ambient_rays)).reshape(n, n)
+    return 1 - rays.visible_fraction(points, hemisphere(directions)).reshape(texels, texels)
+
+
+def ambient_texture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
+    """Smoothed `hidden_fraction` of the same box."""
+    n = level.ambient_texels
+    dark = hidden_fraction(caster, rays, centre, half, n, level.ambient_rays)
     dark = cv2.GaussianBlur(dark.astype(np.float32), (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
-    scale = n / (2 * half)
-    low = centre - half
+    scale, low = n / (2 * half), centre - half
     return PlaneTexture(
-        _rimmed(dark), np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]])
+        _zero_border(dark), np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]])
     )
+
+
+def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> PlaneTexture:
+    """Fraction of the directional light that a real shadow already takes: (1 - ratio) / (1 - ambient fraction), 0..1.
+
+    ambient_fraction (3,). With it the object's shadow is what it takes of the light that is there:
+    ratio = (ambient x V + direct x left x V_l) / (ambient + direct x left), so that the result is never darker than the
+    ambient light alone with the object in it, however dark the plate is."""
+    (x0, y0, x1, y1), ratio = shadow.box_m, np.array(shadow.ratio)
+    if ratio.ndim != 2 or not ratio.size or not np.isfinite(ratio).all() or not (x1 > x0 and y1 > y0):
+        raise RenderError("facts: the real shadow on the plane needs a box with an extent and a grid of finite numbers")
+    darkening = np.clip(divide(1 - ratio, 1 - float(ambient_fraction.mean())), 0, 1)
+    rows, columns = darkening.shape
+    sx, sy = columns / (x1 - x0), rows / (y1 - y0)
+    return PlaneTexture(np.pad(darkening, 1).astype(np.float32), np.array([[sx, 0, 0.5 - x0 * sx], [0, sy, 0.5 - y0 * sy]]))
 
 
 def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
@@ -77,8 +99,8 @@ def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel,
     rim = disc_directions(beam, np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4]))
     outer = np.concatenate([middle[None], rim]) if soft or level.rays else middle[None]
     slopes = -(outer[:, :2] @ axes.T) / outer[:, 2:]
-    ground = caster.outline[:, :2] @ axes.T
-    spread = (ground[None] + slopes[:, None] * caster.outline[None, :, 2:]).reshape(-1, 2)
+    footprint = caster.outline[:, :2] @ axes.T
+    spread = (footprint[None] + slopes[:, None] * caster.outline[None, :, 2:]).reshape(-1, 2)
     low, high = spread.min(0), spread.max(0)
     pitch = max(float(np.sqrt(np.prod(high - low) / level.texels)), 1e-6 * caster.extent_m, 1e-9)
     columns = -(-int(np.ceil((high[0] - low[0]) / pitch) + 2 * _MARGIN) // 64) * 64
@@ -91,17 +113,17 @@ def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel,
     # without a size: 8 shifted sample points, antialiased
     towards = disc_directions(beam, disc(level.silhouettes)) if soft else np.repeat(middle[None], 8, 0)
     displaced = -(towards[:, :2] @ axes.T) / towards[:, 2:]
-    dark = hidden_share(points, caster.edges, caster.across, towards, displaced, (rows, columns))
+    dark = covered_fraction(points, caster.edges, caster.across, towards, displaced, (rows, columns))
     if level.rays and not hard:
         dark = _traced(dark, rays, beam, level.rays, matrix, caster.extent_m)
     if soft:
         radii = np.abs(slopes[1:] - slopes[0]).max(0)
         count = level.rays or level.silhouettes
         dark = smoothed(dark, points, caster.above, slopes[0], (float(radii[0]), float(radii[1])), count)
-    return PlaneTexture(_rimmed(dark), matrix)
+    return PlaneTexture(_zero_border(dark), matrix)
 
 
-def bounded(texture: PlaneTexture, surface_m: tuple[float, float, float, float] | None) -> PlaneTexture:
+def within_surface(texture: PlaneTexture, surface_m: tuple[float, float, float, float] | None) -> PlaneTexture:
     """The same, with nothing beyond the surface (x0, y0, x1, y1), which ends within a texel; None = unlimited."""
     if surface_m is None:
         return texture
@@ -109,9 +131,10 @@ def bounded(texture: PlaneTexture, surface_m: tuple[float, float, float, float] 
     v, u = np.mgrid[:rows, :columns]
     inverse = np.linalg.inv(texture.texel_from_m[:, :2])
     at = np.stack([u, v], -1) - texture.texel_from_m[:, 2]
-    place = at @ inverse.T
+    position = at @ inverse.T
     x0, y0, x1, y1 = surface_m
-    inside = np.minimum(np.minimum(place[..., 0] - x0, x1 - place[..., 0]), np.minimum(place[..., 1] - y0, y1 - place[..., 1]))
+    x, y = position[..., 0], position[..., 1]
+    inside = np.minimum(np.minimum(x - x0, x1 - x), np.minimum(y - y0, y1 - y))
     pitch = float(np.sqrt(abs(np.linalg.det(inverse))))
     return PlaneTexture((texture.dark * np.clip(inside / pitch + 0.5, 0, 1)).astype(np.float32), texture.texel_from_m)
 
@@ -122,16 +145,13 @@ def _traced(dark: np.ndarray, rays: Triangles, beam: Beam, count: int, matrix: n
     v, u = np.nonzero(high - low > 0)
     if not len(u):
         return dark
-    places = np.linalg.solve(matrix[:, :2], np.stack([u, v]) - matrix[:, 2:]).T
-    out: np.ndarray = dark.copy()
-    points = np.column_stack([places, np.full(len(u), _LIFT * extent_m)])
+    positions = np.linalg.solve(matrix[:, :2], np.stack([u, v]) - matrix[:, 2:]).T
+    out = dark.copy()
+    points = np.column_stack([positions, np.full(len(u), _LIFT * extent_m)])
     out[v, u] = 1 - rays.visible_fraction(points, disc_directions(beam, disc(count)))
     return out
 
 
-def _rimmed(dark: np.ndarray) -> np.ndarray:
+def _zero_border(dark: np.ndarray) -> np.ndarray:
     """float32, contiguous, 0 along the border: what is looked up outside meets nothing."""
-    out: np.ndarray = np.ascontiguousarray(np.clip(dark, 0, 1), np.float32)
-    out[[0, -1]] = 0
-    out[:, [0, -1]] = 0
-    return out
+    return np.pad(np.clip(dark, 0, 1)[1:-1, 1:-1], 1).astype(np.float32)

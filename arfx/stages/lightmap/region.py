@@ -16,60 +16,52 @@ from arfx.core.model import Model
 from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
-from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture
-from arfx.stages.triangles import Triangles, hemisphere
+from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture, hidden_fraction
+from arfx.stages.triangles import Triangles
 
 _TEXELS, _RAYS = 64, 400
 _BORDER = 2.5  # heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less
-_SHARE_STEP = 32  # outlines are kept for shares of the light in steps of 1 / 32, rounded up
+_FRACTION_STEPS = 32  # outlines are kept for shares of the light in steps of 1 / 32, rounded up
 _SIDES = 4  # points a side of an outline: a lens bends it
 
 
-class Ground:
+class ShadowRegion:
     """The plane around one scene's object. caster, rays : the object;  centre_m, half_m (2,) : the map's box"""
 
     def __init__(self, scene: Scene) -> None:
         self.caster: Caster = make_caster(scene)
         self.rays = Triangles(self.caster.vertices[self.caster.faces])
-        ground = self.caster.outline[:, :2]
+        footprint = self.caster.outline[:, :2]
         border = max(_BORDER * self.caster.height_m, 1e-3 * self.caster.extent_m)
-        low, high = ground.min(0) - border, ground.max(0) + border
+        low, high = footprint.min(0) - border, footprint.max(0) + border
         self.centre_m, self.half_m = (low + high) / 2, (high - low) / 2
-        t = (np.arange(_TEXELS) + 0.5) / _TEXELS * 2 - 1
-        x, y = np.meshgrid(self.centre_m[0] + self.half_m[0] * t, self.centre_m[1] + self.half_m[1] * t)
-        points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 1e-4 * self.caster.extent_m)], -1)
-        self.hidden = (1 - self.rays.visible_fraction(points, hemisphere(_RAYS))).reshape(_TEXELS, _TEXELS)
+        self.hidden = hidden_fraction(self.caster, self.rays, self.centre_m, self.half_m, _TEXELS, _RAYS)
         self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
         self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
         self._whole_outline_m = lru_cache(maxsize=256)(self._joined)
         self.ambient_picture = lru_cache(maxsize=4)(self._ambient_picture)
 
-    def outline_m(self, ambient_share: float, beams: list[tuple[Beam, float]], faint: float) -> np.ndarray:
+    def outline_m(self, ambient_fraction: float, beams: list[tuple[Beam, float]], faint: float) -> np.ndarray:
         """(k, 2) metres: points around the shadow; none where nothing shows.
 
-        ambient_share, and beside each beam its share : of the plane's light, 0..1
-        """
-        shown = tuple(beam for beam, share in beams if share > faint and beam.on_plane)
-        return self._whole_outline_m(int(np.ceil(ambient_share * _SHARE_STEP)), shown, faint)
+        ambient_fraction, and beside each beam its fraction : of the plane's light, 0..1"""
+        shown = tuple(beam for beam, fraction in beams if fraction > faint and beam.direction[2] > 0)
+        return self._whole_outline_m(int(np.ceil(ambient_fraction * _FRACTION_STEPS)), shown, faint)
 
-    def _joined(self, share: int, beams: tuple[Beam, ...], faint: float) -> np.ndarray:
-        points = np.concatenate([self.ambient_outline_m(share, faint), *(self.beam_outline_m(b) for b in beams)])
-        return _sides(_hull(points)) if len(points) else points
-
-    def ambient_box_m(self, faint: float) -> tuple[np.ndarray, np.ndarray]:
-        """Centre and half sides (2,), metres, of the box in which ambient light can be taken visibly."""
-        points = self.ambient_outline_m(_SHARE_STEP, faint)
-        if not len(points):
-            return self.centre_m, self.half_m
-        low, high = points.min(0), points.max(0)
-        return (low + high) / 2, (high - low) / 2
+    def _joined(self, fraction: int, beams: tuple[Beam, ...], faint: float) -> np.ndarray:
+        points = np.concatenate([self.ambient_outline_m(fraction, faint), *(self.beam_outline_m(b) for b in beams)])
+        return _subdivided(_hull(points)) if len(points) else points
 
     def _ambient_picture(self, faint: float, level: PlaneLevel) -> PlaneTexture:
         """What the object takes of the ambient light, where that can be more than `faint`."""
-        return ambient_texture(self.caster, self.rays, *self.ambient_box_m(faint), level)
+        points, centre, half = self.ambient_outline_m(_FRACTION_STEPS, faint), self.centre_m, self.half_m
+        if len(points):
+            low, high = points.min(0), points.max(0)
+            centre, half = (low + high) / 2, (high - low) / 2
+        return ambient_texture(self.caster, self.rays, centre, half, level)
 
-    def _ambient_outline_m(self, share: int, faint: float) -> np.ndarray:
-        dark = np.argwhere(self.hidden * share / _SHARE_STEP > faint)[:, ::-1]
+    def _ambient_outline_m(self, fraction: int, faint: float) -> np.ndarray:
+        dark = np.argwhere(self.hidden * fraction / _FRACTION_STEPS > faint)[:, ::-1]
         if not len(dark):
             return np.zeros((0, 2))
         # a texel and its neighbours: the coarse map may miss the border by one
@@ -83,17 +75,17 @@ class Ground:
         return _hull((p[None, :, :2] - (d[:, :2] / d[:, 2:])[:, None] * p[None, :, 2:]).reshape(-1, 2))
 
 
-_GROUNDS: WeakKeyDictionary[Model, dict[bytes, Ground]] = WeakKeyDictionary()
+_REGIONS: WeakKeyDictionary[Model, dict[bytes, ShadowRegion]] = WeakKeyDictionary()
 
 
-def ground_of(scene: Scene) -> Ground:
-    """Made once per model and place: whoever plans and whoever renders have scenes of their own."""
-    grounds = _GROUNDS.setdefault(scene.model, {})
-    place = np.concatenate([scene.world_from_model, scene.world_from_anchor.matrix]).tobytes()
-    found = grounds.get(place)
-    if found is None:
-        found = grounds[place] = Ground(scene)
-    return found
+def shadow_region(scene: Scene) -> ShadowRegion:
+    """Cached per model and placement: planner and renderer have scenes of their own."""
+    regions = _REGIONS.setdefault(scene.model, {})
+    key = np.concatenate([scene.world_from_model, scene.world_from_anchor.matrix]).tobytes()
+    region = regions.get(key)
+    if region is None:
+        region = regions[key] = ShadowRegion(scene)
+    return region
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
@@ -104,7 +96,6 @@ def _hull(points: np.ndarray) -> np.ndarray:
         return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
 
 
-def _sides(hull: np.ndarray) -> np.ndarray:
+def _subdivided(hull: np.ndarray) -> np.ndarray:
     t = np.linspace(0, 1, _SIDES + 1)[:-1, None, None]
-    out: np.ndarray = (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)
-    return out
+    return (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)

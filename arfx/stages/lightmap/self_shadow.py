@@ -1,7 +1,7 @@
-"""What the object leaves itself of a directional light: a depth map along the light, asked around each pixel's place.
+"""Self-shadow under a directional light: a depth map along the light, sampled around each pixel's position.
 
-The blockers found within the light's cone tell how wide the penumbra is there, and so how far around the map is asked
-again (Fernando 2005, "Percentage-closer soft shadows"). Every answer is compared with the depth of the receiver's own
+The blockers found within the light's cone give the width of the penumbra there, and so the radius of a second filtering
+(Fernando 2005, "Percentage-closer soft shadows"). Every answer is compared with the depth of the receiver's own
 tangent plane at that very texel, from a place lifted off the surface by more than the texels and facets are coarse: no acne,
 and nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high` and `reference` send rays.
 """
@@ -17,17 +17,17 @@ import numpy as np
 
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
-from arfx.stages.lightmap.beams import Beam, disc, disc_directions
+from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.silhouette import highest
-from arfx.stages.triangles import Triangles
+from arfx.stages.lightmap.silhouette import height_map
+from arfx.stages.triangles import Triangles, disc
 
 _EMPTY = -1e9
 _LIFT_TEXELS = 1.5
 _LIFT_SAGS = 2.0
 _LIFT_RAYS = 1e-3  # of the extent
 _LIFT_FAR = 4e-4  # of the distance: embree's hit points, and so the rays raster's places, are 1.5e-4 of it wrong
-_NARROWEST, _WIDEST = 1.7, 40.0  # texels, radius in which the map is asked: under it the texels' steps show
+_NARROWEST, _WIDEST = 1.7, 40.0  # texels, radius in which the map is sampled: under it the texels' steps show
 
 
 @dataclass(frozen=True)
@@ -51,32 +51,22 @@ SELF_LEVELS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class DepthMap:
-    """depth (n, n) float32 : nearest to the light, in texels along it;  texel_from_anchor (3, 4) : column, row, depth
-    spread : penumbra radius per depth;  lift, lean : texels, and slope by which facets may deviate"""
-
-    depth: np.ndarray
-    texel_from_anchor: np.ndarray
-    spread: float
-    lift: float
-    lean: float
-
-
-class _Seen(NamedTuple):
-    """A `DepthMap` asked from WORLD. matrix (3, 4) : column, row and depth, unit (3, 3) : their directions;  top : least depth"""
+class DepthMap(NamedTuple):
+    """depth (n, n) float32 : nearest to the light, in texels along it;  matrix (3, 4) : column, row and depth of a position in
+    metres, unit (3, 3) : their directions;  spread : penumbra radius per depth
+    lift, slope : texels, and slope by which facets may deviate;  top : least depth"""
 
     depth: np.ndarray
     matrix: np.ndarray
     unit: np.ndarray
     spread: np.float32
     lift: np.float32
-    lean: np.float32
+    slope: np.float32
     top: np.float32
 
 
 def depth_map(caster: Caster, beam: Beam, level: SelfLevel) -> DepthMap:
-    """Of every triangle, over the square around them."""
+    """Of every triangle, over the square around them; positions in anchor axes."""
     w = np.array(beam.direction)
     s = normalise(np.cross([0.0, 0, 1] if abs(w[2]) < 0.9 else [1.0, 0, 0], w))
     axes = np.stack([s, np.cross(w, s), w])
@@ -86,25 +76,30 @@ def depth_map(caster: Caster, beam: Beam, level: SelfLevel) -> DepthMap:
     origin = (low + high) / 2 - pitch * (level.texels - 1) / 2
     matrix = np.column_stack([axes, [-origin[0], -origin[1], 0.0]]) / pitch
     u, v, h = (np.ascontiguousarray(a, np.float32) for a in (caster.vertices @ matrix[:, :3].T + matrix[:, 3]).T)
-    depth = highest(u, v, h, caster.faces, level.texels, level.texels, np.float32(_EMPTY))
+    depth = height_map(u, v, h, caster.faces, level.texels, level.texels, np.float32(_EMPTY))
     spread = float(np.tan(np.radians(beam.size_deg / 2))) if level.soft else 0.0
-    return DepthMap(depth, matrix, spread, _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch, caster.facet_slope)
+    lift = _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch
+    return DepthMap(depth, matrix, axes, *(np.float32(a) for a in (spread, lift, caster.facet_slope, depth.max())))
 
 
-def by_map(
-    coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, found: DepthMap, anchor_from_world: Pose, level: SelfLevel
+def visibility_by_map(
+    coverage: np.ndarray,
+    normal: np.ndarray,
+    position: np.ndarray,
+    shadow_map: DepthMap,
+    anchor_from_world: Pose,
+    level: SelfLevel,
 ) -> np.ndarray:
     """(h, w) float32, 0..1: the share of the light that is left; 1 where the pixel is not covered or turned away."""
-    turn = found.texel_from_anchor[:, :3] @ anchor_from_world.rotation
-    shift = found.texel_from_anchor[:, :3] @ anchor_from_world.translation_m + found.texel_from_anchor[:, 3]
+    turn = shadow_map.matrix[:, :3] @ anchor_from_world.rotation
+    shift = shadow_map.matrix[:, :3] @ anchor_from_world.translation_m + shadow_map.matrix[:, 3]
     matrix = np.column_stack([turn, shift]).astype(np.float32)
-    unit = (turn / np.linalg.norm(turn[0])).astype(np.float32)
-    sides = (np.float32(a) for a in (found.spread, found.lift, found.lean, found.depth.max()))
-    seen = _Seen(found.depth, matrix, unit, *sides)
-    return _ask(coverage, normal, position, seen, disc(level.search).astype(np.float32), disc(level.taps).astype(np.float32))
+    seen = shadow_map._replace(matrix=matrix, unit=(turn / np.linalg.norm(turn[0])).astype(np.float32))
+    search, taps = disc(level.search).astype(np.float32), disc(level.taps).astype(np.float32)
+    return _percentage_closer(coverage, normal, position, seen, search, taps)
 
 
-def by_rays(
+def visibility_by_rays(
     coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Triangles, caster: Caster, beam: Beam,
     anchor_from_world: Pose, level: SelfLevel, eye: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
@@ -121,16 +116,16 @@ def by_rays(
     if not level.search or len(directions) <= level.search:
         out[y, x] = rays.visible_fraction(points, directions, n)
         return out
-    share = rays.visible_fraction(points, directions[:: len(directions) // level.search], n)
-    mixed = (share > 0) & (share < 1)
-    share[mixed] = rays.visible_fraction(points[mixed], directions, n[mixed])
-    out[y, x] = share
+    fraction = rays.visible_fraction(points, directions[:: len(directions) // level.search], n)
+    mixed = (fraction > 0) & (fraction < 1)
+    fraction[mixed] = rays.visible_fraction(points[mixed], directions, n[mixed])
+    out[y, x] = fraction
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _ask(coverage, normal, position, seen: _Seen, search, taps):  # pragma: no cover - compiled
-    depth, matrix, unit, spread, lift, lean, top = seen
+def _percentage_closer(coverage, normal, position, seen: DepthMap, search, taps):  # pragma: no cover - compiled
+    depth, matrix, unit, spread, lift, slope, top = seen
     rows, columns = coverage.shape
     out = np.ones((rows, columns), np.float32)
     size = depth.shape[0]
@@ -140,8 +135,8 @@ def _ask(coverage, normal, position, seen: _Seen, search, taps):  # pragma: no c
     at = np.empty(columns, np.uintp)
     s, t, z = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     gs, gt, radius = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
-    found, total = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    place = np.empty(columns, np.int32)
+    blockers, total = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    cell = np.empty(columns, np.int32)
     edge = np.empty(columns, np.float32)
     across = np.int32(size)
     for y in range(rows):
@@ -165,27 +160,27 @@ def _ask(coverage, normal, position, seen: _Seen, search, taps):  # pragma: no c
             gs[i], gt[i] = -ns / nw, -nt / nw
         for i in range(n):
             radius[i] = min(max(spread * (top - z[i]), least), np.float32(_WIDEST))
-            found[i], total[i] = zero, zero
+            blockers[i], total[i] = zero, zero
         for k in range(search.shape[0]):
             ox, oy = search[k, 0], search[k, 1]
             for i in range(n):
                 u, v = min(max(s[i] + ox * radius[i], zero), far), min(max(t[i] + oy * radius[i], zero), far)
                 iu, iv = np.int32(u + half), np.int32(v + half)
                 du, dv = np.float32(iu) - s[i], np.float32(iv) - t[i]
-                place[i] = iv * across + iu
-                edge[i] = z[i] + gs[i] * du + gt[i] * dv + lean * (abs(du) + abs(dv))
+                cell[i] = iv * across + iu
+                edge[i] = z[i] + gs[i] * du + gt[i] * dv + slope * (abs(du) + abs(dv))
             for i in range(n):
-                d = texels[np.uintp(place[i])]
+                d = texels[np.uintp(cell[i])]
                 hit = one if d > edge[i] else zero
-                found[i] += hit
+                blockers[i] += hit
                 total[i] += hit * d
         # only where some of them are hidden is there more to ask
         every, m = np.float32(search.shape[0]), 0
         for i in range(n):
-            if found[i] > zero:
+            if blockers[i] > zero:
                 out[y, at[i]] = zero
-            if (found[i] > zero) & (found[i] < every):
-                mean = total[i] / found[i]
+            if (blockers[i] > zero) & (blockers[i] < every):
+                mean = total[i] / blockers[i]
                 radius[m] = min(max(spread * (mean - z[i]), least), radius[i])
                 s[m], t[m], z[m], gs[m], gt[m], at[m], total[m] = s[i], t[i], z[i], gs[i], gt[i], at[i], zero
                 m += 1
@@ -195,11 +190,11 @@ def _ask(coverage, normal, position, seen: _Seen, search, taps):  # pragma: no c
                 u, v = min(max(s[i] + ox * radius[i], zero), far), min(max(t[i] + oy * radius[i], zero), far)
                 iu, iv = np.int32(u + half), np.int32(v + half)
                 du, dv = np.float32(iu) - s[i], np.float32(iv) - t[i]
-                place[i] = iv * across + iu
-                edge[i] = z[i] + gs[i] * du + gt[i] * dv + lean * (abs(du) + abs(dv))
+                cell[i] = iv * across + iu
+                edge[i] = z[i] + gs[i] * du + gt[i] * dv + slope * (abs(du) + abs(dv))
             for i in range(m):
-                total[i] += one if texels[np.uintp(place[i])] > edge[i] else zero
-        share = one / np.float32(taps.shape[0])
+                total[i] += one if texels[np.uintp(cell[i])] > edge[i] else zero
+        fraction = one / np.float32(taps.shape[0])
         for i in range(m):
-            out[y, at[i]] = one - share * total[i]
+            out[y, at[i]] = one - fraction * total[i]
     return out

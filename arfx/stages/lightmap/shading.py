@@ -32,12 +32,12 @@ class Surface(NamedTuple):
 
 
 class Lights(NamedTuple):
-    """Directional: towards, rgb (l, 3), widths (l,) of `highlight_width`; left (l, h, w) share that the object leaves itself"""
+    """Directional: towards, rgb (l, 3), widths (l,) of `highlight_width`; visibility (l, h, w)"""
 
     towards: np.ndarray
     rgb: np.ndarray
     widths: np.ndarray
-    left: np.ndarray
+    visibility: np.ndarray
 
 
 def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
@@ -54,8 +54,7 @@ def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
 def highlight_width(size_deg: np.ndarray) -> np.ndarray:
     """What a light's disc (full angle) adds to roughness^4: a disc of radius a spreads half-vectors by a^2 / 16, the lobe's
     own spread is roughness^4 / 2."""
-    out: np.ndarray = np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8
-    return out.astype(np.float32)
+    return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -64,10 +63,9 @@ def shade(
 ):  # fmt: skip  # pragma: no cover - compiled
     """(h, w, 3) float32, premultiplied by the coverage.
 
-    eye (3,) : the camera, WORLD frame;  soft (9, 3), constant : only its first row counts;  bias (3,)
-    """
+    eye (3,) : the camera, WORLD frame;  soft (9, 3), constant : only its first row counts;  bias (3,)"""
     coverage, normal, position, albedo, material, emissive = surface
-    towards, rgb, widths, left = lights
+    towards, rgb, widths, visibility = lights
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
     zero, one, two = np.float32(0), np.float32(1), np.float32(2)
@@ -83,7 +81,7 @@ def shade(
     cosine = np.empty(columns, np.float32)
     cosine_bits, mantissa_bits, whole_bits = cosine.view(np.int32), mantissa.view(np.int32), whole.view(np.int32)
     for y in range(rows):
-        # from the first to the last covered pixel: what is bare between costs less than to leave it out
+        # from the first to the last covered pixel: bare ones between cost less than leaving them out
         first, last = 0, columns - 1
         while first < columns and not coverage[y, first] > zero:
             first += 1
@@ -92,14 +90,14 @@ def shade(
         while not coverage[y, last] > zero:
             last -= 1
         n = last + 1 - first
-        normals, places, colours = normal[y, first : last + 1], position[y, first : last + 1], albedo[y, first : last + 1]
+        normals, positions, colours = normal[y, first : last + 1], position[y, first : last + 1], albedo[y, first : last + 1]
         kinds, glow, cover = material[y, first : last + 1], emissive[y, first : last + 1], coverage[y, first : last + 1]
         line = out[y, first : last + 1]
         for i in range(n):
             nx[i], ny[i], nz[i] = normals[i, 0], normals[i, 1], normals[i, 2]
         if towards.shape[0] > 0:  # the way to the eye and the gloss's width are theirs alone
             for i in range(n):
-                vx[i], vy[i], vz[i] = eye[0] - places[i, 0], eye[1] - places[i, 1], eye[2] - places[i, 2]
+                vx[i], vy[i], vz[i] = eye[0] - positions[i, 0], eye[1] - positions[i, 1], eye[2] - positions[i, 2]
             for i in range(n):
                 length = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i] + vz[i] * vz[i])
                 scale = one / max(length, np.float32(1e-12))
@@ -107,15 +105,15 @@ def shade(
                 vy[i] *= scale
                 vz[i] *= scale
             for i in range(n):
-                # at grazing angles all is mirrored, unless the material is told not to be glossy at all (F0 under 4 %)
+                # at grazing angles all is mirrored, unless the material is set not to be glossy at all (F0 under 4 %)
                 edge[i] = kinds[i, 0] + (one - kinds[i, 0]) * min(two * kinds[i, 2], one)
                 rough = max(kinds[i, 1], np.float32(0.05))
                 width4[i] = rough * rough * rough * rough
         for i in range(n):
             metal = kinds[i, 0]
             base = np.float32(0.08) * kinds[i, 2] * (one - metal)
-            matt = (one - metal) * (one - base)
-            dr[i], dg[i], db[i] = colours[i, 0] * matt, colours[i, 1] * matt, colours[i, 2] * matt
+            diffuse_weight = (one - metal) * (one - base)
+            dr[i], dg[i], db[i] = colours[i, 0] * diffuse_weight, colours[i, 1] * diffuse_weight, colours[i, 2] * diffuse_weight
             fr[i], fg[i], fb[i] = base + colours[i, 0] * metal, base + colours[i, 1] * metal, base + colours[i, 2] * metal
         if constant:
             for i in range(n):
@@ -171,11 +169,11 @@ def shade(
                 whole_bits[i] = (nearest + np.int32(127)) << np.int32(23)
             for i in range(n):
                 lobe[i] *= whole[i] * (shine[i] + np.float32(8)) * np.float32(0.125) * lit[i]
-            open_share = left[k, y, first : last + 1]
+            line_visibility = visibility[k, y, first : last + 1]
             for i in range(n):
-                open_ = open_share[i]
-                lit[i] *= open_
-                lobe[i] *= open_
+                visible = line_visibility[i]
+                lit[i] *= visible
+                lobe[i] *= visible
             for i in range(n):
                 r[i] += lr * (dr[i] * lit[i] + (fr[i] + (one - fr[i]) * graze[i]) * lobe[i])
             for i in range(n):

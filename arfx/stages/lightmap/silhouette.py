@@ -4,19 +4,24 @@ The silhouette is what the contour winds around: the edges between triangles tha
 Those are few (some 300 of 6,000 triangles), and any model has them, whether its surface is closed or not.
 Every direction shifts the texels' sample points a little, so that the mean over the directions is antialiased even where
 the object touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the contour crosses)).
+
+K silhouettes leave K steps across a penumbra. Their distance grows with the height of what casts them, so a box of that
+width, its height read from a coarse map of the highest caster, turns the steps into a ramp and leaves the contact sharp.
 """
 
 # mypy: disable-error-code="no-untyped-def, assignment"
 from __future__ import annotations
 
+import cv2
 import numba
 import numpy as np
 
 _MANY = 48  # crossings of a row from which on counting is quicker than sorting
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+COARSE = 8  # texels a side of a cell of the height map
 
 
-def jitter(n: int) -> np.ndarray:
+def sample_offsets(n: int) -> np.ndarray:
     """(n, 2) offsets within +-0.5 that fill a texel evenly (R2 sequence, Roberts 2018), their mean 0."""
     g = 1.32471795724474602596
     i = np.arange(1, n + 1)[:, None]
@@ -24,17 +29,16 @@ def jitter(n: int) -> np.ndarray:
     return at - at.mean(0)
 
 
-def hidden_share(
+def covered_fraction(
     points: np.ndarray, edges: np.ndarray, across: np.ndarray, directions: np.ndarray, slopes: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
     """(rows, columns) float32: in what share of the directions a texel is covered.
 
     points (n, 3) float32 : column, row (texel centres at integers) and height above the plane, in texels
     edges (e, 5), across (3, m) : see Caster;  directions (k, 3) : towards the light, in the axes of `across`
-    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape : columns a multiple of 64
-    """
+    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape : columns a multiple of 64"""
     rows, columns = shape
-    offsets = jitter(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
+    offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
     return _count(
         points, edges, across, directions.astype(np.float32), np.ascontiguousarray(slopes, np.float32),
         offsets.astype(np.float32), rows, columns // 64,
@@ -91,8 +95,7 @@ def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover 
     """Set the bits of the texels around which the contour winds: the sum of its edges to the left of them is not 0.
 
     Each row keeps the columns in which edges cross it, sorted. A vertex belongs to the row above it, whichever edge asks,
-    so that the sums of every row end at 0.
-    """
+    so that the sums of every row end at 0."""
     zero, columns = np.int64(0), np.int64(words * 64)
     start = np.zeros(rows + 1, np.int64)
     for c in range(contour.shape[0]):
@@ -160,11 +163,10 @@ def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover 
 
 
 @numba.njit(cache=True, nogil=True)
-def highest(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
+def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
     """(rows, columns) float32: the greatest height of the triangles at each texel's centre; `empty` where there is none.
 
-    u, v, height : (n,) float32 of the vertices, texels (centres at integers)
-    """
+    u, v, height : (n,) float32 of the vertices, texels (centres at integers)"""
     out = np.full((rows, columns), empty, np.float32)
     zero = np.int64(0)
     for f in range(faces.shape[0]):
@@ -197,4 +199,76 @@ def highest(u, v, height, faces, rows, columns, empty):  # pragma: no cover - co
                 # slivers have slopes without bound: never beyond the triangle's own corners
                 h = min(max(start + np.float32(x) * du, low), top)
                 out[y, np.uintp(x)] = max(out[y, np.uintp(x)], h)
+    return out
+
+
+def smoothed(
+    fraction: np.ndarray, points: np.ndarray, faces: np.ndarray, slope: np.ndarray, radii: tuple[float, float], count: int
+) -> np.ndarray:
+    """`fraction` (rows, columns) float32 after the boxes.
+
+    points (n, 3) float32, faces, as for `covered_fraction`;  slope (2,) of the light's middle
+    radii : columns and rows by which one texel of height opens the penumbra, half its width;  count : directions used"""
+    # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more blurs beyond the true penumbra
+    half = np.array(radii) * np.sqrt(np.pi / count) / 2
+    top = float(points[:, 2].max(initial=0.0))
+    if top * float(half.max()) <= 0.5:
+        return fraction
+    height = _caster_height(points, faces, slope, fraction.shape)
+    return _boxes(fraction, height, np.float32(half[0]), np.float32(half[1]))
+
+
+def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """(rows, columns) float32 texels: height of the highest caster over each texel, of the nearest one beside them."""
+    rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
+    h = np.ascontiguousarray(points[:, 2])
+    u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
+    v = ((points[:, 1] + np.float32(slope[1]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
+    height = height_map(u, v, h, faces, rows, columns, np.float32(-1))
+    empty = height < 0
+    if empty.all():
+        return np.zeros(shape, np.float32)
+    _, label = cv2.distanceTransformWithLabels(empty.astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    table = np.zeros(int(label.max()) + 1, np.float32)
+    table[label[~empty]] = height[~empty]
+    grown = cv2.blur(table[label], (3, 3), borderType=cv2.BORDER_REPLICATE)
+    return cv2.resize(grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _boxes(fraction, height, across, down):  # pragma: no cover - compiled
+    """A box of half-width across x height along the rows, then down x height along the columns, exact for parts of texels."""
+    rows, columns = fraction.shape
+    half, one = np.float32(0.5), np.float32(1)
+    middle = np.empty((rows, columns), np.float32)
+    total = np.zeros(columns + 1, np.float32)
+    last = np.float32(columns)
+    for y in range(rows):
+        for x in range(columns):
+            total[x + 1] = total[x] + fraction[y, x]
+        for x in range(columns):
+            r = max(across * height[y, x], half)
+            centre = np.float32(x) + half
+            a, b = max(centre - r, np.float32(0)), min(centre + r, last)
+            ia, ib = np.int32(a), min(np.int32(b), np.int32(columns - 1))
+            ka, kb = np.uintp(ia), np.uintp(ib)
+            low = total[ka] + (a - np.float32(ia)) * fraction[y, ka]
+            high = total[kb] + (b - np.float32(ib)) * fraction[y, kb]
+            middle[y, x] = (high - low) / (b - a)
+    sums = np.zeros((rows + 1, columns), np.float32)
+    for y in range(rows):
+        for x in range(columns):
+            sums[y + 1, x] = sums[y, x] + middle[y, x]
+    out = np.empty((rows, columns), np.float32)
+    last = np.float32(rows)
+    for y in range(rows):
+        centre = np.float32(y) + half
+        for x in range(columns):
+            r = max(down * height[y, x], half)
+            a, b = max(centre - r, np.float32(0)), min(centre + r, last)
+            ia, ib = np.int32(a), min(np.int32(b), np.int32(rows - 1))
+            ka, kb = np.uintp(ia), np.uintp(ib)
+            low = sums[ka, x] + (a - np.float32(ia)) * middle[ka, x]
+            high = sums[kb, x] + (b - np.float32(ib)) * middle[kb, x]
+            out[y, x] = min(max((high - low) / (b - a), np.float32(0)), one)
     return out

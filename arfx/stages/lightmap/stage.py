@@ -24,15 +24,12 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
 from arfx.stages.lightmap.beams import FrameLight, frame_light
-from arfx.stages.lightmap.blocked import blocked_texture
-from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.lookup import light_left
-from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, bounded
-from arfx.stages.lightmap.region import ground_of
-from arfx.stages.lightmap.self_shadow import SELF_LEVELS, by_map, by_rays, depth_map
+from arfx.stages.lightmap.lookup import shadow_ratio
+from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, plane_shadow_texture, within_surface
+from arfx.stages.lightmap.region import ShadowRegion, shadow_region
+from arfx.stages.lightmap.self_shadow import SELF_LEVELS, depth_map, visibility_by_map, visibility_by_rays
 from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
-from arfx.stages.triangles import Triangles
-from arfx.stages.viewing import direction_grid
+from arfx.stages.viewing import direction_grid, seen_rect
 
 _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
 
@@ -44,8 +41,7 @@ class LightmapParams:
     self_shadow : the same of the object's shadow on itself, 0..1
     faint : darkening of the plane by less than this share of its light is left out, up to 3 times as much is faded, 0..0.3
     plane_blocks : what is behind the marker's plane does not light the object
-    ambient : light without a direction too; a job with gi turns it off, which gives that light itself
-    """
+    ambient : light without a direction too; a job with gi turns it off, which gives that light itself"""
 
     formula: str = field(default="corrected", init=False)
     shadow_strength: float = 1.0
@@ -62,8 +58,7 @@ class LightmapParams:
 class Prepared:
     """Of one clip, worker and level. grid : viewing directions"""
 
-    caster: Caster
-    rays: Triangles
+    region: ShadowRegion
     ambient: PlaneTexture
     grid: np.ndarray
 
@@ -97,10 +92,10 @@ class Lightmap(Stage):
         return {"new_directions": key} if key else {}
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
-        ground = ground_of(scene)
+        region = shadow_region(scene)
         grid = direction_grid(scene.camera).astype(np.float32)
-        ambient = ground.ambient_picture(self.params.faint, PLANE_LEVELS[level])
-        return Prepared(ground.caster, ground.rays, bounded(ambient, scene.surface_m), grid)
+        ambient = region.ambient_picture(self.params.faint, PLANE_LEVELS[level])
+        return Prepared(region, within_surface(ambient, scene.surface_m), grid)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         light = self._light(view.facts, view.scene)
@@ -117,36 +112,33 @@ class Lightmap(Stage):
         coverage, normal, position = now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION]
         eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
-        left = np.ones((len(reaching), now.rect.height, now.rect.width), np.float32)
-        anchor_from_world = view.scene.world_from_anchor.inverse()
+        visibility = np.ones((len(reaching), now.rect.height, now.rect.width), np.float32)
         if self.params.self_shadow > 0:
-            at = SELF_LEVELS[view.level]
+            anchor_from_world = view.scene.world_from_anchor.inverse()
+            level, caster = SELF_LEVELS[view.level], prepared.region.caster
             for i, k in enumerate(reaching):
                 beam = light.beams[k]
-                if at.rays:
-                    left[i] = by_rays(
-                        coverage, normal, position, prepared.rays, prepared.caster, beam, anchor_from_world, at, eye
+                if level.rays:
+                    visibility[i] = visibility_by_rays(
+                        coverage, normal, position, prepared.region.rays, caster, beam, anchor_from_world, level, eye
                     )
                 else:
-                    found = view.memo.of_light.get(("depth", beam), partial(depth_map, prepared.caster, beam, at))
-                    left[i] = by_map(coverage, normal, position, found, anchor_from_world, at)
+                    depths = view.memo.of_light.get(("depth", beam), partial(depth_map, caster, beam, level))
+                    visibility[i] = visibility_by_map(coverage, normal, position, depths, anchor_from_world, level)
             if self.params.self_shadow < 1:
-                left = 1 + np.float32(self.params.self_shadow) * (left - 1)
-        return self.shaded(now, left, reaching, light, eye, view.facts)
+                visibility = 1 + np.float32(self.params.self_shadow) * (visibility - 1)
+        return self.shaded(now, visibility, reaching, light, eye, view.facts)
 
     def shaded(
-        self, now: Layers, left: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
+        self, now: Layers, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
     ) -> np.ndarray:
-        """VIRTUAL. left (k, h, w) : what the object leaves itself of each of the lights `reaching`;  eye (3,) : WORLD frame"""
+        """VIRTUAL. visibility (k, h, w) : of each of the lights `reaching`, past the object;  eye (3,) : WORLD frame"""
         f32 = np.float32
         surface = Surface(*(now[Layer(name)] for name in Surface._fields))
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
-        lights = Lights(light.towards[reaching].astype(f32), rgb, highlight_width(light.sizes_deg[reaching]), left)
-        virtual: np.ndarray = shade(
-            surface, eye.astype(f32), lights, self._ambient * harmonic_terms(light.soft, light.ambient), not len(light.soft),
-            np.array(facts.bias_rgb, f32),
-        )  # fmt: skip
-        return virtual
+        lights = Lights(light.towards[reaching].astype(f32), rgb, highlight_width(light.sizes_deg[reaching]), visibility)
+        soft = f32(self.params.ambient) * harmonic_terms(light.soft, light.ambient)
+        return shade(surface, eye.astype(f32), lights, soft, not len(light.soft), np.array(facts.bias_rgb, f32))
 
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
         scene = view.scene
@@ -154,18 +146,19 @@ class Lightmap(Stage):
         strength = self.params.shadow_strength
         if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
             return neutral(Layer.SHADOW, view.rect)
-        textures, shares = [prepared.ambient], [self._ambient * light.ambient_share]
-        for beam, share in zip(light.beams, light.direct_shares, strict=True):
-            if beam.on_plane and share.max() > 0:
-                make = lambda b=beam: bounded(  # noqa: E731
-                    beam_texture(prepared.caster, prepared.rays, b, PLANE_LEVELS[view.level], self.hard), scene.surface_m
+        textures, fractions = [prepared.ambient], [np.float32(self.params.ambient) * light.ambient_fraction]
+        for beam, fraction in zip(light.beams, light.direct_fractions, strict=True):
+            if beam.direction[2] > 0 and fraction.max() > 0:
+                make = lambda b=beam: within_surface(  # noqa: E731
+                    beam_texture(prepared.region.caster, prepared.region.rays, b, PLANE_LEVELS[view.level], self.hard),
+                    scene.surface_m,
                 )
                 textures.append(view.memo.of_light.get(("plane", beam), make))
-                shares.append(share)
+                fractions.append(fraction)
         real = view.facts.plane_shadow
-        blocked = None if real is None else blocked_texture(real, light.ambient_share)
-        return light_left(
-            view.rect, prepared.grid, anchor_from_camera, textures, np.array(shares), blocked, self.params.faint, strength
+        blocked = None if real is None else plane_shadow_texture(real, light.ambient_fraction)
+        return shadow_ratio(
+            view.rect, prepared.grid, anchor_from_camera, textures, np.array(fractions), blocked, self.params.faint, strength
         )
 
     def _shadow_rect(self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight) -> tuple[Rect, str]:
@@ -177,33 +170,28 @@ class Lightmap(Stage):
         most = self.params.shadow_strength * _darkest(light, scene)
         if most <= faint:
             return EMPTY, f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light"
-        beams = [(b, float(s.max())) for b, s in zip(light.beams, light.direct_shares, strict=True)]
-        outline = ground_of(scene).outline_m(float(light.ambient_share.max()), beams, faint)
+        beams = [(b, float(s.max())) for b, s in zip(light.beams, light.direct_fractions, strict=True)]
+        outline = shadow_region(scene).outline_m(float(light.ambient_fraction.max()), beams, faint)
         if not len(outline):
             return EMPTY, f"no shadow: nowhere does the object take {100 * faint:.1f} % of the plane's light"
-        rect = _around(outline, facts, scene).clip(frame)
+        rect = _plane_rect(outline, facts, scene).clip(frame)
         if scene.surface_m is not None:
             x0, y0, x1, y1 = scene.surface_m
-            rect = rect.clip(_around(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene))
+            rect = rect.clip(_plane_rect(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene))
         return rect, f"shadow takes up to {100 * most:.0f} % of the plane's light" if not rect.empty else "shadow out of view"
-
-    @property
-    def _ambient(self) -> np.float32:
-        return np.float32(self.params.ambient)
 
     def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
         return frame_light(scene.light_of(facts), scene.world_from_anchor, self.hard, self.params.plane_blocks)
 
 
-def _around(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
+def _plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
     """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are not before the camera."""
     points = np.column_stack([points_m, np.zeros(len(points_m))])
-    seen = scene.camera.project(facts.pose.apply(scene.world_from_anchor.apply(points)))
-    return Rect.around(seen, 1.0) if np.isfinite(seen).all() else scene.camera.rect
+    return seen_rect(scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0)
 
 
 def _darkest(light: FrameLight, scene: Scene) -> float:
     """The largest share of the plane's light, 0..1, that the object can take: every directional light, and of the ambient
     one what it hides where it hides most."""
-    hidden = float(ground_of(scene).hidden.max())
-    return float((light.ambient_share * hidden + light.direct_shares.sum(0)).max())
+    hidden = float(shadow_region(scene).hidden.max())
+    return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())

@@ -10,8 +10,8 @@ import pytest
 from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import Observation
-from arfx.analyse.light.surroundings import look_up
 from arfx.analyse.params import LightParams
+from arfx.core.cube import look_up
 from arfx.core.numerics import normalise
 from arfx.errors import ConfigError
 from arfx.papers.s1_light import LightMap, PrintedLight, PrintedLightParams, eq9_lights, upright

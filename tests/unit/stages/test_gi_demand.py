@@ -71,18 +71,18 @@ def test_no_mirror_cone_where_it_would_not_show(shape, monkeypatch: pytest.Monke
     """A faint gloss: cones for grazing views alone, and no pixel is off by half a grey level."""
     s = on_plane(shape(replace(MATT_WHITE, specular=0.01, roughness=0.7)), LAMP, CAMERA)
     gathered: list[int] = []
-    real = stage_module.light_points
+    real = stage_module.gather_points
 
     def counted(points, wanted, *rest):  # type: ignore[no-untyped-def]
         gathered.append(int((wanted & 2).astype(bool).sum()))
         return real(points, wanted, *rest)
 
-    monkeypatch.setattr(stage_module, "light_points", counted)
+    monkeypatch.setattr(stage_module, "gather_points", counted)
     monkeypatch.setattr(stage_module, "SHOWS", 0.0)
     full = run_gi(s)[Layer.VIRTUAL]
     every = sum(gathered)
     monkeypatch.undo()
-    monkeypatch.setattr(stage_module, "light_points", counted)
+    monkeypatch.setattr(stage_module, "gather_points", counted)
     gathered.clear()
     made = run_gi(s)[Layer.VIRTUAL]
     assert every > 100 and sum(gathered) < 0.95 * every

@@ -8,9 +8,9 @@ import pytest
 from arfx.core.cube import CubeMap
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
-from arfx.stages.gi.cones import START, six_cones, steps_of, trace_many, turned
+from arfx.stages.gi.cones import START, Bricks, around_normals, six_cones, steps_of, trace_many
 from arfx.stages.gi.frame_light import environment_cube
-from arfx.stages.gi.pyramid import Atlas, atlas_of, levels_of, structure_of
+from arfx.stages.gi.pyramid import atlas_of, levels_of, structure_of
 from arfx.stages.gi.surroundings import irradiance
 from arfx.stages.gi.voxelise import voxelise
 from tests.scenes import facts
@@ -25,16 +25,16 @@ from tests.unit.stages.gi_scenes import (
 )
 
 
-def traced(atlas: Atlas, steps: list[list[float]], origin: list[float], direction: np.ndarray) -> np.ndarray:
+def traced(atlas: Bricks, steps: list[list[float]], origin: list[float], direction: np.ndarray) -> np.ndarray:
     """(4,) of one cone without a surface of its own."""
     out = trace_many(
-        atlas.bricks, np.array(steps, np.float32), np.array([origin], np.float32),
+        atlas, np.array(steps, np.float32), np.array([origin], np.float32),
         np.asarray(direction, np.float32)[None, None], np.zeros((1, 3), np.float32), np.float32(0), False,
     )  # fmt: skip
     return np.asarray(out[0])
 
 
-def block(alpha: float, n: int = 16) -> Atlas:
+def block(alpha: float, n: int = 16) -> Bricks:
     """All of the volume, radiance 1 (premultiplied), opacity alpha."""
     cells = np.argwhere(np.ones((n, n, n)))
     return atlas_of(structure_of(cells, n), np.tile(np.float32([alpha, alpha, alpha, alpha]), (len(cells), 1)))
@@ -47,7 +47,7 @@ def test_three_faces_are_blended_by_squares(direction: tuple[int, int, int]) -> 
     got = traced(block(1.0), [[0.0, 2, 1.0]], [8, 8, 8], d)
     assert got[:3] == pytest.approx(1, abs=1e-5)
     faces = [0 if d[0] >= 0 else 1, 2 if d[1] >= 0 else 3, 4 if d[2] >= 0 else 5]
-    value = levels_of(block(1.0).structure, np.ones((16**3, 4), np.float32))[2][0, faces, 0]
+    value = levels_of(structure_of(np.argwhere(np.ones((16, 16, 16))), 16), np.ones((16**3, 4), np.float32))[2][0, faces, 0]
     assert (d**2 * value).sum() == pytest.approx(1) and (np.abs(d) * value).sum() == pytest.approx(np.abs(d).sum())
     if np.count_nonzero(d) > 1:
         assert np.abs(d).sum() > 1.25
@@ -104,11 +104,11 @@ def test_cones_begin_off_their_own_surface(normal: tuple[float, float, float]) -
     values[:, 3] = 1
     atlas = atlas_of(structure_of(cells, 32), values)
     six, weights, tan_half = six_cones()
-    around = turned(n[None].astype(np.float32), six)
+    around = around_normals(n[None].astype(np.float32), six)
     left = []
     for start, clip in ((0.0, False), (float(START), True)):
         out = trace_many(
-            atlas.bricks, steps_of(tan_half, 32), np.full((1, 3), 16, np.float32),
+            atlas, steps_of(tan_half, 32), np.full((1, 3), 16, np.float32),
             around, n[None].astype(np.float32), np.float32(start), clip,
         )  # fmt: skip
         left.append(float(out[:, 3] @ weights))

@@ -10,11 +10,11 @@ import pytest
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.layers import Layer
 from arfx.core.model import BLEND, Material, Model
-from arfx.stages.gi.field import make_body
+from arfx.stages.gi.field import make_voxel_model
 from arfx.stages.gi.form_factors import factors_of, solid, voxel_at
 from arfx.stages.gi.frame_light import at_horizon, environment_cube
-from arfx.stages.gi.pixels import blurred
-from arfx.stages.gi.real_planes import planes_of, texture_places
+from arfx.stages.gi.pixels import widened_roughness
+from arfx.stages.gi.real_planes import planes_of, texel_positions
 from arfx.stages.gi.surroundings import irradiance
 from arfx.stages.gi.voxelise import voxelise
 from tests.scenes import facts
@@ -53,10 +53,10 @@ def test_rays_say_which_voxel_they_meet() -> None:
     s = on_plane(box(MATT_WHITE), EVEN, CAMERA)
     planes, voxels = planes_of(s), voxelise(s, 32)
     cones = np.array([[0, 0, 1.0]])
-    f = factors_of(s, voxels, texture_places(planes, 32)[0], planes.axes[0], cones, 64)
+    f = factors_of(s, voxels, texel_positions(planes, 32)[0], planes.axes[0], cones, 64)
     assert np.bincount(f.texel, minlength=32**2).max() == 64 and f.covered.max() == pytest.approx(1, abs=1e-5)
     # a texel beside the box meets its side and nothing else
-    x, y, _ = texture_places(planes, 32)[0].reshape(-1, 3)[f.texel].T
+    x, y, _ = texel_positions(planes, 32)[0].reshape(-1, 3)[f.texel].T
     beside = (x > 0.065) & (np.abs(y) < 0.05)
     assert beside.sum() > 50
     np.testing.assert_allclose(voxels.centres_m[f.voxel[beside], 0], 0.06, atol=0.6 * voxels.volume.voxel_m)
@@ -72,8 +72,8 @@ def test_what_can_be_seen_through_keeps_its_cones() -> None:
     glass = Model((replace(part, material=replace(part.material, alpha_mode=BLEND)),), up="z")
     see_through = on_plane(glass, EVEN, CAMERA)
     assert solid(s) and not solid(see_through)
-    assert make_body(s, 32, planes_of(s), 32, 6, 16).factors
-    assert not make_body(see_through, 32, planes_of(see_through), 32, 6, 16).factors
+    assert make_voxel_model(s, 32, planes_of(s), 32, 6, 16).factors
+    assert not make_voxel_model(see_through, 32, planes_of(see_through), 32, 6, 16).factors
 
 
 def test_a_mirror_sends_on_what_it_mirrors_and_no_lamp_as_if_it_were_matt() -> None:
@@ -121,7 +121,7 @@ def test_a_curved_mirror_blurs_by_what_a_pixel_holds(radius_px: int) -> None:
     normal = np.stack([x, y, z], -1).astype(np.float32)
     coverage = (z > 0).astype(np.float32)
     # half-angle of what a pixel mirrors: the normals' difference, 1 / radius; mirror_tangent is about sqrt(8) roughness^2
-    assert np.sqrt(8) * blurred(np.float32(0), coverage, normal, 50, 50) ** 2 == pytest.approx(1 / radius_px, rel=0.05)
-    assert blurred(np.float32(0.6), coverage, normal, 50, 50) == pytest.approx(0.6)
+    assert np.sqrt(8) * widened_roughness(np.float32(0), coverage, normal, 50, 50) ** 2 == pytest.approx(1 / radius_px, rel=0.05)
+    assert widened_roughness(np.float32(0.6), coverage, normal, 50, 50) == pytest.approx(0.6)
     flat = np.tile(np.float32([0, 0, 1]), (5, 5, 1))
-    assert blurred(np.float32(0.01), np.ones((5, 5), np.float32), flat, 2, 2) == pytest.approx(0.01)
+    assert widened_roughness(np.float32(0.01), np.ones((5, 5), np.float32), flat, 2, 2) == pytest.approx(0.01)

@@ -9,14 +9,13 @@ from arfx.core.cube import CubeMap, face_directions
 from arfx.core.layers import Layer
 from arfx.core.light import DIFFUSE, Light
 from arfx.core.numerics import normalise
-from arfx.stages.gi.cones import six_cones, turned
-from arfx.stages.gi.field import GATHERED_BY, make_body
-from arfx.stages.gi.pixels import leaning
+from arfx.stages.gi.cones import around_normals, six_cones
+from arfx.stages.gi.field import CLUSTER_SIDE, make_voxel_model
+from arfx.stages.gi.pixels import gloss_weights, off_specular_peak, split_sum
 from arfx.stages.gi.real_planes import filled, planes_of
-from arfx.stages.gi.reference_draw import Draw, Gloss
+from arfx.stages.gi.reference_sampling import Gloss, Sampler
 from arfx.stages.gi.reference_scene import Surroundings
-from arfx.stages.gi.split_sum import gloss_weights, split_sum
-from arfx.stages.gi.surroundings import ENDLESS, HALF_ANGLES_DEG, Behind, behind_many, octahedral
+from arfx.stages.gi.surroundings import ENDLESS, HALF_ANGLES_DEG, Background, background_radiances, octahedral
 from tests.unit.stages.gi_scenes import CAMERA, MATT_WHITE, NIGHT, ball, box, inner, on_plane, plain_plate, run_gi
 
 
@@ -39,12 +38,12 @@ def test_a_cone_across_the_horizon_sees_the_sky_that_is_over_it() -> None:
     cube = np.where(face_directions(16)[..., 2:] > 0, 1.0, 0.0) * np.ones(3)
     normals = normalise(np.stack([np.sin(a := np.radians([0, 30, 60, 90, 110, 130])), 0 * a, np.cos(a)], -1))
     six, weights, tangent = six_cones()
-    d = turned(normals, six).reshape(-1, 3)
+    d = around_normals(normals, six).reshape(-1, 3)
     axes = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], np.float32)
     reach = np.array([[1, -ENDLESS, -ENDLESS, ENDLESS, ENDLESS]], np.float32)
-    seen = behind_many(
+    seen = background_radiances(
         np.tile(np.float32([0, 0, 0.1]), (len(d), 1)), d, -1, np.float32(tangent), np.float32(30),
-        Behind(
+        Background(
             axes, reach, np.zeros((1, 1, 3), np.float32), np.array([[0, 1]], np.int64), octahedral(cube),
             np.float32(HALF_ANGLES_DEG), np.eye(3, dtype=np.float32),
         ),
@@ -66,7 +65,7 @@ def test_levels_agree_with_the_reference_under_uneven_surroundings(level: str) -
     assert ratio == pytest.approx(1, abs=0.025)
 
 
-class Lattice(Draw):
+class Lattice(Sampler):
     """Numbers of a Fibonacci lattice, one for each row."""
 
     def pair(self) -> tuple[np.ndarray, np.ndarray]:
@@ -90,9 +89,9 @@ def test_the_split_sum_is_what_the_reference_reflects(roughness: float) -> None:
 
 def test_a_rough_lobe_leans_to_the_normal() -> None:
     n, mirrored = np.float32([0, 0, 1]), np.float32([0.8, 0, 0.6])
-    np.testing.assert_allclose(leaning(np.float32(0), *n, *mirrored), mirrored, atol=1e-6)
-    np.testing.assert_allclose(leaning(np.float32(1), *n, *mirrored), n, atol=1e-6)
-    assert 0.6 < leaning(np.float32(0.7), *n, *mirrored)[2] < 1
+    np.testing.assert_allclose(off_specular_peak(np.float32(0), *n, *mirrored), mirrored, atol=1e-6)
+    np.testing.assert_allclose(off_specular_peak(np.float32(1), *n, *mirrored), n, atol=1e-6)
+    assert 0.6 < off_specular_peak(np.float32(0.7), *n, *mirrored)[2] < 1
 
 
 def test_any_number_of_rays_goes_to_the_sky() -> None:
@@ -107,11 +106,11 @@ def test_any_number_of_rays_goes_to_the_sky() -> None:
 
 def test_voxels_that_share_their_light_face_the_same_way() -> None:
     s = on_plane(box(MATT_WHITE), NIGHT)
-    body = make_body(s, 32, planes_of(s), 16, 6)
-    at, v = body.gathering, body.voxels
+    body = make_voxel_model(s, 32, planes_of(s), 16, 6)
+    at, v = body.receivers, body.voxels
     assert len(at.cells) < 0.5 * len(v.cells)
-    assert (v.normal * at.normal[at.of]).sum(1).min() > 0.3
-    assert np.abs(v.cells + 0.5 - at.cells[at.of]).max() < GATHERED_BY
+    assert (v.normal * at.normal[at.cluster]).sum(1).min() > 0.3
+    assert np.abs(v.cells + 0.5 - at.cells[at.cluster]).max() < CLUSTER_SIDE
 
 
 def test_what_the_picture_does_not_show_is_as_what_is_near() -> None:

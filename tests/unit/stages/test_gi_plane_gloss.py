@@ -17,7 +17,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, level_named
 from arfx.papers.s4_gi import PrintedGi
 from arfx.stages.gi import Gi, GiParams
-from arfx.stages.gi.real_planes import picture_on_planes, planes_of, texture_places
+from arfx.stages.gi.real_planes import picture_on_planes, planes_of, texel_positions
 from tests.contract.stage_laws import check_roi_law
 from tests.scenes import facts
 from tests.unit.stages.gi_scenes import (
@@ -127,7 +127,7 @@ def test_what_is_not_on_the_plane_is_left_alone(level: str, monkeypatch: pytest.
 
 def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
     planes = planes_of(SCENE)
-    places = texture_places(planes, 32)
+    places = texel_positions(planes, 32)
     plate = np.full((CAMERA.height, CAMERA.width, 3), 0.5, np.float32)
     plate[:, : CAMERA.width // 2] = 9
     whole = Rect.of(CAMERA.width, CAMERA.height)

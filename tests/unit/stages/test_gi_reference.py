@@ -13,7 +13,7 @@ from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.scene import Scene
 from arfx.stages.gi import GiParams
-from arfx.stages.gi.reference_draw import Draw, Gloss
+from arfx.stages.gi.reference_sampling import Gloss, Sampler
 from tests.unit.stages.gi_scenes import MATT_WHITE, ball, from_above, ground_points, on_plane, run_gi
 
 CAMERA = Camera(64, 48, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]))
@@ -70,7 +70,7 @@ def test_gloss_never_weighs_more_than_one_and_keeps_its_mean(roughness: float, v
     n = np.tile([0.0, 0.6, 0.8], (k, 1))
     v = np.tile(np.cos(t) * np.array([0, 0.6, 0.8]) + np.sin(t) * np.array([1.0, 0, 0]), (k, 1))
     gloss = Gloss(n, v, np.ones((k, 3)), roughness)
-    draw = Draw(np.arange(k, dtype=np.uint32), 0, 1, 5)
+    draw = Sampler(np.arange(k, dtype=np.uint32), 0, 1, 5)
     rows, d, weight, density = gloss.directions(draw)
     assert weight.max() <= 1 + 1e-6 and np.isfinite(density).all()
     again, same = gloss.at(rows, d)

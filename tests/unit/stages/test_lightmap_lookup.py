@@ -9,7 +9,7 @@ import pytest
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
-from arfx.stages.lightmap.lookup import _UNSEEN, _shows_from, light_left
+from arfx.stages.lightmap.lookup import _UNSEEN, _shows_from, shadow_ratio
 from arfx.stages.lightmap.plane import PlaneTexture
 from arfx.stages.viewing import direction_grid, viewing
 
@@ -82,7 +82,7 @@ def test_every_pixel_is_what_it_is_plainly(seed: int) -> None:
     shares = rng.uniform(0.2, 1.0, (several, 3 if seed % 2 else 1)) * np.ones(3) / several
     left, top = (int(v) for v in rng.integers(0, 60, 2))
     rect = Rect(left, top, 320 - int(rng.integers(0, 40)), 240)
-    got = light_left(rect, grid, pose, textures, shares, blocked, FAINT, 0.8)
+    got = shadow_ratio(rect, grid, pose, textures, shares, blocked, FAINT, 0.8)
     want = plainly(rect, grid, pose, textures, shares, blocked, 0.8)
     assert want.min() < 0.9, "the case shows no shadow"
     # cv2.remap reads places to 1/32 of a texel, of 0.04 a texel at most
@@ -102,7 +102,7 @@ def test_what_is_not_looked_up_could_not_be_seen(faint: float, strength: float) 
     texture = PlaneTexture(ramp, np.array([[500.0, 0, 128], [0, 500, 32]]))
     cam, above = camera(False), Pose(rotation_from_euler_deg(180, 0, 0), np.array([0, 0, 0.4]))
     grid, one = direction_grid(cam).astype(np.float32), np.ones((1, 3), np.float32)
-    got = light_left(cam.rect, grid, above, [texture], one, None, faint, strength)
+    got = shadow_ratio(cam.rect, grid, above, [texture], one, None, faint, strength)
     taken = plainly_of(texture, cam, grid, above)
     t = np.clip((taken - faint) * 0.5 / faint, 0, 1)
     want = strength * t * t * (3 - 2 * t) * taken

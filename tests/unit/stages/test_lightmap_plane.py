@@ -18,11 +18,11 @@ from arfx.core.stage import ReadyStage
 from arfx.errors import RenderError
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.lightmap import stage as stage_module
-from arfx.stages.lightmap.beams import QUANTUM, REACH, disc, disc_directions, rounded
+from arfx.stages.lightmap.beams import QUANTUM, REACH, disc_directions, quantised
 from arfx.stages.lightmap.caster import make_caster
 from arfx.stages.lightmap.plane import PLANE_LEVELS, beam_texture
-from arfx.stages.lightmap.silhouette import hidden_share, highest
-from arfx.stages.triangles import Triangles
+from arfx.stages.lightmap.silhouette import covered_fraction, height_map
+from arfx.stages.triangles import Triangles, disc
 from tests.scenes import box_model, layers_of
 from tests.unit.stages.lightmap_scenes import (
     HIDES,
@@ -275,14 +275,14 @@ def test_directions_are_rounded_finely() -> None:
     g = np.random.default_rng(0)
     for d in g.normal(size=(200, 3)):
         d /= np.linalg.norm(d)
-        b = rounded(d, 3.0)
+        b = quantised(d, 3.0)
         assert np.linalg.norm(np.array(b.direction) - d) < QUANTUM and np.linalg.norm(b.direction) == pytest.approx(1)
-        assert rounded(np.array(b.direction), 3.04) == b
+        assert quantised(np.array(b.direction), 3.04) == b
 
 
 def test_no_direction_of_a_disc_lies_under_the_longest_shadow() -> None:
     for elevation in (0.001, 1, 4, 20):
-        d = disc_directions(rounded(np.array(towards(10, elevation)), 30.0), disc(64))
+        d = disc_directions(quantised(np.array(towards(10, elevation)), 30.0), disc(64))
         assert (d[:, 2] * REACH >= np.linalg.norm(d[:, :2], axis=1) - 1e-12).all()
 
 
@@ -311,7 +311,7 @@ def test_silhouettes_are_the_union_of_the_triangles(seed: int) -> None:
     across = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
     d = np.array([0.3, -0.2, 1.0])
     slope = -d[:2] / d[2]
-    made = hidden_share(
+    made = covered_fraction(
         vertices.astype(np.float32), _edges(vertices, faces), across.T.astype(np.float32), d[None], slope[None], (48, 64)
     )
     flat = vertices[:, :2] + vertices[:, 2:] * slope
@@ -337,7 +337,7 @@ def test_many_crossings_of_a_row_are_counted_as_well_as_sorted() -> None:
     )
     faces = np.column_stack([np.arange(60), np.arange(60) + 60, np.arange(60) + 120]).astype(np.int32)
     up = np.tile([[0.0], [0], [1]], 60).astype(np.float32)
-    made = hidden_share(
+    made = covered_fraction(
         vertices.astype(np.float32), _edges(vertices, faces), up, np.array([[0, 0, 1.0]]), np.zeros((1, 2)), (32, 128)
     )
     row = made[3] > 0
@@ -346,7 +346,7 @@ def test_many_crossings_of_a_row_are_counted_as_well_as_sorted() -> None:
 
 def test_the_highest_surface_wins() -> None:
     vertices = np.array([[0, 0, 1], [20, 0, 1], [0, 20, 1], [0, 0, 0], [20, 0, 4], [0, 20, 0]], np.float32)
-    made = highest(*np.ascontiguousarray(vertices.T), np.array([[0, 1, 2], [3, 4, 5]], np.int32), 24, 24, np.float32(-9))
+    made = height_map(*np.ascontiguousarray(vertices.T), np.array([[0, 1, 2], [3, 4, 5]], np.int32), 24, 24, np.float32(-9))
     x, y = np.meshgrid(np.arange(24), np.arange(24))
     inside = x + y < 20
     np.testing.assert_allclose(made[inside], np.maximum(1, x[inside] / 5), atol=1e-5)
@@ -359,7 +359,7 @@ def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str)
     s = on_plane(box_model(), lamp(0, 90, 10.0), height_m=0.5)
     caster = make_caster(s)
     rays = Triangles(caster.vertices[caster.faces])
-    texture = beam_texture(caster, rays, rounded(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level], False)
+    texture = beam_texture(caster, rays, quantised(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level], False)
     x = np.linspace(-0.12, 0.0, 61)
     places = np.column_stack([x, np.zeros(61), np.ones(61)]) @ texture.texel_from_m.T
     made = cv2.remap(texture.dark, *(places[:, i : i + 1].astype(np.float32) for i in (0, 1)), cv2.INTER_LINEAR)[:, 0]

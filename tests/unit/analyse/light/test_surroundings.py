@@ -11,13 +11,13 @@ from arfx.analyse.light.surroundings import (
     fold,
     from_panorama,
     look,
-    look_up,
     mip_chain,
     soft_of,
     solid_angles,
     turned,
     with_environment,
 )
+from arfx.core.cube import look_up
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, harmonics
 from arfx.core.pose import Pose, rotation_from_euler_deg
