@@ -34,7 +34,7 @@ from arfx.errors import ConfigError, require_within
 from arfx.stages.dof import Dof
 from arfx.stages.dof.corrected import depth_range, object_box
 from arfx.stages.dof.depth_layers import dioptre_of
-from arfx.stages.dof.optics import Circles
+from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Real, plane_radius
 
@@ -92,12 +92,12 @@ def hyperfocal(N: float, C: float, F: float) -> float:
     return F / N * F / C
 
 
-def eq7_circle(dioptre: np.ndarray | float, at: Circles) -> np.ndarray:
+def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray:
     """Diameter of the blur circle, mm, of what is at 1 / dioptre metres: C = F^2 |L - U| / ((U - F) N L)."""
     return at.px_per_dioptre * at.coc_mm_per_px * np.abs(at.focus - np.asarray(dioptre))
 
 
-def blur_factor(dioptre: np.ndarray, clip: tuple[float, float], at: Circles, coc_mm: float) -> np.ndarray:
+def blur_factor(dioptre: np.ndarray, clip: tuple[float, float], at: CircleOfConfusion, coc_mm: float) -> np.ndarray:
     """a = C / max(C_near, C_far), 0..1. clip : dioptres of both clip planes"""
     C = eq7_circle(dioptre, at)
     a = np.minimum(divide(C, max(float(eq7_circle(d, at)) for d in clip)), 1.0)

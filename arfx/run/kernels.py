@@ -62,9 +62,11 @@ class Kernel:
 
 def signature(types: Iterable[Any]) -> str:
     """Types of arguments as numba writes them, a named tuple's class with its module: "(int64, arfx.x.Pair(int64, int64))"."""
-    from numba.core.types.containers import BaseNamedTuple
+    from numba.core.types.containers import BaseNamedTuple, Tuple
 
     def one(kind: Any) -> str:
+        if isinstance(kind, Tuple):  # numba writes it in a form that its constructor does not read
+            return f"({', '.join(map(one, kind.types))},)"
         if not issubclass(type(kind), BaseNamedTuple):
             return repr(kind)
         made_by = kind.instance_class

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.stages.dof.ladder import SHARP_PX
-from arfx.stages.dof.optics import Circles
+from arfx.stages.dof.optics import CircleOfConfusion
+from arfx.stages.dof.pyramid import SHARP_PX
 
 
 @dataclass(frozen=True, eq=False)
-class Front:
+class FrontLayer:
     """Something before the base. radius (h, w) px, -1 = not there;  colour (h, w, 3) premultiplied by coverage (h, w)"""
 
     radius: np.ndarray
@@ -32,7 +32,7 @@ class DepthLayers:
 
     base: np.ndarray
     radius: np.ndarray
-    fronts: tuple[Front, ...]
+    fronts: tuple[FrontLayer, ...]
 
 
 def dioptre_of(depth_m: np.ndarray) -> np.ndarray:
@@ -42,10 +42,10 @@ def dioptre_of(depth_m: np.ndarray) -> np.ndarray:
     return np.where(known, divide(1.0, depth_m), 0.0).astype(np.float32)
 
 
-def depth_layers(colour: np.ndarray, dioptre: np.ndarray, at: Circles) -> DepthLayers:
+def depth_layers(colour: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion) -> DepthLayers:
     """colour : (h, w, 3) of the real scene, sharp;  dioptre : (h, w) float32, 1/m"""
-    radius = at.radius_px(dioptre).astype(np.float32)
-    near = (radius > SHARP_PX) & (dioptre > at.focus)
+    radius = coc.radius_px(dioptre).astype(np.float32)
+    near = (radius > SHARP_PX) & (dioptre > coc.focus)
     far = (radius > SHARP_PX) & ~near
     sharp = ~(near | far)
     if far.all() or not far.any():
@@ -58,13 +58,13 @@ def depth_layers(colour: np.ndarray, dioptre: np.ndarray, at: Circles) -> DepthL
         part = np.dstack([colour * sharp[..., None], sharp.astype(np.float32)])
         if near.any():
             part = fill(part, ~near)
-        coverage = np.ascontiguousarray(part[..., 3])
-        fronts.append(Front(np.where(coverage > 0, np.float32(0), np.float32(-1)), np.ascontiguousarray(part[..., :3]), coverage))
+        sharp_colour, coverage = np.ascontiguousarray(part[..., :3]), np.ascontiguousarray(part[..., 3])
+        fronts.append(FrontLayer(np.where(coverage > 0, np.float32(0), np.float32(-1)), sharp_colour, coverage))
     if near.any():
         if not (far.any() or sharp.any()):
             return DepthLayers(colour, radius, ())
         coverage = near.astype(np.float32)
-        fronts.append(Front(np.where(near, radius, np.float32(-1)), colour * coverage[..., None], coverage))
+        fronts.append(FrontLayer(np.where(near, radius, np.float32(-1)), colour * coverage[..., None], coverage))
     return DepthLayers(base, base_radius, tuple(fronts))
 
 

@@ -12,13 +12,13 @@ from arfx.core.lens import Lens
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.scene import Scene
 from arfx.errors import ConfigError
-from arfx.stages.dof.params import MARKER, OBJECT, DofParams, between, fnumber_keys, focus_keys
+from arfx.stages.dof.params import MARKER, OBJECT, DofParams, fnumber_keys, focus_keys, interpolate
 
 _BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is set
 
 
 @dataclass(frozen=True, slots=True)
-class Circles:
+class CircleOfConfusion:
     """radius px = min(px_per_dioptre x |focus - 1/distance|, limit_px), dioptres in 1/m.
 
     coc_mm_per_px : diameter on the sensor of a circle of 1 px radius
@@ -32,6 +32,10 @@ class Circles:
     def radius_px(self, dioptre: np.ndarray | float) -> np.ndarray:
         return np.minimum(self.px_per_dioptre * np.abs(self.focus - np.asarray(dioptre, float)), self.limit_px)
 
+    def largest_px(self, dioptres: tuple[float, float]) -> float:
+        """Bound of the radius in a range of dioptres."""
+        return float(self.radius_px(np.array(dioptres)).max())
+
 
 def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
     """Why the footage's lens cannot be used, None where it can or none is asked for."""
@@ -42,7 +46,7 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
     return None if facts.lens.known else f"the lens cannot be measured from the footage: {facts.lens.reason}"
 
 
-def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:
+def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> CircleOfConfusion:
     """Of a frame with a pose. While the object fades in or out the aperture opens or closes with it.
 
     Raises InputError where the focus lies within the focal length.
@@ -52,22 +56,22 @@ def circles(params: DofParams, facts: FrameFacts, scene: Scene) -> Circles:
     fade, mm_per_px = min(facts.opacity, 1.0), 2 * params.sensor_width_mm / width
     if params.lens == "footage":
         assert facts.lens is not None
-        return Circles(facts.lens.px_per_dioptre * fade, facts.lens.focus, limit, mm_per_px)
+        return CircleOfConfusion(facts.lens.px_per_dioptre * fade, facts.lens.focus, limit, mm_per_px)
     focus = focus_dioptre(params, facts, scene)
     focal_mm = params.focal_mm or scene.camera.fx * params.sensor_width_mm / width
     if params.aperture_px > 0:
         px_per_dioptre = 0.5 * params.aperture_px / max(focus, 1e-3)  # focus beyond 1 km: as at 1 km
     else:
-        fnumber = 2.0 ** between([(t, math.log2(n)) for t, n in fnumber_keys(params.fnumber)], facts.time_s)
+        fnumber = 2.0 ** interpolate([(t, math.log2(n)) for t, n in fnumber_keys(params.fnumber)], facts.time_s)
         lens = Lens(focal_mm, fnumber, 1e3 / focus if focus > 0 else math.inf)
         px_per_dioptre = 0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
-    return Circles(px_per_dioptre * fade, focus, limit, mm_per_px)
+    return CircleOfConfusion(px_per_dioptre * fade, focus, limit, mm_per_px)
 
 
 def focus_dioptre(params: DofParams, facts: FrameFacts, scene: Scene) -> float:
     """1 / distance, 1/m, that is sharp at the frame's time."""
     keys = [(t, _dioptre(what, facts, scene)) for t, what in focus_keys(params.focus)]
-    return between(keys, facts.time_s)
+    return interpolate(keys, facts.time_s)
 
 
 def _dioptre(what: str | float, facts: FrameFacts, scene: Scene) -> float:

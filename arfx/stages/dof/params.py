@@ -13,7 +13,7 @@ from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError, require_within
 
 OBJECT, MARKER = "object", "marker"
-MOST_RADIUS_PX = 1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
+MAX_RADIUS_PX = 1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
 _T = TypeVar("_T")
 
 
@@ -59,7 +59,7 @@ class DofParams:
         if not 0 < self.sensor_width_mm <= 1e4:
             raise ConfigError(f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}")
         lengths = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "highlight_boost")
-        require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MOST_RADIUS_PX))
+        require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MAX_RADIUS_PX))
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
         for time, fnumber in fnumber_keys(self.fnumber):
@@ -121,8 +121,8 @@ def _keys(text: str, name: str, read: Callable[[str], _T]) -> list[tuple[float, 
     return keys
 
 
-def between(keys: list[tuple[float, float]], time: float) -> float:
-    """Value at `time`: linear between key frames, the first and last held outside."""
+def interpolate(keys: list[tuple[float, float]], time: float) -> float:
+    """Value at `time`: linear between key frames, constant before the first and after the last."""
     if time <= keys[0][0]:
         return keys[0][1]
     for (t0, a), (t1, b) in pairwise(keys):

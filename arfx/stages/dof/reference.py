@@ -2,15 +2,13 @@
 
 The real scene: every pixel's light onto every pixel that its circle covers, circles as exact areas (sampled 12 x 12 a
 pixel), sums in float64. The virtual object: rays from SAMPLES places of the lens through every pixel onto the model
-(embree); the share of rays that meet it is its coverage, and a point met has the colour that the pinhole picture has
+(embree); the fraction of rays that meet it is its coverage, and a point met has the colour that the pinhole picture has
 there. Cost: O(pixels x radius^2) and O(pixels of the object x SAMPLES). Leaves out: colours of points that the pinhole
 picture does not show (they take the mean of those met beside them), partly transparent materials.
 """
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -24,7 +22,7 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.dof.corrected import depth_range
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
-from arfx.stages.dof.optics import Circles
+from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.surfaces import Plane, Real
 from arfx.stages.raster.lens import LensTable
@@ -37,109 +35,88 @@ _RADII = 32  # circles a pixel of radius
 _BATCH_PX = 2048
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """mesh, its rays, and the camera's viewing directions"""
-
-    mesh: Mesh
-    rays: Triangles
-    lens: LensTable
+Prepared = tuple[Mesh, Triangles, LensTable]  # of the camera
 
 
 def prepare(scene: Scene) -> Prepared:
     mesh = build_mesh(scene)
-    return Prepared(mesh, Triangles(mesh.corners_m, robust=True), LensTable(scene.camera))
+    return mesh, Triangles(mesh.corners_m, robust=True), LensTable(scene.camera)
 
 
 def render(
-    now: Layers, facts: FrameFacts, scene: Scene, real: Real, at: Circles, params: DofParams, made: Prepared
+    now: Layers, facts: FrameFacts, scene: Scene, real: Real, coc: CircleOfConfusion, params: DofParams, prepared: Prepared
 ) -> np.ndarray:
     """IMAGE (h, w, 3) of a frame with a pose."""
     rect, opacity = now.rect, float(facts.opacity)
     plate, shadow = now[Layer.PLATE].astype(float), now[Layer.SHADOW].astype(float)
     behind = plate + opacity * (plate * (shadow - 1) + np.asarray(facts.bias_rgb) * (1 - shadow))
-    ideal = scene.camera.normalised(_pixels(rect, 0.0, 0.0))
+    pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
+    ideal = scene.camera.normalised(np.stack(pixels, -1).astype(float))
     directions = np.concatenate([np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1)
     out = behind
     if params.scope == "all":
         depth = now[Layer.REAL_DEPTH] if real.tiles is not None else None
-        out = _real(behind, directions, real, at, params, scene.camera, depth)
-    share, colour = _object(now, facts, scene, at, params, made)
-    return (out * (1 - opacity * share[..., None]) + opacity * colour).astype(np.float32)
-
-
-def _pixels(rect: Rect, dx: float, dy: float) -> np.ndarray:
-    x, y = np.arange(rect.x0, rect.x1) + dx, np.arange(rect.y0, rect.y1) + dy
-    return np.stack(np.meshgrid(x, y), -1).astype(float)
+        out = _real(behind, directions, real, coc, params, scene.camera, depth)
+    fraction, colour = _object(now, facts, scene, coc, params, prepared)
+    return (out * (1 - opacity * fraction[..., None]) + opacity * colour).astype(np.float32)
 
 
 def lens_points(blades: int, turn_deg: float, count: int = SAMPLES) -> np.ndarray:
     """(count, 2) places on a lens of the area of the unit disc, evenly (sunflower spiral; folded into the polygon)."""
     k = np.arange(count)
     radius, angle = np.sqrt((k + 0.5) / count), k * np.pi * (3 - np.sqrt(5))
-    if blades >= 3:  # stretch every ray from the centre to the polygon's edge, at the same share of the area
+    if blades >= 3:  # stretch every ray from the centre to the polygon's edge, at the same fraction of the area
         wedge = 2 * np.pi / blades
         edge = np.sqrt(2 * np.pi / (blades * np.sin(wedge))) * np.cos(wedge / 2)
-        angle, radius = _even_angle(angle, blades), radius * edge
-        radius = radius / np.cos(angle % wedge - wedge / 2)
+        number, part = np.divmod(angle, wedge)
+        # angles whose density follows the polygon's squared edge distance, as its area does
+        angle = number * wedge + wedge / 2 + np.arctan((2 * part / wedge - 1) * np.tan(wedge / 2))
+        radius = radius * edge / np.cos(angle % wedge - wedge / 2)
         angle = angle + np.radians(turn_deg)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1)
 
 
-def _even_angle(angle: np.ndarray, blades: int) -> np.ndarray:
-    """Angles whose density follows the polygon's squared edge distance, as its area does."""
-    wedge = 2 * np.pi / blades
-    number, part = np.divmod(angle, wedge)
-    slope = np.tan(wedge / 2)
-    return number * wedge + wedge / 2 + np.arctan((2 * part / wedge - 1) * slope)
-
-
 def _real(
-    behind: np.ndarray, directions: np.ndarray, real: Real, at: Circles, params: DofParams, camera: Camera,
+    behind: np.ndarray, directions: np.ndarray, real: Real, coc: CircleOfConfusion, params: DofParams, camera: Camera,
     depth_m: np.ndarray | None,
 ) -> np.ndarray:  # fmt: skip
     """The real scene through the lens, (h, w, 3)."""
     if depth_m is not None:
-        return _measured(behind, depth_m, at, params)
+        return _measured(behind, depth_m, coc, params)
     dioptre = np.full(behind.shape[:2], real.background)
     if real.base is not None:
         dioptre = np.maximum(directions @ real.base.forms[2], dioptre)
     free = np.ones(behind.shape[:2])
     layers = []
-    for plane in reversed(real.cut_outs):  # nearest first
+    for plane in reversed(real.finite_planes):  # nearest first
         shown = free * _shown(plane, directions)
         free = free - shown
         layers.append((plane, shown))
-    out = _normal(_scattered(behind, free, at.radius_px(dioptre), params), behind)
+    out = _normal(_scattered(behind, free, coc.radius_px(dioptre), params), behind)
     for plane, shown in reversed(layers):
-        radius = at.radius_px(np.maximum(directions @ plane.forms[2], 0))
+        radius = coc.radius_px(np.maximum(directions @ plane.forms[2], 0))
         front = _normal(_scattered(behind, shown, radius, params), behind)
-        share = np.zeros(free.shape)
+        fraction = np.zeros(free.shape)
         for point in lens_points(params.blades, params.blade_turn_deg):
-            share += _shown(plane, directions, point * at.px_per_dioptre / camera.fx, at.focus)
-        out = out + (front - out) * (share / SAMPLES)[..., None]
+            fraction += _shown(plane, directions, point * coc.px_per_dioptre / camera.fx, coc.focus)
+        out = out + (front - out) * (fraction / SAMPLES)[..., None]
     return out
 
 
-def _measured(behind: np.ndarray, depth_m: np.ndarray, at: Circles, params: DofParams) -> np.ndarray:
+def _measured(behind: np.ndarray, depth_m: np.ndarray, coc: CircleOfConfusion, params: DofParams) -> np.ndarray:
     """By measured depth: layers as in `depth_layers`, each spread by exact discs."""
-    made = depth_layers(behind.astype(np.float32), dioptre_of(depth_m), at)
+    prepared = depth_layers(behind.astype(np.float32), dioptre_of(depth_m), coc)
     whole = np.ones(behind.shape[:2])
-    out = _normal(_scattered(made.base.astype(float), whole, made.radius.astype(float), params), behind)
-    for front in made.fronts:
-        radius = _continued(front.radius).astype(float)
+    out = _normal(_scattered(prepared.base.astype(float), whole, prepared.radius.astype(float), params), behind)
+    for front in prepared.fronts:
+        _, nearest = distance_transform_edt(front.radius < 0, return_indices=True)  # of the nearest pixel that has one
+        radius = front.radius[tuple(nearest)].astype(float)
         coverage = front.coverage.astype(float)
         light = _scattered(divide(front.colour, coverage[..., None]), coverage, radius, params)
         through = _scattered(np.zeros_like(behind), 1 - coverage, radius, params)[..., 3]
-        share = divide(light[..., 3], light[..., 3] + through)[..., None]
-        out = out + (_normal(light, out) - out) * share
+        fraction = divide(light[..., 3], light[..., 3] + through)[..., None]
+        out = out + (_normal(light, out) - out) * fraction
     return out
-
-
-def _continued(radius: np.ndarray) -> np.ndarray:
-    """Radius of the nearest pixel that has one, everywhere."""
-    _, nearest = distance_transform_edt(radius < 0, return_indices=True)
-    return np.asarray(radius[tuple(nearest)])
 
 
 def _shown(plane: Plane, directions: np.ndarray, lens_m: np.ndarray | None = None, focus: float = 0.0) -> np.ndarray:
@@ -170,7 +147,7 @@ def _scattered(colour: np.ndarray, weight: np.ndarray, radius: np.ndarray, param
 
 
 def _disc(radius: float, blades: int, turn_deg: float) -> np.ndarray:
-    """(n, n) share of the shape's area in every pixel, sum 1."""
+    """(n, n) fraction of the shape's area in every pixel, sum 1."""
     corner = 1.0 if blades < 3 else np.sqrt(2 * np.pi / (blades * np.sin(2 * np.pi / blades)))
     half = max(int(np.ceil(radius * corner - 0.5)), 0)
     if radius <= 0.5 and blades < 3:
@@ -201,10 +178,10 @@ def _scatter(light, which, kernels, start, half):  # pragma: no cover - compiled
             side = 2 * n + 1
             for j in range(max(y - n, 0), min(y + n + 1, h)):
                 for i in range(max(x - n, 0), min(x + n + 1, w)):
-                    share = kernels[s + (j - y + n) * side + i - x + n]
-                    if share > 0:
+                    fraction = kernels[s + (j - y + n) * side + i - x + n]
+                    if fraction > 0:
                         for c in range(4):
-                            out[j, i, c] += share * light[y, x, c]
+                            out[j, i, c] += fraction * light[y, x, c]
     return out
 
 
@@ -214,34 +191,34 @@ def _normal(sums: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
 
 
 def _object(
-    now: Layers, facts: FrameFacts, scene: Scene, at: Circles, params: DofParams, made: Prepared
+    now: Layers, facts: FrameFacts, scene: Scene, coc: CircleOfConfusion, params: DofParams, prepared: Prepared
 ) -> tuple[np.ndarray, np.ndarray]:
     """Share of the lens that sees the object (h, w), and its premultiplied colour (h, w, 3)."""
-    share, colour = np.zeros((now.rect.height, now.rect.width)), np.zeros((now.rect.height, now.rect.width, 3))
-    pose = facts.pose
+    fraction, colour = np.zeros((now.rect.height, now.rect.width)), np.zeros((now.rect.height, now.rect.width, 3))
+    (mesh, rays, directions), pose = prepared, facts.pose
     near, far = depth_range(facts)
-    reach = float(at.radius_px(np.array([1 / near, 1 / far])).max())
+    reach = coc.largest_px((1 / near, 1 / far))
     corner = 1.0 if params.blades < 3 else 1.3
     box = facts.drawn_box.pad(int(np.ceil(corner * reach)) + 1).clip(now.rect)
     if facts.model_box.empty or box.empty:
-        return share, colour
-    radius_m = at.px_per_dioptre / scene.camera.fx
+        return fraction, colour
+    radius_m = coc.px_per_dioptre / scene.camera.fx
     lens = lens_points(params.blades, params.blade_turn_deg) * radius_m
     step = np.array([0.7548776662466927, 0.5698402909980532])  # R2 sequence (Roberts 2018): places within the pixel
     inner = (0.5 + np.arange(1, SAMPLES + 1)[:, None] * step) % 1.0 - 0.5
-    eye = pose.inverse().translation_m - made.mesh.centre_m
+    eye = pose.inverse().translation_m - mesh.centre_m
     rows = max(_BATCH_PX // box.width, 1)
     for top in range(box.y0, box.y1, rows):
         part = Rect(box.x0, top, box.x1, min(top + rows, box.y1))
         sums = np.zeros((part.height, part.width, 5))
         y, x = np.arange(part.y0, part.y1, dtype=float), np.arange(part.x0, part.x1, dtype=float)
-        d = np.stack([made.lens.at(y + dy, x + dx) for dx, dy in inner], 2)  # (h, w, s, 2)
+        d = np.stack([directions.at(y + dy, x + dx) for dx, dy in inner], 2)  # (h, w, s, 2)
         ok = np.isfinite(d).all(-1)
         d = np.where(ok[..., None], d, 0.0)
         origin = np.concatenate([lens, np.zeros((SAMPLES, 1))], 1)
-        along = np.concatenate([d - at.focus * lens, np.ones((*d.shape[:3], 1))], -1)
+        along = np.concatenate([d - coc.focus * lens, np.ones((*d.shape[:3], 1))], -1)
         start = np.broadcast_to(eye + origin @ pose.rotation, along.shape).reshape(-1, 3)
-        hit = made.rays.first_hits(
+        hit = rays.first_hits(
             np.ascontiguousarray(start, np.float32), np.ascontiguousarray((along @ pose.rotation).reshape(-1, 3), np.float32)
         )
         met = (hit["primID"] >= 0) & ok.reshape(-1)
@@ -252,9 +229,9 @@ def _object(
         s = sums / SAMPLES
         known = divide(sums[..., 0:3], sums[..., 3:4])
         at_part = part.slices_in(now.rect)
-        share[at_part] = s[..., 4]
+        fraction[at_part] = s[..., 4]
         colour[at_part] = known * s[..., 4:5]
-    return share, colour
+    return fraction, colour
 
 
 def _look_up(sums: np.ndarray, pixel: np.ndarray, points: np.ndarray, now: Layers, camera: Camera) -> None:
@@ -272,9 +249,9 @@ def _look_up(sums: np.ndarray, pixel: np.ndarray, points: np.ndarray, now: Layer
             cover = now[Layer.COVERAGE][y, x].astype(float)
             depth = now[Layer.DEPTH][y, x].astype(float)
             same = (cover > 0) & (np.abs(depth - points[:, 2]) < 0.02 * points[:, 2])
-            share = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1]) * same
-            total[:, :3] += share[:, None] * now[Layer.VIRTUAL][y, x]
-            total[:, 3] += share * cover
+            fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1]) * same
+            total[:, :3] += fraction[:, None] * now[Layer.VIRTUAL][y, x]
+            total[:, 3] += fraction * cover
             opaque = np.maximum(opaque, cover)
     # a point inside the picture where nothing is drawn is a hole that its material is cut out of
     inside = known & (place >= 0).all(1) & (place[:, 0] <= w - 1) & (place[:, 1] <= h - 1)

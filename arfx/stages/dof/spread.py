@@ -1,6 +1,6 @@
 """Compiled: each pixel's light spread over its disc. Row ends are marked and summed along the rows, O(radius) a pixel.
 
-What is marked is a multiple of 2^-23 (light of 2^-17, shares of a row in eighths): sums below 2 are exact in float32. So a
+What is marked is a multiple of 2^-23 (light of 2^-17, fractions of a row in eighths): sums below 2 are exact in float32. So a
 row's running sum is exactly 0 behind the last disc, and neither the order nor the rectangle changes a bit of it.
 """
 
@@ -14,43 +14,43 @@ import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.stages.dof.aperture import STEPS, Shape
-from arfx.stages.dof.ladder import SHARP_PX
+from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.four import add_between, add_four, add_two_between
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
 _SNAP = np.float32(1.5 * 2**6)  # adding and taking it away rounds to 2^-17
-TILE_PX = 16  # deposited at once; a power of two
-FEWEST_ALIKE = 4  # discs of one size side by side that are worth marking together
+TILE_PX = 16  # splatted at once; a power of two
+MIN_RUN = 4  # discs of one size side by side that are worth marking together
 
 
-class Sink(NamedTuple):
-    """Where a layer's light goes. fade : of the `Ladder`
+class SplatBuffers(NamedTuple):
+    """Where a layer's light goes. fade : of the `Pyramid`
 
-    near : (h, w, 4) light of rung 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `held` (th, tw) uint8
-    cells : (n, 5) red, green, blue, weight, weight x radius of all further rungs;  meta : (rungs, 3) first cell, width,
-    height;  lead_y, lead_x : px by which the rectangle's corner lies in a cell of the last rung
+    finest : (h, w, 4) light of level 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `occupied` (th, tw) uint8
+    cells : (n, 5) red, green, blue, weight, weight x radius of all further levels;  meta : (levels, 3) first cell, width,
+    height;  offset_y, offset_x : px by which the rectangle's corner lies in a cell of the last level
     """
 
     fade: np.ndarray
     cells: np.ndarray
     meta: np.ndarray
-    lead_y: int
-    lead_x: int
-    near: np.ndarray
-    held: np.ndarray
+    offset_y: int
+    offset_x: int
+    finest: np.ndarray
+    occupied: np.ndarray
 
 
-class Light(NamedTuple):
-    """Light of some rows of a layer, 0 outside of columns lo..hi. values : flat, of each rung's rows, (rows, width + 1, 4)
+class BlurredRows(NamedTuple):
+    """Light of some rows of a layer, 0 outside of columns lo..hi. values : flat, of each level's rows, (rows, width + 1, 4)
 
-    table : (n, 7), of each: rung, first value, first row, height and width of the whole rung, columns of the rectangle
-    lead_y, lead_x : as of `Sink`
+    table : (n, 7), of each: level, first value, first row, height and width of the whole level, columns of the rectangle
+    offset_y, offset_x : as of `SplatBuffers`
     """
 
     values: np.ndarray
     table: np.ndarray
-    lead_y: int
-    lead_x: int
+    offset_y: int
+    offset_x: int
     lo: int
     hi: int
 
@@ -58,34 +58,36 @@ class Light(NamedTuple):
 @numba.njit(cache=True, nogil=True)
 def extremes(radius, y0, x0, y1, x1):  # pragma: no cover - compiled
     """Least and largest radius of a tile."""
-    least, most = radius[y0, x0], radius[y0, x0]
+    smallest, largest = radius[y0, x0], radius[y0, x0]
     for y in range(y0, y1):
         for x in range(x0, x1):
             r = radius[np.uintp(y), np.uintp(x)]
-            least, most = min(least, r), max(most, r)
-    return least, most
+            smallest, largest = min(smallest, r), max(largest, r)
+    return smallest, largest
+
+
+@line_kernel()
+def levels_of(smallest, largest, fade, levels):  # pragma: no cover - compiled
+    """Lowest and highest level that light of radii least..most goes to."""
+    low, high = 0, 0
+    while low < levels - 1 and smallest >= fade[low, 1]:
+        low += 1
+    while high < levels - 1 and largest > fade[high, 0]:
+        high += 1
+    return low, high
 
 
 @numba.njit(cache=True, nogil=True)
-def only_rung(least, most, fade, rungs):  # pragma: no cover - compiled
-    """The rung that takes all of the light of radii least..most; -1 where two share it."""
-    k = 0
-    while k < rungs - 1 and least >= fade[k, 1]:
-        k += 1
-    return k if k == rungs - 1 or most <= fade[k, 0] else -1
-
-
-@numba.njit(cache=True, nogil=True)
-def highlight(rung):  # pragma: no cover - compiled
-    """Light above which a pixel goes one rung lower; so that the sum of a cell's column tells whether there is any."""
-    return max(np.float32(4), np.float32(1.001) * np.float32(1 << rung))
+def highlight(level):  # pragma: no cover - compiled
+    """Light above which a pixel goes one level lower; so that the sum of a cell's column tells whether there is any."""
+    return max(np.float32(4), np.float32(1.001) * np.float32(1 << level))
 
 
 @line_kernel(fastmath=_FLAGS)
-def to_cell(sink: Sink, rung, y, x, a, b, c, d, r):  # pragma: no cover - compiled
-    """Light a, b, c, d (weight) of one pixel with radius r to the rung's cell that holds it."""
-    meta, cells = sink.meta, sink.cells
-    at = np.uintp(meta[rung, 0] + ((y + sink.lead_y) >> rung) * meta[rung, 1] + ((x + sink.lead_x) >> rung))
+def to_cell(buffers: SplatBuffers, level, y, x, a, b, c, d, r):  # pragma: no cover - compiled
+    """Light a, b, c, d (weight) of one pixel with radius r to the level's cell that holds it."""
+    meta, cells = buffers.meta, buffers.cells
+    at = np.uintp(meta[level, 0] + ((y + buffers.offset_y) >> level) * meta[level, 1] + ((x + buffers.offset_x) >> level))
     cells[at, 0] += a
     cells[at, 1] += b
     cells[at, 2] += c
@@ -94,49 +96,50 @@ def to_cell(sink: Sink, rung, y, x, a, b, c, d, r):  # pragma: no cover - compil
 
 
 @line_kernel(fastmath=_FLAGS)
-def deposit_tile(source, radius, y0, x0, y1, x1, sink: Sink):  # pragma: no cover - compiled
-    """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two rungs that their radii ask for.
+def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma: no cover - compiled
+    """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two levels that their radii ask for.
 
     source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none
     """
-    fade, cells, meta, lead_y, lead_x, near, held = sink
-    rungs = meta.shape[0]
-    least, most = extremes(radius, y0, x0, y1, x1)
-    if most <= SHARP_PX:
+    fade, cells, meta, offset_y, offset_x, finest, occupied = buffers
+    levels = meta.shape[0]
+    smallest, largest = extremes(radius, y0, x0, y1, x1)
+    if largest <= SHARP_PX:
         return
-    k = only_rung(least, most, fade, rungs)
-    if k > 0:
+    k, highest = levels_of(smallest, largest, fade, levels)
+    alone = highest <= k
+    if alone and k > 0:
         side, bright = 1 << k, highlight(k) if k > 1 else np.float32(np.inf)
-        for top in range(y0 - ((y0 + lead_y) & (side - 1)), y1, side):
-            for left in range(x0 - ((x0 + lead_x) & (side - 1)), x1, side):
+        for top in range(y0 - ((y0 + offset_y) & (side - 1)), y1, side):
+            for left in range(x0 - ((x0 + offset_x) & (side - 1)), x1, side):
                 a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
                 for y in range(max(top, y0), min(top + side, y1)):
                     for x in range(max(left, x0), min(left + side, x1)):
                         j, i = np.uintp(y - y0), np.uintp(x - x0)
                         if max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > bright:
                             r, s = radius[np.uintp(y), np.uintp(x)], source[j, i]
-                            to_cell(sink, k - 1, y, x, s[0], s[1], s[2], s[3], r)
+                            to_cell(buffers, k - 1, y, x, s[0], s[1], s[2], s[3], r)
                             continue
                         a += source[j, i, 0]
                         b += source[j, i, 1]
                         c += source[j, i, 2]
                         d += source[j, i, 3]
                         e += source[j, i, 3] * radius[np.uintp(y), np.uintp(x)]
-                at = np.uintp(meta[k, 0] + ((top + lead_y) >> k) * meta[k, 1] + ((left + lead_x) >> k))
+                at = np.uintp(meta[k, 0] + ((top + offset_y) >> k) * meta[k, 1] + ((left + offset_x) >> k))
                 cells[at, 0] += a
                 cells[at, 1] += b
                 cells[at, 2] += c
                 cells[at, 3] += d
                 cells[at, 4] += e
         return
-    if least < fade[0, 1] or k == 0:
-        held[(y0 + lead_y) // TILE_PX - lead_y // TILE_PX, (x0 + lead_x) // TILE_PX - lead_x // TILE_PX] = 1
     if k == 0:
+        occupied[(y0 + offset_y) // TILE_PX - offset_y // TILE_PX, (x0 + offset_x) // TILE_PX - offset_x // TILE_PX] = 1
+    if alone:
         for y in range(y0, y1):
             for x in range(x0, x1):
                 j, i = np.uintp(y - y0), np.uintp(x - x0)
                 for n in range(4):
-                    near[np.uintp(y), np.uintp(x), n] = source[j, i, n]
+                    finest[np.uintp(y), np.uintp(x), n] = source[j, i, n]
         return
     for y in range(y0, y1):
         for x in range(x0, x1):
@@ -144,33 +147,33 @@ def deposit_tile(source, radius, y0, x0, y1, x1, sink: Sink):  # pragma: no cove
             if r <= SHARP_PX:
                 continue
             k = 0
-            while k < rungs - 1 and r >= fade[k, 1]:
+            while k < levels - 1 and r >= fade[k, 1]:
                 k += 1
             onward = np.float32(0)
-            if k < rungs - 1 and r > fade[k, 0]:
+            if k < levels - 1 and r > fade[k, 0]:
                 onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
             j, i = np.uintp(y - y0), np.uintp(x - x0)
             if k > 0 and max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > highlight(k + 1):
                 k, onward = max(k - 1, 1), onward if k > 1 else np.float32(0)
             for step in range(2):
-                share = np.float32(1) - onward if step == 0 else onward
-                rung = k + step
-                if share <= 0:
+                fraction = np.float32(1) - onward if step == 0 else onward
+                level = k + step
+                if fraction <= 0:
                     continue
-                if rung == 0:
+                if level == 0:
                     for n in range(4):
-                        near[np.uintp(y), np.uintp(x), n] = source[j, i, n] * share
+                        finest[np.uintp(y), np.uintp(x), n] = source[j, i, n] * fraction
                 else:
                     s = source[j, i]
-                    to_cell(sink, rung, y, x, s[0] * share, s[1] * share, s[2] * share, s[3] * share, r)
+                    to_cell(buffers, level, y, x, s[0] * fraction, s[1] * fraction, s[2] * fraction, s[3] * fraction, r)
 
 
 @numba.njit(nogil=True)
-def _mark_ends(marks, at, light, share, first, last):  # pragma: no cover - compiled
+def _mark_ends(marks, at, light, fraction, first, last):  # pragma: no cover - compiled
     """Ends of one row of a disc, in cells of four: with v = light share and at = a, b, c, d, marks[a] += v first,
     marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last. marks : flat;  light : red, green, blue, weight"""
     a, b, c, d = at
-    red, green, blue, weight = light[0] * share, light[1] * share, light[2] * share, light[3] * share
+    red, green, blue, weight = light[0] * fraction, light[1] * fraction, light[2] * fraction, light[3] * fraction
     begin = red * first, green * first, blue * first, weight * first
     end = red * last, green * last, blue * last, weight * last
     add_four(marks, a, begin[0], begin[1], begin[2], begin[3])
@@ -183,9 +186,9 @@ def _mark_ends(marks, at, light, share, first, last):  # pragma: no cover - comp
 def _mark(marks, q, y, x, low, high, width, line, unit, shape: Shape):  # pragma: no cover - compiled
     """Mark the row ends of one disc, row q of `shape`, in rows low..high. marks : flat, (rows, width + 1, 4), from row low
 
-    line : (4 width,) light of the disc's row of cells;  unit : share of it that a pixel gets
+    line : (4 width,) light of the disc's row of cells;  unit : fraction of it that a pixel gets
     """
-    ends, shares, n = shape.ends, shape.shares, shape.reach[q]
+    ends, fractions, n = shape.ends, shape.fractions, shape.half_rows[q]
     red, green, blue, weight = line[4 * x] * unit, line[4 * x + 1] * unit, line[4 * x + 2] * unit, line[4 * x + 3] * unit
     red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
     red, green, blue, weight = red - _SNAP, green - _SNAP, blue - _SNAP, weight - _SNAP
@@ -198,8 +201,8 @@ def _mark(marks, q, y, x, low, high, width, line, unit, shape: Shape):  # pragma
         if not inside:
             a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
         row = (y + j - low) * stride
-        share, begin, end = shares[q, i, 0], shares[q, i, 1], shares[q, i, 2]
-        _mark_ends(marks, (row + a, row + b, row + c, row + d), (red, green, blue, weight), share, begin, end)
+        fraction, begin, end = fractions[q, i, 0], fractions[q, i, 1], fractions[q, i, 2]
+        _mark_ends(marks, (row + a, row + b, row + c, row + d), (red, green, blue, weight), fraction, begin, end)
 
 
 @line_kernel(fastmath=_FLAGS)
@@ -212,14 +215,14 @@ def _add_shifted(marks, cell, light, count, begin, end):  # pragma: no cover - c
 
 
 @line_kernel(fastmath=_FLAGS)
-def _mark_line(marks, y, low, high, width, size, line, area, alike, shape: Shape):  # pragma: no cover - compiled
+def _mark_line(marks, y, low, high, width, size, line, area, run_light, shape: Shape):  # pragma: no cover - compiled
     """Mark the discs of one row of cells in rows low..high. Returns the columns marked (lo, hi).
 
     size : (width,) row of the shape table, -1 = no light;  line : (4 width,) light;  area : 1 / pixels of a cell
-    alike : scratch, 4 (width + 2)
+    run_light : scratch, 4 (width + 2)
     Neighbours of one size are marked together, row by row of their disc, which the compiler makes vectors of.
     """
-    ends, shares, unit, reach = shape
+    ends, fractions, unit, half_rows = shape
     stride = width + 1
     lo, hi = width, 0
     x = 0
@@ -231,47 +234,44 @@ def _mark_line(marks, y, low, high, width, size, line, area, alike, shape: Shape
             continue
         while x < width and size[x] == q:
             x += 1
-        n, u = reach[q], area * unit[q]
+        n, u = half_rows[q], area * unit[q]
         if y + n < low or y - n >= high:
             continue
         lo, hi = min(lo, first - n), max(hi, x + n + 1)  # the last mark of a row lies one beyond it
         begin, end = max(first, n), min(x, width - n - 1)
-        if end - begin < FEWEST_ALIKE:
+        if end - begin < MIN_RUN:
             begin, end = x, x
         for k in range(first, x):
-            if k == begin:
-                break
-            _mark(marks, q, y, k, low, high, width, line, u, shape)
-        for k in range(end, x):
-            _mark(marks, q, y, k, low, high, width, line, u, shape)
+            if k < begin or k >= end:
+                _mark(marks, q, y, k, low, high, width, line, u, shape)
         count = end - begin
         if count <= 0:
             continue
         for k in range(4):
-            alike[k], alike[4 * (count + 1) + k] = 0, 0
+            run_light[k], run_light[4 * (count + 1) + k] = 0, 0
         for k in range(4 * count):
-            alike[4 + k] = (line[4 * begin + k] * u + _SNAP) - _SNAP
+            run_light[4 + k] = (line[4 * begin + k] * u + _SNAP) - _SNAP
         for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
             i = np.uintp(j + n)
-            row, share = (y + j - low) * stride + begin, shares[q, i, 0]
-            before, after = shares[q, i, 1] * share, shares[q, i, 2] * share
-            _add_shifted(marks, row + ends[q, i, 0], alike, count, before, share - before)
-            _add_shifted(marks, row + ends[q, i, 1], alike, count, after - share, -after)
+            row, fraction = (y + j - low) * stride + begin, fractions[q, i, 0]
+            before, after = fractions[q, i, 1] * fraction, fractions[q, i, 2] * fraction
+            _add_shifted(marks, row + ends[q, i, 0], run_light, count, before, fraction - before)
+            _add_shifted(marks, row + ends[q, i, 1], run_light, count, after - fraction, -after)
     return lo, hi
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def spread_pixels(sink: Sink, radius, until, low, high, far, marks, shape: Shape):  # pragma: no cover - compiled
-    """Rung 0: light of pixels with SHARP_PX < radius < until onto rows low..high. Returns the columns marked (lo, hi)."""
-    near, held, lead_y, lead_x = sink.near, sink.held, sink.lead_y, sink.lead_x
-    first_x = lead_x // TILE_PX * TILE_PX - lead_x  # of the first tile
+def spread_pixels(buffers: SplatBuffers, radius, limit_px, low, high, margin, marks, shape: Shape):  # pragma: no cover - compiled
+    """Level 0: light of pixels with SHARP_PX < radius < limit_px onto rows low..high. Returns the columns marked (lo, hi)."""
+    finest, occupied, offset_y, offset_x = buffers.finest, buffers.occupied, buffers.offset_y, buffers.offset_x
+    first_x = offset_x // TILE_PX * TILE_PX - offset_x  # of the first tile
     h, w = radius.shape
     top = np.float32(shape.unit.shape[0] - 1)
     flat = marks.reshape(-1)
-    size, alike = np.empty(w, np.int32), np.empty(4 * (w + 2), np.float32)
+    size, run_light = np.empty(w, np.int32), np.empty(4 * (w + 2), np.float32)
     lo, hi = w, 0
-    for y in range(max(low - far, 0), min(high + far, h)):
-        tiles = held[(y + lead_y) // TILE_PX - lead_y // TILE_PX]
+    for y in range(max(low - margin, 0), min(high + margin, h)):
+        tiles = occupied[(y + offset_y) // TILE_PX - offset_y // TILE_PX]
         any_light = False
         for tile in range(len(tiles)):
             a, b = max(first_x + tile * TILE_PX, 0), min(first_x + (tile + 1) * TILE_PX, w)
@@ -282,28 +282,28 @@ def spread_pixels(sink: Sink, radius, until, low, high, far, marks, shape: Shape
             for x in range(a, b):
                 r = radius[y, x]
                 size[x] = -1
-                if r <= SHARP_PX or r >= until or near[y, x, 3] <= 0:
+                if r <= SHARP_PX or r >= limit_px or finest[y, x, 3] <= 0:
                     continue
                 size[x] = int(min(r * STEPS + np.float32(0.5), top))
         if any_light:
-            a, b = _mark_line(flat, y, low, high, w, size, near[y].reshape(-1), np.float32(1), alike, shape)
+            a, b = _mark_line(flat, y, low, high, w, size, finest[y].reshape(-1), np.float32(1), run_light, shape)
             lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, w)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def spread_cells(
-    cells, width, height, rung, cut_px2, low, high, far, marks, shape: Shape
+    cells, width, height, level, filter_px2, low, high, margin, marks, shape: Shape
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Further rungs: cells (height * width, 5) onto rows low..high of the rung. Returns the columns marked (lo, hi)."""
+    """Further levels: cells (height * width, 5) onto rows low..high of the level. Returns the columns marked (lo, hi)."""
     top = np.float32(shape.unit.shape[0] - 1)
-    side = np.float32(1 << rung)
+    side = np.float32(1 << level)
     area = np.float32(1) / (side * side)
     flat = marks.reshape(-1)
     size, line = np.empty(width, np.int32), np.empty(4 * width, np.float32)
-    alike = np.empty(4 * (width + 2), np.float32)
+    run_light = np.empty(4 * (width + 2), np.float32)
     lo, hi = width, 0
-    for y in range(max(low - far, 0), min(high + far, height)):
+    for y in range(max(low - margin, 0), min(high + margin, height)):
         any_light = False
         for x in range(width):
             k = np.uintp(y * width + x)
@@ -311,13 +311,13 @@ def spread_cells(
             if cells[k, 3] <= 0:
                 continue
             r = cells[k, 4] / cells[k, 3]
-            r = np.sqrt(max(r * r - cut_px2, np.float32(0))) / side
+            r = np.sqrt(max(r * r - filter_px2, np.float32(0))) / side
             size[x] = int(min(r * STEPS + np.float32(0.5), top))
             any_light = True
             for c in range(4):
                 line[4 * x + c] = cells[k, c]
         if any_light:
-            a, b = _mark_line(flat, y, low, high, width, size, line, area, alike, shape)
+            a, b = _mark_line(flat, y, low, high, width, size, line, area, run_light, shape)
             lo, hi = min(lo, a), max(hi, b)
     return max(lo, 0), min(hi, width)
 
@@ -339,39 +339,39 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=_FLAGS)
-def light_of_row(line, y, light: Light, lo, hi, between):  # pragma: no cover - compiled
-    """line (4 w,) = light that reaches row y of the rectangle, columns lo..hi: all rungs, bilinear between their cells.
+def light_of_row(line, y, light: BlurredRows, lo, hi, between):  # pragma: no cover - compiled
+    """line (4 w,) = light that reaches row y of the rectangle, columns lo..hi: all levels, bilinear between their cells.
 
     between : scratch, 4 (w + ALIGN_PX): cells count from lead_x on
     """
-    values, table, lead_y, lead_x, _, _ = light
+    values, table, offset_y, offset_x, _, _ = light
     for n in range(4 * lo, 4 * hi):
         line[n] = 0
     for part in range(table.shape[0]):
-        rung, first, first_row, height, width, left, right = table[part]
+        level, first, first_row, height, width, left, right = table[part]
         left, right = max(left, lo), min(right, hi)
         if left >= right:
             continue
         stride = 4 * (width + 1)
-        if rung == 0:
+        if level == 0:
             at = first + (y - first_row) * stride
             own, to = values[at + 4 * left : at + 4 * right], line[4 * left : 4 * right]
             for n in range(len(to)):
                 to[n] += own[n]
             continue
-        side, half = 1 << rung, 1 << rung - 1
+        side, half = 1 << level, 1 << level - 1
         step = np.float32(1) / np.float32(side)
-        begin, end = left + lead_x - half, right + lead_x - half  # from the middle of the first cell, as x below
-        j = (y + lead_y - half) >> rung
-        t = (np.float32(y + lead_y - half - (j << rung)) + np.float32(0.5)) * step
+        begin, end = left + offset_x - half, right + offset_x - half  # from the middle of the first cell, as x below
+        j = (y + offset_y - half) >> level
+        t = (np.float32(y + offset_y - half - (j << level)) + np.float32(0.5)) * step
         a, b = min(max(j, 0), height - 1) - first_row, min(max(j + 1, 0), height - 1) - first_row
-        one, after = 4 * max(begin >> rung, 0), 4 * min(((end - 1) >> rung) + 2, width)
+        one, after = 4 * max(begin >> level, 0), 4 * min(((end - 1) >> level) + 2, width)
         up, down = first + a * stride, first + b * stride
         upper, lower, cells = values[up + one : up + after], values[down + one : down + after], between[one:after]
         for n in range(len(cells)):
             cells[n] = upper[n] + (lower[n] - upper[n]) * t
         # cells whose pixels, up to the next cell's middle, are all wanted and have a cell on both sides; then the rest
-        first_whole, after_whole = max((begin + side - 1) >> rung, 0), min(end >> rung, width - 1)
+        first_whole, after_whole = max((begin + side - 1) >> level, 0), min(end >> level, width - 1)
         i = first_whole
         while i < after_whole:
             if not between[4 * i + 7] > 0 and not between[4 * i + 3] > 0:
@@ -383,13 +383,13 @@ def light_of_row(line, y, light: Light, lo, hi, between):  # pragma: no cover - 
             for n in range(half):
                 t = (np.float32(2 * n) + np.float32(0.5)) * step
                 for k in range(run, i):
-                    add_two_between(line, (k << rung) + half - lead_x + 2 * n, between, k, t, step)
-        i = begin >> rung
-        while i < ((end - 1) >> rung) + 1:
+                    add_two_between(line, (k << level) + half - offset_x + 2 * n, between, k, t, step)
+        i = begin >> level
+        while i < ((end - 1) >> level) + 1:
             if i == first_whole and after_whole > i:
                 i = after_whole
                 continue
-            p, q, x = max(i, 0), min(i + 1, width - 1), i << rung
+            p, q, x = max(i, 0), min(i + 1, width - 1), i << level
             for n in range(max(begin - x, 0), min(end - x, side)):
-                add_between(line, x + half - lead_x + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
+                add_between(line, x + half - offset_x + n, between, p, q, (np.float32(n) + np.float32(0.5)) * step)
             i += 1

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer
@@ -26,19 +24,10 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.stages.dof import demand as called
 from arfx.stages.dof.corrected import render
-from arfx.stages.dof.ladder import LADDERS
-from arfx.stages.dof.optics import Circles, circles, unknown_lens
+from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion, unknown_lens
 from arfx.stages.dof.params import DofParams
+from arfx.stages.dof.pyramid import PYRAMIDS
 from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
-
-_GRIDS: WeakKeyDictionary[Camera, np.ndarray] = WeakKeyDictionary()
-
-
-def grid_of(camera: Camera) -> np.ndarray:
-    """`direction_grid`, solved once for a camera."""
-    if camera not in _GRIDS:
-        _GRIDS[camera] = direction_grid(camera)
-    return _GRIDS[camera]
 
 
 class Dof(Stage):
@@ -56,15 +45,15 @@ class Dof(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if unknown := unknown_lens(self.params, facts):
             return Demand(EMPTY, unknown)
-        at, real = self._frame(facts, scene)
-        return called.demand(facts, frame, at, real if self.params.scope == "all" else None, grid_of(scene.camera))
+        coc, real = self._frame(facts, scene)
+        return called.demand(facts, frame, coc, real if self.params.scope == "all" else None, direction_grid(scene.camera))
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
-        at, real = self._frame(facts, scene)
-        grid = grid_of(scene.camera)
-        return called.needs(out, facts, at, real if self.params.scope == "all" else None, grid, scene.camera.rect)
+        coc, real = self._frame(facts, scene)
+        grid = direction_grid(scene.camera)
+        return called.needs(out, facts, coc, real if self.params.scope == "all" else None, grid, scene.camera.rect)
 
     def health(self, job: JobView) -> Iterator[Check]:
         """The lens of the blur: given, or measured from the footage's edges."""
@@ -77,30 +66,30 @@ class Dof(Stage):
         reason = fits[0].reason if fits else "not measured"
         yield Check(name, "measured" if known else "refused", "measured", bool(known), f"object stays sharp: {reason}")
         if known:
-            share = max(float(divide(f.px_per_dioptre_ci95, f.px_per_dioptre)) for f in known)
-            yield Check(f"{name}, half width of its interval", share, 0.5, share <= 0.5, "blur is a rough guess")
+            fraction = max(float(divide(f.px_per_dioptre_ci95, f.px_per_dioptre)) for f in known)
+            yield Check(f"{name}, half width of its interval", fraction, 0.5, fraction <= 0.5, "blur is a rough guess")
 
     def prepare(self, scene: Scene, level: str) -> Any:
         if level == "reference":
             from arfx.stages.dof import reference
 
             return reference.prepare(scene)
-        return grid_of(scene.camera)
+        return direction_grid(scene.camera)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         now, facts, scene = view.layers, view.facts, view.scene
         if not facts.present or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
-        at, real = self._frame(facts, scene)
+        coc, real = self._frame(facts, scene)
         if view.level == "reference":
             from arfx.stages.dof import reference
 
-            return {Layer.IMAGE: reference.render(now, facts, scene, real, at, self.params, prepared)}
-        ladder = LADDERS[view.level]
-        return {Layer.IMAGE: render(now, facts, scene.camera.rect, view.out, real, prepared, at, ladder, self.params)}
+            return {Layer.IMAGE: reference.render(now, facts, scene, real, coc, self.params, prepared)}
+        pyramid = PYRAMIDS[view.level]
+        return {Layer.IMAGE: render(now, facts, scene.camera.rect, view.out, real, prepared, coc, pyramid, self.params)}
 
-    def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[Circles, Real]:
+    def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[CircleOfConfusion, Real]:
         p, measured = self.params, facts.real_depth
         if measured is not None:
-            return circles(p, facts, scene), Real(None, (), 0.0, measured.tiles)
-        return circles(p, facts, scene), real_scene(scene, facts.pose, p.plane_extent_m, p.background_m)
+            return circle_of_confusion(p, facts, scene), Real(None, (), 0.0, measured.tiles)
+        return circle_of_confusion(p, facts, scene), real_scene(scene, facts.pose, p.plane_extent_m, p.background_m)

@@ -9,6 +9,7 @@ that stands in place of all planes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -20,10 +21,11 @@ from arfx.core.scene import Scene
 from arfx.stages import viewing
 from arfx.stages.viewing import GRID_PX
 
-_MARGIN = 1.25  # a print and its white border, as a share of the black square
-_SAME_PLANE = 0.1  # a marker whose corners leave the main plane by less than this share of its side lies in it
+_MARGIN = 1.25  # a print and its white border, as a fraction of the black square
+_SAME_PLANE = 0.1  # a marker whose corners leave the main plane by less than this fraction of its side lies in it
 
 
+@lru_cache(maxsize=4)
 def direction_grid(camera: Camera) -> np.ndarray:
     """(gh, gw, 3) viewing directions as `viewing.direction_grid`; where there is none, the axis."""
     d = viewing.direction_grid(camera)
@@ -32,7 +34,7 @@ def direction_grid(camera: Camera) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A real plane. forms : (3, 3), times a viewing direction gives (X, Y, 1) / z: place on the plane, m, and dioptre
+    """A real plane. forms : (3, 3), times a viewing direction gives (X, Y, 1) / z: position on the plane, m, and dioptre
 
     half_m : half its side; 0 = endless
     """
@@ -44,7 +46,7 @@ class Plane:
         """(gh, gw) float32 on the nodes of a direction grid; <= 0 where the plane is not met."""
         return np.ascontiguousarray(grid @ self.forms[2], np.float32)
 
-    def places(self, grid: np.ndarray) -> np.ndarray:
+    def positions(self, grid: np.ndarray) -> np.ndarray:
         """(gh, gw, 3) float32, `forms` times the directions."""
         return np.ascontiguousarray(grid @ self.forms.T, np.float32)
 
@@ -64,11 +66,11 @@ def plane_of(camera_from_plane: Pose, half_m: float) -> Plane:
 
 @dataclass(frozen=True, eq=False)
 class Real:
-    """base : the endless plane or None;  cut_outs : planes of limited size before it, farthest first
+    """base : the endless plane or None;  finite_planes : planes of limited size before it, farthest first
     background : dioptre of what is behind, 1/m;  tiles : of `RealDepth`, where depth was measured; else None"""
 
     base: Plane | None
-    cut_outs: tuple[Plane, ...]
+    finite_planes: tuple[Plane, ...]
     background: float
     tiles: np.ndarray | None = None
 
@@ -80,8 +82,8 @@ class Real:
         if self.base is not None:
             d = np.maximum(self.base.dioptres(grid), self.background)
             low, high = float(d.min()), float(d.max())
-        for plane in self.cut_outs:
-            p = plane.places(grid)
+        for plane in self.finite_planes:
+            p = plane.positions(grid)
             inside = (p[..., 2] > 0) & (np.abs(p[..., :2]).max(-1) <= 2 * plane.half_m * p[..., 2])
             if inside.any():
                 low, high = min(low, float(p[..., 2][inside].min())), max(high, float(p[..., 2][inside].max()))
@@ -90,8 +92,8 @@ class Real:
 
 def real_scene(scene: Scene, camera_from_world: Pose, plane_extent_m: float, background_m: float) -> Real:
     background = 0.0 if background_m <= 0 else 1.0 / background_m
-    main = plane_of(camera_from_world @ scene.world_from_anchor, plane_extent_m / 2)
-    cut = [(_depth(camera_from_world @ scene.world_from_anchor), main)] if plane_extent_m > 0 else []
+    main = camera_from_world @ scene.world_from_anchor, plane_extent_m / 2
+    squares = [main] if plane_extent_m > 0 else []
     anchor_from_world = scene.world_from_anchor.inverse()
     for spec in scene.markers:
         pose = scene.world_from_marker.get(spec.key)
@@ -101,14 +103,9 @@ def real_scene(scene: Scene, camera_from_world: Pose, plane_extent_m: float, bac
         within = plane_extent_m <= 0 or np.abs(corners[:, :2]).max() < plane_extent_m / 2
         if within and np.abs(corners[:, 2]).max() < _SAME_PLANE * spec.size_m:
             continue
-        here = camera_from_world @ pose
-        cut.append((_depth(here), plane_of(here, spec.size_m * _MARGIN / 2)))
-    cut.sort(key=lambda pair: -pair[0])
-    return Real(main if plane_extent_m <= 0 else None, tuple(p for _, p in cut), background)
-
-
-def _depth(pose: Pose) -> float:
-    return float(pose.translation_m[2])
+        squares.append((camera_from_world @ pose, spec.size_m * _MARGIN / 2))
+    squares.sort(key=lambda square: -float(square[0].translation_m[2]))
+    return Real(plane_of(*main) if plane_extent_m <= 0 else None, tuple(plane_of(*s) for s in squares), background)
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
@@ -142,10 +139,10 @@ def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, optics
 
 
 @numba.njit(cache=True, nogil=True)
-def square_radius(radius, inside, x0, y0, places, half, optics):  # pragma: no cover - compiled
+def square_radius(radius, inside, x0, y0, positions, half, optics):  # pragma: no cover - compiled
     """Of a plane of limited size: radius (h, w) px and inside (h, w) float32, 1 where the pixel shows it.
 
-    places : (gh, gw, 3) of `Plane.places`
+    positions : (gh, gw, 3) of `Plane.positions`
     """
     px_per_dioptre, focus, limit = optics
     h, w = radius.shape
@@ -158,8 +155,8 @@ def square_radius(radius, inside, x0, y0, places, half, optics):  # pragma: no c
             fx = np.float32((x0 + i) % GRID_PX) * step
             v = np.zeros(3, np.float32)
             for c in range(3):
-                a = places[iy, ix, c] + (places[iy, ix + 1, c] - places[iy, ix, c]) * fx
-                b = places[iy + 1, ix, c] + (places[iy + 1, ix + 1, c] - places[iy + 1, ix, c]) * fx
+                a = positions[iy, ix, c] + (positions[iy, ix + 1, c] - positions[iy, ix, c]) * fx
+                b = positions[iy + 1, ix, c] + (positions[iy + 1, ix + 1, c] - positions[iy + 1, ix, c]) * fx
                 v[c] = a + (b - a) * fy
             shown = v[2] > 0 and abs(v[0]) <= half * v[2] and abs(v[1]) <= half * v[2]
             inside[j, i] = 1.0 if shown else 0.0

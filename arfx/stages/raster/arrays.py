@@ -1,11 +1,10 @@
 """What the compiled loops of this stage take: named tuples of arrays that belong together, each made in one place here.
 
-A loop is compiled anew for each mix of types, so the makers fix dtype and order; no field is ever None.
+A loop is compiled again for each mix of types, so the makers fix dtype and order; no field is ever None.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -53,11 +52,6 @@ class GBuffer(NamedTuple):
 OUTPUTS = tuple(Layer(name) for name in GBuffer._fields)
 
 
-def gbuffer(layers: Mapping[Layer, np.ndarray]) -> GBuffer:
-    """Of layers as `core.layers` makes them; whole rows of them."""
-    return GBuffer(*(layers[name] for name in OUTPUTS))
-
-
 class Hits(NamedTuple):
     """What rays meet: face (n,) int32, -1 = none; barycentric u, v and depth (n,) float32."""
 
@@ -81,8 +75,8 @@ class View(NamedTuple):
 
 def view(lens: np.ndarray, camera_from_world: Pose, pixel: float = 0.0) -> View:
     """lens : a part of a lens's table or not, the same type comes of it"""
-    pose = camera_from_world
-    return View(np.ascontiguousarray(lens), np.ascontiguousarray(pose.rotation), pose.inverse().translation_m, np.float32(pixel))
+    rotation, eye = np.ascontiguousarray(camera_from_world.rotation), camera_from_world.inverse().translation_m
+    return View(np.ascontiguousarray(lens), rotation, eye, np.float32(pixel))
 
 
 class Samples(NamedTuple):

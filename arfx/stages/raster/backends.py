@@ -48,9 +48,9 @@ def choose_backend(wanted: str = "auto") -> Backend:
     if wanted not in ("auto", *BACKENDS):
         raise ConfigError(f"unknown raster back end {wanted!r}", "one of auto, " + ", ".join(BACKENDS))
     if wanted == "rays":
-        return _rays("asked for")
+        return _ray_backend("asked for")
     if wanted == "auto" and not _graphics_card():
-        return _rays("there is no graphics card here")
+        return _ray_backend("there is no graphics card here")
     from arfx.stages.raster.gl_context import open_context
 
     try:
@@ -58,16 +58,16 @@ def choose_backend(wanted: str = "auto") -> Backend:
     except RenderError as e:
         if wanted == "pyrender":
             raise
-        return _rays(e.message)
+        return _ray_backend(e.message)
     if wanted == "auto" and context.software:
-        return _rays("OpenGL runs in software here")
+        return _ray_backend("OpenGL runs in software here")
     from arfx.stages.raster.gl import GlRenderer
 
     why = "asked for" if wanted == "pyrender" else "OpenGL runs on a graphics card here"
     return Backend("pyrender", GlRenderer, GL_SAMPLES, why)
 
 
-def _rays(why: str) -> Backend:
+def _ray_backend(why: str) -> Backend:
     from arfx.stages.raster.rays import RayRenderer
 
     return Backend("rays", RayRenderer, RAY_SAMPLES, why)
@@ -95,6 +95,6 @@ def backend_report() -> list[BackendState]:
         rays = BackendState("rays", True, f"embreex {getattr(embreex, '__version__', '')}".strip())
     except ImportError as e:
         rays = BackendState("rays", False, f"embreex cannot be imported: {e}", "pip install embreex")
-    taken = choose_backend()
-    state = gl if taken.name == "pyrender" else rays
-    return [gl, rays, BackendState("auto", state.opens, f"takes {taken.name}: {taken.why}", state.fix)]
+    chosen = choose_backend()
+    state = gl if chosen.name == "pyrender" else rays
+    return [gl, rays, BackendState("auto", state.opens, f"takes {chosen.name}: {chosen.why}", state.fix)]

@@ -17,7 +17,7 @@ from arfx.stages.raster.mesh import Mesh
 
 _POINTS_PER_PX = 1.5
 _MAX_POINTS = 400_000  # along all edges of a frame: bounds time and memory where the camera is inside the model
-# An edge this much behind the surface that the centre sees, as a share of its depth, is hidden. Outlines always lie
+# An edge this much behind the surface that the centre sees, as a fraction of its depth, is hidden. Outlines always lie
 # behind: the surface beside them is seen at a grazing angle.
 _BEHIND = 2e-2
 
@@ -41,13 +41,9 @@ def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarra
 
 def _bounds(camera: Camera, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest (x/z, y/z) of the ideal picture of `rect`, generously; infinite where the lens folds."""
-    border = np.array([[rect.x0 - 1.0, rect.y0 - 1.0], [rect.x1, rect.y1]])
-    if camera.distorted:  # straight lines bulge: points along all sides
-        x, y = np.linspace(rect.x0 - 1, rect.x1, 9), np.linspace(rect.y0 - 1, rect.y1, 9)
-        border = np.concatenate(
-            [np.stack([x, np.full(9, v)], 1) for v in (y[0], y[-1])] + [np.stack([np.full(9, u), y], 1) for u in (x[0], x[-1])]
-        )
-    n = camera.normalised(border)
+    x, y = np.linspace(rect.x0 - 1, rect.x1, 9), np.linspace(rect.y0 - 1, rect.y1, 9)  # along all sides: straight lines bulge
+    sides = [np.stack([x, np.full(9, v)], 1) for v in y[[0, -1]]] + [np.stack([np.full(9, u), y], 1) for u in x[[0, -1]]]
+    n = camera.normalised(np.concatenate(sides))
     if not np.isfinite(n).all():
         return np.full(2, -np.inf), np.full(2, np.inf)
     low, high = n.min(0), n.max(0)
@@ -73,10 +69,10 @@ def _points_along(edges, shown, points, low, high, fx, fy, longest, fold2):  # p
             steps[k] = np.int64(min(np.ceil(length * _POINTS_PER_PX), longest)) + 1
     total = steps.sum()
     if total > _MAX_POINTS:
-        share = _MAX_POINTS / total
+        fraction = _MAX_POINTS / total
         for k in range(edges.shape[0]):
             if steps[k] > 0:
-                steps[k] = max(np.int64(steps[k] * share), 1)
+                steps[k] = max(np.int64(steps[k] * fraction), 1)
         total = steps.sum()
     xy, depth = np.empty((total, 2)), np.empty(total)
     n = 0
@@ -164,11 +160,11 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
 def _may_differ(prim, depth, start, across, n, slack, parts, maybe):  # pragma: no cover - compiled
     """maybe[:n] : may the pixels from `start` on and those `across` further be two sides of an edge? Returns how many may."""
     here, there, near, far = prim[start : start + n], prim[start + across :], depth[start : start + n], depth[start + across :]
-    some = np.int32(0)
+    count = np.int32(0)
     for x in range(n):
         other, gap = here[x] != there[x], abs(far[x] - near[x])
         # half of the least gap that counts: rounding decides nothing here; one that is nowhere has an infinite gap
         found = other & (parts | (gap > np.float32(0.5) * slack * min(near[x], far[x])))
         maybe[x] = found
-        some += np.int32(found)
-    return some
+        count += np.int32(found)
+    return count

@@ -23,7 +23,7 @@ from arfx.core.rect import Rect
 from arfx.errors import InputError, RenderError
 from arfx.stages.raster import gl_resolve, hits
 from arfx.stages.raster import mesh as columns
-from arfx.stages.raster.arrays import OUTPUTS, Buffers, GBuffer, gbuffer, no_samples, view
+from arfx.stages.raster.arrays import OUTPUTS, Buffers, GBuffer, no_samples, view
 from arfx.stages.raster.gl_context import discard, on_gl_thread, open_context
 from arfx.stages.raster.gl_draw import Drawing
 from arfx.stages.raster.lens import LensTable
@@ -35,7 +35,7 @@ NEAR_M = 1e-3
 MAX_SIDE_PX = 8192
 MAX_AREA_PX = 24_000_000
 MAX_PARTS = 65_534
-Made = TypeVar("Made")
+T = TypeVar("T")
 
 
 class GlRenderer:
@@ -59,7 +59,7 @@ class GlRenderer:
         self.glows = bool(mesh.floats[:, columns.EMIT_R : columns.CUTOFF].any())
         self.blends = bool((mesh.ints[:, columns.MODE] == 2).any())
         self.context = open_context()
-        self.drawing = _drawn(Drawing, self.context, mesh, self.glows)
+        self.drawing = _on_gl_thread(Drawing, self.context, mesh, self.glows)
         weakref.finalize(self, discard, self.drawing.free).atexit = False  # the driver takes all back when the process ends
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
@@ -70,7 +70,7 @@ class GlRenderer:
         rows = max(min(MAX_SIDE_PX // self.k, MAX_AREA_PX // (self.k**2 * rect.width)), 1)
         for top in range(rect.y0, rect.y1, rows):
             strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
-            self._strip(strip, camera_from_world, gbuffer({k: v[strip.slices_in(rect)] for k, v in out.items()}))
+            self._strip(strip, camera_from_world, GBuffer(*(out[name][strip.slices_in(rect)] for name in OUTPUTS)))
         return out
 
     def _strip(self, rect: Rect, pose: Pose, out: GBuffer) -> None:
@@ -78,10 +78,10 @@ class GlRenderer:
         depths = camera_from_mesh.apply(self.mesh.vertices)[:, 2]
         near, far = max(0.9 * float(depths.min()), NEAR_M), 1.1 * float(depths.max())
         lens = self.lens.directions(rect.pad(1))
-        place = self._place(rect, lens)
-        if far <= near or place is None:
+        buffer_camera = self._ideal_camera(rect, lens)
+        if far <= near or buffer_camera is None:
             return
-        scale, shift, columns_px, rows_px = place
+        scale, shift, columns_px, rows_px = buffer_camera
         rotation = np.ascontiguousarray(pose.rotation)
         eye = pose.inverse().translation_m
         h, w, per = rect.height, rect.width, self.k**2
@@ -92,12 +92,12 @@ class GlRenderer:
         projection = ideal.get_projection_matrix(columns_px, rows_px)
         grid = np.array([*scale, *shift, columns_px if self.camera.distorted else 0, rows_px], float)
         if not self.blends:
-            buffers = Buffers(*_drawn(self.drawing, from_mesh, projection, columns_px, rows_px, None))
+            buffers = Buffers(*_on_gl_thread(self.drawing, from_mesh, projection, columns_px, rows_px, None))
             gl_resolve.resolve_opaque(texels, self.order, per, buffers, self.glows, grid, rotation, directions, eye, out)
             return
         samples, peel = no_samples(h * w * per), None
         for _ in range(MAX_LAYERS):
-            buffers = Buffers(*_drawn(self.drawing, from_mesh, projection, columns_px, rows_px, peel))
+            buffers = Buffers(*_on_gl_thread(self.drawing, from_mesh, projection, columns_px, rows_px, peel))
             if not gl_resolve.add_layer(texels, per, buffers, self.glows, grid, rotation, directions, samples):
                 break
             # nothing drawn at a texel: everything there has been peeled
@@ -109,7 +109,7 @@ class GlRenderer:
         wide = view(self.lens.directions(rect.pad(2)), pose)
         hits.resolve_edges(numbers, self.order, samples, none.astype(np.float32), none, wide, out)
 
-    def _place(self, rect: Rect, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, int] | None:
+    def _ideal_camera(self, rect: Rect, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, int] | None:
         """Ideal camera of the buffer: position = direction * scale + shift; its size. None where nothing is seen."""
         c, k = self.camera, self.k
         focal, centre = np.array([c.fx, c.fy]), np.array([c.cx, c.cy])
@@ -129,7 +129,7 @@ class GlRenderer:
         return scale, centre * k - first, int(size[0]), int(size[1])
 
 
-def _drawn(work: Callable[..., Made], *args: Any) -> Made:
+def _on_gl_thread(work: Callable[..., T], *args: Any) -> T:
     """work(*args) on the OpenGL thread. Raises RenderError with what the driver said."""
     from OpenGL.error import Error
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from arfx.errors import RenderError
 
-Made = TypeVar("Made")
+T = TypeVar("T")
 
 FIX = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6), or use the rays back end, which needs no OpenGL"
 _LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
@@ -45,14 +45,14 @@ _discarded: deque[Callable[[], None]] = deque()
 _pid = os.getpid()
 
 
-def on_gl_thread(work: Callable[..., Made], *args: Any) -> Made:
+def on_gl_thread(work: Callable[..., T], *args: Any) -> T:
     """work(*args) on the thread that has the context; returns what it returns, raises what it raises.
 
     Not to be called from that thread. Raises RenderError in a forked process, which has neither thread nor context.
     """
     if _pid != os.getpid():
         raise RenderError("OpenGL was carried into a forked process", "start workers with the spawn method")
-    return _thread.submit(_after_discarded, work, args).result()
+    return _thread.submit(_free_then, work, args).result()
 
 
 def discard(free: Callable[[], None]) -> None:
@@ -60,7 +60,7 @@ def discard(free: Callable[[], None]) -> None:
     _discarded.append(free)
 
 
-def _after_discarded(work: Callable[..., Made], args: tuple[Any, ...]) -> Made:
+def _free_then(work: Callable[..., T], args: tuple[Any, ...]) -> T:
     while _discarded:
         _discarded.popleft()()
     return work(*args)
@@ -68,10 +68,10 @@ def _after_discarded(work: Callable[..., Made], args: tuple[Any, ...]) -> Made:
 
 def open_context() -> GlContext:
     """The context of this process, opened on first use. Raises RenderError with what each platform answered."""
-    return on_gl_thread(_opened)
+    return on_gl_thread(_open_once)
 
 
-def _opened() -> GlContext:
+def _open_once() -> GlContext:
     global _context, _failure
     if _context is not None:
         return _context
@@ -82,7 +82,7 @@ def _opened() -> GlContext:
     os.environ.setdefault("LP_NUM_THREADS", "1")
     asked = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     for name in (asked,) if asked in _LIBRARIES else tuple(_LIBRARIES):
-        missing = _missing(name)
+        missing = _missing_library(name)
         if missing:
             answers.append(f"{name}: {missing} is not installed")
             continue
@@ -91,12 +91,12 @@ def _opened() -> GlContext:
             return _context
         except Exception as e:  # drivers and PyOpenGL raise anything, down to AttributeError
             answers.append(f"{name}: {type(e).__name__} {e}".rstrip().split("\n")[0])
-            _forget()
+            _drop_modules()
     _failure = "no OpenGL context opens here (" + "; ".join(answers) + ")"
     raise RenderError(_failure, FIX)
 
 
-def _missing(name: str) -> str:
+def _missing_library(name: str) -> str:
     for library in _LIBRARIES[name]:
         try:
             ctypes.CDLL(library)
@@ -151,7 +151,7 @@ def _plain_context_ids(contextdata: Any) -> None:
     contextdata.getContext = as_int
 
 
-def _forget() -> None:
+def _drop_modules() -> None:
     """Drop half-initialised modules, so that the next platform can be tried."""
     os.environ.pop("PYOPENGL_PLATFORM", None)
     for name in [n for n in sys.modules if n.split(".")[0] in ("OpenGL", "pyrender")]:

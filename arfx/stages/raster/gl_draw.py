@@ -85,14 +85,14 @@ class _Buffer:
             self.framebuffer = GL.glGenFramebuffers(1)
             GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self.framebuffer)
             self.stores = [int(s) for s in np.atleast_1d(GL.glGenRenderbuffers(self.targets + 1))]
-            places = [GL.GL_COLOR_ATTACHMENT0 + i for i in range(self.targets)]
+            targets = [GL.GL_COLOR_ATTACHMENT0 + i for i in range(self.targets)]
             for store, kind, at in zip(
-                self.stores, [*formats, GL.GL_DEPTH_COMPONENT32F], [*places, GL.GL_DEPTH_ATTACHMENT], strict=True
+                self.stores, [*formats, GL.GL_DEPTH_COMPONENT32F], [*targets, GL.GL_DEPTH_ATTACHMENT], strict=True
             ):
                 GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, store)
                 GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, self.width, self.height)
                 GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, at, GL.GL_RENDERBUFFER, store)
-            GL.glDrawBuffers(self.targets, places)
+            GL.glDrawBuffers(self.targets, targets)
             state = GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER)
             if state != GL.GL_FRAMEBUFFER_COMPLETE:
                 raise RenderError(
@@ -118,22 +118,12 @@ class _Buffer:
         """geometry float32, albedo uint16, material uint16 with the part number raw, emissive float32; (n, 4) each."""
         from OpenGL import GL
 
-        out = []
-        kinds = [
-            (np.float32, GL.GL_FLOAT),
-            (np.uint16, GL.GL_UNSIGNED_SHORT),
-            (np.uint16, GL.GL_UNSIGNED_SHORT),
-            (np.float32, GL.GL_FLOAT),
-        ]
-        for i, (dtype, kind) in enumerate(kinds):
-            if i >= self.targets:
-                out.append(np.zeros((1, 4), np.float32))
-                continue
-            a = np.empty((height * width, 4), dtype)
+        out = [np.empty((height * width, 4), t) for t in (np.float32, np.uint16, np.uint16, np.float32)[: self.targets]]
+        for i, a in enumerate(out):
             GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0 + i)
+            kind = GL.GL_FLOAT if a.dtype == np.float32 else GL.GL_UNSIGNED_SHORT
             GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, kind, a)
-            out.append(a)
-        return out
+        return [*out, np.zeros((1, 4), np.float32)][:4]
 
     def free(self) -> None:
         from OpenGL import GL
@@ -156,8 +146,7 @@ class _Part:
         kind, row = mesh.ints[part], mesh.floats[part]
         names = ("BASE_TEX", "MR_TEX", "EMISSIVE_TEX")
         self.textures = {n: textures[t] for n, t in zip(names, kind[:3], strict=True) if t >= 0}
-        uv = mesh.uv[used]
-        colours = mesh.colours[used]
+        uv, colours = mesh.uv[used], mesh.colours[used]
         self.primitive = pyrender.Primitive(
             positions=mesh.vertices[used].astype(np.float32),
             normals=mesh.normals[used],

@@ -92,7 +92,7 @@ def resolve_opaque(
             n = np.sqrt(nx * nx + ny * ny + nz * nz)
             z = geometry[nearest, 3]
             if grid[4] > 0:
-                z = _moved(z, nearest, geometry, grid, rotation, directions[k])
+                z = _tangent_depth(z, nearest, geometry, grid, rotation, directions[k])
             depth[y, x] = z
             object_id[y, x] = int(surface[nearest, 3])
             d0, d1, d2 = directions[k, 0], directions[k, 1], directions[k, 2]
@@ -105,7 +105,7 @@ def resolve_opaque(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _moved(z, texel, geometry, grid, rotation, direction):  # pragma: no cover - compiled
+def _tangent_depth(z, texel, geometry, grid, rotation, direction):  # pragma: no cover - compiled
     """Depth of the texel's tangent plane in the pixel's own direction; z itself where the plane is seen edge-on."""
     columns = int(grid[4])
     row, col = int(grid[5]) - 1 - texel // columns, texel % columns
@@ -129,7 +129,7 @@ def add_layer(
     geometry, colour, surface, glow = buffers
     acc, depth, ident = samples
     unit = np.float32(1.0 / 65535.0)
-    left = False
+    any_light = False
     for k in range(texels.shape[0]):
         t = texels[k]
         if t < 0 or surface[t, 3] == 0 or acc[k, 0] <= 0.002:
@@ -145,7 +145,7 @@ def add_layer(
         if ident[k] == 0:
             ident[k], depth[k] = int(surface[t, 3]), geometry[t, 3]
             if grid[4] > 0:
-                depth[k] = _moved(depth[k], t, geometry, grid, rotation, directions[k // per])
+                depth[k] = _tangent_depth(depth[k], t, geometry, grid, rotation, directions[k // per])
         if acc[k, 0] > 0.002:
-            left = True
-    return left
+            any_light = True
+    return any_light

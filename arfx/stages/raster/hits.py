@@ -52,16 +52,16 @@ def sample_directions(lens, pixels, width, offsets):  # pragma: no cover - compi
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(
-    active, prim, z, values, directions, start, mesh: Surfaces, samples: Samples, masked, onward
+    active, prim, z, values, directions, start, mesh: Surfaces, samples: Samples, masked, continuing
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `onward`.
+    """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `continuing`.
 
     z, values : depth and attributes of the hits;  start : (samples,) moved behind the hit where the ray goes on
     masked : (samples,) bool, set where a cut-out material is met
     """
     part, face_normal, ints = mesh.part, mesh.face_normal, mesh.ints
     acc, depth, ident = samples
-    going = 0
+    count = 0
     for a in range(active.shape[0]):
         if prim[a] < 0:
             continue
@@ -71,8 +71,8 @@ def accumulate(
         )
         if facing > 0 and ints[part[f], TWO_SIDED] == 0:
             start[k] = z[a]
-            onward[going] = active[a]
-            going += 1
+            continuing[count] = active[a]
+            count += 1
             continue
         if ints[part[f], MODE] == 1:
             masked[k] = True
@@ -86,9 +86,9 @@ def accumulate(
                 depth[k] = z[a]
         if acc[k, 0] > _CLEAR:
             start[k] = z[a]
-            onward[going] = active[a]
-            going += 1
-    return going
+            continuing[count] = active[a]
+            count += 1
+    return count
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -135,27 +135,12 @@ def resolve_centres(
 ):  # fmt: skip  # pragma: no cover - compiled
     """Pixels that need one sample only; samples cover one pixel more on each side than the layers."""
     acc, depth, ident = samples
-    coverage, depth_out, normal, position, albedo, material, emissive, object_id = out
+    sums = np.empty(12, np.float32)
     for y in range(height - 2):
         for x in range(width - 2):
             k = (y + 1) * width + x + 1
-            if ident[k] == 0 or edge[k]:
-                continue
-            share = np.float32(1) - acc[k, 0]
-            inverse = np.float32(1) / share
-            nx, ny, nz = acc[k, 4], acc[k, 5], acc[k, 6]
-            n = np.sqrt(nx * nx + ny * ny + nz * nz)
-            n = n if n > 1e-6 else np.float32(1)
-            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = nx / n, ny / n, nz / n
-            for c in range(3):
-                albedo[y, x, c] = acc[k, 1 + c] * inverse
-                material[y, x, c] = acc[k, 7 + c] * inverse
-                emissive[y, x, c] = acc[k, 10 + c] * inverse
-                position[y, x, c] = eye[c] + depth[k] * directions[k, c]
-            coverage[y, x] = share
-            material[y, x, 3] = share
-            depth_out[y, x] = depth[k]
-            object_id[y, x] = ident[k]
+            if ident[k] != 0 and not edge[k]:
+                write_pixel(y, x, acc[k : k + 1], depth[k], ident[k], directions[k], eye, sums, out)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from arfx.core.model import BLEND, MASK, OPAQUE, Model
+from arfx.core.model import BLEND, MASK, OPAQUE
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 from arfx.stages.raster.arrays import Surfaces
@@ -51,16 +51,12 @@ class Mesh:
         return bool((self.ints[:, MODE] != 0).any())
 
     @cached_property
-    def texture_slots(self) -> int:
-        """Up to which of the three texture columns any material has one, 0..3."""
-        return 1 + int(np.flatnonzero((self.ints[:, : EMISSIVE_TEXTURE + 1] >= 0).any(0)).max(initial=-1))
-
-    @cached_property
     def surfaces(self) -> Surfaces:
         """What the compiled loops read."""
+        slots = 1 + int(np.flatnonzero((self.ints[:, : EMISSIVE_TEXTURE + 1] >= 0).any(0)).max(initial=-1))
         return Surfaces(
             self.faces, self.part, self.face_normal, self.normals, self.uv, self.colours, self.uv_per_m, self.floats, self.ints,
-            self.texture_slots, self.textures.linear, self.textures.table,
+            slots, self.textures.linear, self.textures.table,
         )  # fmt: skip
 
     @property
@@ -76,7 +72,6 @@ class Mesh:
 
 def build_mesh(scene: Scene) -> Mesh:
     """Raises InputError where the model is too large in the scene."""
-    model: Model = scene.model
     m = scene.world_from_model
     scene.check_extent()
     corners = scene.model_corners_m
@@ -85,7 +80,7 @@ def build_mesh(scene: Scene) -> Mesh:
     textures = StackBuilder()
     vertices, normals, uvs, colours, faces, parts, floats, ints = [], [], [], [], [], [], [], []
     start = 0
-    for k, p in enumerate(model.parts):
+    for k, p in enumerate(scene.model.parts):
         n, mat = len(p.vertices), p.material
         vertices.append(p.vertices @ m[:3, :3].T + m[:3, 3] - centre)
         normals.append(p.normals @ rotation.T)
@@ -93,17 +88,10 @@ def build_mesh(scene: Scene) -> Mesh:
         colours.append(np.ones((n, 4)) if p.colours is None else p.colours)
         faces.append(p.faces + start)
         parts.append(np.full(len(p.faces), k))
-        has_uv = p.uv is not None
         floats.append([*mat.base_colour, mat.metallic, mat.roughness, mat.specular, *mat.emissive, mat.alpha_cutoff])
-        ints.append(
-            [
-                textures.add(mat.base_texture if has_uv else None, True),
-                textures.add(mat.metallic_roughness_texture if has_uv else None, False),
-                textures.add(mat.emissive_texture if has_uv else None, True),
-                MODES[mat.alpha_mode],
-                int(mat.double_sided),
-            ]
-        )
+        images = (mat.base_texture, True), (mat.metallic_roughness_texture, False), (mat.emissive_texture, True)
+        numbers = [textures.add(image if p.uv is not None else None, srgb) for image, srgb in images]
+        ints.append([*numbers, MODES[mat.alpha_mode], int(mat.double_sided)])
         start += n
     v, f, uv = np.concatenate(vertices), np.concatenate(faces).astype(np.int32), np.concatenate(uvs)
     cross = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
@@ -124,9 +112,9 @@ def _uv_per_m(uv: np.ndarray, cross: np.ndarray) -> np.ndarray:
 
 
 def _edges(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges between places, with their two faces. An edge of one face, or of more than two, is listed by face: always sharp."""
-    _, first, place = np.unique(vertices.astype(np.float32), axis=0, return_index=True, return_inverse=True)
-    at = place.ravel()[faces]
+    """Edges between positions, with their two faces. Edges of one face, or of more than two, are listed by face: always sharp."""
+    _, first, position = np.unique(vertices.astype(np.float32), axis=0, return_index=True, return_inverse=True)
+    at = position.ravel()[faces]
     e = np.sort(np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)
     order = np.lexsort((e[:, 1], e[:, 0]))
@@ -138,11 +126,7 @@ def _edges(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, face_norma
     a, b = owner[pair], owner[pair + 1]
     flat = (face_normal[a] * face_normal[b]).sum(1) > _CREASE_COS
     other = start[count != 2]
-    edges = np.concatenate(
-        [
-            np.stack([first[e[pair, 0]], first[e[pair, 1]], a, b], 1),
-            np.stack([first[e[other, 0]], first[e[other, 1]], owner[other], np.full(len(other), -1)], 1),
-        ]
-    )
+    start = np.r_[pair, other]
+    edges = np.stack([*first[e[start]].T, owner[start], np.r_[b, np.full(len(other), -1)]], 1)
     sharp = np.r_[~flat | (part[a] != part[b]), np.ones(len(other), bool)]
     return edges.astype(np.int32), sharp

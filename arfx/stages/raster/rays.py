@@ -16,7 +16,7 @@ from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.raster import hits, surface
-from arfx.stages.raster.arrays import COLUMNS, OUTPUTS, Hits, Samples, gbuffer, no_samples, view
+from arfx.stages.raster.arrays import COLUMNS, OUTPUTS, GBuffer, Hits, Samples, no_samples, view
 from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import CUTOFF, EMIT_R, Mesh
@@ -24,7 +24,7 @@ from arfx.stages.raster.visibility import face_boxes, nearest_faces, nearest_fac
 from arfx.stages.triangles import Triangles
 
 MAX_LAYERS = 8
-# A ray goes on this far behind a hit, as a share of the depth: four steps of float32.
+# A ray goes on this far behind a hit, as a fraction of the depth: four steps of float32.
 _ONWARD = np.float32(4 * 1.2e-7)
 # A bilinear tap spreads over two texels; half a level finer comes nearest to the pixel's own average (least error
 # against the reference level on the sample models).
@@ -58,8 +58,8 @@ class RayRenderer:
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame."""
-        every = rect.empty or self.mesh.layered  # else each pixel is written; EMISSIVE only where something glows
-        out = {n: neutral(n, rect) if every or n is Layer.EMISSIVE else unset(n, rect) for n in OUTPUTS}
+        clear = rect.empty or self.mesh.layered  # else each pixel is written; EMISSIVE only where something glows
+        out = {n: neutral(n, rect) if clear or n is Layer.EMISSIVE else unset(n, rect) for n in OUTPUTS}
         if rect.empty:
             return out
         height = max(_TILE_RAYS // rect.width, 1)
@@ -77,17 +77,17 @@ class RayRenderer:
         eye = seen_from.eye - m.centre_m
         points = Pose(camera_from_world.rotation, camera_from_world.apply(m.centre_m)).apply(m.vertices)
         box = face_boxes(points, self.camera.project(points), m.faces, self.camera, wide)
-        *met, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
-        seen = Hits(*met)
-        prim, depth = seen.face, seen.depth
+        *nearest, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
+        first_hits = Hits(*nearest)
+        prim, depth = first_hits.face, first_hits.depth
         edge = edge_pixels(m, self.camera, points, front, wide, depth.reshape(h, w)).ravel()
         add_differences(edge, prim, depth, m.part, m.face_normal, lens, h, w, seen_from.rotation, self.pixel)
-        layers, centres = gbuffer(out), None
+        layers, centres = GBuffer(*(out[name] for name in OUTPUTS)), None
         if not m.layered:
-            surface.write_centres(seen, edge, seen_from, self.glows, m.surfaces, layers)
+            surface.write_centres(first_hits, edge, seen_from, self.glows, m.surfaces, layers)
         else:
             directions, valid = hits.world_directions(lens[1:-1, 1:-1], seen_from.rotation)
-            centres, masked = self._trace(eye, directions, valid, seen, seen_from.pixel)
+            centres, masked = self._trace(eye, directions, valid, first_hits, seen_from.pixel)
             edge |= masked  # a mean of opacities says little about where a cut-out ends: sampled instead
             hits.resolve_centres(h, w, edge, centres, directions, seen_from.eye, layers)
         inner = edge.reshape(h, w).copy()
@@ -95,27 +95,27 @@ class RayRenderer:
         pixels = np.flatnonzero(inner)
         count = len(self.offsets)
         for start in range(0, len(pixels), max(_TILE_RAYS // count, 1)):
-            some = pixels[start : start + max(_TILE_RAYS // count, 1)]
-            inside = hits.sample_directions(lens, some, w, self.offsets)
+            chunk = pixels[start : start + max(_TILE_RAYS // count, 1)]
+            inside = hits.sample_directions(lens, chunk, w, self.offsets)
             slot = np.full(h * w, -1, np.int32)
-            slot[some] = np.arange(len(some))
+            slot[chunk] = np.arange(len(chunk))
             found = Hits(*nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M))
             finer = seen_from._replace(pixel=np.float32(self.pixel / np.sqrt(count)))
             if centres is None:
                 surface.write_edges(
-                    some, inside, self.order, found, prim[some], depth[some], finer, self.glows, m.surfaces, layers
+                    chunk, inside, self.order, found, prim[chunk], depth[chunk], finer, self.glows, m.surfaces, layers
                 )  # fmt: skip
                 continue
             rays, ok = hits.world_directions(inside, finer.rotation)
             samples, _ = self._trace(eye, rays, ok, found, finer.pixel)
-            hits.resolve_edges(some, self.order, samples, centres.depth[some], centres.ident[some], finer, layers)
+            hits.resolve_edges(chunk, self.order, samples, centres.depth[chunk], centres.ident[chunk], finer, layers)
 
     def _trace(
-        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, seen: Hits, pixel: np.float32
+        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, first_hits: Hits, pixel: np.float32
     ) -> tuple[Samples, np.ndarray]:
         """Samples along rays from `eye`, and which met a cut-out.
 
-        seen : the first hits;  pixel : footprint of a sample at depth 1, for texture filters
+        first_hits : of the rays;  pixel : footprint of a sample at depth 1, for texture filters
         """
         m, n = self.mesh, len(directions)
         samples = no_samples(n)
@@ -126,17 +126,17 @@ class RayRenderer:
             if not len(active):
                 break
             if layer == 0:
-                face, u, v, distance = seen if len(active) == n else Hits(*(a[active] for a in seen))
+                face, u, v, distance = first_hits if len(active) == n else Hits(*(a[active] for a in first_hits))
             else:
                 rays = directions[active]
                 start[active] *= 1 + _ONWARD
                 hit = self.scene.first_hits(origin + start[active, None] * rays, rays)
                 face, u, v, distance = (hit[key] for key in ("primID", "u", "v", "tfar"))
-            onward = np.empty(len(active), active.dtype)
+            continuing = np.empty(len(active), active.dtype)
             z = start[active] + distance
             values = np.empty((len(active), COLUMNS), np.float32)
             rays = directions if len(active) == n else directions[active]
             surface.surfaces(Hits(face, u, v, z), rays, pixel, m.surfaces, values)
-            going = hits.accumulate(active, face, z, values, directions, start, m.surfaces, samples, masked, onward)
-            active = onward[:going]
+            count = hits.accumulate(active, face, z, values, directions, start, m.surfaces, samples, masked, continuing)
+            active = continuing[:count]
         return samples, masked

@@ -45,8 +45,7 @@ class ReferenceRenderer:
         rows = max(_STRIP_PX // max(rect.width, 1), 1)
         for top in range(rect.y0, rect.y1, rows):
             strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
-            made = self._strip(strip, camera_from_world)
-            for name, array in made.items():
+            for name, array in self._strip(strip, camera_from_world).items():
                 out[name][strip.slices_in(rect)] = array
         return out
 
@@ -76,12 +75,12 @@ class ReferenceRenderer:
         normal = normalise(mean[:, 3:6])
         normal = np.where(covered & (np.abs(normal).sum(1, keepdims=True) == 0), -normalise(centre), normal)
         alpha = divide(total, hit.sum(1))
-        made = {
+        values = {
             Layer.COVERAGE: np.minimum(total / s, 1.0), Layer.DEPTH: z, Layer.NORMAL: normal, Layer.POSITION: position,
             Layer.ALBEDO: mean[:, :3], Layer.MATERIAL: np.concatenate([mean[:, 6:9], alpha[:, None]], 1),
             Layer.EMISSIVE: mean[:, 9:12],
         }  # fmt: skip
-        arrays = {k: v.reshape(h, w, *v.shape[1:]).astype(np.float32) for k, v in made.items()}
+        arrays = {k: v.reshape(h, w, *v.shape[1:]).astype(np.float32) for k, v in values.items()}
         arrays[Layer.OBJECT_ID] = ident[pixel, first].reshape(h, w).astype(np.int32)
         return arrays
 
@@ -89,33 +88,33 @@ class ReferenceRenderer:
         """Sums (n, 13): weight, then weighted albedo, normal, material, emissive; depth; 1 + part."""
         m, n = self.mesh, len(d)
         sums, depth, ident = np.zeros((n, 13)), np.full(n, np.inf), np.zeros(n, np.int32)
-        left, start = np.ones(n), np.zeros(n)
+        transmittance, start = np.ones(n), np.zeros(n)
         active = np.flatnonzero(ok)
         for _ in range(MAX_LAYERS):
             if not len(active):
                 break
             origins = eye + start[active, None] * d[active]
             hit = self.scene.first_hits(origins.astype(np.float32), np.ascontiguousarray(d[active], np.float32))
-            met = hit["primID"] >= 0
-            active, f = active[met], hit["primID"][met]
-            u, v = hit["u"][met].astype(float), hit["v"][met].astype(float)
-            z = start[active] + hit["tfar"][met]
+            found = hit["primID"] >= 0
+            active, f = active[found], hit["primID"][found]
+            u, v = hit["u"][found].astype(float), hit["v"][found].astype(float)
+            z = start[active] + hit["tfar"][found]
             part = m.part[f]
-            behind = (m.face_normal[f] * d[active]).sum(1) > 0
-            values, alpha = self._surface(f, np.stack([1 - u - v, u, v], 1), d[active], behind)
-            alpha[behind & (m.ints[part, columns.TWO_SIDED] == 0)] = 0.0
-            weight = left[active] * alpha
+            back_side = (m.face_normal[f] * d[active]).sum(1) > 0
+            values, alpha = self._surface(f, np.stack([1 - u - v, u, v], 1), d[active], back_side)
+            alpha[back_side & (m.ints[part, columns.TWO_SIDED] == 0)] = 0.0
+            weight = transmittance[active] * alpha
             sums[active, 0] += weight
             sums[active, 1:] += weight[:, None] * values
-            left[active] -= weight
+            transmittance[active] -= weight
             shown = alpha > 1 / 512
             new = active[shown & (ident[active] == 0)]
             depth[new], ident[new] = z[shown & (ident[active] == 0)], part[shown & (ident[active] == 0)] + 1
             start[active] = z * (1 + 5e-7)
-            active = active[left[active] > 1 / 512]
+            active = active[transmittance[active] > 1 / 512]
         return sums, depth, ident
 
-    def _surface(self, f: np.ndarray, bary: np.ndarray, d: np.ndarray, behind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _surface(self, f: np.ndarray, bary: np.ndarray, d: np.ndarray, back_side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Albedo, normal, metallic roughness specular, emissive (n, 12), and opacity (n,)."""
         m = self.mesh
         corner = m.faces[f]
@@ -125,10 +124,8 @@ class ReferenceRenderer:
             return (a[corner] * bary[..., None]).sum(1)
 
         colour = row[:, :4] * mix(m.colours)
-        surface, emissive = (
-            row[:, [columns.METALLIC, columns.ROUGHNESS, columns.SPECULAR]],
-            row[:, columns.EMIT_R : columns.CUTOFF],
-        )
+        surface = row[:, [columns.METALLIC, columns.ROUGHNESS, columns.SPECULAR]]
+        emissive = row[:, columns.EMIT_R : columns.CUTOFF]
         uv = mix(m.uv)
         for t in range(len(m.textures.table)):
             use = kind[:, columns.BASE_TEXTURE] == t
@@ -139,7 +136,7 @@ class ReferenceRenderer:
             emissive[use] *= self._bilinear(t, uv[use], 1)[:, :3]
         mode = kind[:, columns.MODE]
         alpha = np.where(mode == 0, 1.0, np.where(mode == 1, colour[:, 3] >= row[:, columns.CUTOFF], colour[:, 3]))
-        normal = normalise(mix(m.normals)) * np.where(behind, -1.0, 1.0)[:, None]
+        normal = normalise(mix(m.normals)) * np.where(back_side, -1.0, 1.0)[:, None]
         unit = normalise(d)
         normal = normalise(normal - np.maximum((normal * unit).sum(1), 0.0)[:, None] * unit)
         return np.concatenate([colour[:, :3], normal, surface, emissive], 1), alpha
@@ -155,7 +152,7 @@ class ReferenceRenderer:
         for dy in (0, 1):
             for dx in (0, 1):
                 raw = picture[(low[:, 1] + dy) % h, (low[:, 0] + dx) % w]
-                share = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
+                fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
                 linear = np.concatenate([CODE[srgb][raw[:, :3]], CODE[0][raw[:, 3:]]], 1)
-                out += share[:, None] * linear
+                out += fraction[:, None] * linear
         return out

@@ -86,11 +86,11 @@ class Raster(Stage):
         shown = box.clip(rect)
         if shown.empty:
             return {name: neutral(name, rect) for name in OUTPUTS}
-        drawn = shown if prepared.any_rectangle else box
-        made: dict[Layer, np.ndarray] = prepared.render(drawn, view.pose)
-        if drawn == rect:
-            return made
+        area = shown if prepared.any_rectangle else box
+        layers: dict[Layer, np.ndarray] = prepared.render(area, view.pose)
+        if area == rect:
+            return layers
         out = {name: neutral(name, rect) for name in OUTPUTS}
         for name in OUTPUTS:
-            out[name][shown.slices_in(rect)] = made[name][shown.slices_in(drawn)]
+            out[name][shown.slices_in(rect)] = layers[name][shown.slices_in(area)]
         return out

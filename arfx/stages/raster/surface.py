@@ -30,8 +30,8 @@ def _mean_of_texels(texels, i, j, k, m, a, b, c, d):  # pragma: no cover - compi
 
 
 @line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def _texel(texels, table, t, level, tu, tv, share):  # pragma: no cover - compiled
-    """Four channels, bilinear, of one level of texture t at tu, tv in 0..1, times share; 1 = full."""
+def _texel(texels, table, t, level, tu, tv, weight):  # pragma: no cover - compiled
+    """Four channels, bilinear, of one level of texture t at tu, tv in 0..1, times weight; 1 = full."""
     one = np.float32(1)
     w, h = np.int32(max(table[t, 0] >> level, 1)), np.int32(max(table[t, 1] >> level, 1))
     start = np.int32(table[t, 3 + level])
@@ -42,11 +42,11 @@ def _texel(texels, table, t, level, tu, tv, share):  # pragma: no cover - compil
     x1, y1 = np.int32(x0 + np.int32(1)), np.int32(y0 + np.int32(1))
     x0, x1 = x0 if x0 >= 0 else w - np.int32(1), x1 if x1 < w else np.int32(0)
     y0, y1 = y0 if y0 >= 0 else h - np.int32(1), y1 if y1 < h else np.int32(0)
-    share *= np.float32(1 / 65535)
-    b, c, d = share * fx * (one - fy), share * (one - fx) * fy, share * fx * fy
+    weight *= np.float32(1 / 65535)
+    b, c, d = weight * fx * (one - fy), weight * (one - fx) * fy, weight * fx * fy
     i, j = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
     k, m = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
-    return _mean_of_texels(texels, i, j, k, m, share - b - c - d, b, c, d)
+    return _mean_of_texels(texels, i, j, k, m, weight - b - c - d, b, c, d)
 
 
 @numba.njit(inline="always")
@@ -119,9 +119,9 @@ def _surface(face, b1, b2, z, dx, dy, dz, pixel, mesh: Surfaces):  # pragma: no 
     if facing > 0:  # the back of a two-sided surface
         nx, ny, nz = -nx, -ny, -nz
     # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
-    away = (nx * dx + ny * dy + nz * dz) / (length * length)
-    if away > 0:
-        nx, ny, nz = nx - away * dx, ny - away * dy, nz - away * dz
+    excess = (nx * dx + ny * dy + nz * dz) / (length * length)
+    if excess > 0:
+        nx, ny, nz = nx - excess * dx, ny - excess * dy, nz - excess * dz
     n = np.sqrt(nx * nx + ny * ny + nz * nz)
     if n > np.float32(1e-6):
         nx, ny, nz = nx / n, ny / n, nz / n
@@ -203,7 +203,7 @@ def write_edges(
     for a in range(pixels.shape[0]):
         y, x = np.uintp(pixels[a] // width - 1), np.uintp(pixels[a] % width - 1)
         start = np.uintp(a) * count
-        met = np.float32(0)
+        hit_count = np.float32(0)
         r, g, b = np.float32(0), np.float32(0), np.float32(0)
         nx, ny, nz = np.float32(0), np.float32(0), np.float32(0)
         metallic, rough, specular = np.float32(0), np.float32(0), np.float32(0)
@@ -217,12 +217,12 @@ def write_edges(
             _, r1, g1, b1, x1, y1, z1, metallic1, rough1, specular1, er1, eg1, eb1 = _surface(
                 prim[k], bary_u[k], bary_v[k], depth[k], dx, dy, dz, pixel, mesh
             )
-            met += np.float32(1)
+            hit_count += np.float32(1)
             r, g, b = r + r1, g + g1, b + b1
             nx, ny, nz = nx + x1, ny + y1, nz + z1
             metallic, rough, specular = metallic + metallic1, rough + rough1, specular + specular1
             er, eg, eb = er + er1, eg + eg1, eb + eb1
-        if met == 0:
+        if hit_count == 0:
             continue
         chosen, z = centre_prim[a], centre_depth[a]
         if chosen < 0:
@@ -233,8 +233,8 @@ def write_edges(
                     break
         lx, ly = lens[y + np.uintp(2), x + np.uintp(2), 0], lens[y + np.uintp(2), x + np.uintp(2), 1]
         dx, dy, dz = _in_world(rotation, lx, ly)
-        inverse = np.float32(1) / met
-        coverage[y, x], depth_out[y, x], object_id[y, x] = met / np.float32(count), z, part[np.uintp(chosen)] + 1
+        inverse = np.float32(1) / hit_count
+        coverage[y, x], depth_out[y, x], object_id[y, x] = hit_count / np.float32(count), z, part[np.uintp(chosen)] + 1
         albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r * inverse, g * inverse, b * inverse
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         if length > np.float32(1e-6):

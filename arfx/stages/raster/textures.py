@@ -38,7 +38,7 @@ class TextureStack:
         for start, end, srgb in zip(self.table[:, 3], ends, self.srgb, strict=True):
             for a in range(start, end, _TEXELS):
                 b = min(a + _TEXELS, end)
-                out[a:b] = _looked_up(self.texels[None, a:b], code, bool(srgb))[0]
+                out[a:b] = _decode(self.texels[None, a:b], code, bool(srgb))[0]
         return out
 
 
@@ -93,7 +93,7 @@ def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
     levels = [full]
     linear = None
     while max(w, h) > 1 and len(levels) < MAX_LEVELS:
-        linear = _halved(full, srgb) if linear is None else _resized(linear)
+        linear = _half_linear(full, srgb) if linear is None else _half_size(linear)
         h, w = linear.shape[:2]
         coded = np.empty((h, w, 4), np.uint8)
         for a in range(0, h, _ROWS):
@@ -106,23 +106,23 @@ def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
     return levels
 
 
-def _halved(full: np.ndarray, srgb: bool) -> np.ndarray:
+def _half_linear(full: np.ndarray, srgb: bool) -> np.ndarray:
     """(h, w, 4) uint8 in linear light at half the size, float32; of even sizes some rows at a time."""
     h, w = full.shape[:2]
     if h % 2 or w % 2:
-        return _resized(_looked_up(full, CODE, srgb))
+        return _half_size(_decode(full, CODE, srgb))
     out = np.empty((h // 2, w // 2, 4), np.float32)
     for a in range(0, h, _ROWS):
-        out[a // 2 : (a + _ROWS) // 2] = _resized(_looked_up(full[a : a + _ROWS], CODE, srgb))
+        out[a // 2 : (a + _ROWS) // 2] = _half_size(_decode(full[a : a + _ROWS], CODE, srgb))
     return out
 
 
-def _resized(linear: np.ndarray) -> np.ndarray:
+def _half_size(linear: np.ndarray) -> np.ndarray:
     w, h = max(linear.shape[1] // 2, 1), max(linear.shape[0] // 2, 1)
     return np.asarray(cv2.resize(linear, (w, h), interpolation=cv2.INTER_AREA), np.float32).reshape(h, w, 4)
 
 
-def _looked_up(coded: np.ndarray, table: np.ndarray, srgb: bool) -> np.ndarray:
+def _decode(coded: np.ndarray, table: np.ndarray, srgb: bool) -> np.ndarray:
     """(h, w, 4) uint8 through a table (2, 256) by row of CODE, in the table's type: numpy would make 64-bit indices first."""
     channels = np.stack([table[int(srgb)]] * 3 + [table[0]], -1)
     return np.asarray(cv2.LUT(np.ascontiguousarray(coded), channels[None])).reshape(coded.shape)

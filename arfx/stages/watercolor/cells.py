@@ -12,14 +12,14 @@ from functools import partial
 import numba
 import numpy as np
 
-from arfx.core.parallel import BANDS, parallel_rows
+from arfx.core.parallel import parallel_rows
 from arfx.stages.four import add_four
 from arfx.stages.watercolor.label_kernels import Buckets
-from arfx.stages.watercolor.labels import Labels, bucketed
-from arfx.stages.watercolor.rows import Cells, Cover, Picture, labels_of, line_of, span_of
+from arfx.stages.watercolor.labels import Labels, bucket_sites
+from arfx.stages.watercolor.rows import Cells, Picture, combine_labels, read_labels, read_pixels, union_span
 from arfx.stages.watercolor.sites import STEPS
 
-NEIGHBOURS = 8  # of a cell that are kept; a Voronoi cell has 6 on average
+NEIGHBOURS = 8  # stored of a cell; a Voronoi cell has 6 on average
 REACH = 1.4  # sizes of a cell: sites that far apart have nothing to do with each other
 _STEP = 16  # sites in `neighbours`
 _MANY = 8  # below this many pixels per cell, sums over bands would cost more than they save
@@ -33,53 +33,38 @@ def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     image : (h, w, 3) float32;  labels : (h, w) int32, 0 ... count - 1
     """
     whole = Labels(labels, np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), count)
-    return cell_colours(Picture(image), Cover(whole))[:, :3]
+    return cell_colours(Picture(image), combine_labels(whole))[:, :3]
 
 
-def cell_colours(picture: Picture, cover: Cover) -> np.ndarray:
+def cell_colours(picture: Picture, cells: Cells) -> np.ndarray:
     """(count, 4) float32: means as above, and the number of pixels."""
-    h, w = picture.image.shape[:2]
-    count, cells = cover.count, cover.cells
+    (h, w), count = picture.image.shape[:2], cells.cell_count
 
     def one(y0: int, y1: int) -> np.ndarray:
         total = np.zeros((count, 4))
-        _sum(picture, cells, y0, y1, total)
+        _sum_rows(picture, cells, y0, y1, total)
         return total
 
     parts = [one(0, h)] if count * _MANY > h * w else parallel_rows(one, h, 2)
-    out = np.empty((count, 4), np.float32)
-    if len(parts) == BANDS:
-        _mean_of_four(parts[0], parts[1], parts[2], parts[3], out)
-    else:
-        total = np.sum(parts, axis=0)
-        out[:] = total
-        out[:, :3] = total[:, :3] / np.maximum(total[:, 3:], 1)
-    return out
+    total = np.sum(parts, axis=0)
+    total[:, :3] /= np.maximum(total[:, 3:], 1)
+    return total.astype(np.float32)
 
 
 @numba.njit(cache=True, nogil=True)
-def _mean_of_four(a, b, c, d, out):  # pragma: no cover - compiled
-    for k in range(out.shape[0]):
-        out[k, 3] = a[k, 3] + b[k, 3] + c[k, 3] + d[k, 3]
-        n = max(np.float64(out[k, 3]), 1.0)
-        for i in range(3):
-            out[k, i] = (a[k, i] + b[k, i] + c[k, i] + d[k, i]) / n
-
-
-@numba.njit(cache=True, nogil=True)
-def _sum(picture: Picture, cells: Cells, y0, y1, total):  # pragma: no cover - compiled
+def _sum_rows(picture: Picture, cells: Cells, y0, y1, total):  # pragma: no cover - compiled
     """total (count, 4) : sums of red, green, blue, pixels over rows y0 ... y1 - 1. Where the object may lie rows are put
     together in buffers."""
     image, patch, py, px = picture
     first, mask, ly, lx = cells.first, cells.mask, cells.y, cells.x
     w = first.shape[1]
-    left, right = span_of(px, patch.shape[1], lx, mask.shape[1])
+    left, right = union_span(px, patch.shape[1], lx, mask.shape[1])
     buffer, numbers, sums = np.empty(3 * w, np.float32), np.empty(w, np.int32), total.reshape(-1)
     for y in range(y0, y1):
         line, a = image[y].reshape(-1), first[y]
         if py <= y < py + patch.shape[0] or ly <= y < ly + mask.shape[0]:
-            line_of(picture, y, left, right, buffer)
-            labels_of(cells, y, left, right, numbers)
+            read_pixels(picture, y, left, right, buffer)
+            read_labels(cells, y, left, right, numbers)
             _add(line[: 3 * left], a[:left], sums)
             _add(buffer[3 * left : 3 * right], numbers[left:right], sums)
             _add(line[3 * right :], a[right:], sums)
@@ -95,34 +80,34 @@ def _add(line, a, sums):  # pragma: no cover - compiled
 
 
 def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(near (n, NEIGHBOURS) int32 sites around each, the nearest, itself behind the last; share (n, NEIGHBOURS) float32
+    """(near (n, NEIGHBOURS) int32 sites around each, the nearest, itself behind the last; weight (n, NEIGHBOURS) float32
     0..1).
 
     x, y, size (n,) float32 : sites and the sizes of cells there, 1/STEPS px. What counts is how far apart sites are, never the
     pixels that their cells share: a border of a pixel or two comes and goes as the picture moves, and washes would with it.
     """
     n = len(x)
-    near, share = np.zeros((n, NEIGHBOURS), np.int32), np.zeros((n, NEIGHBOURS), np.float32)
+    near, weight = np.zeros((n, NEIGHBOURS), np.int32), np.zeros((n, NEIGHBOURS), np.float32)
     if n < 2:
-        return near, share
+        return near, weight
     left, right, top, bottom = float(x.min()), float(x.max()), float(y.min()), float(y.max())
     side = max(REACH * np.sqrt((right - left) * (bottom - top) / n), (right - left) / 8192, (bottom - top) / 8192, STEPS)
     gw, gh = int((right - left) // side) + 1, int((bottom - top) // side) + 1
-    start, order = bucketed(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
-    place = np.zeros((3, n + _STEP), np.float32)
-    place[0, :n], place[1, :n], place[2, :n] = x[order], y[order], np.float32(1 / REACH**2) / (size[order] ** 2)
-    buckets = Buckets(place, order, start, side, gh, gw)
-    parallel_rows(lambda a, b: _near(buckets, left, top, a, b, near, share), n)
-    return near, share
+    start, order = bucket_sites(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
+    position = np.zeros((3, n + _STEP), np.float32)
+    position[0, :n], position[1, :n], position[2, :n] = x[order], y[order], np.float32(1 / REACH**2) / (size[order] ** 2)
+    buckets = Buckets(position, order, start, side, gh, gw)
+    parallel_rows(lambda a, b: _find_neighbours(buckets, left, top, a, b, near, weight), n)
+    return near, weight
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _near(buckets: Buckets, left, top, a, b, near, share):  # pragma: no cover - compiled
-    """Of the sites a ... b - 1 of the buckets' order; their place (3, n) : x, y, 1 / reach^2"""
-    place, order, start, side, gh, gw = buckets
-    one, room = np.float32(1), start[gh * gw] + 2 * _STEP
-    s, found = np.empty(room, np.float32), np.empty(room, np.int32)
-    px, py, ps = place[0], place[1], place[2]
+def _find_neighbours(buckets: Buckets, left, top, a, b, near, weight):  # pragma: no cover - compiled
+    """Of the sites a ... b - 1 of the buckets' order; their position (3, n) : x, y, 1 / reach^2"""
+    position, order, start, side, gh, gw = buckets
+    one, capacity = np.float32(1), start[gh * gw] + 2 * _STEP
+    s, found = np.empty(capacity, np.float32), np.empty(capacity, np.int32)
+    px, py, ps = position[0], position[1], position[2]
     for k in range(a, b):
         x, y, sharp, own = px[k], py[k], ps[k], one / np.sqrt(ps[k])
         x0, x1 = max(np.int64((x - own - left) / side), 0), min(np.int64((x + own - left) / side), gw - 1)
@@ -151,31 +136,31 @@ def _near(buckets: Buckets, left, top, a, b, near, share):  # pragma: no cover -
             s[last], found[last] = s[count], found[count]
         near[site] = site
         for q in range(count):
-            near[site, q], share[site, q] = order[found[q]], s[q] * s[q]
+            near[site, q], weight[site, q] = order[found[q]], s[q] * s[q]
 
 
-def washed(
-    colours: np.ndarray, near: np.ndarray, share: np.ndarray, area: np.ndarray, contrast: float, rounds: int
+def smooth_washes(
+    colours: np.ndarray, near: np.ndarray, weight: np.ndarray, area: np.ndarray, contrast: float, rounds: int
 ) -> np.ndarray:  # fmt: skip
     """(n, 3) float32 square roots of the colours (near to what is coded), alike neighbours drawn together.
 
-    colours : (n, 3) linear;  near, share : of `neighbours`;  area (n,) : pixels of the cells: one of few counts little
+    colours : (n, 3) linear;  near, weight : of `neighbours`;  area (n,) : pixels of the cells: one of few counts little
     contrast : difference of square roots at which the pull has fallen to a quarter
     """
     root = np.sqrt(np.clip(colours, 0, 1)).astype(np.float32)
     if not rounds or not near.shape[1]:
         return root
-    seen = (area / (area + 0.25 * max(float(np.median(area)), 1.0))).astype(np.float32)
+    confidence = (area / (area + 0.25 * max(float(np.median(area)), 1.0))).astype(np.float32)
     sharp = np.float32(1 / max(contrast, 1e-3) ** 2)
     for _ in range(rounds):
         out = np.empty_like(root)
-        parallel_rows(partial(_pull_into, root, near, share, seen, sharp, out), len(root))
+        parallel_rows(partial(_smooth_washes, root, near, weight, confidence, sharp, out), len(root))
         root = out
     return root
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _pull_into(root, near, share, seen, sharp, out, a, b):  # pragma: no cover - compiled
+def _smooth_washes(root, near, weight, confidence, sharp, out, a, b):  # pragma: no cover - compiled
     one = np.float32(1)
     for k in range(a, b):
         r, g, b_ = root[k, 0], root[k, 1], root[k, 2]
@@ -184,7 +169,7 @@ def _pull_into(root, near, share, seen, sharp, out, a, b):  # pragma: no cover -
             j = np.uint64(near[k, m])
             dr, dg, db = root[j, 0] - r, root[j, 1] - g, root[j, 2] - b_
             w = one / (one + (dr * dr + dg * dg + db * db) * sharp)
-            w *= w * share[k, m] * seen[j]
+            w *= w * weight[k, m] * confidence[j]
             sr += w * root[j, 0]
             sg += w * root[j, 1]
             sb += w * root[j, 2]
@@ -192,7 +177,7 @@ def _pull_into(root, near, share, seen, sharp, out, a, b):  # pragma: no cover -
         out[k, 0], out[k, 1], out[k, 2] = sr / total, sg / total, sb / total
 
 
-def toned(root: np.ndarray, lightness: float, saturation: float, deepest: float) -> np.ndarray:
+def adjust_tone(root: np.ndarray, lightness: float, saturation: float, deepest: float) -> np.ndarray:
     """(n, 3) float32 square roots of colours, thinner (paper shows through) and more or less saturated.
 
     lightness : v becomes 1 - (1 - v)^(1 + lightness);  saturation : factor on the distance from grey

@@ -24,10 +24,10 @@ def yuv_matrix(name: str = "bt601") -> np.ndarray:
     return np.stack([y, 0.492 * (np.array([0.0, 0, 1]) - y), 0.877 * (np.array([1.0, 0, 0]) - y)])
 
 
-def lines_of(
+def trace_lines(
     made: np.ndarray, low: float, high: float, width_px: float, virtual: np.ndarray | None = None, at: tuple[int, int] = (0, 0)
 ) -> np.ndarray:
-    """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1, of what was `measured`, which is changed where the object's
+    """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1, of what was `edge_measure`, which is changed where the object's
     own edges are.
 
     low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches

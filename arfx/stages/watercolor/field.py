@@ -1,8 +1,8 @@
-"""Where the sites of a frame come from: the field of its facts, or a still one whose cells are finer where the plane is near."""
+"""The site field of a frame: of the advection in its facts, or a still one whose cells are finer where the plane is near."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
-from arfx.stages.watercolor.sites import GRID_PX, Field, still_field
+from arfx.stages.watercolor.sites import GRID_PX, SiteField, still_field
 
 _MUCH = 0.35  # detail that counts as all
 _EVEN_LEVELS, _DETAIL_LEVELS = 0.3, 0.9  # by how many doublings cells grow and shrink with it
@@ -23,53 +23,43 @@ def pad_px(cell_px: float) -> int:
     return int(np.ceil(2.5 * _COARSEST * cell_px))
 
 
-def ways(facts: FrameFacts, anchored: bool, both: bool) -> tuple[tuple[str, float], ...]:
-    """(name of the field in the facts, its share) of those to paint: one, or the two carried forward and backward."""
+def advection_directions(facts: FrameFacts, anchored: bool, both: bool) -> tuple[tuple[str, float], ...]:
+    """(name of the field in the facts, its weight) of those to paint: one, or the two carried forward and backward."""
     found = facts.advection if anchored and both else None
     if found is None or not found.backward:
         return (("nodes", 1.0),)
     pairs = ("forward", 1 - found.share), ("backward", found.share)
-    return tuple((name, share) for name, share in pairs if share > 0)
+    return tuple((name, weight) for name, weight in pairs if weight > 0)
 
 
 def frame_field(
-    facts: FrameFacts,
-    scene: Scene,
-    cell_px: float,
-    nearer_finer: float,
-    anchored: bool,
-    way: str = "nodes",
+    facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool, direction: str = "nodes",
     detail: float = 0.0,
-) -> tuple[Field, Pose | None]:
-    """The field, and the pose that goes with it: the same as long as the set of sites is. way : of `ways`"""
+) -> tuple[SiteField, Pose | None]:  # fmt: skip
+    """The field, and the pose that goes with it: the same as long as the field is. direction : of `advection_directions`"""
     camera, pose = scene.camera, facts.camera_from_world
     found = facts.advection if anchored else None
     if found is None or found.pitch != GRID_PX:
-        field = _still(camera.width, camera.height, cell_px, pad_px(cell_px))
+        field = still_field(camera.width, camera.height, cell_px, pad_px(cell_px))
     else:
         size = np.full(found.shape, float(cell_px))
         if detail > 0 and found.detail:
             size *= detail_factor(found.detail_at_nodes(), detail)
-        field = Field(*found.origin, *found.places(way), size)
+        field = SiteField(*found.origin, *found.places(direction), size)
         pose = found.pose
     if pose is not None and nearer_finer > 0:
-        field = Field(field.x0, field.y0, field.u, field.v, field.size * depth_factor(field, camera, pose, scene, nearer_finer))
+        field = replace(field, size=field.size * depth_factor(field, camera, pose, scene, nearer_finer))
     return field, pose
-
-
-@lru_cache(maxsize=4)
-def _still(width: int, height: int, cell_px: float, pad: int) -> Field:
-    return still_field(width, height, cell_px, pad)
 
 
 def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
     """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where there is much. detail : 0..255"""
-    share = np.minimum(detail / (255 * _MUCH), 1.0)
-    out: np.ndarray = 2.0 ** (strength * (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * share))
+    fraction = np.minimum(detail / (255 * _MUCH), 1.0)
+    out: np.ndarray = 2.0 ** (strength * (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction))
     return out
 
 
-def depth_factor(field: Field, camera: Camera, pose: Pose, scene: Scene, strength: float) -> np.ndarray:
+def depth_factor(field: SiteField, camera: Camera, pose: Pose, scene: Scene, strength: float) -> np.ndarray:
     """(gh, gw) factor on the size of cells: (depth of the marker's plane / depth of the marker) ^ strength, within bounds.
 
     Where the plane is not seen it is taken for far.

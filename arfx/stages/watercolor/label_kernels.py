@@ -28,10 +28,10 @@ _FAST = {"contract", "nsz", "nnan", "ninf"}
 
 
 class Buckets(NamedTuple):
-    """Sites by squares of `side`, (gh, gw) of them. place (3, n + STEP) : x, y from the first square's corner, weight
-    start (gh gw + 1), order (n,) : of `labels.bucketed`"""
+    """Sites by squares of `side`, (gh, gw) of them. position (3, n + STEP) : x, y from the first square's corner, weight
+    start (gh gw + 1), order (n,) : of `labels.bucket_sites`"""
 
-    place: np.ndarray
+    position: np.ndarray
     order: np.ndarray
     start: np.ndarray
     side: int | float
@@ -39,8 +39,8 @@ class Buckets(NamedTuple):
     gw: int
 
 
-class Found(NamedTuple):
-    """Sites that a block has collected, (n,) each: place, weight, number in the buckets' order"""
+class LocalSites(NamedTuple):
+    """Sites that a block has collected, (n,) each: position, weight, number in the buckets' order"""
 
     x: np.ndarray
     y: np.ndarray
@@ -48,8 +48,8 @@ class Found(NamedTuple):
     number: np.ndarray
 
 
-class Packed(NamedTuple):
-    """Candidates, (PACKED,) each: a px + b py + c as of `packed`, number in the buckets' order"""
+class Candidates(NamedTuple):
+    """Candidates, (PACKED,) each: a px + b py + c as of `pack`, number in the buckets' order"""
 
     a: np.ndarray
     b: np.ndarray
@@ -58,12 +58,12 @@ class Packed(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True)
-def collected(buckets: Buckets, y0, x0, y1, x1, mx, my, out: Found):  # pragma: no cover - compiled
+def collect(buckets: Buckets, y0, x0, y1, x1, mx, my, out: LocalSites):  # pragma: no cover - compiled
     """How many sites lie in the buckets that (x0, y0) ... (x1, y1) touches; these, relative to (mx, my), by number.
 
     Places from the first bucket's corner, 1/STEPS px; buckets at the border hold what lies beyond it.
     """
-    place, _, start, side_px, gh, gw = buckets
+    position, _, start, side_px, gh, gw = buckets
     lx, ly, lw, number = out
     count, side = 0, side_px * STEPS
     left, right = min(max(x0 // side, 0), gw - 1), max(min(x1 // side, gw - 1), 0) + 1
@@ -72,9 +72,9 @@ def collected(buckets: Buckets, y0, x0, y1, x1, mx, my, out: Found):  # pragma: 
         for at in range(a, b, STEP):
             for m in range(STEP):  # of fixed length; what is too much is overwritten by the next row
                 k, to = _U(at) + _U(m), _U(count) + _U(m)
-                lx[to] = min(max(_I(place[0, k] - mx), _I(-FAR)), _I(FAR))
-                ly[to] = min(max(_I(place[1, k] - my), _I(-FAR)), _I(FAR))
-                lw[to] = place[2, k]
+                lx[to] = min(max(_I(position[0, k] - mx), _I(-FAR)), _I(FAR))
+                ly[to] = min(max(_I(position[1, k] - my), _I(-FAR)), _I(FAR))
+                lw[to] = position[2, k]
                 number[to] = _I(k)
             count += STEP
         count -= -(b - a) % STEP
@@ -82,7 +82,7 @@ def collected(buckets: Buckets, y0, x0, y1, x1, mx, my, out: Found):  # pragma: 
 
 
 @numba.njit(cache=True, nogil=True)
-def kept(count, found, sites: Found):  # pragma: no cover - compiled
+def compact(count, found, sites: LocalSites):  # pragma: no cover - compiled
     """Only those found (count,), ascending."""
     lx, ly, lw, number = sites
     for m in range(count):
@@ -91,7 +91,7 @@ def kept(count, found, sites: Found):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def filled_up(count, sites: Found):  # pragma: no cover - compiled
+def pad_far(count, sites: LocalSites):  # pragma: no cover - compiled
     """The next multiple of STEP, up to which sites follow that are too far to matter: loops end with whole steps."""
     lx, ly, lw, _ = sites
     for m in range(STEP):
@@ -101,7 +101,7 @@ def filled_up(count, sites: Found):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def by_number(order, count, sites: Found, spare):  # pragma: no cover - compiled
+def sort_by_label(order, count, sites: LocalSites, spare):  # pragma: no cover - compiled
     """Sort them by the number that they have outside."""
     for m in range(count):
         spare[m] = order[sites.number[m]]
@@ -113,9 +113,9 @@ def by_number(order, count, sites: Found, spare):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def bound(sites: Found, count, mx, my, hx, hy):  # pragma: no cover - compiled
-    """A distance, squared, that no place in a box (middle, half sides) has to its nearest site: of each quarter that of
-    its farthest place to its best site."""
+def bound(sites: LocalSites, count, mx, my, hx, hy):  # pragma: no cover - compiled
+    """A distance, squared, that no position in a box (middle, half sides) has to its nearest site: of each quarter that of
+    its farthest position to its best site."""
     lx, ly, lw, _ = sites
     b0 = b1 = b2 = b3 = _I(1 << 30)
     # the quarters' middles lie (wx, wy) off the box's; so do their own corners of them
@@ -132,8 +132,8 @@ def bound(sites: Found, count, mx, my, hx, hy):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def within(sites: Found, count, mx, my, hx, hy, most, away, found):  # pragma: no cover - compiled
-    """How many sites come to the box as near as `most`, squared; found : which."""
+def prune(sites: LocalSites, count, mx, my, hx, hy, limit, away, found):  # pragma: no cover - compiled
+    """How many sites come to the box as near as `limit`, squared; found : which."""
     lx, ly, lw, _ = sites
     for m in range(count):
         dx, dy = max(_I(abs(_I(lx[m] - mx)) - hx), _I(0)), max(_I(abs(_I(ly[m] - my)) - hy), _I(0))
@@ -141,30 +141,31 @@ def within(sites: Found, count, mx, my, hx, hy, most, away, found):  # pragma: n
     n = np.uint64(0)
     for m in range(count):
         found[n] = m
-        n += np.uint64(away[m] <= most)
+        n += np.uint64(away[m] <= limit)
     return np.int64(n)
 
 
 @numba.njit(cache=True, nogil=True)
-def packed(sites: Found, found, n, mx, my, reach, out: Packed):  # pragma: no cover - compiled
-    """|p - s|^2 - |p|^2 - weight and the candidate's place in the list as one number that is linear in p: ca px + cb py + cc.
+def pack(sites: LocalSites, found, n, mx, my, reach, out: Candidates):  # pragma: no cover - compiled
+    """|p - s|^2 - |p|^2 - weight and the candidate's index in the list as one number that is linear in p: ca px + cb py + cc.
     Returns the largest that comes about. p : relative to (mx, my), no farther than `reach`"""
     lx, ly, lw, number = sites
     ca, cb, cc, near = out
-    most = _F(0)
+    limit = _F(0)
     for m in range(n):
         k = _U(found[m])
         near[m] = number[k]
         ex, ey, weight = _F(lx[k] - mx), _F(ly[k] - my), _F(lw[k])
         ca[m], cb[m] = _F(-2 * PACKED) * ex, _F(-2 * PACKED) * ey
         cc[m] = _F(PACKED) * (ex * ex + ey * ey - weight) + _F(m)
-        most = max(most, (abs(ca[m]) + abs(cb[m])) * reach + cc[m])
-    return most
+        limit = max(limit, (abs(ca[m]) + abs(cb[m])) * reach + cc[m])
+    return limit
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def labelled(candidates: Packed, x, y, n, places, at, k1, first, top, left):  # pragma: no cover - compiled
-    """nearest_one of a whole tile, by its label in the picture: its places, from `at` on, relative to (x, y)."""
+def label_tile(candidates: Candidates, x, y, n, positions, at, k1, first, top, left):  # pragma: no cover - compiled
+    """Nearest site of each pixel of a whole tile, by its label in the picture. Its positions, from `at` on, relative to (x, y).
+    The lesser packed number is the nearer site, or the one of lower number."""
     ca, cb, cc, near = candidates
     own, down = _U(at), _U(at + PIXELS)
     for q in range(PIXELS):
@@ -177,7 +178,7 @@ def labelled(candidates: Packed, x, y, n, places, at, k1, first, top, left):  # 
         c0, c1, c2 = cc[m0] + (a0 * x + b0 * y), cc[m1] + (a1 * x + b1 * y), cc[m2] + (a2 * x + b2 * y)
         c3, c4 = cc[m3] + (a3 * x + b3 * y), cc[m4] + (a4 * x + b4 * y)
         for q in range(PIXELS):
-            px, py = places[own + _U(q)], places[down + _U(q)]
+            px, py = positions[own + _U(q)], positions[down + _U(q)]
             k = min(k1[q], a0 * px + (b0 * py + c0))
             k = min(k, min(a1 * px + (b1 * py + c1), a2 * px + (b2 * py + c2)))
             k1[q] = min(k, min(a3 * px + (b3 * py + c3), a4 * px + (b4 * py + c4)))
@@ -189,29 +190,8 @@ def labelled(candidates: Packed, x, y, n, places, at, k1, first, top, left):  # 
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def nearest_one(candidates: Packed, n, p, k1, n1):  # pragma: no cover - compiled
-    """n1 : candidate of each pixel of a tile. The lesser packed number is the nearer site, or the one of lower number.
-    Three candidates at a time: what is kept is loaded and stored a third as often."""
-    ca, cb, cc, _ = candidates
-    for q in range(PIXELS):
-        k1[q] = PACKED_LIMIT
-    for m in range(0, n - 2, 3):
-        a0, b0, c0, a1, b1, c1 = ca[m], cb[m], cc[m], ca[m + 1], cb[m + 1], cc[m + 1]
-        a2, b2, c2 = ca[m + 2], cb[m + 2], cc[m + 2]
-        for q in range(PIXELS):
-            x, y = p[0, q], p[1, q]
-            k1[q] = min(min(k1[q], a0 * x + (b0 * y + c0)), min(a1 * x + (b1 * y + c1), a2 * x + (b2 * y + c2)))
-    for m in range(n // 3 * 3, n):
-        a, b, c = ca[m], cb[m], cc[m]
-        for q in range(PIXELS):
-            k1[q] = min(k1[q], a * p[0, q] + (b * p[1, q] + c))
-    for q in range(PIXELS):
-        n1[q] = _I(k1[q]) & (PACKED - 1)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def nearest_two(candidates: Packed, n, p, k1, k2):  # pragma: no cover - compiled
-    """k1, k2 : packed numbers of the nearest two."""
+def nearest_two(candidates: Candidates, n, p, k1, k2):  # pragma: no cover - compiled
+    """k1, k2 : packed numbers of the nearest two. Three candidates at a time: a third of the loads and stores."""
     ca, cb, cc, _ = candidates
     for q in range(PIXELS):
         k1[q], k2[q] = PACKED_LIMIT, PACKED_LIMIT
@@ -238,7 +218,7 @@ def nearest_two(candidates: Packed, n, p, k1, k2):  # pragma: no cover - compile
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def inside_of(p, k1, k2, blend, n1, n2, share):  # pragma: no cover - compiled
+def border_insets(p, k1, k2, blend, n1, n2, inset):  # pragma: no cover - compiled
     """How much farther the next site is than the nearest, 0..SOLID: SOLID is 2 blend. Half of it is about the way to the
     border between the two."""
     factor = _F(SOLID) / (_F(2) * blend)
@@ -248,24 +228,24 @@ def inside_of(p, k1, k2, blend, n1, n2, share):  # pragma: no cover - compiled
         s = _I(min((np.sqrt(_F(b >> 6) + own) - np.sqrt(_F(a >> 6) + own)) * factor, _F(SOLID)))
         n1[q] = a & (PACKED - 1)
         n2[q] = (b if s < SOLID else a) & (PACKED - 1)
-        share[q] = s
+        inset[q] = s
 
 
 @numba.njit(cache=True, nogil=True)
-def named(n, near):  # pragma: no cover - compiled
-    """Candidates' places in the list become their numbers."""
+def renumber(n, near):  # pragma: no cover - compiled
+    """Candidates' indices in the list become their numbers."""
     for q in range(PIXELS):
         n[q] = near[_U(n[q])]
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_any(buckets: Buckets, which, n, x0, y0, p, blend, n1, n2, share):  # pragma: no cover - compiled
+def nearest_float64(buckets: Buckets, which, n, x0, y0, p, blend, n1, n2, inset):  # pragma: no cover - compiled
     """All of that for many candidates or far ones, in float64. which (n,) : of the buckets;  x0, y0 : the tile's middle."""
-    place, order = buckets.place, buckets.order
+    position, order = buckets.position, buckets.order
     d1, d2 = np.full(PIXELS, np.inf), np.full(PIXELS, np.inf)
     for m in range(n):
         k = which[m]
-        cx, cy, weight = np.float64(place[0, k]) - x0, np.float64(place[1, k]) - y0, np.float64(place[2, k])
+        cx, cy, weight = np.float64(position[0, k]) - x0, np.float64(position[1, k]) - y0, np.float64(position[2, k])
         if m == 0:
             n1[:] = k
             n2[:] = k
@@ -281,14 +261,5 @@ def nearest_any(buckets: Buckets, which, n, x0, y0, p, blend, n1, n2, share):  #
         factor = SOLID / (2.0 * blend)
         for q in range(PIXELS):
             s = (np.sqrt(d2[q]) - np.sqrt(d1[q])) * factor if n > 1 else np.float64(SOLID)
-            share[q] = np.uint8(min(s, np.float64(SOLID)))
-            n2[q] = n2[q] if share[q] < SOLID else n1[q]
-
-
-@numba.njit(cache=True, nogil=True)
-def any_of(mask, y, x, rows, cols):  # pragma: no cover - compiled
-    for j in range(y, y + rows):
-        for i in range(x, x + cols):
-            if mask[j, i]:
-                return True
-    return False
+            inset[q] = np.uint8(min(s, np.float64(SOLID)))
+            n2[q] = n2[q] if inset[q] < SOLID else n1[q]

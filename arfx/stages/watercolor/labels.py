@@ -10,7 +10,6 @@ cones.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -28,27 +27,24 @@ from arfx.stages.watercolor.label_kernels import (
     STEP,
     TILE,
     Buckets,
-    Found,
-    Packed,
-    any_of,
+    Candidates,
+    LocalSites,
+    border_insets,
     bound,
-    by_number,
-    collected,
-    filled_up,
-    inside_of,
-    kept,
-    labelled,
-    named,
-    nearest_any,
-    nearest_one,
+    collect,
+    compact,
+    label_tile,
+    nearest_float64,
     nearest_two,
-    packed,
-    within,
+    pack,
+    pad_far,
+    prune,
+    renumber,
+    sort_by_label,
 )  # fmt: skip
 from arfx.stages.watercolor.sites import STEPS, Sites
 
 _U = np.uint64
-__all__ = ["SOLID", "STILL", "Labels", "Wobble", "in_order", "label", "unlabelled", "wobble_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,25 +68,17 @@ def unlabelled(height: int, width: int, count: int, borders: bool) -> Labels:
     return Labels(first, first, np.full((height, width), SOLID, np.uint8), count)
 
 
-class _Rows(NamedTuple):
-    """As of `Labels`."""
-
-    first: np.ndarray
-    second: np.ndarray
-    inside: np.ndarray
-
-
 @dataclass(frozen=True, eq=False)
 class Wobble:
     """Displacement of pixels before they ask, repeated: the same wherever the tiles of labels begin.
 
     tile (2, n, n) int8 : along x and y, 1/STEPS px;  x, y : where in it pixel (0, 0) of the frame lies
-    places (n/8, n/8, 2, PIXELS) float32 : displaced places of each 8 x 8 pixels, 1/STEPS px from their middle
+    positions (n/8, n/8, 2, PIXELS) float32 : displaced positions of each 8 x 8 pixels, 1/STEPS px from their middle
     boxes (n/8, n/8, 4) int32 : around these: middle, half sides
     """
 
     tile: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
     boxes: np.ndarray
     x: int = 0
     y: int = 0
@@ -99,28 +87,19 @@ class Wobble:
         return replace(self, x=x, y=y)
 
 
-def wobble_of(tile: np.ndarray) -> Wobble:
+def make_wobble(tile: np.ndarray) -> Wobble:
     """tile (2, n, n) whole numbers of 1/STEPS px, |.| <= 127; n a multiple of 8."""
     n = tile.shape[1] // TILE
     own = np.arange(TILE, dtype=np.float32) * STEPS - MIDDLE
     squares = tile.reshape(2, n, TILE, n, TILE).transpose(1, 3, 0, 2, 4) + np.stack(np.broadcast_arrays(own, own[:, None]))
-    places = np.ascontiguousarray(squares, np.float32).reshape(n, n, 2, PIXELS)
-    low, high = places.min(-1).astype(np.int32), places.max(-1).astype(np.int32)
+    positions = np.ascontiguousarray(squares, np.float32).reshape(n, n, 2, PIXELS)
+    low, high = positions.min(-1).astype(np.int32), positions.max(-1).astype(np.int32)
     middle = (low + high) // 2
     boxes = np.concatenate([middle, np.maximum(high - middle, middle - low)], -1)
-    return Wobble(tile.astype(np.int8), places, np.ascontiguousarray(boxes, np.int32))
+    return Wobble(tile.astype(np.int8), positions, np.ascontiguousarray(boxes, np.int32))
 
 
-class _Displaced(NamedTuple):
-    """places, boxes : of a `Wobble`;  row, column : of those that the first tile takes"""
-
-    places: np.ndarray
-    boxes: np.ndarray
-    row: int
-    column: int
-
-
-STILL = wobble_of(np.zeros((2, TILE, TILE)))
+STILL = make_wobble(np.zeros((2, TILE, TILE)))
 
 
 def _grid(count: int, rect: Rect, wobble: Wobble) -> tuple[int, int, int, int, int]:
@@ -131,13 +110,13 @@ def _grid(count: int, rect: Rect, wobble: Wobble) -> tuple[int, int, int, int, i
     return x, y, side, -(-(rect.height - y) // side), -(-(rect.width - x) // side)
 
 
-def in_order(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
+def sort_sites(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
     """The same sites, numbered so that `label` need not sort what it finds."""
     if not len(sites) or rect.empty:
         return sites
     x, y, side, gh, gw = _grid(len(sites), rect, wobble)
-    _, order = bucketed(sites.x, sites.y, float(rect.x0 + x), float(rect.y0 + y), float(side), gh, gw)
-    return Sites(*_reordered(order, sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v))
+    _, order = bucket_sites(sites.x, sites.y, float(rect.x0 + x), float(rect.y0 + y), float(side), gh, gw)
+    return Sites(*_reorder(order, sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v))
 
 
 def label(
@@ -156,22 +135,18 @@ def label(
     second = np.empty((h, w) if borders else (0, 0), np.int32)
     inside = np.empty((h, w) if borders else (0, 0), np.uint8)
     x0, y0, side, gh, gw = _grid(n, rect, wobble)
-    start, order = bucketed(sites.x, sites.y, float(rect.x0 + x0), float(rect.y0 + y0), float(side), gh, gw)
-    place, ordered = _places(order, sites.x, sites.y, sites.weight, STEPS * rect.x0, STEPS * rect.y0)
+    start, order = bucket_sites(sites.x, sites.y, float(rect.x0 + x0), float(rect.y0 + y0), float(side), gh, gw)
+    position, ordered = _positions(order, sites.x, sites.y, sites.weight, STEPS * rect.x0, STEPS * rect.y0)
     mask = np.zeros((0, 0), bool) if mask is None else mask
-    at = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
-    buckets, displaced = Buckets(place, order, start, side, gh, gw), _Displaced(wobble.places, wobble.boxes, *at)
-    blend, out = np.float32(blend_px * STEPS), _Rows(first, second, inside)
-
-    def one(a: int, b: int) -> None:
-        _label(buckets, ordered, displaced, blend, mask, x0, y0, a, b, out)
-
-    parallel_rows(one, h - y0, BLOCK)
+    tile = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
+    buckets, blend = Buckets(position, order, start, side, gh, gw), np.float32(blend_px * STEPS)
+    displaced, out = (wobble.positions, wobble.boxes, *tile), (first, second, inside)
+    parallel_rows(lambda a, b: _label(buckets, ordered, displaced, blend, mask, x0, y0, a, b, out), h - y0, BLOCK)
     return Labels(first, second, inside, n)
 
 
 @numba.njit(cache=True, nogil=True)
-def _reordered(order, x, y, weight, key, u, v):  # pragma: no cover - compiled
+def _reorder(order, x, y, weight, key, u, v):  # pragma: no cover - compiled
     n = order.shape[0]
     a, b, c = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     d, e, f = np.empty(n, np.int64), np.empty(n, np.float32), np.empty(n, np.float32)
@@ -182,7 +157,7 @@ def _reordered(order, x, y, weight, key, u, v):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _places(order, x, y, weight, x0, y0):  # pragma: no cover - compiled
+def _positions(order, x, y, weight, x0, y0):  # pragma: no cover - compiled
     """(x, y, weight (3, n + STEP) int32 in that order, relative to (x0, y0), 1/STEPS px; whether that is the sites' own)."""
     n, ordered = order.shape[0], True
     out = np.zeros((3, n + STEP), np.int32)
@@ -195,7 +170,7 @@ def _places(order, x, y, weight, x0, y0):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def bucketed(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
+def bucket_sites(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
     """(start (gh gw + 1), order (n,)) : sites by bucket, in each by number. Sites outside count to the nearest bucket."""
     n = sx.shape[0]
     start, at = np.zeros(gh * gw + 1, np.int32), np.empty(n, np.int32)
@@ -214,23 +189,24 @@ def bucketed(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _label(
-    buckets: Buckets, ordered, displaced: _Displaced, blend, mask, x0, y0, y_first, y_last, out: _Rows
-):  # fmt: skip  # pragma: no cover - compiled
-    """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0)."""
-    order, (places, boxes, row, column), (first, second, inside) = buckets.order, displaced, out
+def _label(buckets: Buckets, ordered, displaced, blend, mask, x0, y0, y_first, y_last, out):  # pragma: no cover - compiled
+    """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0). out : first, second, inside, of `Labels`
+
+    displaced : positions and boxes of a `Wobble`, row and column there of the first tile
+    """
+    order, (positions, boxes, row, column), (first, second, inside) = buckets.order, displaced, out
     h, w = first.shape
     k1, k2 = np.empty(PIXELS, np.float32), np.empty(PIXELS, np.float32)
-    n1, n2, share = np.empty(PIXELS, np.int32), np.empty(PIXELS, np.int32), np.empty(PIXELS, np.uint8)
-    room = order.shape[0] + 2 * STEP
-    lx, ly, lw, number = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
-    away, found, sites = np.empty(room, np.int32), np.empty(room, np.int32), Found(lx, ly, lw, number)
+    n1, n2, inset = np.empty(PIXELS, np.int32), np.empty(PIXELS, np.int32), np.empty(PIXELS, np.uint8)
+    size = order.shape[0] + 2 * STEP
+    lx, ly, lw, number = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.int32)
+    away, found, sites = np.empty(size, np.int32), np.empty(size, np.int32), LocalSites(lx, ly, lw, number)
     ca, cb, cc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
     ta, tb, tc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
     near, names = np.empty(PACKED, np.int32), np.empty(PACKED, np.int32)
-    block, own = Packed(ca, cb, cc, near), Packed(ta, tb, tc, names)  # candidates of all four tiles, of one
-    borders, flat = blend > 0, places.reshape(-1)
-    reach = np.int32((np.abs(boxes[..., :2]) + boxes[..., 2:]).max())  # of a tile's places from its middle
+    block, own = Candidates(ca, cb, cc, near), Candidates(ta, tb, tc, names)  # candidates of all four tiles, of one
+    borders, flat = blend > 0, positions.reshape(-1)
+    reach = np.int32((np.abs(boxes[..., :2]) + boxes[..., 2:]).max())  # of a tile's positions from its middle
     half = np.int32(reach + TILE * STEPS // 2)
     every = np.arange(order.shape[0]).astype(np.int32)
     # how far around a block it looks at first: mostly enough
@@ -243,9 +219,9 @@ def _label(
             r, wanted, count, far = np.int64(0), np.int64(half + usual), 0, False
             while r < wanted and not far:
                 r = wanted
-                count = collected(buckets, oy - r, ox - r, oy + r, ox + r, mx, my, sites)
-                full = filled_up(count, sites)
-                # what may matter to one of its tiles lies no farther off the box of its places than this
+                count = collect(buckets, oy - r, ox - r, oy + r, ox + r, mx, my, sites)
+                full = pad_far(count, sites)
+                # what may matter to one of its tiles lies no farther off the box of its positions than this
                 root = np.sqrt(np.float64(bound(sites, full, np.int32(0), np.int32(0), half, half))) + 2 * blend
                 if count > 0:
                     far = root > FAR - 2 * half
@@ -253,74 +229,60 @@ def _label(
                 else:
                     wanted = 2 * r
             if not far:
-                count = within(sites, full, np.int32(0), np.int32(0), half, half, np.int32(root * root) + 1, away, found)
-                kept(count, found, sites)
+                count = prune(sites, full, np.int32(0), np.int32(0), half, half, np.int32(root * root) + 1, away, found)
+                compact(count, found, sites)
             if not ordered and not far:
-                by_number(order, count, sites, away)
-            full = filled_up(count, sites)
+                sort_by_label(order, count, sites, away)
+            full = pad_far(count, sites)
             # mostly one list does for all four tiles: to look for the nearest alone costs less than to prune
             whole = ordered and not far and not borders and count <= PACKED
             if whole:
-                whole = packed(sites, every, count, 0, 0, np.float32(half), block) < PACKED_LIMIT
+                whole = pack(sites, every, count, 0, 0, np.float32(half), block) < PACKED_LIMIT
             for tile in range(4):
                 down, right = tile >> 1, tile & 1
                 ty, tx = by + TILE * down, bx + TILE * right
                 top, left, bottom, end = max(ty, 0), max(tx, 0), min(ty + TILE, h), min(tx + TILE, w)
                 if top >= bottom or left >= end:
                     continue
-                if mask.shape[0] > 0 and not any_of(mask, top, left, bottom - top, end - left):
+                if mask.shape[0] > 0 and not mask[top:bottom, left:end].any():
                     continue
-                i = (row + (ty - y0) // TILE) % places.shape[0]
-                j = (column + (tx - x0) // TILE) % places.shape[1]
+                i = (row + (ty - y0) // TILE) % positions.shape[0]
+                j = (column + (tx - x0) // TILE) % positions.shape[1]
                 half_tile = TILE * STEPS // 2
                 own_x, own_y = np.int32((2 * right - 1) * half_tile), np.int32((2 * down - 1) * half_tile)
                 if whole and end - left == TILE and bottom - top == TILE:
-                    at = (i * places.shape[1] + j) * 2 * PIXELS
-                    labelled(block, np.float32(own_x), np.float32(own_y), count, flat, at, k1, first, top, left)
+                    at = (i * positions.shape[1] + j) * 2 * PIXELS
+                    label_tile(block, np.float32(own_x), np.float32(own_y), count, flat, at, k1, first, top, left)
                     continue
-                p, n, fits = places[i, j], 0, False
+                p, n, fits = positions[i, j], 0, False
                 if not far:
                     cx, cy = np.int32(own_x + boxes[i, j, 0]), np.int32(own_y + boxes[i, j, 1])
                     hx, hy = boxes[i, j, 2], boxes[i, j, 3]
                     # a site that comes within `blend` of winning is at most 2 blend farther than the winner
                     root = np.sqrt(np.float64(bound(sites, full, cx, cy, hx, hy))) + 2 * blend
-                    n = within(sites, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
+                    n = prune(sites, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
                     if n <= PACKED:
-                        fits = packed(sites, found, n, own_x, own_y, np.float32(reach), own) < PACKED_LIMIT
+                        fits = pack(sites, found, n, own_x, own_y, np.float32(reach), own) < PACKED_LIMIT
                 if fits:
-                    if borders:
-                        nearest_two(own, n, p, k1, k2)
-                        if n == 1:
-                            k2[:] = np.float32(2e9)  # there is no other near enough
-                        inside_of(p, k1, k2, blend, n1, n2, share)
-                        named(n2, names)
-                    else:
-                        nearest_one(own, n, p, k1, n1)
-                    named(n1, names)
+                    nearest_two(own, n, p, k1, k2)
+                    if n == 1:
+                        k2[:] = np.float32(2e9)  # there is no other near enough
+                    border_insets(p, k1, k2, blend if borders else np.float32(1), n1, n2, inset)
+                    renumber(n2, names)
+                    renumber(n1, names)
                 else:
                     for m in range(n):
                         found[m] = number[found[m]]
                     tile_x, tile_y = np.float64(tx * STEPS + MIDDLE), np.float64(ty * STEPS + MIDDLE)
                     which = every if far else found
-                    nearest_any(buckets, which, order.shape[0] if far else n, tile_x, tile_y, p, blend, n1, n2, share)
+                    nearest_float64(buckets, which, order.shape[0] if far else n, tile_x, tile_y, p, blend, n1, n2, inset)
                 if not ordered:
-                    named(n1, order)
+                    renumber(n1, order)
                     if borders:
-                        named(n2, order)
-                if end - left == TILE:
-                    for y in range(top, bottom):
-                        for x in range(TILE):  # of fixed length: one step of a vector unit
-                            first[y, _U(tx) + _U(x)] = n1[_U((y - ty) * TILE) + _U(x)]
+                        renumber(n2, order)
+                for y in range(top, bottom):
+                    for x in range(left, end):
+                        j, i, q = _U(y), _U(x), _U((y - ty) * TILE + x - tx)
+                        first[j, i] = n1[q]
                         if borders:
-                            for x in range(TILE):
-                                second[y, _U(tx) + _U(x)] = n2[_U((y - ty) * TILE) + _U(x)]
-                            for x in range(TILE):
-                                inside[y, _U(tx) + _U(x)] = share[_U((y - ty) * TILE) + _U(x)]
-                else:
-                    for y in range(top, bottom):
-                        for x in range(left, end):
-                            q = (y - ty) * TILE + x - tx
-                            first[y, x] = n1[q]
-                            if borders:
-                                second[y, x] = n2[q]
-                                inside[y, x] = share[q]
+                            second[j, i], inside[j, i] = n2[q], inset[q]

@@ -27,7 +27,7 @@ _GRAZING = 0.2  # cosine to the viewer below which a point fades: it is about to
 @dataclass(frozen=True, eq=False)
 class Surface:
     """points, normals (n, 3) WORLD, metres;  importance (n,) log2 of the cell size in metres up to which a point counts
-    extent_m : largest side of the model;  most_m (n,) : size of a cell from which nothing of a point is left"""
+    extent_m : largest side of the model;  max_cell_m (n,) : size of a cell from which nothing of a point is left"""
 
     points: np.ndarray
     normals: np.ndarray
@@ -35,11 +35,11 @@ class Surface:
     extent_m: float
 
     @cached_property
-    def most_m(self) -> np.ndarray:
+    def max_cell_m(self) -> np.ndarray:
         return np.exp2(self.importance + 0.5 * FADE)
 
 
-def surface_of(scene: Scene, seed: int) -> Surface:
+def sample_surface(scene: Scene, seed: int) -> Surface:
     vertices = scene.model_points_m
     faces, start = [], 0
     for part in scene.model.parts:
@@ -71,11 +71,11 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
         inverse = inverse.ravel()
         order = np.lexsort((first, inverse))
         begins = np.flatnonzero(np.r_[True, np.diff(inverse[order]) != 0])
-        many = np.diff(np.r_[begins, len(order)])
-        rank = np.arange(len(order)) - np.repeat(begins, many)
+        count = np.diff(np.r_[begins, len(order)])
+        rank = np.arange(len(order)) - np.repeat(begins, count)
         # of k parts that hold a point, the one of rank r appears where the cell should hold r + 1/2 of them
-        share = np.repeat(np.maximum(many, 2), many)
-        out[first[order]] = finest + level - np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(share)
+        parts = np.repeat(np.maximum(count, 2), count)
+        out[first[order]] = finest + level - np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(parts)
         first = np.sort(first[order[begins]])
     out[first] = np.inf
     return out
@@ -86,14 +86,15 @@ def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell
     four wavelengths of the flow wide, whatever its size in the picture."""
     row, at = camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
     eye = camera_from_world.inverse().translation_m
-    keep, share = _seen(surface.points, surface.normals, surface.importance, surface.most_m, eye, row, at, cell_px / camera.fx)
+    points, size = (surface.points, surface.normals, surface.importance, surface.max_cell_m), cell_px / camera.fx
+    keep, fade = _visible(*points, eye, row, at, size)
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
     grown = np.float64((1.2 * cell_px * STEPS) ** 2)
-    return Sites(*_sites(surface.points, keep, share, pixel, grown, 4 * flow_px / surface.extent_m))
+    return Sites(*_sites(surface.points, keep, fade, pixel, grown, 4 * flow_px / surface.extent_m))
 
 
 @numba.njit(cache=True, nogil=True)
-def _sites(points, keep, share, pixel, grown, scale):  # pragma: no cover - compiled
+def _sites(points, keep, fade, pixel, grown, scale):  # pragma: no cover - compiled
     """As Sites holds them, without those that are not in the picture's plane."""
     n, k = keep.shape[0], 0
     x, y, weight = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
@@ -103,7 +104,7 @@ def _sites(points, keep, share, pixel, grown, scale):  # pragma: no cover - comp
         if not (np.isfinite(px) and np.isfinite(py)):
             continue
         x[k], y[k] = np.rint(min(max(px, -1e5), 1e5) * STEPS), np.rint(min(max(py, -1e5), 1e5) * STEPS)
-        weight[k], key[k] = -np.rint((1 - share[m]) * grown), keep[m]
+        weight[k], key[k] = -np.rint((1 - fade[m]) * grown), keep[m]
         qx, qy, qz = points[keep[m], 0] * scale, points[keep[m], 1] * scale, points[keep[m], 2] * scale
         u[k], v[k] = qx + 0.6 * qz, qy + 0.4 * qz
         k += 1
@@ -111,16 +112,16 @@ def _sites(points, keep, share, pixel, grown, scale):  # pragma: no cover - comp
 
 
 @numba.njit(cache=True, nogil=True)
-def _seen(points, normals, importance, most, eye, row, at, size):  # pragma: no cover - compiled
+def _visible(points, normals, importance, max_cell, eye, row, at, size):  # pragma: no cover - compiled
     """(which points face the camera and count at this density (k,), how far each has appeared (k,), 0..1].
 
-    most : of Surface.most_m;  row . point + at : depth, metres;  size : of a cell at depth 1 m, metres
+    max_cell : of Surface.most_m;  row . point + at : depth, metres;  size : of a cell at depth 1 m, metres
     """
-    which, share = np.empty(points.shape[0], np.int64), np.empty(points.shape[0])
+    which, fade = np.empty(points.shape[0], np.int64), np.empty(points.shape[0])
     k = 0
     for m in range(points.shape[0]):
         depth = points[m, 0] * row[0] + points[m, 1] * row[1] + points[m, 2] * row[2] + at
-        if depth * size >= most[m]:  # has not begun to appear
+        if depth * size >= max_cell[m]:  # has not begun to appear
             continue
         x, y, z = eye[0] - points[m, 0], eye[1] - points[m, 1], eye[2] - points[m, 2]
         facing = x * normals[m, 0] + y * normals[m, 1] + z * normals[m, 2]
@@ -129,6 +130,6 @@ def _seen(points, normals, importance, most, eye, row, at, size):  # pragma: no 
         grown = (importance[m] - np.log2(depth * size)) / FADE + 0.5
         turned = facing / np.sqrt(x * x + y * y + z * z) / _GRAZING  # facing > 0: the distance is not 0
         if grown > 0:
-            which[k], share[k] = m, min(grown, 1.0) * min(turned, 1.0)
+            which[k], fade[k] = m, min(grown, 1.0) * min(turned, 1.0)
             k += 1
-    return which[:k].copy(), share[:k].copy()
+    return which[:k].copy(), fade[:k].copy()

@@ -7,51 +7,26 @@ Cost: O(pixels). Source: docs/methods/watercolor.md#pigment; the pigment itself 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 
 from arfx.core.parallel import parallel_rows
 from arfx.stages.four import put_four
-from arfx.stages.watercolor.labels import SOLID
+from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
-from arfx.stages.watercolor.rows import Cells, Cover, Picture, borders_of, labels_of, row_of
+from arfx.stages.watercolor.rows import Cells, Picture, read_borders, read_channels, read_labels
 
 _FAST = {"contract", "nsz", "arcp", "nnan", "ninf"}
 _U, _F = np.uint64, np.float32
 _FLOW = 4.0  # turbulence lies in -_FLOW .. _FLOW
 
 
-class Paper(NamedTuple):
-    """grain : of `paper_grain`;  x, y : of the first pixel in the frame"""
-
-    grain: np.ndarray
-    x: int
-    y: int
-
-
-class Pen(NamedTuple):
-    """line, strengths : as in `paint`;  rgb (3,) float32 : linear colour of lines"""
-
-    line: np.ndarray
-    strengths: np.ndarray
-    rgb: np.ndarray
-
-
-def paint_cells(cover: Cover, colours: np.ndarray, line: np.ndarray, opacity: float, ink_rgb: np.ndarray) -> np.ndarray:
+def paint_cells(cells: Cells, colours: np.ndarray, line: np.ndarray, opacity: float, ink_rgb: np.ndarray) -> np.ndarray:
     """(h, w, 3) float32 linear: flat cells and lines. colours (n, 3) : linear;  line : as in `paint`"""
-    h, w = cover.back.first.shape
-    out = np.empty((h, w, 3), np.float32)
-    cells = cover.cells
-    four = np.zeros((len(colours), 4), np.float32)
-    four[:, :3] = colours
+    out = np.empty((*cells.first.shape, 3), np.float32)
+    four = np.pad(colours, ((0, 0), (0, 1)))
     ink = np.append(ink_rgb, 0).astype(np.float32)
-
-    def one(ya: int, yb: int) -> None:
-        _paint_cells(cells, four, line, _F(opacity), ink, ya, yb, out)
-
-    parallel_rows(one, h)
+    parallel_rows(lambda ya, yb: _paint_cells(cells, four, line, _F(opacity), ink, ya, yb, out), len(out))
     return out
 
 
@@ -66,27 +41,16 @@ def _paint_cells(cells: Cells, colours, line, opacity, ink, ya, yb, out):  # pra
         to = out[y].reshape(-1)
         labels = first[y]
         if ly <= y < ly + mask.shape[0]:
-            labels_of(cells, y, 0, w, a)
+            read_labels(cells, y, 0, w, a)
             labels = a
-        if lh > 0 and line_row(line, y, row, lines):
-            _draw_row(table, labels, lines, opacity, ink, to)
-        else:
-            _fill_row(table, labels, to)
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_row(table, a, to):  # pragma: no cover - compiled
-    """The fourth number of each pixel is overwritten by the next one's."""
-    last = a.shape[0] - 1
-    for x in range(last):
-        i = _U(4) * _U(a[x])
-        put_four(to, 3 * x, table[i], table[i + _U(1)], table[i + _U(2)], table[i + _U(3)])
-    for c in range(3):
-        to[3 * last + c] = table[4 * a[last] + c]
+        if lh > 0 and not line_row(line, y, row, lines):
+            lines[:] = 0
+        _draw_row(table, labels, lines, opacity, ink, to)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
+    """The fourth number of each pixel is overwritten by the next one's."""
     last, red, green, blue, none = a.shape[0] - 1, ink[0], ink[1], ink[2], ink[3]
     for x in range(last):
         i, s = _U(4) * _U(a[x]), lines[x] * opacity
@@ -98,27 +62,25 @@ def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
 
 
 def paint(
-    picture: Picture, cover: Cover, mean: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray, line: np.ndarray,
+    picture: Picture, cells: Cells, mean: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray, line: np.ndarray,
     strengths: np.ndarray, ink_rgb: np.ndarray, x0: int, y0: int,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 linear: the picture with pigment.
 
-    cover : without borders each pixel has its own cell's colour
+    cells : without borders each pixel has its own cell's colour
     mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
     flow (n,) : their turbulence;  grain : of `paper_grain`
     line (ceil(h / 2), ceil(w / 2)) : strength of lines, 0..1; empty = none
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
     ink_rgb (3,) : linear colour of lines;  x0, y0 : of the first pixel in the frame, to anchor the paper
     """
-    h, w = cover.back.first.shape
-    out = np.empty((h, w, 3), np.float32)
-    tinted, ink = _table(root, flow), ink_rgb.astype(np.float32)
-    cells, paper, pen = cover.cells, Paper(grain, x0, y0), Pen(line, strengths, ink)
-    if not cover.back.second.size:
-        parallel_rows(lambda ya, yb: _paint_plain(cells, tinted, paper, pen, ya, yb, out), h)
+    out = np.empty((*cells.first.shape, 3), np.float32)
+    tinted, paper, lines = _table(root, flow), (grain, x0, y0), (line, strengths, ink_rgb.astype(np.float32))
+    if not cells.second.size:
+        parallel_rows(lambda ya, yb: _paint_plain(cells, tinted, paper, lines, ya, yb, out), len(out))
         return out
-    known = _table(mean, flow)
-    parallel_rows(lambda ya, yb: _paint(picture, cells, known, tinted, paper, pen, ya, yb, out), h)
+    means = _table(mean, flow)
+    parallel_rows(lambda ya, yb: _paint(picture, cells, means, tinted, paper, lines, ya, yb, out), len(out))
     return out
 
 
@@ -134,71 +96,70 @@ def _table(colour, flow):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint(picture: Picture, cells: Cells, known, tinted, paper: Paper, pen: Pen, ya, yb, out):  # pragma: no cover
+def _paint(picture: Picture, cells: Cells, means, tinted, paper, lines, ya, yb, out):  # pragma: no cover - compiled
+    """paper : grain, x, y of the first pixel;  lines : line, strengths, ink, as in `paint`"""
     first, second, inside, mask, ly = cells.first, cells.second, cells.inside, cells.mask, cells.y
-    grain, x0, y0 = paper
-    line, strengths, ink = pen
+    (grain, x0, y0), (line, strengths, ink) = paper, lines
     w = first.shape[1]
     lh, lw = line.shape
     both_a, both_k, both_near = np.empty(w, np.int32), np.empty(w, np.int32), np.empty(w, np.uint8)
     # few arrays: where loops touch many, the compiler gives up proving that they do not overlap
     light = np.zeros((8, w + 1), np.float32)
-    held, row = np.empty((4, w), np.uint64), np.empty(max(lw, 1), np.float32)
+    cell_data, row = np.empty((4, w), np.uint64), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
-        row_of(picture, y, light[0], light[1], light[2])
+        read_channels(picture, y, light[0], light[1], light[2])
         a, k, near = first[y], second[y], inside[y]
         if ly <= y < ly + mask.shape[0]:
-            labels_of(cells, y, 0, w, both_a)
-            borders_of(cells, y, both_k, both_near)
+            read_labels(cells, y, 0, w, both_a)
+            read_borders(cells, y, both_k, both_near)
             a, k, near = both_a, both_k, both_near
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
-            held[0, x], held[1, x], held[2, x], held[3, x] = known[at], known[to], tinted[at], tinted[to]
+            cell_data[0, x], cell_data[1, x], cell_data[2, x], cell_data[3, x] = means[at], means[to], tinted[at], tinted[to]
         _grain_row(grain, y0 + y, x0, light[3, :w])
         if lh > 0 and not line_row(line, y, row, light[4]):
             light[4, :] = 0
-        _mix(held, near, light, strengths, ink)
+        _paint_row(cell_data, near, light, strengths, ink)
         for x in range(w):
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[5, x], light[6, x], light[7, x]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint_plain(cells: Cells, tinted, paper: Paper, pen: Pen, ya, yb, out):  # pragma: no cover
+def _paint_plain(cells: Cells, tinted, paper, lines, ya, yb, out):  # pragma: no cover
     first, mask, ly = cells.first, cells.mask, cells.y
-    grain, x0, y0 = paper
-    line, strengths, ink = pen
+    (grain, x0, y0), (line, strengths, ink) = paper, lines
     w = first.shape[1]
     lh, lw = line.shape
-    both, held = np.empty(w, np.int32), np.empty(w, np.uint64)
+    both, cell_data = np.empty(w, np.int32), np.empty(w, np.uint64)
     light, row = np.zeros((5, w + 1), np.float32), np.empty(max(lw, 1), np.float32)
     for y in range(ya, yb):
         a = first[y]
         if ly <= y < ly + mask.shape[0]:
-            labels_of(cells, y, 0, w, both)
+            read_labels(cells, y, 0, w, both)
             a = both
         for x in range(w):
-            held[x] = tinted[_U(a[x])]
+            cell_data[x] = tinted[_U(a[x])]
         _grain_row(grain, y0 + y, x0, light[0, :w])
         if lh > 0 and not line_row(line, y, row, light[1]):
             light[1, :] = 0
-        _lay(held, light, strengths, ink)
+        _paint_plain_row(cell_data, light, strengths, ink)
         for x in range(w):
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[2, x], light[3, x], light[4, x]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _lay(held, light, strengths, ink):  # pragma: no cover - compiled
-    """One row of plain cells. held (w,), as in _table : colour of a pixel's cell
+def _paint_plain_row(cell_data, light, strengths, ink):  # pragma: no cover - compiled
+    """One row of plain cells. cell_data (w,), as in _table : colour of a pixel's cell
     light (5, w + 1) : height of the paper, line; red, green, blue that come out
     """
     zero, one, unit = _F(0), _F(1), _F(1.0 / 65535)
     step = _F(2 * _FLOW / 65535)
     much_flow, much_grain, opacity, dry = strengths[2], strengths[3], strengths[4], strengths[5]
     ir, ig, ib = ink
-    for x in range(held.shape[0]):
-        c, paper = held[x], light[0, x]
-        d = (_part(c, 48) * step - _F(_FLOW)) * much_flow + much_grain * paper
-        pr, pg, pb = _part(c, 0) * unit, _part(c, 16) * unit, _part(c, 32) * unit
+    for x in range(cell_data.shape[0]):
+        c, paper = cell_data[x], light[0, x]
+        d = (_channel(c, 48) * step - _F(_FLOW)) * much_flow + much_grain * paper
+        pr, pg, pb = _channel(c, 0) * unit, _channel(c, 16) * unit, _channel(c, 32) * unit
         pr, pg, pb = pr * pr, pg * pg, pb * pb
         pr, pg, pb = pr * (one - (one - pr) * d), pg * (one - (one - pg) * d), pb * (one - (one - pb) * d)
         s = min(max(light[1, x] * (one + dry * paper), zero), one) * opacity
@@ -208,13 +169,13 @@ def _lay(held, light, strengths, ink):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _part(v, shift):  # pragma: no cover - compiled
+def _channel(v, shift):  # pragma: no cover - compiled
     return _F(np.int32((v >> _U(shift)) & _U(0xFFFF)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _mix(held, near, light, strengths, ink):  # pragma: no cover - compiled
-    """One row. held (4, w), as in _table : mean of a pixel's cell, of the next one, colour of its cell, of the next
+def _paint_row(cell_data, near, light, strengths, ink):  # pragma: no cover - compiled
+    """One row. cell_data (4, w), as in _table : mean of a pixel's cell, of the next one, colour of its cell, of the next
     light (8, w + 1) : red, green, blue, height of the paper, line; and the three that come out
     """
     zero, one, half, unit = _F(0), _F(1), _F(0.5), _F(1.0 / 65535)
@@ -223,24 +184,24 @@ def _mix(held, near, light, strengths, ink):  # pragma: no cover - compiled
     sharp = unit / contrast
     ir, ig, ib = ink
     for x in range(near.shape[0]):
-        m1, m2, c1, c2 = held[0, x], held[1, x], held[2, x], held[3, x]
+        m1, m2, c1, c2 = cell_data[0, x], cell_data[1, x], cell_data[2, x], cell_data[3, x]
         # 1 on the border, 0 from where a pixel is inside its cell
         t = one - _F(near[x]) * _F(1.0 / SOLID)
         t *= t
-        r1, g1, b1, f1 = _part(c1, 0), _part(c1, 16), _part(c1, 32), _part(c1, 48)
-        dr, dg, db = _part(c2, 0) - r1, _part(c2, 16) - g1, _part(c2, 32) - b1
+        r1, g1, b1, f1 = _channel(c1, 0), _channel(c1, 16), _channel(c1, 32), _channel(c1, 48)
+        dr, dg, db = _channel(c2, 0) - r1, _channel(c2, 16) - g1, _channel(c2, 32) - b1
         apart = min((abs(dr) + abs(dg) + abs(db)) * sharp, one)
         apart *= apart
         # of the two colours a pixel takes the one that is like it: where it lies between the means of the cells
-        mr, mg, mb = _part(m1, 0), _part(m1, 16), _part(m1, 32)
-        er, eg, eb = _part(m2, 0) - mr, _part(m2, 16) - mg, _part(m2, 32) - mb
+        mr, mg, mb = _channel(m1, 0), _channel(m1, 16), _channel(m1, 32)
+        er, eg, eb = _channel(m2, 0) - mr, _channel(m2, 16) - mg, _channel(m2, 32) - mb
         along = (light[0, x] * _F(65535) - mr) * er + (light[1, x] * _F(65535) - mg) * eg + (light[2, x] * _F(65535) - mb) * eb
         like = along / (er * er + eg * eg + eb * eb + one)
         # a camera's edge, some 2 px wide, comes out 1 px wide: any steeper, and it would go from pixel to pixel in leaps
         like = min(max((like - half) * _F(2) + half * t, zero), one)
         # alike cells run into each other, unlike ones keep their border, darker towards it
         mix = half * t * (one - apart) + apart * min(_F(3) * t, one) * like
-        d = ((f1 + half * t * (_part(c2, 48) - f1)) * step - _F(_FLOW)) * much_flow
+        d = ((f1 + half * t * (_channel(c2, 48) - f1)) * step - _F(_FLOW)) * much_flow
         # the peak of t on the border as a whole pixel sees it
         d += dark * apart * t * (one - _F(0.3) * t * t) + much_grain * light[3, x]
         pr, pg, pb = (r1 + mix * dr) * unit, (g1 + mix * dg) * unit, (b1 + mix * db) * unit

@@ -9,8 +9,6 @@ import numpy as np
 from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.errors import ConfigError, require_within
 
-# (name, least, most) of every number
-
 
 @dataclass(frozen=True)
 class WatercolorParams:

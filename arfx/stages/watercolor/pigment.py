@@ -19,12 +19,6 @@ WOBBLE_PX = 256  # of the borders'
 _FAST = {"contract", "nsz", "arcp"}
 
 
-def density(colour: np.ndarray, d: np.ndarray | float) -> np.ndarray:
-    """Linear colour 0..1 under pigment of density d; 1 leaves it, more darkens, white stays white."""
-    out: np.ndarray = colour * (1 - (1 - colour) * (np.asarray(d) - 1))
-    return out
-
-
 def smooth_noise(side: int, wavelength_px: float, rng: np.random.Generator) -> np.ndarray:
     """(side, side) float64 band of noise that repeats without a seam, variance 1; made in the frequency domain."""
     spectrum = np.fft.rfft2(rng.standard_normal((side, side)))
@@ -59,7 +53,7 @@ def _wobble_spectra(seed: int, wavelength_px: float) -> np.ndarray:
     return np.stack([np.fft.rfft2(smooth_noise(WOBBLE_PX, wavelength_px, rng)) for _ in range(2)])
 
 
-def laid_out(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> np.ndarray:
+def repeat_tile(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> np.ndarray:
     """(..., height, width) of a repeated tile (..., n, n), from (x0, y0) of it on."""
     side = tile.shape[-1]
     start = x0 % side
@@ -68,7 +62,7 @@ def laid_out(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> np.
 
 
 def turbulence(u: np.ndarray, v: np.ndarray, seed: int, wavelength_px: float) -> np.ndarray:
-    """(n,) float32 slow noise at places (u, v), px, about -1..1: three octaves from `wavelength_px` down."""
+    """(n,) float32 slow noise at positions (u, v), px, about -1..1: three octaves from `wavelength_px` down."""
     return np.asarray(_turbulence(u, v, np.uint32(seed & 0xFFFFFFFF), np.float32(1 / wavelength_px)))
 
 

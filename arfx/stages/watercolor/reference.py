@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from arfx.core.rect import Rect
-from arfx.stages.watercolor.labels import SOLID, Labels, unlabelled
+from arfx.stages.watercolor.label_kernels import SOLID
+from arfx.stages.watercolor.labels import Labels, unlabelled
 from arfx.stages.watercolor.sites import STEPS, Sites
 
 _BRUTE = 1 << 28  # sites x pixels up to which every pair is looked at
@@ -18,7 +19,7 @@ _AT_ONCE = 1 << 22  # distances in memory at a time
 def nearest_labels(
     x_px: np.ndarray, y_px: np.ndarray, weight_px2: np.ndarray, px: np.ndarray, py: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(first, second) (n,) int32: of the sites (k,), the nearest to the places (n,) and the next, by |p - s|^2 - weight.
+    """(first, second) (n,) int32: of the sites (k,), the nearest to the positions (n,) and the next, by |p - s|^2 - weight.
 
     Of equal distances the lower number wins.
     """
@@ -53,9 +54,9 @@ def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None,
         first, second = _by_tree(x, y, weight, px, py)
     if blend_px > 0:
         d1, d2 = (np.sqrt((px - x[k]) ** 2 + (py - y[k]) ** 2 - weight[k]) for k in (first, second))
-        share = (d2 - d1) * (SOLID / (2 * blend_px * STEPS))
-        near = (share < SOLID) & (second != first)
-        solid = np.where(near, share, SOLID).astype(np.uint8)
+        inset = (d2 - d1) * (SOLID / (2 * blend_px * STEPS))
+        near = (inset < SOLID) & (second != first)
+        solid = np.where(near, inset, SOLID).astype(np.uint8)
         second = np.where(solid < SOLID, second, first)
     else:
         return Labels(first.reshape(h, w), np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), len(sites))

@@ -5,7 +5,6 @@ no pass needs a copy of the picture. Kernels only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numba
@@ -20,7 +19,7 @@ _NO_MASK = np.zeros((0, 0), bool)
 
 
 class Picture(NamedTuple):
-    """image (h, w, 3) linear;  patch (bh, bw, 3) : stands in its place from pixel (y, x) on, may be empty"""
+    """image (h, w, 3) linear;  patch (bh, bw, 3) : replaces it from pixel (y, x) on, may be empty"""
 
     image: np.ndarray
     patch: np.ndarray = _NO_IMAGE
@@ -36,8 +35,8 @@ class Picture(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """A `Cover` as the kernels take it. first, second, inside : as of `Labels`, of the background, and own_… of the object, which
-    stands where mask says so from pixel (y, x) on;  start : number of the object's first cell"""
+    """Labels of the whole picture, first, second, inside as of `Labels`, and own_… of the object, which stands where mask
+    (bh, bw) says so from pixel (y, x) on;  start : number of the object's first cell;  cell_count : of all"""
 
     first: np.ndarray
     second: np.ndarray
@@ -47,41 +46,15 @@ class Cells(NamedTuple):
     own_inside: np.ndarray
     mask: np.ndarray
     start: int
+    cell_count: int
     y: int
     x: int
 
 
-@dataclass(frozen=True, eq=False)
-class Cover:
-    """Labels of the whole picture, and those of the object from pixel (y, x) on where mask (bh, bw) says so. The object's cells
-    are numbered on from the background's."""
-
-    back: Labels
-    own: Labels | None = None
-    mask: np.ndarray = field(default_factory=lambda: _NO_MASK)
-    y: int = 0
-    x: int = 0
-
-    @property
-    def count(self) -> int:
-        return self.back.count + (self.own.count if self.own is not None else 0)
-
-    @property
-    def cells(self) -> Cells:
-        own = self.back if self.own is None else self.own
-        return Cells(
-            self.back.first, self.back.second, self.back.inside, own.first, own.second, own.inside, self.mask, self.back.count,
-            self.y, self.x,
-        )  # fmt: skip
-
-    def first(self) -> np.ndarray:
-        """(h, w) int32 all labels."""
-        out = self.back.first
-        if self.own is not None:
-            out = out.copy()
-            part = out[self.y : self.y + self.mask.shape[0], self.x : self.x + self.mask.shape[1]]
-            part[self.mask] = self.own.first[self.mask] + self.back.count
-        return out
+def combine_labels(back: Labels, own: Labels | None = None, mask: np.ndarray = _NO_MASK, y: int = 0, x: int = 0) -> Cells:
+    """The object's cells are numbered on from the background's."""
+    of, count = own or back, back.count + (own.count if own else 0)
+    return Cells(back.first, back.second, back.inside, of.first, of.second, of.inside, mask, back.count, count, y, x)
 
 
 def offset(box: Rect, rect: Rect) -> tuple[int, int]:
@@ -89,7 +62,7 @@ def offset(box: Rect, rect: Rect) -> tuple[int, int]:
 
 
 @numba.njit(cache=True, nogil=True)
-def row_of(picture: Picture, y, r, g, b):  # pragma: no cover - compiled
+def read_channels(picture: Picture, y, r, g, b):  # pragma: no cover - compiled
     """r, g, b (w,) float32 : row y of the picture."""
     image, patch, py, px = picture
     line = image[y].reshape(-1)  # that a pixel has three numbers is known to the compiler in this form only
@@ -103,7 +76,7 @@ def row_of(picture: Picture, y, r, g, b):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def span_of(px, pw, lx, lw):  # pragma: no cover - compiled
+def union_span(px, pw, lx, lw):  # pragma: no cover - compiled
     """(left, right): the columns of the patch and of the mask, either of which may be empty."""
     if pw == 0 or lw == 0:
         return (px, px + pw) if lw == 0 else (lx, lx + lw)
@@ -111,7 +84,7 @@ def span_of(px, pw, lx, lw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def labels_of(cells: Cells, y, left, right, a):  # pragma: no cover - compiled
+def read_labels(cells: Cells, y, left, right, a):  # pragma: no cover - compiled
     """a (w,) int32 : in columns left ... right - 1 row y of the labels."""
     first, own_first, mask, start, ly, lx = cells.first, cells.own_first, cells.mask, cells.start, cells.y, cells.x
     for x in range(left, right):
@@ -123,9 +96,9 @@ def labels_of(cells: Cells, y, left, right, a):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def borders_of(cells: Cells, y, k, near):  # pragma: no cover - compiled
+def read_borders(cells: Cells, y, k, near):  # pragma: no cover - compiled
     """k (w,) int32, near (w,) uint8 : row y of the next cells and of how far inside a pixel is."""
-    _, second, inside, _, own_second, own_inside, mask, start, ly, lx = cells
+    _, second, inside, _, own_second, own_inside, mask, start, _, ly, lx = cells
     for x in range(second.shape[1]):
         k[x] = second[y, x]
     for x in range(second.shape[1]):
@@ -139,7 +112,7 @@ def borders_of(cells: Cells, y, k, near):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def line_of(picture: Picture, y, left, right, line):  # pragma: no cover - compiled
+def read_pixels(picture: Picture, y, left, right, line):  # pragma: no cover - compiled
     """line (3 w,) float32 : in columns left ... right - 1 row y of the picture."""
     image, patch, py, px = picture
     source = image[y].reshape(-1)

@@ -10,7 +10,7 @@ Source: jittered sampling, docs/methods/watercolor.md#sites; nesting and fading 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numba
 import numpy as np
@@ -30,7 +30,7 @@ _HIGHEST = 24  # a site of this level is everywhere
 class Sites:
     """x, y (n,) float32 in 1/STEPS px of the frame, integers;  weight (n,) float32 <= 0, in 1/STEPS^2 px^2, integers
     key (n,) int64 : which site it is, the same in every frame
-    u, v (n,) float32 : place in the coordinates of the thing painted, px
+    u, v (n,) float32 : position in the coordinates of the thing painted, px
     """
 
     x: np.ndarray
@@ -45,10 +45,10 @@ class Sites:
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class SiteField:
     """What lies where. nodes every GRID_PX px from (x0, y0) of the frame.
 
-    u, v (gh, gw) float64 : the node's place in the coordinates of the thing painted, px of its first picture
+    u, v (gh, gw) float64 : the node's position in the coordinates of the thing painted, px of its first picture
     size (gh, gw) float64 : wanted size of a cell, px of the frame, > 0
     """
 
@@ -59,17 +59,18 @@ class Field:
     size: np.ndarray
 
 
-def still_field(width: int, height: int, size_px: float, pad_px: int) -> Field:
+@lru_cache(maxsize=4)
+def still_field(width: int, height: int, size_px: float, pad_px: int) -> SiteField:
     """A picture in which nothing moves, with `pad_px` around it."""
     before = -(-pad_px // GRID_PX)
     across, down = (before + -(-(n + pad_px) // GRID_PX) + 1 for n in (width, height))
     x = (np.arange(across) - before) * float(GRID_PX)
     y = (np.arange(down) - before) * float(GRID_PX)
     u, v = np.meshgrid(x, y)
-    return Field(-before * GRID_PX, -before * GRID_PX, u, v, np.full(u.shape, float(size_px)))
+    return SiteField(-before * GRID_PX, -before * GRID_PX, u, v, np.full(u.shape, float(size_px)))
 
 
-def sites_of(field: Field, seed: int, limit: int, unit_px: float = 8.0) -> Sites:
+def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) -> Sites:
     """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a level at a time.
 
     unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest
@@ -112,7 +113,7 @@ def _importance(seed, level, i, j):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _placed(seed, level, count, bi, bj):  # pragma: no cover - compiled
+def _refine(seed, level, count, bi, bj):  # pragma: no cover - compiled
     """(i, j) of `count` cells become their chosen quarter, that one's, and so on to 1/512 of a unit. Returns the size there."""
     while level > -_FINE:
         for m in range(count):
@@ -158,8 +159,8 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
     e1u, e1v, e2u, e2v = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
     det, scale, per = np.empty(2), np.zeros(2), np.zeros(2)
-    places = np.empty((4, 64), np.int64)
-    oi, oj, bi, bj = places[0], places[1], places[2], places[3]
+    scratch = np.empty((4, 64), np.int64)
+    oi, oj, bi, bj = scratch[0], scratch[1], scratch[2], scratch[3]
     importance, key = np.empty(64, np.float64), np.empty(64, np.uint64)
     n = 0
     for gy in range(row, end):
@@ -187,15 +188,15 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
             i0, i1 = np.int64(np.floor(lo_u / cell)), np.int64(np.floor(hi_u / cell))
             j0, j1 = np.int64(np.floor(lo_v / cell)), np.int64(np.floor(hi_v / cell))
             if 4 * ((i1 - i0) // 2 + 2) > oi.shape[0]:
-                room = 8 * ((i1 - i0) // 2 + 2)
-                places = np.empty((4, room), np.int64)
-                oi, oj, bi, bj = places[0], places[1], places[2], places[3]
-                importance, key = np.empty(room, np.float64), np.empty(room, np.uint64)
+                capacity = 8 * ((i1 - i0) // 2 + 2)
+                scratch = np.empty((4, capacity), np.int64)
+                oi, oj, bi, bj = scratch[0], scratch[1], scratch[2], scratch[3]
+                importance, key = np.empty(capacity, np.float64), np.empty(capacity, np.uint64)
             for pj in range(j0 >> 1, (j1 >> 1) + 1):
                 count = _candidates(seed, level, pj, (i0, i1, j0, j1), least - 0.5 * FADE, oi, oj, importance, key)
                 for m in range(count):
                     bi[m], bj[m] = oi[m], oj[m]
-                fine = _placed(seed, level, count, bi, bj)
+                fine = _refine(seed, level, count, bi, bj)
                 for m in range(count):
                     pu, pv = (bi[m] + 0.5) * fine, (bj[m] + 0.5) * fine
                     for half in range(2):
@@ -208,14 +209,14 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                         la = wanted[gy + half, gx + half]
                         lb, lc = wanted[gy + half, gx + 1 - half], wanted[gy + 1 - half, gx + half]
                         size = la + s * (lb - la) + t * (lc - la)
-                        share = (importance[m] - size - scale[half]) / FADE + 0.5
-                        if share <= 0:
+                        fade = (importance[m] - size - scale[half]) / FADE + 0.5
+                        if fade <= 0:
                             continue
                         if n == limit:
                             return sx, sy, sw, sk, su, sv
                         sx[n] = np.rint((x0 + GRID_PX * (gx + (half + (1 - 2 * half) * s))) * STEPS)
                         sy[n] = np.rint((y0 + GRID_PX * (gy + (half + (1 - 2 * half) * t))) * STEPS)
-                        sw[n] = 0.0 if share >= 1 else -np.rint((1 - share) * (1.2 * 2.0**size * STEPS) ** 2)
+                        sw[n] = 0.0 if fade >= 1 else -np.rint((1 - fade) * (1.2 * 2.0**size * STEPS) ** 2)
                         bits = key[m] if key[m] else _mixed(seed, level, oi[m], oj[m])
                         sk[n] = np.int64(bits & np.uint64(0x7FFFFFFFFFFFFFFF))
                         su[n], sv[n] = pu * unit, pv * unit

@@ -8,7 +8,6 @@ Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of the 
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numba
@@ -17,7 +16,7 @@ import numpy as np
 from arfx.core.light import Light
 from arfx.core.parallel import parallel_rows
 
-EVEN = 0.8  # share of the ambient light that is the same in all tones
+EVEN = 0.8  # fraction of the ambient light that is the same in all tones
 RAMP = 0.06  # of n . l over which a step is spread
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -27,11 +26,6 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     up : (3,) stands in for the direction where no light has one.
     """
-    return _toon_light(light, tuple(up.tolist()))
-
-
-@lru_cache(maxsize=4)
-def _toon_light(light: Light, up: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     best, most = None, 0.0
     for li in light.lights:
         strength = float(np.sum(li.rgb))
@@ -41,12 +35,12 @@ def _toon_light(light: Light, up: tuple[float, ...]) -> tuple[np.ndarray, np.nda
         soft = np.asarray(light.soft, float).reshape(-1, 3)
         slope = soft[[3, 1, 2]].sum(1) if len(soft) == 9 else np.zeros(3)  # harmonics x, y, z
         length = float(np.linalg.norm(slope))
-        best = slope / length if length > 1e-6 else np.asarray(up, float)
+        best = slope / length if length > 1e-6 else up
     return best, np.clip(light.radiance(best), 0, None)
 
 
-class _Object(NamedTuple):
-    """Layers of the object."""
+class ObjectLayers(NamedTuple):
+    """What toon shading reads of the object, by the names of the layers."""
 
     virtual: np.ndarray
     coverage: np.ndarray
@@ -69,9 +63,8 @@ class _Tones(NamedTuple):
 
 
 def toon(
-    image: np.ndarray, virtual: np.ndarray, coverage: np.ndarray, normal: np.ndarray, albedo: np.ndarray, emissive: np.ndarray,
-    direction: np.ndarray, radiance: np.ndarray, even: np.ndarray, thresholds: tuple[float, float],
-    factors: tuple[float, float, float],     opacity: float, ramp: float,
+    image: np.ndarray, layers: ObjectLayers, direction: np.ndarray, radiance: np.ndarray, even: np.ndarray,
+    thresholds: tuple[float, float], factors: tuple[float, float, float], opacity: float, ramp: float,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
@@ -84,13 +77,12 @@ def toon(
         direction.astype(f32), (radiance - even).astype(f32), even.astype(f32), np.array(thresholds, f32),
         np.array(factors, f32), f32(opacity), f32(ramp),
     )  # fmt: skip
-    layers = _Object(virtual, coverage, normal, albedo, emissive)
     parallel_rows(lambda a, b: _toon(layers, tones, a, b, out), len(out))
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _toon(layers: _Object, tones: _Tones, ya, yb, out):  # pragma: no cover - compiled
+def _toon(layers: ObjectLayers, tones: _Tones, ya, yb, out):  # pragma: no cover - compiled
     virtual, coverage, normal, albedo, emissive = layers
     light, direct, even, at, factors, opacity, ramp = tones
     zero, one = np.float32(0), np.float32(1)

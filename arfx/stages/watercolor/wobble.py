@@ -2,7 +2,7 @@
 
 A tile of smooth noise repeats over the picture and is moved as a whole: with the background by its median motion, on the object
 with its origin. Whole pixels would not do: the noise is so steep that borders would tremble by a ninth of a pixel (rms).
-The tile is made at each of 4 x 4 places between pixels when it is first asked for. Cost: some 5 ms each, once; 11 MB together.
+The tile is made at each of 4 x 4 positions between pixels when it is first asked for. Cost: some 5 ms each, once; 11 MB together.
 Leaves out: how the picture turns or grows; the noise does neither.
 """
 
@@ -15,9 +15,9 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.memo import Memo
 from arfx.core.pose import Pose
-from arfx.stages.watercolor.labels import STILL, Wobble, wobble_of
+from arfx.stages.watercolor.labels import STILL, Wobble, make_wobble
 from arfx.stages.watercolor.pigment import wobble_tile
-from arfx.stages.watercolor.sites import GRID_PX, Field
+from arfx.stages.watercolor.sites import GRID_PX, SiteField
 
 PARTS = 4  # of a pixel
 _FAR_PX = 1e6
@@ -25,28 +25,28 @@ _FAR_PX = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Wobbles:
-    """reach_px : how far a border strays, 0 = not at all"""
+    """amplitude_px : how far a border strays, 0 = not at all"""
 
     seed: int
-    reach_px: float
-    _made: Memo = field(default_factory=Memo)
+    amplitude_px: float
+    _memo: Memo = field(default_factory=Memo)
 
     def at(self, x_px: float, y_px: float) -> Wobble:
         """Moved so that pixel (0, 0) of the frame has what lies at (x_px, y_px)."""
-        if not self.reach_px > 0:
+        if not self.amplitude_px > 0:
             return STILL
         x, y = round(x_px * PARTS), round(y_px * PARTS)
         between = (x % PARTS) / PARTS, (y % PARTS) / PARTS
-        wavelength = 4 * self.reach_px + 6
-        make = lambda: wobble_of(wobble_tile(self.seed, self.reach_px, wavelength, between))  # noqa: E731
-        made: Wobble = self._made.get(between, make, most=PARTS * PARTS)
+        wavelength = 4 * self.amplitude_px + 6
+        make = lambda: make_wobble(wobble_tile(self.seed, self.amplitude_px, wavelength, between))  # noqa: E731
+        made: Wobble = self._memo.get(between, make, most=PARTS * PARTS)
         return made.at(x // PARTS, y // PARTS)
 
-    def of_field(self, where: Field) -> Wobble:
+    def of_field(self, where: SiteField) -> Wobble:
         """Moved with what is painted."""
         gh, gw = where.u.shape
         x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
-        return self.at(_middle(where.u - x), _middle(where.v - y))
+        return self.at(float(np.median(where.u - x)), float(np.median(where.v - y)))
 
     def of_object(self, camera: Camera, camera_from_world: Pose, origin_m: np.ndarray) -> Wobble:
         """Moved with the object. origin_m (3,) WORLD"""
@@ -54,10 +54,3 @@ class Wobbles:
         if not (abs(x) < _FAR_PX and abs(y) < _FAR_PX):  # not in front of the camera
             return self.at(0, 0)
         return self.at(-x, -y)
-
-
-def _middle(a: np.ndarray) -> float:
-    """Median."""
-    low, high = (a.size - 1) // 2, a.size // 2
-    ordered = np.partition(a, (low, high), axis=None)
-    return 0.5 * float(ordered[low] + ordered[high])

@@ -11,7 +11,7 @@ from arfx.core.layers import Layer
 from arfx.core.lens import Lens, circle_of_confusion_mm
 from arfx.errors import ConfigError, InputError
 from arfx.papers.s2_dof import PrintedDof, PrintedDofParams, blur_factor, eq8_bleed, hyperfocal, printed_limits
-from arfx.stages.dof.optics import circles
+from arfx.stages.dof.optics import circle_of_confusion
 from tests.scenes import facts, scene
 from tests.unit.stages.dof_scenes import blurred, shot
 
@@ -69,7 +69,7 @@ def test_bleed_as_printed() -> None:
 def test_blend_factor_as_printed() -> None:
     s = scene()
     params = PrintedDofParams(focal_mm=200.0, fnumber=11.0, focus="2500mm", coc_mm=0.035)
-    at = circles(params, facts(s), s)
+    at = circle_of_confusion(params, facts(s), s)
     a = blur_factor(np.array([1 / 2.5, 1 / 2.52, 1 / 5.0, 1 / 100.0]), (1 / 100.0, 1 / 2.0), at, params.coc_mm)
     circle = circle_of_confusion_mm(np.array([2500.0, 2520.0, 5000.0, 1e5]), Lens(200.0, 11.0, 2500.0))
     assert circle[1] < 0.035 < circle[2]

@@ -15,8 +15,8 @@ from arfx.core.scene import Scene
 from arfx.errors import ConfigError
 from arfx.stages.dof import Dof
 from arfx.stages.dof.aperture import shape
-from arfx.stages.dof.optics import circles, focus_dioptre
-from arfx.stages.dof.params import DofParams, between, fnumber_keys, focus_keys
+from arfx.stages.dof.optics import circle_of_confusion, focus_dioptre
+from arfx.stages.dof.params import DofParams, fnumber_keys, focus_keys, interpolate
 from arfx.stages.dof.surfaces import direction_grid, plane_of, plane_radius, real_scene, square_radius
 from tests.scenes import facts, look_at, scene
 from tests.unit.stages.dof_scenes import Shot, blurred, shot
@@ -52,7 +52,7 @@ def test_key_frames() -> None:
     assert focus_keys("object@0s, 36h11:3@1.5s, 2m@3s, inf@4s") == [(0, "object"), (1.5, "id:36h11:3"), (3, 2.0), (4, np.inf)]
     assert focus_keys(3) == [(0.0, "id:3")]
     assert fnumber_keys("f/2.8@1s, 11@3s") == [(1.0, 2.8), (3.0, 11.0)]
-    assert [between([(1.0, 2.0), (3.0, 6.0)], t) for t in (0.0, 1.0, 2.0, 3.0, 9.0)] == [2.0, 2.0, 4.0, 6.0, 6.0]
+    assert [interpolate([(1.0, 2.0), (3.0, 6.0)], t) for t in (0.0, 1.0, 2.0, 3.0, 9.0)] == [2.0, 2.0, 4.0, 6.0, 6.0]
 
 
 def test_focus_follows_what_it_is_set_to() -> None:
@@ -80,15 +80,15 @@ def test_circles_are_those_of_the_lens() -> None:
     params = DofParams(focal_mm=50.0, fnumber="2@0s, 8@2s", sensor_width_mm=24.0, focus="80cm", max_radius_px=1500)
     distance = np.array([0.3, 0.79, 0.8, 2.0, 1e3, np.inf])
     for time, fnumber in ((0.0, 2.0), (1.0, 4.0), (2.0, 8.0)):
-        at = circles(params, f.with_(time_s=time), s)
+        at = circle_of_confusion(params, f.with_(time_s=time), s)
         mm = circle_of_confusion_mm(1e3 * distance, Lens(50.0, fnumber, 800.0))
         np.testing.assert_allclose(2 * at.radius_px(1 / distance), mm * s.camera.width / 24.0, rtol=1e-9, atol=1e-9)
-    own = circles(DofParams(focus="80cm", max_radius_px=1500), f, s)
+    own = circle_of_confusion(DofParams(focus="80cm", max_radius_px=1500), f, s)
     focal = s.camera.fx * 36 / s.camera.width
     assert own.px_per_dioptre == pytest.approx(
-        circles(DofParams(focal_mm=focal, focus="80cm", max_radius_px=1500), f, s).px_per_dioptre
+        circle_of_confusion(DofParams(focal_mm=focal, focus="80cm", max_radius_px=1500), f, s).px_per_dioptre
     )
-    px = circles(DofParams(aperture_px=30.0, focus="80cm"), f, s)
+    px = circle_of_confusion(DofParams(aperture_px=30.0, focus="80cm"), f, s)
     assert 2 * px.radius_px(0.0) == pytest.approx(30.0)
 
 
@@ -97,7 +97,7 @@ def test_the_real_plane_has_the_depth_of_its_points() -> None:
     pose = look_at()
     grid = direction_grid(s.camera)
     real = real_scene(s, pose, 0.0, 0.0)
-    assert real.base is not None and not real.cut_outs
+    assert real.base is not None and not real.finite_planes
     points = np.array([[0.05, 0.02, 0], [-0.1, 0.08, 0], [0.11, -0.09, 0.0]])
     z = pose.apply(points)[:, 2]
     radius = np.empty((s.camera.height, s.camera.width), np.float32)
@@ -117,7 +117,7 @@ def test_a_plane_of_limited_size_ends_where_it_is_said_to() -> None:
     plane = plane_of(pose @ s.world_from_anchor, 0.1)
     radius, inside = (np.empty((s.camera.height, s.camera.width), np.float32) for _ in range(2))
     f32 = np.float32
-    square_radius(radius, inside, 0, 0, plane.places(direction_grid(s.camera)), f32(0.1), (f32(1), f32(0), f32(np.inf)))
+    square_radius(radius, inside, 0, 0, plane.positions(direction_grid(s.camera)), f32(0.1), (f32(1), f32(0), f32(np.inf)))
     for x, shown in ((0.095, 1.0), (-0.095, 1.0), (0.107, 0.0), (-0.107, 0.0)):
         for point in ([x, 0, 0], [0, x, 0]):
             u, v = np.rint(s.camera.project(pose.apply(np.array(point, float)))).astype(int)
@@ -134,8 +134,8 @@ def test_a_marker_that_stands_up_is_a_surface_of_its_own() -> None:
     where = {**s.world_from_marker, wall.key: stands, beside.key: flat}
     more = Scene(s.camera, s.model, s.world_from_model, (*s.markers, wall, beside), where)
     real = real_scene(more, look_at(), 0.0, 0.0)
-    assert len(real.cut_outs) == 1 and real.cut_outs[0].half_m == pytest.approx(0.05)
-    assert len(real_scene(more, look_at(), 0.5, 0.0).cut_outs) == 2
+    assert len(real.finite_planes) == 1 and real.finite_planes[0].half_m == pytest.approx(0.05)
+    assert len(real_scene(more, look_at(), 0.5, 0.0).finite_planes) == 2
 
 
 def test_a_plane_seen_edge_on_is_nowhere() -> None:
@@ -148,13 +148,13 @@ def test_shapes_have_the_area_of_the_disc(blades: int) -> None:
     s = shape(16, blades, 20.0)
     for radius in (0.5, 0.9, 2.0, 5.3, 16.0):
         q = round(radius * 16)
-        rows = 2 * s.reach[q] + 1
-        ends, shares = s.ends[q, :rows], s.shares[q, :rows]
-        length = shares[:, 1] + shares[:, 2] + (ends[:, 1] - ends[:, 0] - 1)
-        area = float((length * shares[:, 0]).sum())
+        rows = 2 * s.half_rows[q] + 1
+        ends, fractions = s.ends[q, :rows], s.fractions[q, :rows]
+        length = fractions[:, 1] + fractions[:, 2] + (ends[:, 1] - ends[:, 0] - 1)
+        area = float((length * fractions[:, 0]).sum())
         assert area == pytest.approx(max(np.pi * radius**2, 1.0), rel=0.06 if radius > 1 else 0.4)
         assert area * s.unit[q] == pytest.approx(1.0, abs=0.005)
-        assert (ends[:, 1] > ends[:, 0]).all() and (shares * 8 == np.round(shares * 8)).all()
+        assert (ends[:, 1] > ends[:, 0]).all() and (fractions * 8 == np.round(fractions * 8)).all()
 
 
 def test_the_footages_lens_is_used_where_it_is_known() -> None:

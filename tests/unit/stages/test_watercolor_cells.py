@@ -7,12 +7,13 @@ import pytest
 
 from arfx.core.rect import Rect
 from arfx.papers.s3_watercolor import eq1_sites
-from arfx.stages.watercolor.cells import means, neighbours, washed
+from arfx.stages.watercolor.cells import means, neighbours, smooth_washes
 from arfx.stages.watercolor.field import detail_factor
-from arfx.stages.watercolor.labels import SOLID, STILL, Wobble, in_order, label, wobble_of
-from arfx.stages.watercolor.pigment import laid_out
+from arfx.stages.watercolor.label_kernels import SOLID
+from arfx.stages.watercolor.labels import STILL, Wobble, label, make_wobble, sort_sites
+from arfx.stages.watercolor.pigment import repeat_tile
 from arfx.stages.watercolor.reference import nearest_labels, reference_labels
-from arfx.stages.watercolor.sites import STEPS, Field, Sites, sites_of, still_field
+from arfx.stages.watercolor.sites import STEPS, SiteField, Sites, make_sites, still_field
 
 FRAME = Rect.of(200, 150)
 
@@ -27,11 +28,11 @@ def brute(sites: Sites, rect: Rect, wobble: np.ndarray | None) -> tuple[np.ndarr
 
 
 def random_wobble(g: np.random.Generator, reach: int) -> Wobble:
-    return wobble_of(g.integers(-reach, reach + 1, (2, 64, 64)).astype(float)).at(*(int(v) for v in g.integers(-99, 99, 2)))
+    return make_wobble(g.integers(-reach, reach + 1, (2, 64, 64)).astype(float)).at(*(int(v) for v in g.integers(-99, 99, 2)))
 
 
 def displacement(wobble: Wobble, rect: Rect) -> np.ndarray:
-    return laid_out(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height).astype(np.float32)
+    return repeat_tile(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height).astype(np.float32)
 
 
 def random_sites(case: int) -> tuple[Sites, Rect, Wobble, float]:
@@ -62,9 +63,9 @@ def test_labels_are_those_of_brute_force(case: int) -> None:
         assert np.array_equal(found.second[~near], first[~near])
 
 
-def detailed(f: Field, g: np.random.Generator) -> Field:
+def detailed(f: SiteField, g: np.random.Generator) -> SiteField:
     """With cells by detail, from none to all of it from one node to the next."""
-    return Field(f.x0, f.y0, f.u, f.v, f.size * detail_factor(g.integers(0, 256, f.size.shape), 1.0))
+    return SiteField(f.x0, f.y0, f.u, f.v, f.size * detail_factor(g.integers(0, 256, f.size.shape), 1.0))
 
 
 @pytest.mark.parametrize("case", range(20))
@@ -76,8 +77,8 @@ def test_labels_of_cells_by_detail_are_those_of_brute_force(case: int) -> None:
     angle, zoom = g.uniform(0, 6.3), 2 ** g.uniform(-2, 2)
     c, s = np.cos(angle) / zoom, np.sin(angle) / zoom
     rect, wobble = Rect.of(w, h), random_wobble(g, 12) if case % 2 else STILL
-    made = sites_of(Field(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), case, 10**5, 7.0)
-    sites, blend = in_order(made, rect, wobble), (0.0, 1.5)[case // 2 % 2]
+    made = make_sites(SiteField(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), case, 10**5, 7.0)
+    sites, blend = sort_sites(made, rect, wobble), (0.0, 1.5)[case // 2 % 2]
     found = label(sites, rect, wobble, blend)
     first, second = brute(sites, rect, displacement(wobble, rect))
     assert len(np.unique(sites.weight)) > 1 and np.array_equal(found.first, first)
@@ -93,9 +94,9 @@ def test_cells_wider_than_float32_tells_apart() -> None:
 
 def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("arfx.stages.watercolor.reference._BRUTE", 0)
-    sites = sites_of(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
+    sites = make_sites(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
     wobble = random_wobble(np.random.default_rng(0), 9)
-    sites = in_order(sites, FRAME, wobble)
+    sites = sort_sites(sites, FRAME, wobble)
     a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, displacement(wobble, FRAME), 2.0)
     assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
     assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
@@ -125,7 +126,7 @@ def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None
 
 def test_a_cell_has_the_exact_mean_of_its_pixels() -> None:
     image = np.random.default_rng(0).random((150, 200, 3), np.float32)
-    found = label(sites_of(still_field(200, 150, 7, 0), 1, 10**5), FRAME)
+    found = label(make_sites(still_field(200, 150, 7, 0), 1, 10**5), FRAME)
     cells = [image[found.first == k] for k in range(found.count)]
     every = [cell.mean(0, dtype=float) if len(cell) else np.zeros(3) for cell in cells]
     np.testing.assert_allclose(means(image, found.first, found.count), every, atol=1e-7)
@@ -137,7 +138,7 @@ def test_density_stays_within_a_factor_of_two_under_zoom(factor: float, roll_deg
     """The thing painted is magnified by `factor` and rolled: as many cells as before, everywhere."""
     f = still_field(320, 240, 8, 64)
     c, s = np.cos(np.radians(roll_deg)) / factor, np.sin(np.radians(roll_deg)) / factor
-    sites = sites_of(Field(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), 2, 10**6)
+    sites = make_sites(SiteField(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), 2, 10**6)
     full = sites.weight > -((0.7 * 8 * STEPS) ** 2)
     x, y = sites.x[full] / STEPS, sites.y[full] / STEPS
     count, *_ = np.histogram2d(y, x, [np.arange(0, 241, 80), np.arange(0, 321, 80)])
@@ -150,7 +151,7 @@ def test_density_follows_its_target_under_zoom_where_cells_go_by_detail(factor: 
     f = still_field(320, 240, 8, 64)
     seen = np.linspace(0, 100, f.size.shape[1]) * np.ones(f.size.shape)
     size = f.size * detail_factor(seen, 1.0)
-    sites = sites_of(Field(f.x0, f.y0, f.u / factor, f.v / factor, size), 2, 10**6)
+    sites = make_sites(SiteField(f.x0, f.y0, f.u / factor, f.v / factor, size), 2, 10**6)
     full = sites.weight > -((0.7 * 8 * STEPS) ** 2)
     count, *_ = np.histogram2d(sites.y[full] / STEPS, sites.x[full] / STEPS, [np.arange(0, 241, 80), np.arange(0, 321, 80)])
     across = np.exp2(np.interp(np.arange(320), f.x0 + 32 * np.arange(f.size.shape[1]), np.log2(size[0])))
@@ -167,7 +168,7 @@ def test_sites_appear_from_nothing_and_never_move() -> None:
     worst = 0
     for step in range(60):
         k = 2.0 ** (-step / 40)
-        sites = sites_of(Field(f.x0, f.y0, f.u * k, f.v * k, f.size), 3, 10**5)
+        sites = make_sites(SiteField(f.x0, f.y0, f.u * k, f.v * k, f.size), 3, 10**5)
         found = label(sites, rect)
         area = np.bincount(found.first.ravel(), minlength=len(sites))
         now = {}
@@ -183,7 +184,7 @@ def test_sites_appear_from_nothing_and_never_move() -> None:
 
 
 def test_more_cells_than_pixels_and_one_cell() -> None:
-    tiny = sites_of(still_field(12, 9, 0.5, 4), 0, 500, 0.5)
+    tiny = make_sites(still_field(12, 9, 0.5, 4), 0, 500, 0.5)
     assert 0 < len(tiny) <= 500
     found = label(tiny, Rect.of(12, 9))
     assert np.array_equal(found.first, brute(tiny, Rect.of(12, 9), None)[0])
@@ -196,11 +197,11 @@ def test_washes_join_alike_cells_only() -> None:
     near, share = neighbours(x, 0 * x, 80 * one)
     assert set(near[2][share[2] > 0]) == {1, 3} and share[2].max() > 0.2
     colours = np.array([[0.5], [0.52], [0.5], [0.05], [0.052], [0.05]], np.float32).repeat(3, 1)
-    out = washed(colours, near, share, one, 0.05, 20) ** 2
+    out = smooth_washes(colours, near, share, one, 0.05, 20) ** 2
     assert np.ptp(out[:3]) < 0.4 * 0.02 and np.ptp(out[3:]) < 0.002
     assert out[2, 0] - out[3, 0] > 0.95 * 0.45
     colours[1] = 0  # a cell without a pixel has no colour to give
-    empty = washed(colours, near, share, np.array([9, 0, 9, 9, 9, 9], np.float32), 5.0, 10)
+    empty = smooth_washes(colours, near, share, np.array([9, 0, 9, 9, 9, 9], np.float32), 5.0, 10)
     assert empty[0, 0] == pytest.approx(np.sqrt(0.5), abs=1e-6)
 
 

@@ -11,14 +11,14 @@ import pytest
 
 from arfx.core.light import DirectionalLight, Light
 from arfx.papers.s3_watercolor import eq4_edges
-from arfx.stages.watercolor.edges import lines_of, virtual_edges, yuv_matrix
-from arfx.stages.watercolor.hold import held, steps_back
+from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.labels import STILL, Wobble
-from arfx.stages.watercolor.measure import measured
-from arfx.stages.watercolor.pigment import density, laid_out, paper_grain, wobble_tile
+from arfx.stages.watercolor.measure import edge_measure
+from arfx.stages.watercolor.pigment import paper_grain, repeat_tile, wobble_tile
 from arfx.stages.watercolor.rows import Picture
-from arfx.stages.watercolor.sites import STEPS, Field, still_field
-from arfx.stages.watercolor.toon import RAMP, toon, toon_light
+from arfx.stages.watercolor.sites import STEPS, SiteField, still_field
+from arfx.stages.watercolor.temporal import backward_flow, temporal_blend
+from arfx.stages.watercolor.toon import RAMP, ObjectLayers, toon, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 from tests.scenes import camera, facts, scene
 
@@ -27,8 +27,8 @@ def line_strength(
     image: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
     virtual: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    made = measured(Picture(image.astype(np.float32)), yuv_matrix(), alpha, beta, smooth_px)
-    return lines_of(made, low, high, width_px, virtual)
+    made = edge_measure(Picture(image.astype(np.float32)), yuv_matrix(), alpha, beta, smooth_px)
+    return trace_lines(made, low, high, width_px, virtual)
 
 
 def test_yuv_is_the_analogue_one_of_bt601_and_bt709_is_another() -> None:
@@ -89,18 +89,18 @@ def test_lines_hold_still_in_noise_where_printed_edges_flip() -> None:
 def test_what_is_held_is_taken_from_where_it_lay_and_only_where_it_is_alike() -> None:
     nodes = still_field(200, 160, 8, 32)
     c, s = 1.1 * np.cos(0.2), 1.1 * np.sin(0.2)
-    turned = Field(nodes.x0, nodes.y0, c * nodes.u - s * nodes.v + 7, s * nodes.u + c * nodes.v - 4, nodes.size)
-    back = steps_back(turned, nodes)
+    turned = SiteField(nodes.x0, nodes.y0, c * nodes.u - s * nodes.v + 7, s * nodes.u + c * nodes.v - 4, nodes.size)
+    back = backward_flow(turned, nodes)
     assert back is not None
     np.testing.assert_allclose(back, [turned.u - nodes.u, turned.v - nodes.v], atol=1e-3)
     y, x = np.mgrid[0:80, 0:100].astype(np.float32)
     wave = lambda x, y: (0.3 + 0.1 * np.sin(0.08 * x) + 0.1 * np.cos(0.07 * y)).astype(np.float32)  # noqa: E731
     now = wave(c * (2 * x + 0.5) - s * (2 * y + 0.5) + 7, s * (2 * x + 0.5) + c * (2 * y + 0.5) - 4)
     before = wave(2 * x + 0.5, 2 * y + 0.5)
-    out = held(np.float32(1.02) * now, before, back, nodes.x0, nodes.y0)
+    out = temporal_blend(np.float32(1.02) * now, before, back, nodes.x0, nodes.y0)
     away = np.abs(out / now - 1.01)
     assert np.median(away) < 1e-3  # half of each; what comes into view is as it is
-    assert np.array_equal(held(4 * now, before, back, nodes.x0, nodes.y0), 4 * now)
+    assert np.array_equal(temporal_blend(4 * now, before, back, nodes.x0, nodes.y0), 4 * now)
 
 
 def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases() -> None:
@@ -130,7 +130,7 @@ def tones(ramp: float) -> np.ndarray:
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
     light = np.array([0, 0, 1.0]), np.ones(3), np.zeros(3)
-    made = toon(image, image, one, normal, albedo, none, *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, ramp)
+    made = toon(image, ObjectLayers(image, one, normal, albedo, none), *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, ramp)
     return made[0, :, 0]
 
 
@@ -152,6 +152,11 @@ def test_toon_light_is_the_strongest_of_the_clip() -> None:
     assert np.array_equal(toon_light(Light((0.3, 0.3, 0.3), ()), up)[0], up)
 
 
+def density(colour: np.ndarray, d: float) -> np.ndarray:
+    """Linear colour 0..1 under pigment of density d; 1 leaves it, more darkens, white stays white."""
+    return np.asarray(colour * (1 - (1 - colour) * (d - 1)))
+
+
 def test_pigment_darkens_by_its_formula_and_leaves_white_and_black() -> None:
     assert density(np.array(0.5), 1.4) == pytest.approx(0.5 * (1 - 0.5 * 0.4))
     np.testing.assert_array_equal(density(np.array([0.0, 1.0]), 1.7), [0, 1])
@@ -164,7 +169,7 @@ def test_paper_and_wobble_repeat_without_a_seam_and_keep_to_their_bounds() -> No
         assert np.abs(tile[:, 0].astype(float) - tile[:, -1]).mean() < 1.3 * inner
         assert np.abs(tile).max() <= 1.5
     tile = paper_grain(1, 2.0)
-    out = laid_out(tile, 500, -3, 700, 40)
+    out = repeat_tile(tile, 500, -3, 700, 40)
     assert out[5, 20] == tile[2, 8] and out.shape == (40, 700)
 
 
@@ -174,7 +179,7 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
     wobbles, nodes = Wobbles(1, 1.5), still_field(200, 160, 8, 32)
 
     def seen(wobble: Wobble) -> np.ndarray:
-        return laid_out(wobble.tile, wobble.x, wobble.y, 200, 160).astype(float) / STEPS
+        return repeat_tile(wobble.tile, wobble.x, wobble.y, 200, 160).astype(float) / STEPS
 
     first = seen(wobbles.of_field(nodes))
     rows, columns = np.indices((160, 200)).astype(np.float32)

@@ -26,8 +26,7 @@ from arfx.run.parameters import stage_of
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.params import WatercolorParams
-from arfx.stages.watercolor.pigment import density
-from arfx.stages.watercolor.sites import Field, still_field
+from arfx.stages.watercolor.sites import SiteField, still_field
 from tests.scenes import camera, facts, layers_of, scene
 
 SCENE = scene(camera(160, 120))
@@ -139,7 +138,7 @@ def test_a_frame_is_known_by_every_one_of_its_samples() -> None:
 def test_a_picture_too_large_to_keep_is_the_same_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """As from 16 Mpx on (8K)."""
     kept = painted(picture(), f=SEEN)
-    monkeypatch.setattr("arfx.stages.watercolor.stage._LARGEST_KEPT_PX", 1000)
+    monkeypatch.setattr("arfx.stages.watercolor.stage._MEMO_LIMIT_PX", 1000)
     ready = ReadyStage.of(Watercolor(), SCENE, "standard")
     assert np.array_equal(painted(picture(), f=SEEN, ready=ready), kept) and ready.memo.of_frame.made == 2, "no picture"
 
@@ -264,7 +263,7 @@ def test_pigment_follows_its_formula_on_an_even_wash() -> None:
     out = painted(grey, only_grain)
     stage = Watercolor(only_grain)
     paper = stage.prepare(SCENE, stage.levels[1]).grain[:120, :160, None]
-    np.testing.assert_allclose(out, density(np.full_like(out, 0.25), 1 + 0.3 * paper), atol=2e-5)
+    np.testing.assert_allclose(out, 0.25 * (1 - (1 - 0.25) * 0.3 * paper), atol=2e-5)
 
 
 def test_settings_are_checked() -> None:
@@ -279,7 +278,7 @@ def test_settings_are_checked() -> None:
             WatercolorParams(**wrong)
 
 
-def fact_of(nodes: Field, u: np.ndarray, v: np.ndarray) -> AdvectionField:
+def fact_of(nodes: SiteField, u: np.ndarray, v: np.ndarray) -> AdvectionField:
     return AdvectionField(0, 32, (nodes.x0, nodes.y0), (u.shape[0], u.shape[1]), packed_places(u, v))
 
 

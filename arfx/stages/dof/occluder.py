@@ -1,8 +1,8 @@
-"""Something cut out before the real scene (the virtual object, or a real plane of limited size): its blur radius.
+"""Occluders before the real scene (the virtual object, real planes of limited size): their blur radius.
 
-Outside of its outline the radius of the nearest part goes on. What the outline lets through is then spread with the same
-discs as what it covers: the two add up to 1, and the share that is covered stays right inside, at the edge, and where near
-parts stand before far ones.
+Outside of the outline the radius of the nearest part is extrapolated. What the outline lets through is then spread with the
+same discs as what it covers: the two weights add up to 1, and coverage is right inside, at the edge, and where near parts
+stand before far ones.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -18,11 +18,11 @@ TILE_PX = 8
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def object_radius(radius, coverage, depth, near, far, optics):  # pragma: no cover - compiled
-    """radius (h, w) of covered pixels from their depth, m, held to near..far; -1 where nothing is; 0 where the
+    """radius (h, w) of covered pixels from their depth, m, clipped to near..far; -1 where nothing is; 0 where the
     depth is not a distance. Returns the least and the largest; (inf, -1) where there is none."""
     px_per_dioptre, focus, limit = optics
     h, w = radius.shape
-    least, largest = np.float32(np.inf), np.float32(-1)
+    smallest, largest = np.float32(np.inf), np.float32(-1)
     for y in range(h):
         line = radius[y]
         for x in range(w):
@@ -33,44 +33,44 @@ def object_radius(radius, coverage, depth, near, far, optics):  # pragma: no cov
         for x in range(w):
             r = line[x]
             largest = max(largest, r)
-            least = min(least, r if r >= 0 else np.float32(np.inf))
-    return least, largest
+            smallest = min(smallest, r if r >= 0 else np.float32(np.inf))
+    return smallest, largest
 
 
-def continue_outside(radius: np.ndarray, coverage: np.ndarray, rect: Rect, held: Rect) -> None:
+def extrapolate_radius(radius: np.ndarray, coverage: np.ndarray, rect: Rect, covered: Rect) -> None:
     """Fill radius (h, w) of `rect`, -1 outside, by the nearest tiles' mean up to at least twice their radius away. In place.
 
-    held : outside of it nothing is covered
+    covered : outside of it nothing is covered
     Tiles lie on a grid of the frame, so that a pixel gets the same from any rectangle that holds what is near it.
     Farther away no light of the layer comes together with what is let through there.
     """
-    lead_x, lead_y = rect.x0 % TILE_PX, rect.y0 % TILE_PX
-    part = held.shift(-rect.x0, -rect.y0)
-    mean, left_px, known = _tile_means(radius, coverage, lead_x, lead_y, (part.x0, part.y0, part.x1, part.y1))
+    offset_x, offset_y = rect.x0 % TILE_PX, rect.y0 % TILE_PX
+    part = covered.shift(-rect.x0, -rect.y0)
+    mean, left_px, known = _tile_means(radius, coverage, offset_x, offset_y, (part.x0, part.y0, part.x1, part.y1))
     _grow(mean, left_px, known)
-    _fill(radius, mean, known, lead_x, lead_y)
+    _fill(radius, mean, known, offset_x, offset_y)
 
 
 @numba.njit(cache=True, nogil=True)
-def _tile_means(radius, coverage, lead_x, lead_y, held):  # pragma: no cover - compiled
+def _tile_means(radius, coverage, offset_x, offset_y, covered):  # pragma: no cover - compiled
     """Of each tile: mean radius, how far it is to go on (px), and whether anything is in it."""
     h, w = radius.shape
-    th, tw = (lead_y + h - 1) // TILE_PX + 1, (lead_x + w - 1) // TILE_PX + 1
+    th, tw = (offset_y + h - 1) // TILE_PX + 1, (offset_x + w - 1) // TILE_PX + 1
     mean, left_px, known = np.zeros((th, tw), np.float32), np.zeros((th, tw), np.float32), np.zeros((th, tw), np.bool_)
-    for j in range((held[1] + lead_y) // TILE_PX, (held[3] - 1 + lead_y) // TILE_PX + 1):
-        ya, yb = max(j * TILE_PX - lead_y, held[1]), min((j + 1) * TILE_PX - lead_y, held[3])
-        for i in range((held[0] + lead_x) // TILE_PX, (held[2] - 1 + lead_x) // TILE_PX + 1):
-            xa, xb = max(i * TILE_PX - lead_x, held[0]), min((i + 1) * TILE_PX - lead_x, held[2])
-            total, weight, most = np.float64(0), np.float64(0), np.float32(0)
+    for j in range((covered[1] + offset_y) // TILE_PX, (covered[3] - 1 + offset_y) // TILE_PX + 1):
+        ya, yb = max(j * TILE_PX - offset_y, covered[1]), min((j + 1) * TILE_PX - offset_y, covered[3])
+        for i in range((covered[0] + offset_x) // TILE_PX, (covered[2] - 1 + offset_x) // TILE_PX + 1):
+            xa, xb = max(i * TILE_PX - offset_x, covered[0]), min((i + 1) * TILE_PX - offset_x, covered[2])
+            total, weight, largest = np.float64(0), np.float64(0), np.float32(0)
             for y in range(ya, yb):
                 for x in range(xa, xb):
                     r, c = radius[np.uintp(y), np.uintp(x)], coverage[np.uintp(y), np.uintp(x)]
                     c = c if r >= 0 else np.float32(0)
                     total += c * r
                     weight += c
-                    most = max(most, r)
+                    largest = max(largest, r)
             if weight > 0:
-                mean[j, i], left_px[j, i], known[j, i] = total / weight, 2 * most, True
+                mean[j, i], left_px[j, i], known[j, i] = total / weight, 2 * largest, True
     return mean, left_px, known
 
 
@@ -101,14 +101,14 @@ def _grow(mean, left_px, known):  # pragma: no cover - compiled
         if found == 0:
             return
         for k in range(found):
-            total, near, most = 0.0, 0, np.float32(-np.inf)
+            total, near, largest = 0.0, 0, np.float32(-np.inf)
             for j in range(max(beside[k, 0] - 1, 0), min(beside[k, 0] + 2, h)):
                 for i in range(max(beside[k, 1] - 1, 0), min(beside[k, 1] + 2, w)):
                     if known[j, i]:
                         total += mean[j, i]
                         near += 1
-                        most = max(most, left_px[j, i])
-            value[k, 0], value[k, 1] = total / near, most - TILE_PX
+                        largest = max(largest, left_px[j, i])
+            value[k, 0], value[k, 1] = total / near, largest - TILE_PX
         for k in range(found):
             j, i = beside[k, 0], beside[k, 1]
             mean[j, i], left_px[j, i], known[j, i] = value[k, 0], value[k, 1], True
@@ -116,14 +116,14 @@ def _grow(mean, left_px, known):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _fill(radius, mean, known, lead_x, lead_y):  # pragma: no cover - compiled
+def _fill(radius, mean, known, offset_x, offset_y):  # pragma: no cover - compiled
     """Bilinear between the centres of known tiles."""
     h, w = radius.shape
     th, tw = mean.shape
     step, half, middle = np.float32(1.0 / TILE_PX), np.float32(0.5), TILE_PX // 2
     total, weight = np.empty(tw, np.float32), np.empty(tw, np.float32)  # of a row, by column of tiles
     for y in range(h):
-        v = (np.float32(y + lead_y) + half) * step - half
+        v = (np.float32(y + offset_y) + half) * step - half
         j = int(np.floor(v))
         t = v - np.float32(j)
         a, b = min(max(j, 0), th - 1), min(max(j + 1, 0), th - 1)
@@ -134,10 +134,10 @@ def _fill(radius, mean, known, lead_x, lead_y):  # pragma: no cover - compiled
             p, q = max(i, 0), min(i + 1, tw - 1)
             if weight[p] <= 0 and weight[q] <= 0:
                 continue
-            first = i * TILE_PX + middle - lead_x
+            first = i * TILE_PX + middle - offset_x
             for x in range(max(first, 0), min(first + TILE_PX, w)):
                 s = (np.float32(x - first) + half) * step
-                share = weight[p] + (weight[q] - weight[p]) * s
-                r = (total[p] + (total[q] - total[p]) * s) / share
-                known_here = radius[np.uintp(y), np.uintp(x)] >= 0 or share <= np.float32(1e-6)
+                weight_here = weight[p] + (weight[q] - weight[p]) * s
+                r = (total[p] + (total[q] - total[p]) * s) / weight_here
+                known_here = radius[np.uintp(y), np.uintp(x)] >= 0 or weight_here <= np.float32(1e-6)
                 radius[np.uintp(y), np.uintp(x)] = radius[np.uintp(y), np.uintp(x)] if known_here else r

@@ -1,4 +1,4 @@
-"""Compiled: light of the layers onto the ladder, tile by tile."""
+"""Compiled: light of the layers onto the pyramid, tile by tile."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -9,16 +9,16 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.stages.dof.ladder import SHARP_PX
+from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.dof.real_pixels import RealPixels
-from arfx.stages.dof.spread import TILE_PX, Sink, deposit_tile, extremes, highlight, only_rung, to_cell
+from arfx.stages.dof.spread import TILE_PX, SplatBuffers, extremes, highlight, levels_of, splat_tile, to_cell
 
 _FLAGS = {"contract", "nsz", "arcp"}
 CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
 
 
-class CutPixels(NamedTuple):
-    """Of a cut-out: blur radius (h, w) px, premultiplied colour (h, w, 3), which is read-only, and coverage (h, w)."""
+class OccluderPixels(NamedTuple):
+    """Of an occluder: blur radius (h, w) px, premultiplied colour (h, w, 3), which is read-only, and coverage (h, w)."""
 
     radius: np.ndarray
     colour: np.ndarray
@@ -28,43 +28,43 @@ class CutPixels(NamedTuple):
 
 @line_kernel(fastmath=_FLAGS)
 def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
-    most = max(red, max(green, blue))
-    return np.float32(1) + boost * min(max((most - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1))
+    largest = max(red, max(green, blue))
+    return np.float32(1) + boost * min(max((largest - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1))
 
 
 @line_kernel()
 def _extremes(bits, y0, x0, y1, x1):  # pragma: no cover - compiled
     """Least and greatest of a tile, of the bits of float32 >= 0, which are ordered as their values are."""
-    least, most = bits[y0, x0], bits[y0, x0]
+    smallest, largest = bits[y0, x0], bits[y0, x0]
     for y in range(y0, y1):
         line = bits[y, x0:x1]
         for x in range(len(line)):
-            least, most = min(least, line[x]), max(most, line[x])
-    return least, most
+            smallest, largest = min(smallest, line[x]), max(largest, line[x])
+    return smallest, largest
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def deposit_real(
-    top, bottom, begin, end, radius, real: RealPixels, kept, boost, sink: Sink
+def splat_real(
+    top, bottom, begin, end, radius, real: RealPixels, visibility, boost, buffers: SplatBuffers
 ):  # fmt: skip  # pragma: no cover - compiled
     """Rows top..bottom, columns begin..end (borders of tiles) of the real scene; returns whether any of it is blurred.
 
-    real : `flat`;  radius : (h, w) px, >= 0;  kept : (h, w) share that is not cut out, (0, 0) = all
+    real : `flat`;  radius : (h, w) px, >= 0;  visibility : (h, w) fraction that no finite plane hides, (0, 0) = all
     """
     image, patch, box = real
-    fade, lead_y, lead_x, rungs = sink.fade, sink.lead_y, sink.lead_x, sink.meta.shape[0]
-    whole = kept.shape[0] == 0
+    fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
+    whole = visibility.shape[0] == 0
     plain = whole and boost <= 0
     width, bits = end, radius.view(np.int32)
     source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
     work = np.empty(15 * width, np.float32)
-    left = begin - ((begin + lead_x) & (TILE_PX - 1))
+    left = begin - ((begin + offset_x) & (TILE_PX - 1))
     blurred = False
     tiles = (width - left + TILE_PX - 1) // TILE_PX
-    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # rungs of each tile; -1 = nothing blurred
+    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # levels of each tile; -1 = nothing blurred
     patched = np.empty(tiles, np.bool_)
-    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+    for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
         ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
         for i in range(tiles):
             xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
@@ -74,7 +74,7 @@ def deposit_real(
             if extreme[1] <= SHARP_PX:
                 continue
             blurred = True
-            lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, rungs)
+            lowest[i], highest[i] = levels_of(extreme[0], extreme[1], fade, levels)
         after = 0
         for i in range(tiles):
             if i < after or highest[i] < 0:
@@ -89,7 +89,7 @@ def deposit_real(
                     after += 1
                 xb = min(left + after * TILE_PX, width)
                 part = light[ya - up : yb - up, 3 * (xa - along) : 3 * (xb - along)]
-                _to_cells(lowest[i], highest[i], ya, xa, radius, part, work, sink)
+                _to_cells(lowest[i], highest[i], ya, xa, radius, part, work, buffers)
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
@@ -98,48 +98,37 @@ def deposit_real(
                     red, green, blue = light[y - up, first], light[y - up, first + 1], light[y - up, first + 2]
                     if not plain:
                         if not whole:
-                            weight = kept[y, x]
+                            weight = visibility[y, x]
                             k = weight
                         if boost > 0:
                             k *= _boosted(red, green, blue, boost)
                     to = source[y - ya, x - xa]
                     to[0], to[1], to[2], to[3] = red * k, green * k, blue * k, weight
-            deposit_tile(source, radius, ya, xa, yb, xb, sink)
+            splat_tile(source, radius, ya, xa, yb, xb, buffers)
     return blurred
 
 
-@line_kernel()
-def _rungs(least, most, fade, rungs):  # pragma: no cover - compiled
-    """Lowest and highest rung that light of radii least..most goes to."""
-    low, high = 0, 0
-    while low < rungs - 1 and least >= fade[low, 1]:
-        low += 1
-    while high < rungs - 1 and most > fade[high, 0]:
-        high += 1
-    return low, high
-
-
 @line_kernel(fastmath=_FLAGS)
-def _to_cells(low, high, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover - compiled
-    """Tiles of weight 1 to rung low, or to low and low + 1 = high. part : (rows, 3 columns) light from row ya, column xa"""
+def _to_cells(low, high, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
+    """Tiles of weight 1 to level low, or to low and low + 1 = high. part : (rows, 3 columns) light from row ya, column xa"""
     if high == low:
-        _sum_cells(low, ya, xa, radius, part, work, sink)
+        _sum_cells(low, ya, xa, radius, part, work, buffers)
     else:
-        _share_cells(low, ya, xa, radius, part, work, sink)
+        _split_cells(low, ya, xa, radius, part, work, buffers)
 
 
 @line_kernel(fastmath=_FLAGS)
-def _sum_cells(k, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover - compiled
-    """Tiles of the real scene that all go to rung k: summed by columns first, which the compiler makes vectors of.
+def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
+    """Tiles of the real scene that all go to level k: summed by columns first, which the compiler makes vectors of.
 
     part : (rows, 3 columns) light from row ya, column xa;  work : (15, w) scratch, flat
     """
     side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
     bright = highlight(k) if k > 1 else np.float32(np.inf)
-    lead_y = sink.lead_y
+    offset_y = buffers.offset_y
     line, sums, weight = work[: 3 * count], work[3 * count : 4 * count], work[4 * count : 5 * count]
-    for cy in range((ya + lead_y) >> k, ((end - 1 + lead_y) >> k) + 1):
-        top, bottom = max(cy * side - lead_y, ya), min((cy + 1) * side - lead_y, end)
+    for cy in range((ya + offset_y) >> k, ((end - 1 + offset_y) >> k) + 1):
+        top, bottom = max(cy * side - offset_y, ya), min((cy + 1) * side - offset_y, end)
         for n in range(4 * count):
             work[n] = 0
         for n in range(count):
@@ -150,57 +139,57 @@ def _sum_cells(k, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover -
                 line[n] += p[n]
             for n in range(count):
                 sums[n] += r[n]
-        most = np.float32(0)
+        largest = np.float32(0)
         for n in range(3 * count):
-            most = max(most, line[n])
-        if most > bright:  # take the highlights out again, and to the rung below
+            largest = max(largest, line[n])
+        if largest > bright:  # take the highlights out again, and to the level below
             for y in range(top, bottom):
                 for n in range(count):
                     red, green, blue = part[y - ya, 3 * n], part[y - ya, 3 * n + 1], part[y - ya, 3 * n + 2]
                     if max(red, max(green, blue)) > bright:
                         r = radius[y, xa + n]
-                        to_cell(sink, k - 1, y, xa + n, red, green, blue, np.float32(1), r)
+                        to_cell(buffers, k - 1, y, xa + n, red, green, blue, np.float32(1), r)
                         line[3 * n] -= red
                         line[3 * n + 1] -= green
                         line[3 * n + 2] -= blue
                         sums[n] -= r
                         weight[n] -= np.float32(1)
-        _columns_to_cells(k, cy, xa, line, weight, sums, sink)
+        _columns_to_cells(k, cy, xa, line, weight, sums, buffers)
 
 
 @line_kernel(fastmath=_FLAGS)
-def _share_cells(k, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover - compiled
-    """As `_sum_cells`, of tiles that rungs k and k + 1 share by their radii."""
+def _split_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
+    """As `_sum_cells`, of tiles that levels k and k + 1 share by their radii."""
     side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
     bright, one = highlight(k + 1), np.float32(1)
-    fade, lead_y = sink.fade, sink.lead_y
+    fade, offset_y = buffers.fade, buffers.offset_y
     start, scale = fade[k, 0], np.float32(1) / (fade[k, 1] - fade[k, 0])
-    low, high, shares = work[: 3 * count], work[3 * count : 6 * count], work[10 * count : 13 * count]
+    low, high, fractions = work[: 3 * count], work[3 * count : 6 * count], work[10 * count : 13 * count]
     weight_low, sum_low = work[6 * count : 7 * count], work[7 * count : 8 * count]
-    weight_high, sum_high, share = work[8 * count : 9 * count], work[9 * count : 10 * count], work[13 * count : 14 * count]
-    for cy in range((ya + lead_y) >> k, ((end - 1 + lead_y) >> k) + 1):
-        top, bottom = max(cy * side - lead_y, ya), min((cy + 1) * side - lead_y, end)
+    weight_high, sum_high, fraction = work[8 * count : 9 * count], work[9 * count : 10 * count], work[13 * count : 14 * count]
+    for cy in range((ya + offset_y) >> k, ((end - 1 + offset_y) >> k) + 1):
+        top, bottom = max(cy * side - offset_y, ya), min((cy + 1) * side - offset_y, end)
         for n in range(10 * count):
             work[n] = 0
-        most = np.float32(0)
+        largest = np.float32(0)
         for y in range(top, bottom):
             p, r = part[y - ya], radius[y, xa : xa + count]
             for n in range(count):
                 t = min(max((r[n] - start) * scale, np.float32(0)), one)
-                share[n] = t
+                fraction[n] = t
                 weight_low[n] += one - t
                 weight_high[n] += t
                 sum_low[n] += (one - t) * r[n]
                 sum_high[n] += t * r[n]
             for n in range(count):
-                shares[3 * n], shares[3 * n + 1], shares[3 * n + 2] = share[n], share[n], share[n]
+                fractions[3 * n], fractions[3 * n + 1], fractions[3 * n + 2] = fraction[n], fraction[n], fraction[n]
             for n in range(3 * count):
-                onward = p[n] * shares[n]
+                onward = p[n] * fractions[n]
                 high[n] += onward
                 low[n] += p[n] - onward
         for n in range(3 * count):
-            most = max(most, low[n] + high[n])
-        if most > bright:  # take the highlights out again, and to the rungs below
+            largest = max(largest, low[n] + high[n])
+        if largest > bright:  # take the highlights out again, and to the levels below
             below = max(k - 1, 1)
             for y in range(top, bottom):
                 for n in range(count):
@@ -220,20 +209,20 @@ def _share_cells(k, ya, xa, radius, part, work, sink: Sink):  # pragma: no cover
                     if k == 1:
                         t = np.float32(0)
                     s = one - t
-                    to_cell(sink, below, y, xa + n, red * s, green * s, blue * s, s, r)
-                    to_cell(sink, below + 1, y, xa + n, red * t, green * t, blue * t, t, r)
-        _columns_to_cells(k, cy, xa, low, weight_low, sum_low, sink)
-        _columns_to_cells(k + 1, cy >> 1, xa, high, weight_high, sum_high, sink)
+                    to_cell(buffers, below, y, xa + n, red * s, green * s, blue * s, s, r)
+                    to_cell(buffers, below + 1, y, xa + n, red * t, green * t, blue * t, t, r)
+        _columns_to_cells(k, cy, xa, low, weight_low, sum_low, buffers)
+        _columns_to_cells(k + 1, cy >> 1, xa, high, weight_high, sum_high, buffers)
 
 
 @line_kernel(fastmath=_FLAGS)
-def _columns_to_cells(k, cy, xa, line, weight, sums, sink: Sink):  # pragma: no cover - compiled
-    """Add columns, light line (3 n,), weight and weight x radius (n,), the first at xa, to row cy of rung k."""
-    side, end, lead_x = 1 << k, xa + len(weight), sink.lead_x
-    meta, cells = sink.meta, sink.cells
-    for cx in range((xa + lead_x) >> k, ((end - 1 + lead_x) >> k) + 1):
+def _columns_to_cells(k, cy, xa, line, weight, sums, buffers: SplatBuffers):  # pragma: no cover - compiled
+    """Add columns, light line (3 n,), weight and weight x radius (n,), the first at xa, to row cy of level k."""
+    side, end, offset_x = 1 << k, xa + len(weight), buffers.offset_x
+    meta, cells = buffers.meta, buffers.cells
+    for cx in range((xa + offset_x) >> k, ((end - 1 + offset_x) >> k) + 1):
         a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-        for n in range(max(cx * side - lead_x, xa) - xa, min((cx + 1) * side - lead_x, end) - xa):
+        for n in range(max(cx * side - offset_x, xa) - xa, min((cx + 1) * side - offset_x, end) - xa):
             a += line[3 * n]
             b += line[3 * n + 1]
             c += line[3 * n + 2]
@@ -248,19 +237,19 @@ def _columns_to_cells(k, cy, xa, line, weight, sums, sink: Sink):  # pragma: no 
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def deposit_cut(top, bottom, cut: CutPixels, sink: Sink):  # pragma: no cover - compiled
+def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Rows top..bottom. Returns whether there is any light."""
-    radius, colour, coverage, opacity = cut
-    fade, lead_y, lead_x, rungs = sink.fade, sink.lead_y, sink.lead_x, sink.meta.shape[0]
+    radius, colour, coverage, opacity = occluder
+    fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
     width, found = radius.shape[1], False
     bits, covered, ends = radius.view(np.int32), coverage.view(np.int32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
     source, work = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(15 * width, np.float32)
     flat = colour.reshape(colour.shape[0], 3 * width)
-    left = -(lead_x & (TILE_PX - 1))
+    left = -(offset_x & (TILE_PX - 1))
     tiles = (width - left + TILE_PX - 1) // TILE_PX
-    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # rungs of a tile all covered; -1 = nothing in it
-    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
+    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # levels of a tile all covered; -1 = nothing in it
+    for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
         ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
         for i in range(tiles):
             xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
@@ -272,7 +261,7 @@ def deposit_cut(top, bottom, cut: CutPixels, sink: Sink):  # pragma: no cover - 
             lowest[i], highest[i] = 0, 0
             if extreme[0] * opacity >= 1:
                 ends[0], ends[1] = _extremes(bits, ya, xa, yb, xb)
-                lowest[i], highest[i] = _rungs(extreme[0], extreme[1], fade, rungs)
+                lowest[i], highest[i] = levels_of(extreme[0], extreme[1], fade, levels)
         after = 0
         for i in range(tiles):
             if i < after or highest[i] < 0:
@@ -283,7 +272,7 @@ def deposit_cut(top, bottom, cut: CutPixels, sink: Sink):  # pragma: no cover - 
                 while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]):
                     after += 1
                 xb = min(left + after * TILE_PX, width)
-                _to_cells(lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], work, sink)
+                _to_cells(lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], work, buffers)
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
@@ -291,51 +280,25 @@ def deposit_cut(top, bottom, cut: CutPixels, sink: Sink):  # pragma: no cover - 
                     for c in range(3):
                         to[c] = colour[np.uintp(y), np.uintp(x), c] * opacity
                     to[3] = coverage[np.uintp(y), np.uintp(x)] * opacity
-            deposit_tile(source, radius, ya, xa, yb, xb, sink)
+            splat_tile(source, radius, ya, xa, yb, xb, buffers)
     return found
 
 
-@line_kernel(fastmath=_FLAGS)
-def _open_tile(radius, y0, x0, y1, x1, sink: Sink):  # pragma: no cover - compiled
-    """`deposit_tile` of weight 1 and no light, where all of the tile goes to one rung above 0; False where it does not."""
-    least, most = extremes(radius, y0, x0, y1, x1)
-    cells, meta, lead_y, lead_x = sink.cells, sink.meta, sink.lead_y, sink.lead_x
-    k = only_rung(least, most, sink.fade, meta.shape[0])
-    if k <= 0 or most <= SHARP_PX:
-        return False
-    side = 1 << k
-    for top in range(y0 - ((y0 + lead_y) & (side - 1)), y1, side):
-        ya, yb = max(top, y0), min(top + side, y1)
-        for left in range(x0 - ((x0 + lead_x) & (side - 1)), x1, side):
-            xa, xb = max(left, x0), min(left + side, x1)
-            sums = np.float32(0)
-            for y in range(ya, yb):
-                for x in range(xa, xb):
-                    sums += radius[np.uintp(y), np.uintp(x)]
-            at = np.uintp(meta[k, 0] + ((top + lead_y) >> k) * meta[k, 1] + ((left + lead_x) >> k))
-            cells[at, 3] += np.float32((yb - ya) * (xb - xa))
-            cells[at, 4] += sums
-    return True
-
-
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def deposit_gap(top, bottom, cut: CutPixels, sink: Sink):  # pragma: no cover - compiled
+def splat_occluded(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Rows top..bottom of what a layer lets through: weight only, in the last channel. Returns whether there is any."""
-    radius, _, coverage, opacity = cut
-    lead_y, lead_x = sink.lead_y, sink.lead_x
+    radius, _, coverage, opacity = occluder
+    offset_y, offset_x = buffers.offset_y, buffers.offset_x
     width, found = radius.shape[1], False
     source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)
-    for y0 in range(top - ((top + lead_y) & (TILE_PX - 1)), bottom, TILE_PX):
-        for x0 in range(-(lead_x & (TILE_PX - 1)), width, TILE_PX):
+    for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
+        for x0 in range(-(offset_x & (TILE_PX - 1)), width, TILE_PX):
             ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
-            least, most = extremes(coverage, ya, xa, yb, xb)
-            if least * opacity >= 1:
+            if extremes(coverage, ya, xa, yb, xb)[0] * opacity >= 1:
                 continue
             found = True
-            if most <= 0 and _open_tile(radius, ya, xa, yb, xb, sink):
-                continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
                     source[y - ya, x - xa, 3] = np.float32(1) - coverage[y, x] * opacity
-            deposit_tile(source, radius, ya, xa, yb, xb, sink)
+            splat_tile(source, radius, ya, xa, yb, xb, buffers)
     return found

@@ -1,4 +1,4 @@
-"""Edges held along the motion: what the measure of the last frame was, where things were then, is mixed into this frame's.
+"""Temporal blend of edges: the measure of the last frame, carried along the motion, is mixed into this frame's.
 
 Half of it counts where both are alike, none where they are not: what comes into view, moves on its own or follows a cut is as
 it is now. Only the last frame's own measure is used, never what was mixed before, so that a frame is the same whoever paints
@@ -12,15 +12,15 @@ import numpy as np
 
 from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_rows
-from arfx.stages.watercolor.sites import GRID_PX, Field
+from arfx.stages.watercolor.sites import GRID_PX, SiteField
 
-SHARE = 0.5  # of the last frame's measure
-_ALIKE, _NOISE = 0.25, 0.005  # apart by this share of the larger, and this much: still wholly alike
+BLEND_WEIGHT = 0.5  # of the last frame's measure
+_TOLERANCE, _NOISE = 0.25, 0.005  # difference, relative to the larger and absolute, that still counts as the same
 _FAR_PX = 256.0  # no thing is followed farther from frame to frame
 _FAST = {"contract", "nsz", "arcp"}
 
 
-def steps_back(now: Field, before: Field) -> np.ndarray | None:
+def backward_flow(now: SiteField, before: SiteField) -> np.ndarray | None:
     """(2, gh, gw) float32 px: what the nodes must be moved by along x and y to lie where they lay in the frame before.
 
     None where the two fields have no node in common. Both in the same coordinates of the thing painted.
@@ -50,18 +50,18 @@ def _sampled(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     return out
 
 
-def held(measure: np.ndarray, before: np.ndarray, back: np.ndarray, x0: int, y0: int) -> np.ndarray:
+def temporal_blend(measure: np.ndarray, before: np.ndarray, back: np.ndarray, x0: int, y0: int) -> np.ndarray:
     """(h, w) float32: the measure of edges, mixed with that of the frame before.
 
-    measure, before (h, w) : on the grid of half the size;  back : of `steps_back`, its first node at (x0, y0) of the picture
+    measure, before (h, w) : on the grid of half the size;  back : of `backward_flow`, its first node at (x0, y0) of the picture
     """
     out = np.empty_like(measure)
-    parallel_rows(lambda a, b: _held(measure, before, back, np.float32(x0), np.float32(y0), a, b, out), measure.shape[0])
+    parallel_rows(lambda a, b: _blend_rows(measure, before, back, np.float32(x0), np.float32(y0), a, b, out), measure.shape[0])
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _held(measure, before, back, x0, y0, ya, yb, out):  # pragma: no cover - compiled
+def _blend_rows(measure, before, back, x0, y0, ya, yb, out):  # pragma: no cover - compiled
     h, w = measure.shape
     gh, gw = back.shape[1:]
     zero, one, half, pitch = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1.0 / GRID_PX)
@@ -87,5 +87,5 @@ def _held(measure, before, back, x0, y0, ya, yb, out):  # pragma: no cover - com
             u, v = px - np.float32(c), py - np.float32(r)
             top = before[r, c] + u * (before[r, d] - before[r, c])
             then = top + v * (before[e, c] + u * (before[e, d] - before[e, c]) - top)
-            apart = abs(then - now) / (np.float32(_ALIKE) * max(then, now) + np.float32(_NOISE))
-            out[y, x] = now + np.float32(SHARE) * min(max(np.float32(2) - apart, zero), one) * (then - now)
+            apart = abs(then - now) / (np.float32(_TOLERANCE) * max(then, now) + np.float32(_NOISE))
+            out[y, x] = now + np.float32(BLEND_WEIGHT) * min(max(np.float32(2) - apart, zero), one) * (then - now)

@@ -1,0 +1,110 @@
+"""Compiled: blurred layers over one another.
+
+Two layers make the silhouette of the virtual object exact: behind it is the clean plate with the shadow, as the composite
+has it, so what a blurred edge lets through is known.
+"""
+
+# mypy: disable-error-code="no-untyped-def, call-arg"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.core.compiled import line_kernel
+from arfx.stages.dof.pyramid import ALIGN_PX, SHARP_PX
+from arfx.stages.dof.real_pixels import RealPixels
+from arfx.stages.dof.splat import OccluderPixels
+from arfx.stages.dof.spread import BlurredRows, light_of_row
+
+_FLAGS = {"contract", "nsz", "arcp"}
+# State of a pixel of the result: the composite's bits; covered by something sharp alone; reached by blurred light.
+UNTOUCHED, SHARP, BLURRED = np.uint8(0), np.uint8(1), np.uint8(2)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def composite_real(
+    out, state, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility
+):  # fmt: skip  # pragma: no cover - compiled
+    """Columns begin..end of out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w)
+    = BLURRED; else the composite's own bits, from its row `top`. The columns of `shed` lie within begin..end."""
+    image, patch, box = real
+    lo, hi = shed.lo, shed.hi
+    whole = visibility.shape[0] == 0
+    light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32)
+    for j in range(out.shape[0]):
+        y = top + j
+        light_of_row(light, y, shed, lo, hi, between)
+        from_x, until_x = (box[0], box[2]) if box[1] <= y < box[3] else (0, 0)  # columns of the patch
+        for x in range(begin, end):
+            w = light[4 * x + 3] if lo <= x < hi else np.float32(0)
+            if not w > 0:
+                out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+                continue
+            state[j, x] = BLURRED
+            if radius[y, x] > SHARP_PX:
+                inverse = np.float32(1) / w
+                for c in range(3):
+                    out[j, x, c] = light[4 * x + c] * inverse
+            else:
+                fraction = np.float32(1) if whole else visibility[y, x]
+                inverse = np.float32(1) / (w + fraction)
+                for c in range(3):
+                    own = patch[y - box[1], x - from_x, c] if from_x <= x < until_x else image[y, x, c]
+                    out[j, x, c] = (light[4 * x + c] + fraction * own) * inverse
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
+def composite_occluder(
+    out, state, top, columns, left, first, own: BlurredRows, occluded: BlurredRows, pixels: OccluderPixels, real: RealPixels
+):  # fmt: skip  # pragma: no cover - compiled
+    """Columns begin..end of rows of an occluder over out (rows, w, 3); its column 0 is `left` of out's.
+
+    first : number of the first of these rows in the layer;  own, occluded : its light and the weight of what it lets through
+    state : set BLURRED where any of it is spread, else SHARP; returns whether any is set SHARP
+    real : the real scene, from row `top`, for pixels that are UNTOUCHED
+    """
+    begin, end = columns
+    radius, colour, coverage, opacity = pixels
+    image, patch, box = real
+    width, any_sharp = radius.shape[1], False
+    light, through = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
+    between = np.empty(4 * (width + ALIGN_PX), np.float32)
+    for y in range(out.shape[0]):
+        light_of_row(light, first + y, own, begin, end, between)
+        light_of_row(through, first + y, occluded, begin, end, between)
+        from_x, until_x = (box[0], box[2]) if box[1] <= top + y < box[3] else (0, 0)  # columns of the patch
+        for x in range(begin, end):
+            w = light[4 * x + 3]
+            c = coverage[y, x] * opacity
+            sharp = radius[y, x] <= SHARP_PX
+            if not (w > 0 or (sharp and c > 0)):
+                continue
+            sharp_weight = np.float32(1) if sharp else np.float32(0)
+            total = w + through[4 * x + 3] + sharp_weight
+            if state[y, left + x] == UNTOUCHED:
+                i = left + x
+                for k in range(3):
+                    out[y, i, k] = patch[top + y - box[1], i - from_x, k] if from_x <= i < until_x else image[top + y, i, k]
+                state[y, left + x] = SHARP
+                any_sharp = True
+            if w > 0:
+                state[y, left + x] = BLURRED
+            w += sharp_weight * c
+            inverse = np.float32(1) / total
+            background = max(np.float32(1) - w * inverse, np.float32(0))
+            for k in range(3):
+                v = light[4 * x + k]
+                if sharp_weight * c > 0:
+                    v += colour[y, x, k] * opacity
+                out[y, left + x, k] = out[y, left + x, k] * background + v * inverse
+    return any_sharp
+
+
+@line_kernel()
+def restore(out, state, image, top, begin, end):  # pragma: no cover - compiled
+    """The composite's own bits where nothing was spread to after all. out (rows, w, 3), image (h, w, 3) from row `top`"""
+    for j in range(out.shape[0]):
+        for x in range(begin, end):
+            if state[j, x] == SHARP:
+                for c in range(3):
+                    out[j, x, c] = image[top + j, x, c]
