@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.pose.visibility import trembling_px
+from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 
@@ -27,7 +27,7 @@ def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.n
     trembling, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
     if camera is not None and points_m is not None and len(facts) > 2:
         for raw, colour, label in ((True, RAW, "before smoothing"), (False, SMOOTH, "after smoothing")):
-            _, d = trembling_px(facts, points_m, camera, raw)
+            _, d = jitter_px(facts, points_m, camera, raw)
             label += f", median {np.nanmedian(d):.3g} px" if np.isfinite(d).any() else ", no three frames in a row"
             trembling.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
         trembling.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.pose.visibility import trembling_px
+from arfx.analyse.pose.visibility import jitter_px
 from arfx.plan.explain import summarise
 from arfx.run.chunks import Chunk
 from arfx.run.health import health
@@ -74,7 +74,7 @@ def _pose(job: Job) -> dict[str, Any]:
     facts, summary = job.facts, job.analysed.summary
     corners, camera = job.scene.model_corners_m, job.inputs.camera
     before, after = (
-        [float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in trembling_px(facts, corners, camera, raw)]
+        [float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in jitter_px(facts, corners, camera, raw)]
         for raw in (True, False)
     )
     return {
