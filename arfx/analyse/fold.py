@@ -108,8 +108,8 @@ class Analysis:
     facts : one per frame;  world_from_marker : by key, of markers that could be placed
     anchor : what the object stands on;  static : "camera", "marker" or "both" (both move), see pose/at_rest.py
     summary : figures for the report, JSON-able;  notices : sentences for the user;  real_planes : measured
-    taken : of the clip's frames these are some: seconds of each after the clip's first, how many lie before, whether the rest
-        was taken to the end
+    frame_span : which of the clip's frames these are: seconds of each after the clip's first, how many lie before, whether they
+        reach to its end
     """
 
     facts: tuple[FrameFacts, ...] = ()
@@ -119,7 +119,7 @@ class Analysis:
     notices: tuple[str, ...] = ()
     anchor: MarkerSpec = PLANE_MARKER
     real_planes: tuple[RealPlane, ...] = ()
-    taken: tuple[list[float], int, bool] = ([], 0, True)
+    frame_span: tuple[list[float], int, bool] = ([], 0, True)
 
     @property
     def world_from_anchor(self) -> Pose:

@@ -30,12 +30,6 @@ ON_PLANE: dict[str, type[Fold]] = {
 }
 
 
-def folds_of(job: AnalysisJob) -> dict[str, type[Fold]]:
-    """The class of each fold that there is for this job."""
-    table = ON_PLANE if job.anchor == PLANE else FOLDS
-    return table | {name: kind for name, kind in job.kinds.items() if {*kind.needs} <= table.keys()}
-
-
 class Analyser:
     """Feed frames in order with `step`, then call `finish`. wanted : names of folds; what this job cannot have is left out
 
@@ -43,7 +37,8 @@ class Analyser:
     """
 
     def __init__(self, job: AnalysisJob, wanted: Collection[str] = ("pose",)) -> None:
-        kinds = folds_of(job)
+        table = ON_PLANE if job.anchor == PLANE else FOLDS
+        kinds = table | {name: kind for name, kind in job.kinds.items() if {*kind.needs} <= table.keys()}
         names = {n for n in wanted if n in kinds}
         for kind in reversed(kinds.values()):
             names.update(kind.needs if kind.name in names else ())

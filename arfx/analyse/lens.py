@@ -33,7 +33,7 @@ _STRAY = 0.25  # share of the gradient's size that lies outside of the edge
 _ROUNDS = 10
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
 Readings = Sequence[tuple[int, str, np.ndarray, np.ndarray]]
-_SIGMA_PX, _SIGMA_SHARE = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
+_SIGMA_PX, _SIGMA_FRACTION = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
 
 
 def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.ndarray) -> np.ndarray:
@@ -116,7 +116,7 @@ class FootageLens(Fold):
         self.readings: list[tuple[int, str, np.ndarray, np.ndarray]] = []
 
     def step(self, frame: AnalysisFrame) -> None:
-        for s in self._markers.seen:
+        for s in self._markers.detections:
             family = s.key.rpartition(":")[0]
             blur = side_blurs(frame.luma, s.corners_px, cells_per_side(family), self._markers.table)
             if np.isfinite(blur).any():
@@ -131,45 +131,37 @@ class FootageLens(Fold):
 def footage_lens(
     facts: Sequence[FrameFacts], readings: Readings, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
 ) -> LensFit:
-    frame, dioptre, blur, moved = _samples(facts, readings, markers, world_from_marker)
+    corners_m = {m.key: m.corners_m for m in markers}
+    before: dict[str, tuple[int, np.ndarray]] = {}
+    rows = []
+    for number, key, blurs, corners in readings:
+        last, before[key] = before.get(key), (number, corners)
+        fact = facts[number]
+        if fact.status != MEASURED or fact.camera_from_world is None or key not in world_from_marker:
+            continue
+        shift = corners - last[1] if last is not None and last[0] == number - 1 else None
+        z = (fact.camera_from_world @ world_from_marker[key]).apply(corners_m[key])[:, 2]
+        for side in range(4):
+            a, b = side, (side + 1) % 4
+            if not np.isfinite(blurs[side]) or min(z[a], z[b]) <= 0:
+                continue
+            along = normalise(corners[b] - corners[a])
+            normal = np.array([-along[1], along[0]])
+            across = 0.0 if shift is None else float(np.abs(shift[[a, b]] @ normal).max())
+            if across <= MOST_MOTION_PX:
+                rows.append((number, float(np.mean(1 / (z[a] + (z[b] - z[a]) * FRACTIONS))), blurs[side], across))
+    frame, dioptre, blur, moved = np.array(rows, float).reshape(-1, 4).T  # of every side that tells
     # a shutter that is open for up to all of the time adds up to moved^2 / 12 to the variance
-    sigma = _SIGMA_PX + _SIGMA_SHARE * blur + divide(moved**2, 24 * blur)
+    sigma = _SIGMA_PX + _SIGMA_FRACTION * blur + divide(moved**2, 24 * blur)
     fit = lens_from_blur(dioptre, blur, sigma)
     if not fit.known:
         return fit
     middle = np.median(frame)
     halves = [lens_from_blur(dioptre[half], blur[half], sigma[half]) for half in (frame < middle, frame >= middle)]
     if all(h.known for h in halves):
-        a, b = halves
-        apart = abs(a.focus - b.focus)
-        if apart > 1.5 * float(np.hypot(a.focus_ci95, b.focus_ci95)) + 0.05 * fit.focus:
-            words = f"the focus moves: {a.focus:.3g} and {b.focus:.3g} dioptres in the two halves of the clip"
+        early, late = halves
+        apart = abs(early.focus - late.focus)
+        if apart > 1.5 * float(np.hypot(early.focus_ci95, late.focus_ci95)) + 0.05 * fit.focus:
+            words = f"the focus moves: {early.focus:.3g} and {late.focus:.3g} dioptres in the two halves of the clip"
             return replace(fit, known=False, reason=words)
     return fit
-
-
-def _samples(
-    facts: Sequence[FrameFacts], readings: Readings, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(n,) frame number, dioptre, blur px and motion px of every side that tells."""
-    corners_m = {m.key: m.corners_m for m in markers}
-    before: dict[str, tuple[int, np.ndarray]] = {}
-    rows = []
-    for frame, key, blur, corners in readings:
-        last, before[key] = before.get(key), (frame, corners)
-        fact = facts[frame]
-        if fact.status != MEASURED or fact.camera_from_world is None or key not in world_from_marker:
-            continue
-        moved = corners - last[1] if last is not None and last[0] == frame - 1 else None
-        z = (fact.camera_from_world @ world_from_marker[key]).apply(corners_m[key])[:, 2]
-        for side in range(4):
-            a, b = side, (side + 1) % 4
-            if not np.isfinite(blur[side]) or min(z[a], z[b]) <= 0:
-                continue
-            along = normalise(corners[b] - corners[a])
-            normal = np.array([-along[1], along[0]])
-            across = 0.0 if moved is None else float(np.abs(moved[[a, b]] @ normal).max())
-            if across <= MOST_MOTION_PX:
-                rows.append((frame, float(np.mean(1 / (z[a] + (z[b] - z[a]) * FRACTIONS))), blur[side], across))
-    made = np.array(rows, float).reshape(-1, 4)
-    return made[:, 0], made[:, 1], made[:, 2], made[:, 3]

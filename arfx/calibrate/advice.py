@@ -1,7 +1,7 @@
-"""The verdict good | usable | poor with its reasons, and the next picture that would help most.
+"""What of the picture and of the board's tilts the views cover; the verdict good | usable | poor with its reasons; and the next
+picture that would help most: of 45 ways to hold the board, the one after which the projection would be least uncertain.
 
-The next picture is looked for, not guessed: of 45 ways to hold the board, the one after which the projection would be
-least uncertain over the picture.
+Source of the projection uncertainty: mrcal's documentation, "Projection uncertainty" (rotation-compensated, at infinity).
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ import numpy as np
 
 from arfx.calibrate.board import BoardSpec
 from arfx.calibrate.corners import View
-from arfx.calibrate.coverage import TILTED_DEG, Coverage, projection_jacobian
 from arfx.calibrate.solve import Fit, Uncertainty, information, jacobians, without_pose
+from arfx.core.numerics import angle_between, arccos
 
+CELLS = (8, 6)  # across, down: at 4:3 they are square
+TILTED_DEG = 15.0  # a board tilted by less tells focal length from distance too weakly: its depth range is .27 of its size
+GRID = (13, 9)  # where the projection uncertainty is looked at
 GOOD, USABLE, POOR = "good", "usable", "poor"
-NEXT_TILT_DEG, NEXT_SHARE = 35.0, 0.45  # how steeply, and how large in the picture, the next board is proposed
+NEXT_TILT_DEG, NEXT_FRACTION = 35.0, 0.45  # how steeply, and how large in the picture, the next board is proposed
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,7 @@ def figures(
     """What LIMITS judges. The projection's is that of nine tenths of the picture: its very corners are nearly always
     extrapolated, and are reported apart."""
     width = fitted.camera.width
+    projection_sd = float(np.quantile(projection_sd_px, 0.9)) if projection_sd_px.size else float("inf")
     return {
         "views": float(len(fitted.views)),
         "focal_sd_percent": 100 * focal_sd_px / fitted.camera.fx,
@@ -89,9 +93,7 @@ def figures(
         "cells_percent": 100 * seen.cells,
         "radius_percent": 100 * seen.radius,
         "held_out_permille": 1000 * held_out_px / width,
-        "projection_sd_permille": 1000 * float(np.quantile(projection_sd_px, 0.9)) / width
-        if projection_sd_px.size
-        else float("inf"),
+        "projection_sd_permille": 1000 * projection_sd / width,
         "rejected_percent": 100 * rejected / (rejected + len(fitted.views)),
     }
 
@@ -108,14 +110,13 @@ def next_picture(fitted: Fit, known: Uncertainty, spec: BoardSpec) -> str:
         score = float(np.einsum("np,pq,nq->", where, covariance, where))
         if score < best_score:
             best, best_score = text, score
-    return best or f"hold the board so that it fills {NEXT_SHARE:.0%} of the picture's width, tilted by {NEXT_TILT_DEG:.0f}°"
+    return best or f"hold the board so that it fills {NEXT_FRACTION:.0%} of the picture's width, tilted by {NEXT_TILT_DEG:.0f}°"
 
 
 def _candidates(fitted: Fit, spec: BoardSpec) -> Sequence[tuple[str, View, np.ndarray, np.ndarray]]:
     """Ways to hold the board so that all of it is in the picture."""
     camera, out = fitted.camera, []
-    board = spec.corners_m - spec.corners_m.mean(0)
-    distance = camera.fx * float(np.ptp(board[:, 0])) / (NEXT_SHARE * camera.width)
+    distance = camera.fx * float(np.ptp(spec.corners_m[:, 0] - spec.corners_m[:, 0].mean())) / (NEXT_FRACTION * camera.width)
     a = np.radians(NEXT_TILT_DEG)
     tilts = {
         "facing the camera": (0.0, 0.0), "its right edge nearer": (0.0, a), "its left edge nearer": (0.0, -a),
@@ -128,28 +129,73 @@ def _candidates(fitted: Fit, spec: BoardSpec) -> Sequence[tuple[str, View, np.nd
             ray = camera.directions(np.array([x * (camera.width - 1), y * (camera.height - 1)]))
             for how, tilt in tilts.items():
                 rvec = np.array([*tilt, 0.0])
-                # turn about the board's middle; corners_m starts at the first corner
-                tvec = ray * distance - cv2.Rodrigues(rvec)[0] @ spec.corners_m.mean(0)
-                points = camera.project(spec.corners_m @ cv2.Rodrigues(rvec)[0].T + tvec)
-                inside = np.isfinite(points).all() and (points > 0).all() and (points < [camera.width, camera.height]).all()
-                if not inside:
+                turn = cv2.Rodrigues(rvec)[0]
+                tvec = ray * distance - turn @ spec.corners_m.mean(0)  # about the board's middle
+                points = camera.project(spec.corners_m @ turn.T + tvec)
+                if not ((points > 0).all() and (points < [camera.width, camera.height]).all()):  # nor where a point is NaN
                     continue
                 place = " ".join(w for w in (down, across or ("middle" if down else "")) if w) or "middle"
                 tilted = how if "facing" in how else f"tilted by about {NEXT_TILT_DEG:.0f}° with {how}"
-                text = f"hold the board in the {place} of the picture, about {NEXT_SHARE:.0%} of its width, {tilted}"
-                out.append(
-                    (
-                        text,
-                        View("", (camera.width, camera.height), np.arange(len(points)), spec.corners_m, points, ""),
-                        rvec,
-                        tvec,
-                    )
-                )
+                text = f"hold the board in the {place} of the picture, about {NEXT_FRACTION:.0%} of its width, {tilted}"
+                view = View("", (camera.width, camera.height), np.arange(len(points)), spec.corners_m, points, "")
+                out.append((text, view, rvec, tvec))
     return out
 
 
-def tilt_words(seen: Coverage) -> str:
-    """One line on the tilts seen."""
-    steep = int((seen.tilt_deg > TILTED_DEG).sum())
-    low, high = seen.tilt_deg.min(), seen.tilt_deg.max()
-    return f"tilt {low:.0f} to {high:.0f}°, {steep} of {len(seen.tilt_deg)} views above {TILTED_DEG:.0f}°"
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """counts : (rows, columns) corners per cell of the picture; cells : share of the cells with a corner;
+    radius : farthest corner from the picture's centre over half the diagonal; tilt_deg, azimuth_deg : (V,) of each view,
+    the board's normal against the optical axis, and where its near edge points in the picture (0 right, 90 down);
+    span_deg : largest angle between the normals of two views; directions : how many of the four quarter turns of azimuth
+    hold a tilt above TILTED_DEG"""
+
+    counts: np.ndarray
+    cells: float
+    radius: float
+    tilt_deg: np.ndarray
+    azimuth_deg: np.ndarray
+    span_deg: float
+    directions: int
+
+
+def coverage(fitted: Fit) -> Coverage:
+    """Coverage of the views that a fit rests on."""
+    w, h = fitted.camera.width, fitted.camera.height
+    points = np.concatenate([v.pixels for v in fitted.views])
+    counts, _, _ = np.histogram2d(points[:, 1], points[:, 0], bins=(CELLS[1], CELLS[0]), range=((-0.5, h - 0.5), (-0.5, w - 0.5)))
+    normals = np.array([cv2.Rodrigues(r)[0][:, 2] for r in fitted.rotations])
+    normals = np.where(normals[:, 2:] <= 0, normals, -normals)  # in camera coordinates, towards the camera's side
+    tilt = np.degrees(arccos(-normals[:, 2]))
+    # the normal leans away from the near edge, so the near edge lies on the opposite side
+    azimuth = np.degrees(np.arctan2(-normals[:, 1], -normals[:, 0])) % 360
+    span = max(float(np.degrees(angle_between(n[None], normals)).max()) for n in normals)
+    quadrants = {int(((a + 45) % 360) // 90) for a, t in zip(azimuth, tilt, strict=True) if t > TILTED_DEG}
+    centre = np.array([(w - 1) / 2, (h - 1) / 2])
+    radius = float(np.linalg.norm(points - centre, axis=1).max() / np.hypot(w / 2, h / 2))
+    return Coverage(counts.astype(int), float((counts > 0).mean()), radius, tilt, azimuth, span, len(quadrants))
+
+
+def grid_pixels(width: int, height: int) -> np.ndarray:
+    """(n, 2) pixels spread over the picture, GRID of them, borders included."""
+    x, y = np.meshgrid(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
+    return np.stack([x.ravel(), y.ravel()], -1)
+
+
+def projection_jacobian(fitted: Fit) -> np.ndarray:
+    """(2n, p) how each grid pixel's projection moves with the intrinsics, a turn of the camera taken out.
+
+    A change of intrinsics that only turns the picture is no error for anyone who estimates the pose with them. Pixels that
+    no direction maps to are left out.
+    """
+    rays = fitted.camera.directions(grid_pixels(fitted.camera.width, fitted.camera.height))
+    rays = rays[np.isfinite(rays).all(-1)]
+    j = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), fitted.camera.matrix, fitted.camera.distortion)[1]
+    return without_pose(np.hstack([j[:, 6:10], j[:, [10 + i for i in fitted.model.free]]]), j[:, :3])
+
+
+def projection_uncertainty_px(fitted: Fit, known: Uncertainty) -> np.ndarray:
+    """(n,) one standard deviation of the projection at each grid pixel, px (root mean square of x and y)."""
+    j = projection_jacobian(fitted)
+    variance = np.einsum("np,pq,nq->n", j, known.covariance, j).reshape(-1, 2).sum(1) / 2
+    return np.sqrt(np.maximum(variance, 0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -57,10 +57,6 @@ class BoardSpec:
     def turn_is_ambiguous(self) -> bool:
         """Whether the board turned by half a turn looks the same (a chessboard with both counts odd, or both even)."""
         return self.kind == CHESSBOARD and self.columns % 2 == self.rows % 2
-
-    def other_pattern(self) -> BoardSpec:
-        """The same ChArUco board with the other (legacy or new) pattern."""
-        return replace(self, legacy=not self.legacy)
 
     def __str__(self) -> str:
         size = f"{self.kind}:{self.columns}x{self.rows}:{self.square_m * 1e3:.12g}mm"

@@ -7,20 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from arfx.calibrate.advice import Verdict, figures, judge, next_picture
+from arfx.calibrate.advice import Coverage, Verdict, coverage, figures, judge, next_picture, projection_uncertainty_px
 from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec
 from arfx.calibrate.corners import View, find_view, seen_instead
-from arfx.calibrate.coverage import Coverage, coverage, projection_uncertainty_px
-from arfx.calibrate.evidence import Evidence, choose_model
-from arfx.calibrate.screen import Rejected, drop_copies, drop_corners, reject_views
-from arfx.calibrate.select import varied
-from arfx.calibrate.solve import Fit, Uncertainty, fit, uncertainty
+from arfx.calibrate.screen import Rejected, drop_copies, drop_corners, most_varied, reject_views
+from arfx.calibrate.solve import Evidence, Fit, Uncertainty, choose_model, fit, uncertainty
 from arfx.errors import InputError, NothingToDoError
 
 KEEP_VIEWS = 40  # more add little (errors fall with the root) and cost linearly
 SECOND_OPINIONS = 60  # pictures searched with both chessboard finders; of a video's frames the first ones
 LOOKED_AT = 4  # pictures without the board that are searched for other boards
-LEAST_VIEWS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,18 +59,15 @@ class Calibration:
 
 
 def find_board(
-    pictures: Iterable[tuple[str, np.ndarray]], spec: BoardSpec, progress: Callable[[int, int], None] | None = None
+    pictures: Iterable[tuple[str, np.ndarray]], spec: BoardSpec, progress: Callable[[int, int], None] = lambda *_: None
 ) -> Found:
     """Search pictures (name, (h, w) uint8 upright) for the board.
 
     progress : called with pictures searched and boards found
-
     Raises InputError for pictures of different sizes, NothingToDoError, saying what is seen instead, if no board is found.
     """
-    views: list[View] = []
-    empty: list[str] = []
+    views, empty, notices = list[View](), list[str](), list[str]()
     samples: list[tuple[str, np.ndarray]] = []
-    notices: list[str] = []
     first: tuple[str, tuple[int, int]] | None = None
     searched = 0
     for name, gray in pictures:
@@ -88,9 +81,10 @@ def find_board(
         searched += 1
         view = find_view(gray, spec, name, second_opinion=searched <= SECOND_OPINIONS)
         if view is None and spec.kind == CHARUCO and not views:
-            view = find_view(gray, spec.other_pattern(), name)
+            other = replace(spec, legacy=not spec.legacy)
+            view = find_view(gray, other, name)
             if view is not None:
-                was, spec = spec, spec.other_pattern()
+                was, spec = spec, other
                 notices.append(f"the board has the {'legacy' if spec.legacy else 'new'} pattern: {spec}, not {was}")
         if view is None:
             empty.append(name)
@@ -98,8 +92,7 @@ def find_board(
                 samples.append((name, gray))
         else:
             views.append(view)
-        if progress:
-            progress(searched, len(views))
+        progress(searched, len(views))
     instead = tuple(f"{name}: {what}" for name, gray in samples if (what := seen_instead(gray, spec)))
     if not views:
         if first is None:
@@ -118,11 +111,11 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     """Intrinsics from the views found. Raises NothingToDoError if fewer than three different views agree."""
     notices = list(found.notices)
     unique, copies = drop_copies(found.views)
-    unique = varied(unique, keep)
-    if len(unique) < LEAST_VIEWS:
+    unique = most_varied(unique, keep)
+    if len(unique) < 3:
         raise NothingToDoError(
             f"board {found.spec} is seen in {len(found.views)} of {found.searched} pictures, {len(unique)} of them different",
-            f"at least {LEAST_VIEWS} different views are needed, 15 are good",
+            "at least 3 different views are needed, 15 are good",
         )
     # twice: with a rich model the views' errors are smaller, and a bad view stands out that hid behind the lens's distortion
     first_fit, rejected = reject_views(unique)
@@ -140,8 +133,21 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     projection = projection_uncertainty_px(fitted, total)
     measured = figures(fitted, seen, float(max(sd[:2])), projection, chosen.held_out_rms_px, len(rejected))
     word, reasons = judge(measured)
-    turned = _upside_down(fitted.views)
-    notices += _remarks(found, copies, rejected, turned)
+    oriented = [v for v in fitted.views if v.upside_down is not None]
+    usually = sum(bool(v.upside_down) for v in oriented) * 2 > len(oriented)
+    turned = tuple(v.name for v in oriented if v.upside_down != usually)
+    if copies:
+        notices.append(f"{len(copies)} views are copies of others and count once: {_first_names([c.name for c in copies])}")
+    notices += [f"{r.name} is left out: {r.reason}" for r in rejected]
+    if turned:
+        notices.append(f"{len(turned)} views show the board upside down (corners renumbered): {_first_names(turned)}")
+    if found.spec.turn_is_ambiguous and found.spec.kind == CHESSBOARD:
+        notices.append(
+            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half a turn: which views are upside "
+            "down cannot be known (the intrinsics do not suffer; one odd and one even count avoids it)"
+        )
+    if found.empty:
+        notices.append(f"no board in {len(found.empty)} of {found.searched} pictures: {_first_names(found.empty)}")
     if corners_dropped:
         notices.append(f"{corners_dropped} corners miss by far and are left out")
     verdict = Verdict(word, reasons, next_picture(fitted, known, found.spec))
@@ -167,29 +173,5 @@ def _finder_difference(fitted: Fit) -> np.ndarray:
     return (other.values - own.values) / np.sqrt(2)
 
 
-def _upside_down(views: Sequence[View]) -> tuple[str, ...]:
-    """The views turned the other way than most."""
-    told = [v for v in views if v.upside_down is not None]
-    most = sum(bool(v.upside_down) for v in told) * 2 > len(told)
-    return tuple(v.name for v in told if v.upside_down != most)
-
-
-def _remarks(found: Found, copies: Sequence[Rejected], rejected: Sequence[Rejected], turned: Sequence[str]) -> list[str]:
-    out = []
-    if copies:
-        out.append(f"{len(copies)} views are copies of others and count once: {_few([c.name for c in copies])}")
-    out += [f"{r.name} is left out: {r.reason}" for r in rejected]
-    if turned:
-        out.append(f"{len(turned)} views show the board upside down (corners renumbered): {_few(turned)}")
-    if found.spec.turn_is_ambiguous and found.spec.kind == CHESSBOARD:
-        out.append(
-            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half a turn: which views are upside "
-            "down cannot be known (the intrinsics do not suffer; one odd and one even count avoids it)"
-        )
-    if found.empty:
-        out.append(f"no board in {len(found.empty)} of {found.searched} pictures: {_few(found.empty)}")
-    return out
-
-
-def _few(names: Sequence[str], most: int = 5) -> str:
+def _first_names(names: Sequence[str], most: int = 5) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

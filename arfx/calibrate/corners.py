@@ -1,8 +1,8 @@
 """Finds the inner corners of one board in one picture, to a few hundredths of a pixel.
 
 Chessboards: `findChessboardCorners` (grid) and `cornerSubPix` (position) with a window tied to the size of the squares as
-they appear; where the grid search fails, the sector-based finder's grid. Measured, see docs of `REFINE_SHARE` and tests.
-ChArUco: OpenCV's detector, then `cornerSubPix` with a window that keeps clear of the markers; see `CLEAR_SHARE`.
+they appear; where the grid search fails, the sector-based finder's grid. Measured, see docs of `REFINE_FRACTION` and tests.
+ChArUco: OpenCV's detector, then `cornerSubPix` with a window that keeps clear of the markers; see `CLEAR_FRACTION`.
 Cost: 5-15 ms at 640x480, 30-50 ms at 1920x1080; a chessboard that is not there costs up to .3 s.
 Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the sector-based finder).
 """
@@ -21,10 +21,10 @@ from arfx.core.numerics import divide
 # so a board turned by 45 degrees reaches sqrt(2) times as far: .33 * 1.41 = .47 of the way to the next corner, whose edges
 # would otherwise pull this one. On OpenCV's set a fixed 11 px reaches too far in left02 (22 px squares): rms there 1.22 px
 # against .16, and fx 536.3 instead of 533.1.
-REFINE_SHARE = 0.33
+REFINE_FRACTION = 0.33
 # The same for ChArUco, as a share of the white between a marker and its square's edge. On rendered boards (5-11 px per marker
 # module) errors were .04-.06 px, OpenCV's own refinement gave .04-.17; a window that reaches the markers .2-.5.
-CLEAR_SHARE = 0.8
+CLEAR_FRACTION = 0.8
 REFINE_MIN_PX, REFINE_MAX_PX = 2, 20
 LEAST_CHARUCO_CORNERS = 8  # a plane's homography takes 4; twice that leaves residuals to judge it by
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
@@ -66,23 +66,18 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool
     board = spec.corners_m[ids]
     if np.linalg.matrix_rank(board[:, :2] - board[:, :2].mean(0), tol=0.1 * spec.square_m) < 2:
         return None  # all on one row: no plane
-    half = _clear_half_window_px(np.asarray(corners, float).reshape(-1, 2), ids, spec)
-    rough = np.asarray(corners, np.float32).reshape(-1, 1, 2)
-    pixels = cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).reshape(-1, 2).astype(float)
+    grid = np.full((spec.inner[0] * spec.inner[1], 2), np.nan)
+    grid[ids] = np.asarray(corners, float).reshape(-1, 2)
+    white = (1 - spec.marker_m / spec.square_m) / 2
+    pixels = _refined(gray, np.asarray(corners, np.float32), CLEAR_FRACTION * white * nearest_corner_px(grid, spec.inner))
     return _view(gray, spec, name, ids, pixels, "charuco", None)
 
 
-def _clear_half_window_px(pixels: np.ndarray, ids: np.ndarray, spec: BoardSpec) -> int:
-    """Half the side of cornerSubPix's window for some of a ChArUco board's corners; see CLEAR_SHARE."""
-    grid = np.full((spec.inner[0] * spec.inner[1], 2), np.nan)
-    grid[ids] = pixels
-    nearest = nearest_corner_px(grid, spec.inner)
-    white = (1 - spec.marker_m / spec.square_m) / 2
-    return (
-        int(np.clip(round(CLEAR_SHARE * white * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
-        if np.isfinite(nearest)
-        else REFINE_MIN_PX
-    )
+def _refined(gray: np.ndarray, rough: np.ndarray, half_px: float) -> np.ndarray:
+    """(n, 2) corners refined in windows of half the side half_px, NaN = the smallest."""
+    half = int(np.clip(round(half_px), REFINE_MIN_PX, REFINE_MAX_PX)) if np.isfinite(half_px) else REFINE_MIN_PX
+    refined = cv2.cornerSubPix(gray, rough.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), STOP)
+    return refined.reshape(-1, 2).astype(float)
 
 
 def _chessboard(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool) -> View | None:
@@ -101,11 +96,17 @@ def _chessboard(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bo
     # one pass only: a first one with a larger window (to pull back corners that the grid search left far off) moved corners of
     # left02 in OpenCV's set to their neighbours' edges; such corners are rather dropped later (screen.drop_corners)
     nearest = nearest_corner_px(rough.reshape(-1, 2).astype(float), spec.inner)
-    half = int(np.clip(round(REFINE_SHARE * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
-    pixels = cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).reshape(-1, 2).astype(float)
-    alternative = None if sectors is None else _same_order(np.asarray(sectors, float).reshape(-1, 2), pixels)
-    turned = _starts_at_white(gray, pixels, spec)
-    if turned:
+    pixels = _refined(gray, rough, REFINE_FRACTION * nearest)
+    # the other finder's corners in our order, unless it numbers them in a way that is not a half turn, or is far off
+    others = [] if sectors is None else [o := np.asarray(sectors, float).reshape(-1, 2), o[::-1]]
+    near = (o.copy() for o in others if np.linalg.norm(o - pixels, axis=1).max() < 3.0)  # px; more is another corner
+    alternative = next(near, None)
+    grid = pixels.reshape(spec.inner[1], spec.inner[0], 2)
+    # the inner squares next to the first and the last corner: they lie inside the grid, so they are always in the picture. Is the
+    # first white, its opposite black? Then the grid is turned
+    ends = [grid[:2, :2].mean((0, 1)), grid[-2:, -2:].mean((0, 1))]
+    first, last = (float(cv2.getRectSubPix(gray, (3, 3), (float(x), float(y))).mean()) for x, y in ends)
+    if not spec.turn_is_ambiguous and first > last:
         pixels = pixels[::-1].copy()
         alternative = None if alternative is None else alternative[::-1].copy()
     return _view(gray, spec, name, np.arange(len(pixels)), pixels, finder, alternative)
@@ -129,28 +130,6 @@ def nearest_corner_px(pixels: np.ndarray, inner: tuple[int, int]) -> float:
     distances = np.concatenate([np.linalg.norm(s, axis=-1).ravel() for s in steps])
     known = distances[np.isfinite(distances)]
     return float(known.min()) if known.size else float("nan")
-
-
-def _same_order(other: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
-    """The other finder's corners in our order; None where it numbers them in a way that is not a half turn, or is far off."""
-    for candidate in (other, other[::-1]):
-        if np.linalg.norm(candidate - pixels, axis=1).max() < 3.0:  # px; more is another corner, not another opinion
-            return candidate.copy()
-    return None
-
-
-def _starts_at_white(gray: np.ndarray, pixels: np.ndarray, spec: BoardSpec) -> bool:
-    """Whether the square before the first corner is white, its opposite at the last corner black: then the grid is turned.
-
-    Always False for boards that look the same after half a turn.
-    """
-    if spec.turn_is_ambiguous:
-        return False
-    grid = pixels.reshape(spec.inner[1], spec.inner[0], 2)
-    # the inner squares next to the first and the last corner: they lie inside the grid, so they are always in the picture
-    first, last = grid[:2, :2].mean((0, 1)), grid[-2:, -2:].mean((0, 1))
-    values = [float(cv2.getRectSubPix(gray, (3, 3), (float(p[0]), float(p[1]))).mean()) for p in (first, last)]
-    return values[0] > values[1]
 
 
 def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
@@ -179,7 +158,6 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
 
     Cost: about 1 s at 1920x1080; meant for a few pictures.
     """
-    chess = _largest_chessboard(gray)
     families = {}
     for f in SEARCHED:
         found = cv2.aruco.ArucoDetector(opencv_dictionary(f)).detectMarkers(gray)[1]
@@ -194,9 +172,11 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
             if better is not None:
                 return f"a board that fits {better}"
         return f"{len(ids)} marker{'s'[: len(ids) > 1]} of {family} (ids {min(ids)} to {max(ids)})"
-    if chess:
-        return f"a chessboard with {chess[0]}x{chess[1]} inner corners"
-    return ""
+    chess, _, meta = cv2.findChessboardCornersSBWithMeta(gray, SMALL_CHESSBOARD, cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE)
+    if not chess or meta is None:
+        return ""
+    rows, columns = meta.shape[:2]
+    return f"a chessboard with {max(rows, columns)}x{min(rows, columns)} inner corners"
 
 
 def _working_spec(gray: np.ndarray, spec: BoardSpec, family: str, highest: int) -> BoardSpec | None:
@@ -212,12 +192,3 @@ def _working_spec(gray: np.ndarray, spec: BoardSpec, family: str, highest: int) 
             if trial != spec and find_view(gray, trial, "") is not None:
                 return trial
     return None
-
-
-def _largest_chessboard(gray: np.ndarray) -> tuple[int, int] | None:
-    """(inner corners across, down), the larger first, of a chessboard of any size."""
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(gray, SMALL_CHESSBOARD, cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE)
-    if not found or meta is None:
-        return None
-    rows, columns = meta.shape[:2]
-    return max(rows, columns), min(rows, columns)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.calibrate.advice import tilt_words
+from arfx.calibrate.advice import TILTED_DEG
 from arfx.calibrate.calibration import Calibration
 
 
@@ -25,11 +25,11 @@ def document(result: Calibration) -> dict[str, Any]:
         "camera_matrix": camera.matrix.tolist(),
         "distortion_coefficients": camera.distortion.tolist(),
         "lens_model": fitted.model.name,
-        "standard_deviations": _named(names, result.standard_deviations),
+        "standard_deviations": dict(zip(names, result.standard_deviations.tolist(), strict=True)),
         "standard_deviation_parts": {
-            "independent_corners": _named(names, result.known.independent),
-            "between_views_jackknife": _named(names, result.known.jackknife),
-            "between_corner_finders": _named(names, result.finder_sd),
+            "independent_corners": dict(zip(names, result.known.independent.tolist(), strict=True)),
+            "between_views_jackknife": dict(zip(names, result.known.jackknife.tolist(), strict=True)),
+            "between_corner_finders": dict(zip(names, result.finder_sd.tolist(), strict=True)),
         },
         "reprojection_rms_px": fitted.rms_px,
         "held_out_rms_px": result.chosen.held_out_rms_px,
@@ -80,9 +80,8 @@ def file_extras(result: Calibration) -> dict[str, Any]:
 
 def summary(result: Calibration) -> list[str]:
     """Lines for a terminal."""
-    fitted = result.fitted
-    names = fitted.model.parameters
-    pairs = zip(names, fitted.values, result.standard_deviations, strict=True)
+    fitted, tilt = result.fitted, result.seen.tilt_deg
+    pairs = zip(fitted.model.parameters, fitted.values, result.standard_deviations, strict=True)
     numbers = [f"{n} {v:.2f} ±{s:.2f}" if n[0] in "fc" else f"{n} {v:.4f} ±{s:.4f}" for n, v, s in pairs]
     out = [
         f"verdict: {result.verdict.word}",
@@ -90,11 +89,8 @@ def summary(result: Calibration) -> list[str]:
         f"intrinsics: {', '.join(numbers[:4])} px",
         f"lens model {fitted.model.name}" + (f": {', '.join(numbers[4:])}" if numbers[4:] else ""),
         f"{len(fitted.views)} views: rms {fitted.rms_px:.3f} px, held out {result.chosen.held_out_rms_px:.3f} px; "
-        f"{tilt_words(result.seen)}; {result.seen.cells:.0%} of the picture covered",
+        f"tilt {tilt.min():.0f} to {tilt.max():.0f}°, {(tilt > TILTED_DEG).sum()} of {len(tilt)} views above {TILTED_DEG:.0f}°; "
+        f"{result.seen.cells:.0%} of the picture covered",
     ]
     out += [f"note: {n}" for n in result.notices]
     return [*out, f"next picture: {result.verdict.next_picture}"]
-
-
-def _named(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
-    return {n: float(v) for n, v in zip(names, values, strict=True)}

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from arfx.calibrate.advice import GRID, TILTED_DEG, grid_pixels
 from arfx.calibrate.calibration import Calibration
-from arfx.calibrate.coverage import GRID, TILTED_DEG, grid_pixels
 from arfx.core.guard import aside
 
 RESIDUALS, COVERAGE = "residuals.png", "coverage.png"

@@ -1,4 +1,4 @@
-"""What a printed sheet holds: markers or a board, their labels and a ruler, in millimetres on a page.
+"""A printed sheet: markers or a board, their labels and a ruler, in millimetres on a page; and its file, true to scale.
 
 Page coordinates: x right, y down from the upper left corner.
 """
@@ -8,11 +8,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec, charuco_board, opencv_dictionary
+from arfx.core.guard import aside
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
@@ -25,6 +27,10 @@ MARGIN_MM = 8.0  # what usual printers cannot print on, with room
 FOOT_MM = 16.0  # ruler and its words at the bottom
 LABEL_MM = 5.0  # line of text under each marker
 TEXT_MM = 3.0  # height of letters
+MM_PER_INCH = 25.4
+LINE_MM = 0.2
+CAP_FRACTION = 0.72  # height of capitals over a font's size
+LARGEST_PX = 30000  # along one side of a PNG: 900 MB in memory
 RULER_MM = (100.0, 50.0)  # the first that fits
 
 
@@ -112,7 +118,7 @@ def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> She
     """Markers row by row, as many to a row as fit; or why it does not work."""
     markers = [t for t in targets if isinstance(t, MarkerSpec)]
     largest = max(m.size_m * 1000 for m in markers)
-    modules = min(module_count(m.family) for m in markers)
+    modules = min(len(marker_bits(m.family, m.id)) for m in markers)
     # one module of white all round is the least that detectors need; neighbours share nothing
     white = largest / modules
     pitch_x, pitch_y = largest + 2 * white, largest + 2 * white + LABEL_MM
@@ -171,16 +177,12 @@ def _with_ruler(title: str, width: float, height: float, cells: list[Cells], tex
     return Sheet(title, width, height, tuple(cells), tuple(texts), tuple(lines))
 
 
-def module_count(family: str) -> int:
-    """Modules along a marker's black square, its border of one included."""
-    return int(opencv_dictionary(family).markerSize) + 2
-
-
 def marker_bits(family: str, number: int) -> np.ndarray:
-    """(n, n) bool, True = black, n = module_count."""
+    """(n, n) bool, True = black; n modules along the marker's black square, its border of one included."""
     if not 0 <= number < FAMILIES[family]:
         raise ConfigError(f"marker {family}:{number}: {family} has ids 0 to {FAMILIES[family] - 1}")
-    return cv2.aruco.generateImageMarker(opencv_dictionary(family), number, module_count(family)) < 128
+    dictionary = opencv_dictionary(family)
+    return cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) < 128
 
 
 def outlines(cells: Cells) -> np.ndarray:
@@ -189,3 +191,68 @@ def outlines(cells: Cells) -> np.ndarray:
     (row, left), (_, right) = np.argwhere(edges > 0).T, np.argwhere(edges < 0).T
     corners = np.array([(left, row), (right, row), (right, row + 1), (left, row + 1)], float)
     return corners.transpose(2, 0, 1) * cells.cell_mm + [cells.x_mm, cells.y_mm]
+
+
+def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
+    """Write by the ending of the name: .pdf, .svg or .png (dpi, to the nearest of which all edges are rounded).
+
+    The file appears by atomic rename. Raises ConfigError for other endings and for a PNG that is too large.
+    """
+    ending = path.suffix.lower()
+    if ending not in (".pdf", ".svg", ".png"):
+        raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")
+    with aside(path) as part:
+        if ending == ".png":
+            _png(sheet, part, dpi)
+        else:
+            _drawn(sheet, part, ending[1:])
+
+
+def _drawn(sheet: Sheet, path: Path, kind: str) -> None:
+    """PDF or SVG: both in points."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    figure = Figure(figsize=(sheet.width_mm / MM_PER_INCH, sheet.height_mm / MM_PER_INCH))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(0, sheet.width_mm), ylim=(sheet.height_mm, 0))
+    axes.set_axis_off()
+    for cells in sheet.cells:
+        path_of_all = Outline.make_compound_path_from_polys(outlines(cells)[:, [0, 1, 2, 3, 0]])
+        axes.add_patch(PathPatch(path_of_all, facecolor="black", edgecolor="none", linewidth=0))
+    for x0, y0, x1, y1 in sheet.lines:
+        axes.plot([x0, x1], [y0, y1], color="black", linewidth=LINE_MM / MM_PER_INCH * 72, solid_capstyle="butt", clip_on=False)
+    for t in sheet.texts:
+        axes.text(t.x_mm, t.y_mm, t.words, ha="center", va="baseline", fontsize=TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72)
+    # no date and no random names, so that the same sheet gives the same bytes
+    undated = {"CreationDate" if kind == "pdf" else "Date": None}
+    with rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}):
+        figure.savefig(path, format=kind, metadata={"Title": sheet.title, **undated})
+
+
+def _png(sheet: Sheet, path: Path, dpi: float) -> None:
+    from PIL import Image, ImageDraw, ImageFont
+
+    scale = dpi / MM_PER_INCH
+    size = round(sheet.width_mm * scale), round(sheet.height_mm * scale)
+    if not 36 <= dpi <= 4800 or max(size) > LARGEST_PX:
+        raise ConfigError(
+            f"{dpi:g} dpi gives a picture of {size[0]}x{size[1]} px", f"36 to 4800 dpi, up to {LARGEST_PX} px; or .pdf, .svg"
+        )
+    picture = np.full((size[1], size[0]), 255, np.uint8)
+    for cells in sheet.cells:
+        rows, columns = cells.black.shape
+        xs = np.round((cells.x_mm + cells.cell_mm * np.arange(columns + 1)) * scale).astype(int)
+        ys = np.round((cells.y_mm + cells.cell_mm * np.arange(rows + 1)) * scale).astype(int)
+        for r, c in np.argwhere(cells.black):
+            picture[ys[r] : ys[r + 1], xs[c] : xs[c + 1]] = 0
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    for line in sheet.lines:
+        draw.line([v * scale for v in line], fill=0, width=max(1, round(LINE_MM * scale)))
+    font = ImageFont.load_default(TEXT_MM / CAP_FRACTION * scale)
+    for t in sheet.texts:
+        draw.text((t.x_mm * scale, t.y_mm * scale), t.words, fill=0, font=font, anchor="ms")
+    image.save(path, format="PNG", dpi=(dpi, dpi))

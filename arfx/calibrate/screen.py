@@ -1,4 +1,5 @@
-"""Which views may take part: copies are dropped, views that disagree with the others are rejected, then single wrong corners.
+"""Which views take part. Of a video: sharp frames, and the most varied of the views in them. Copies are dropped, views that
+disagree with the others are rejected, then single wrong corners.
 
 Rejection starts from the subset of views that agrees best with the most others (as in RANSAC), so that some views of another
 board or camera cannot drag the solution to themselves first.
@@ -6,9 +7,10 @@ board or camera cannot drag the solution to themselves first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from arfx.calibrate.corners import View
@@ -17,7 +19,7 @@ from arfx.errors import NothingToDoError
 
 # Two views whose corners lie within this share of the picture's width of each other are one view seen twice: they would count
 # the same noise, and the same bent board, as if they were independent. 2 px at 640.
-SAME_VIEW_SHARE = 0.003
+SAME_VIEW_FRACTION = 0.003
 # A view is rejected when its rms is this many robust standard deviations above the median of all, and twice the median. With
 # views that differ only by chance (n corners each, rms spread about 1/sqrt(2n)) neither is reached in 10,000 views.
 REJECT_SIGMA, REJECT_RATIO = 5.0, 2.0
@@ -25,6 +27,7 @@ FLOOR_PX = 0.05  # below this a view is fine whatever the others do: corner nois
 SUBSETS, SUBSET_SIZE = 12, 5
 # A corner is left out when it misses by this many times the typical miss: chance does so once in exp(20) = 5e8 corners.
 CORNER_RATIO = 4.5
+BLUR_FRACTION = 0.7  # views with less than this share of the median corner sharpness are left out: blur moves corners
 MOST_CORNERS = 0.1  # of a view; one that would lose more stays as it is, for `reject_views` to judge
 
 
@@ -41,7 +44,7 @@ def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
     kept: list[View] = []
     dropped: list[Rejected] = []
     for view in sorted(views, key=lambda v: -v.sharpness):
-        twin = next((k for k in kept if _moved_px(view, k) < SAME_VIEW_SHARE * view.size[0]), None)
+        twin = next((k for k in kept if _moved_px(view, k) < SAME_VIEW_FRACTION * view.size[0]), None)
         if twin is None:
             kept.append(view)
         else:
@@ -61,10 +64,7 @@ def _moved_px(a: View, b: View) -> float:
 
 
 def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL) -> tuple[Fit, list[Rejected]]:
-    """The fit of the views that agree, and the views that do not.
-
-    Raises NothingToDoError if no three views agree.
-    """
+    """The fit of the views that agree, and the views that do not. Raises NothingToDoError if no three views agree."""
     start = _most_agreed(views, model)
     inside = [v for v in views if start is None or v in start]
     fitted = fit(inside, model)
@@ -72,9 +72,7 @@ def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL) -> tuple
         errors = np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
         limit = rejection_limit_px(np.array([typical_px(r) for r in fitted.residuals]))
         chosen = [v for v, e in zip(views, errors, strict=True) if e <= limit]
-        if len(chosen) < 3:
-            break
-        if chosen == inside:
+        if len(chosen) < 3 or chosen == inside:
             break
         inside = chosen
         fitted = fit(inside, model)
@@ -149,3 +147,60 @@ def _most_agreed(views: Sequence[View], model: LensModel) -> list[View] | None:
     limit = max(FLOOR_PX, 3.0 * float(np.quantile(best, 0.3)))
     agreed = [v for v, e in zip(views, best, strict=True) if e <= limit]
     return agreed if len(agreed) >= 3 else None
+
+
+def picture_sharpness(gray: np.ndarray) -> float:
+    """Variance of the Laplacian of the picture at about 640 px width; only comparable between frames of one clip."""
+    factor = max(1, round(gray.shape[1] / 640))
+    small = cv2.resize(gray, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(small, cv2.CV_32F).var())
+
+
+def sharpest_of_each(frames: Iterable[tuple[str, np.ndarray]], group: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is searched for the board."""
+    best: tuple[str, np.ndarray] | None = None
+    best_score, count = -1.0, 0
+    for name, gray in frames:
+        score = picture_sharpness(gray) if group > 1 else 0.0
+        if score > best_score:
+            best, best_score = (name, gray), score
+        count += 1
+        if count == group and best is not None:
+            yield best
+            best, best_score, count = None, -1.0, 0
+    if best is not None:
+        yield best
+
+
+def most_varied(views: Sequence[View], keep: int) -> list[View]:
+    """At most `keep` sharp views that differ most in place, size and tilt, in their order (farthest point selection)."""
+    if len(views) <= keep:
+        return list(views)
+    usual = float(np.median([v.sharpness for v in views]))
+    sharp = [v for v in views if v.sharpness >= BLUR_FRACTION * usual]
+    if len(sharp) <= keep:
+        return sharp
+    features = np.array([_features(v) for v in sharp])
+    chosen = [int(np.argmax([v.sharpness * len(v.ids) for v in sharp]))]
+    nearest = np.linalg.norm(features - features[chosen[0]], axis=1)
+    while len(chosen) < keep:
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.linalg.norm(features - features[chosen[-1]], axis=1))
+    return [sharp[i] for i in sorted(chosen)]
+
+
+def _features(view: View) -> np.ndarray:
+    """Place (2), size, and foreshortening (2) of a board, each about 1 over its range.
+
+    Foreshortening: the perspective terms of the homography times the board's size; 0 facing the camera.
+    """
+    xy = view.board_m[:, :2] - view.board_m[:, :2].mean(0)
+    extent = float(np.ptp(xy, axis=0).max())
+    h, _ = cv2.findHomography(xy / extent, view.pixels)
+    lean = h[2, :2] if h is not None else np.zeros(2)
+    width = view.size[0]
+    middle = view.pixels.mean(0) / width
+    # turned to the picture's axes, so that a board lying on its side with the same tilt is the same view
+    turn = float(np.arctan2(h[1, 0], h[0, 0])) if h is not None else 0.0
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([*middle, float(np.ptp(view.pixels, axis=0).max()) / width, *(3 * np.array([[c, -s], [s, c]]) @ lean)])

@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 
 from arfx.analyse.lens import side_blurs
-from arfx.analyse.markers.detect import SURVEY_FAMILIES, Candidate, MarkerDetector, cells_per_side
-from arfx.analyse.pose.presence import CutSignal, find_cuts
+from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector, cells_per_side
+from arfx.analyse.pose.visibility import ShotDetector, find_cuts
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.marker import FAMILIES, MarkerSpec
@@ -66,9 +66,9 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
     pts = presentation_times(info)
     at = sorted({round(i) for i in np.linspace(0, max(len(pts) - 1, 0), max(min(samples, len(pts)), 1))})
     whole = len(pts) <= READ_WHOLE
-    detector = MarkerDetector(SURVEY_FAMILIES, MIN_SIDE_PX)
+    detector = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX)
     found: dict[str, Found] = {}
-    levels, clipped, dark, cuts = [], [], [], CutSignal()
+    levels, clipped, dark, cuts = [], [], [], ShotDetector()
     signal: list[tuple[float, float]] = []
     lowest, highest = (0, 255) if info.full_range else (16, 235)
     looked, read = [], 0

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.pose.visibility import trembling_px
+from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.errors import RenderError
@@ -107,7 +107,7 @@ def _tiles(report: Mapping[str, Any]) -> str:
         (f"{frames}", f"frames, {number(out['seconds'])} s"),
         (f"{present} of {frames}", f"frames with the object ({pose['frames_interpolated']} bridged)"),
         (f"{number(reprojection)} px", "reprojection, median"),
-        (f"{jitter} px", "trembling before → after smoothing"),
+        (f"{jitter} px", "jitter before → after smoothing"),
         (f"{number(timing['wall_s'])} s", f"{number(timing['frames_per_s'])} frames/s, peak {number(timing['peak_rss_mb'])} MB"),
     ]
     boxes = "".join(f'<div class="tile"><b>{_e(big)}</b><span>{_e(small)}</span></div>' for big, small in tiles)
@@ -204,19 +204,19 @@ def pose_plot(facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.n
 
     times = np.array([f.time_s for f in facts], float)
     fig = Figure(figsize=(9.0, 4.6), layout="constrained")
-    trembling, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
+    jitter, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
     if camera is not None and points_m is not None and len(facts) > 2:
         for raw, colour, label in ((True, RAW, "before smoothing"), (False, SMOOTH, "after smoothing")):
-            _, d = trembling_px(facts, points_m, camera, raw)
+            _, d = jitter_px(facts, points_m, camera, raw)
             label += f", median {np.nanmedian(d):.3g} px" if np.isfinite(d).any() else ", no three frames in a row"
-            trembling.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
-        trembling.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
-    trembling.set_ylabel("second difference, px", fontsize=8)
-    trembling.set_title("Trembling of a cube on the marker against the footage", fontsize=9, loc="left", color=INK)
+            jitter.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
+        jitter.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
+    jitter.set_ylabel("second difference, px", fontsize=8)
+    jitter.set_title("Jitter of a cube on the marker against the footage", fontsize=9, loc="left", color=INK)
     px = np.array([np.nan if f.reprojection_px is None else f.reprojection_px for f in facts], float)
     error.plot(times, px, ".", ms=2.5, color=SMOOTH)
     error.set_ylabel("reprojection, px", fontsize=8)
-    for axis in (trembling, error):
+    for axis in (jitter, error):
         axis.set_ylim(bottom=0)
     order = (MEASURED, INTERPOLATED, ABSENT)
     codes = np.array([[order.index(f.status) if f.status in order else 2 for f in facts]])

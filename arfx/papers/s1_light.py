@@ -23,13 +23,13 @@ from scipy.optimize import brentq
 
 from arfx.analyse.fold import Analysis
 from arfx.analyse.light.fit import MEASURED, REFUSED
-from arfx.analyse.light.fold import LightOfMarkers, lighted
+from arfx.analyse.light.fold import LightOfMarkers, with_light
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import UNKNOWN, Observation
 from arfx.analyse.light.patches import WHITE
 from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, weights
-from arfx.analyse.light.static_frame import Lights, RoomLight, report_of
-from arfx.analyse.light.surroundings import Look
+from arfx.analyse.light.static_frame import Lights, StaticFrameLight, light_report
+from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
@@ -278,17 +278,17 @@ def upright(up: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(up, x), up])
 
 
-class PrintedRoomLight(RoomLight):
-    """maps : by frame, what M has beside its lights, ROOM axes"""
+class PrintedStaticFrameLight(StaticFrameLight):
+    """maps : by frame, what M has beside its lights, STATIC axes"""
 
     params: PrintedLightParams
     maps: dict[int, np.ndarray]
 
-    def told(self, rests: bool, looks: Sequence[Look]) -> tuple[Lights, dict[str, Any]]:
+    def from_markers(self, rests: bool, samples: Sequence[EnvironmentSample]) -> tuple[Lights, dict[str, Any]]:
         """Each frame's light map and its peaks; frames without a reading have those before them."""
         self.maps = {}
         if not self.lit:
-            return super().told(rests, looks)
+            return super().from_markers(rests, samples)
         solution, cubes = lights_of(self.observations, self.params)
         last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
         self.maps = {k: cubes[i] for k, i in zip(self.frames, last, strict=True)}
@@ -296,22 +296,22 @@ class PrintedRoomLight(RoomLight):
         peaks = f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map, as printed: no confidence is known"
         verdict = MEASURED if middle.lights else REFUSED
         lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
-        return lights, report_of(verdict, "marker", peaks, middle, **self.about_normals())
+        return lights, light_report(verdict, "marker", peaks, middle, **self.normal_statistics())
 
 
 class PrintedLight(LightOfMarkers):
     Params = PrintedLightParams
 
     def finish(self, clip: Analysis) -> Analysis:
-        parts: list[PrintedRoomLight] = []
+        parts: list[PrintedStaticFrameLight] = []
 
-        def room(*of: Any) -> RoomLight:
-            parts.append(PrintedRoomLight(*of))
+        def printed_part(*of: Any) -> StaticFrameLight:
+            parts.append(PrintedStaticFrameLight(*of))
             return parts[-1]
 
         def solve(grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, p: LightParams) -> tuple[Photometry, None]:
             return gain_and_bias(grey, WHITE, clipped=clipped, ink=p.ink, paper=p.paper), None
 
-        clip = lighted(clip, self.readings, self.looks, self.job.light, self.job.panorama, solve, room)
-        maps = {k: CubeMap.of(cube, part.room[k]) for part in parts for k, cube in part.maps.items()}
+        clip = with_light(clip, self.readings, self.samples, self.job.light, self.job.panorama, solve, printed_part)
+        maps = {k: CubeMap.of(cube, part.static_from_world[k]) for part in parts for k, cube in part.maps.items()}
         return clip.adding(f.with_(light_map=maps[k]) if k in maps else f for k, f in enumerate(clip.facts))

@@ -75,7 +75,7 @@ def analyse_clip(
     span.whole &= not truncated
     span.require_any(info.path)
     start = time.perf_counter()
-    analysis = analyser.finish(Analysis(taken=(span.from_start_s(), span.before, span.whole)))
+    analysis = analyser.finish(Analysis(frame_span=(span.from_start_s(), span.before, span.whole)))
     analyse_s += time.perf_counter() - start
     progress("analyse", len(span.pts), len(span.pts))
     # the time up to a checkpoint is known as a whole: divided as the rest was

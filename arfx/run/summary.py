@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.folds import FOLDS
-from arfx.analyse.pose.visibility import trembling_px, with_model
+from arfx.analyse.pose.visibility import jitter_px, with_model
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
@@ -90,13 +90,13 @@ def _pose(job: Job) -> dict[str, Any]:
     facts, summary = job.facts, job.analysed.summary
     corners, camera = job.scene.model_corners_m, job.inputs.camera
     before, after = (
-        [float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in trembling_px(facts, corners, camera, raw)]
+        [float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in jitter_px(facts, corners, camera, raw)]
         for raw in (True, False)
     )
     return {
         **{k: v for k, v in summary.items() if k != "depth"},
         "reprojection_px": {**summary["reprojection_px"]["smoothed"], "before_smoothing": summary["reprojection_px"]["raw"]},
-        # trembling of the object against its marker; the camera's own shake moves both and is meant to stay
+        # jitter of the object against its marker; the camera's own shake moves both and is meant to stay
         "jitter_px": after[1],
         "jitter_before_smoothing_px": before[1],
         "jitter_with_camera_px": after[0],

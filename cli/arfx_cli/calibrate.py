@@ -103,7 +103,7 @@ def _pictures(paths: list[Path]) -> Iterator[tuple[str, np.ndarray]]:
 def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:
     import numpy as np
 
-    from arfx.calibrate.select import sharpest_of_each
+    from arfx.calibrate.screen import sharpest_of_each
     from arfx.media.clip import probe
     from arfx.media.frames import ClipReader
 

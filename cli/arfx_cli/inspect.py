@@ -51,7 +51,7 @@ def _print(document: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from arfx.analyse.markers.detect import SURVEY_FAMILIES
+    from arfx.analyse.markers.detect import SCANNED_FAMILIES
 
     console, c, light = Console(highlight=False), document["clip"], document["light"]
     pixels = f"{c['pixel_format']}, {'full' if c['full_range'] else 'limited'} range, {c['matrix']}"
@@ -86,7 +86,7 @@ def _print(document: dict[str, Any]) -> None:
     console.print(table)
     looked = len(document["samples"])
     if not document["markers"]:
-        console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SURVEY_FAMILIES)}).")
+        console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SCANNED_FAMILIES)}).")
         help_text = "a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames"
         click.echo(f"help: {help_text}", err=True)
         return

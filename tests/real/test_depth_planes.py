@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.depth.planes import cloud_of, find_planes
-from arfx.analyse.depth.scene_planes import facing_up, scene_planes
+from arfx.analyse.depth.planes import cloud_of, facing_up, find_planes, scene_planes
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 
@@ -30,7 +29,7 @@ def test_the_floor_before_a_kinect(number: int) -> None:
     map_ = depth(f"ch5_rgbd/depth/{number}.pgm", 1000)
     assert 0.25 < (map_ == 0).mean() < 0.33
     planes = scene_planes([(map_, Pose.identity())], KINECT)
-    floor = facing_up(planes, [Pose.identity()])[0].meshed()[0]
+    floor = facing_up(planes, [Pose.identity()])[0].real_plane()
     height = -float(floor.world_from_plane.rotation[:, 2] @ floor.world_from_plane.translation_m)
     assert 1.25 < height < 1.5 and floor.residual_mm < 10 and floor.area_m2 > 1
     seen = KINECT.project(floor.world_from_plane.translation_m)

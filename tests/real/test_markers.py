@@ -13,7 +13,7 @@ import pytest
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.analyse.markers.detect import MarkerDetector
-from arfx.analyse.pose.visibility import trembling_px
+from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 
@@ -78,7 +78,7 @@ def test_object_trembles_less_against_the_picture_and_stays_on_the_marker(wall: 
     must take away is the trembling relative to the picture."""
     analyser, analysis = wall[0], wall[1]
     box = np.array([[x, y, z] for x in (-0.075, 0.075) for y in (-0.05, 0.05) for z in (0.0, 0.15)])
-    raw, smooth = (trembling_px(analysis.facts, box, analyser.folds["markers"].camera, r)[1] for r in (True, False))
+    raw, smooth = (jitter_px(analysis.facts, box, analyser.folds["markers"].camera, r)[1] for r in (True, False))
     assert np.nanmedian(smooth) < np.nanmedian(raw) / 3 and np.nanmean(smooth**2) < np.nanmean(raw**2) / 9
     r = analysis.summary["reprojection_px"]
     assert r["smoothed"]["median"] < 1.1 * r["raw"]["median"] < 0.35

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.depth.scene_planes import ScenePlane, facing_up, scene_planes
+from arfx.analyse.depth.planes import facing_up, scene_planes
 from arfx.analyse.fold import PLANE, PLANE_MARKER, Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.pose.fold import figures
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
 from arfx.errors import NothingToDoError
 
 MAPS = 4  # that planes are looked for in, over the clip
@@ -47,13 +46,20 @@ class PlanePose(Fold):
                 f"--anchor plane: the camera moves ({self.rest.moved_px:.1f} px), and no poses are given",
                 "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
             )
-        poses: list[Pose | None] = [Pose.identity()] * len(self.times_s) if given is None else given.of_frames(*clip.taken)
-        numbers = maps.of_frames(*clip.taken)
+        poses: list[Pose | None] = [Pose.identity()] * len(self.times_s) if given is None else given.of_frames(*clip.frame_span)
+        numbers = maps.of_frames(*clip.frame_span)
         both = [(k, p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
         if maps.still and given is None:
             both = both[:1]
         planes = scene_planes([(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)], camera)
-        plane = stand_on(planes, [p for p in poses if p is not None])
+        level = facing_up(planes, [p for p in poses if p is not None])
+        if not level:
+            found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
+            raise NothingToDoError(
+                f"--anchor plane: the depth shows {found}",
+                "a table or floor has to be seen from above, by a camera held upright; or use a marker",
+            )
+        plane = level[0].real_plane()
         facts = [FrameFacts(k, t) for k, t in enumerate(self.times_s)]
         for k, pose in enumerate(poses):
             if pose is not None:
@@ -74,30 +80,16 @@ class RealPlanes(Fold):
         maps = self.job.depth
         if maps is None or not clip.summary["depth"]["known"]:
             return clip
-        camera, some = self.job.camera, list[tuple[np.ndarray, Pose]]()
+        camera, sparse = self.job.camera, list[tuple[np.ndarray, Pose]]()
         used: set[int] = set()
         for f in spread([f for f in clip.facts if f.camera_from_world is not None and f.real_depth is not None]):
             depth, pose = f.real_depth, f.camera_from_world
-            if not (maps.still and depth.map in used and pose == some[0][1]):
+            if not (maps.still and depth.map in used and pose == sparse[0][1]):
                 used.add(depth.map)
-                some.append((maps.load(depth.map, camera.width, camera.height) * np.float32(depth.scale), pose))
-        return replace(clip, real_planes=tuple(p.meshed()[0] for p in scene_planes(some, camera)))
+                sparse.append((maps.load(depth.map, camera.width, camera.height) * np.float32(depth.scale), pose))
+        return replace(clip, real_planes=tuple(p.real_plane() for p in scene_planes(sparse, camera)))
 
 
 def spread(items: Sequence[Any]) -> list[Any]:
     """MAPS of them, evenly."""
-    if len(items) <= MAPS:
-        return list(items)
-    return [items[k] for k in np.linspace(0, len(items) - 1, MAPS).astype(int)]
-
-
-def stand_on(planes: Sequence[ScenePlane], poses: Sequence[Pose]) -> RealPlane:
-    """The dominant plane that faces up, in the poses' world. Raises NothingToDoError where there is none."""
-    level = facing_up(planes, poses)
-    if not level:
-        found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
-        raise NothingToDoError(
-            f"--anchor plane: the depth shows {found}",
-            "a table or floor has to be seen from above, by a camera held upright; or use a marker",
-        )
-    return level[0].meshed()[0]
+    return [items[k] for k in np.linspace(0, len(items) - 1, min(MAPS, len(items))).astype(int)]

@@ -1,13 +1,17 @@
 """Planes of the real scene in a measured depth map: several, robust, each with what its points miss of it (sequential RANSAC).
 
-Thresholds are multiples of the cloud's own noise. Deterministic. Source: docs/methods/calibration.md#planes.
+Thresholds are multiples of the cloud's own noise. Deterministic. Planes of several maps are brought together in one frame; what
+was seen of one is a mask: its points moved onto it, in cells, the rim smoothed, small holes closed.
+Source: docs/methods/calibration.md#planes.
 Cost: O(points x log points), and O(hypotheses x points) per plane.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -15,6 +19,8 @@ from scipy.spatial import cKDTree
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise
+from arfx.core.pose import Pose
+from arfx.core.real_plane import RealPlane
 
 NEIGHBOURS = 24
 MOST_POINTS = 14000  # about so many are taken, evenly over the picture
@@ -23,12 +29,22 @@ JUMP = 0.05  # of the distance: neighbours farther apart in depth lie on another
 MOST_PLANES = 6
 HYPOTHESES = 120
 SCORED = 2500  # points that hypotheses are judged by
-LEAST_SHARE = 0.03  # of all points: less is furniture
+LEAST_FRACTION = 0.03  # of all points: less is furniture
 NEAR = 3.0  # noises: on the plane
 TAKEN = 5.0  # noises: no seed of another plane
 FACING = np.cos(np.radians(30))  # a point's normal agrees with the plane's
 FLAT = 0.6  # share of agreeing neighbours with which a point may be a seed
 PART = 0.1  # of the largest connected part: a smaller one is something else at the same height
+MOST_CELLS = 160  # along the longer side
+CLOSED = 2.5  # cells: holes and gaps narrower than twice this are closed
+_RIM = 1.5  # cells: standard deviation of the smoothing
+SAME_DEG = 6.0  # planes of two maps are one if they lean less against each other
+SAME_NOISES, SAME_M = 3.0, 0.015  # and lie so near each other at their middles
+UPRIGHT = np.cos(np.radians(60))
+BORDER = 0.05  # of the picture's size: what lies so near its border may go on beyond
+RIM = 0.06  # of a plane's extent: points so near one of its sides tell whether it ends there
+CUT = 0.15  # share of those on the picture's border from which on it was the picture that ended
+LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +83,7 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     centred = near - (near * weight[..., None]).sum(1, keepdims=True)
     spread = np.einsum("nki,nkj,nk->nij", centred, centred, weight)
     value, axes = np.linalg.eigh(spread)
-    normals = axes[..., 0]
-    normals = np.where((normals * points).sum(1, keepdims=True) > 0, -normals, normals)
+    normals = axes[..., 0] * np.where((axes[..., 0] * points).sum(1, keepdims=True) > 0, -1, 1)
     misfit = np.sqrt(np.maximum(value[:, 0], 0))
     trusted = same.mean(1) > 0.9
     # what edges and clutter miss is no noise: the lower half of all
@@ -95,16 +110,16 @@ def find_planes(cloud: Cloud) -> list[FoundPlane]:
     out: list[FoundPlane] = []
     while len(out) < MOST_PLANES:
         seeds = np.flatnonzero(free & (cloud.flat >= FLAT))
-        if len(seeds) < LEAST_SHARE * count:
+        if len(seeds) < LEAST_FRACTION * count:
             break
-        best = _best(cloud, free, rng.choice(seeds, min(HYPOTHESES, len(seeds)), replace=False))
+        best = _best_hypothesis(cloud, free, rng.choice(seeds, min(HYPOTHESES, len(seeds)), replace=False))
         found = None if best is None else _refined(cloud, free, *best)
         if found is None:
             break
         normal, offset, rows = found
         free &= np.abs(cloud.points @ normal - offset) > TAKEN * cloud.noise_m
         free[rows] = False
-        if len(rows) < LEAST_SHARE * count:
+        if len(rows) < LEAST_FRACTION * count:
             break
         out.append(FoundPlane(normal, offset, rows))
     return sorted(out, key=lambda p: -len(p.inliers))
@@ -115,8 +130,7 @@ def _fit(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
     centre = divide((points * weight[:, None]).sum(0), weight.sum())
     d = points - centre
     normal = np.linalg.eigh(np.einsum("ni,nj,n->ij", d, d, weight))[1][:, 0]
-    if normal @ centre > 0:
-        normal = -normal
+    normal = -normal if normal @ centre > 0 else normal
     return normal, float(normal @ centre)
 
 
@@ -129,24 +143,24 @@ def _on(cloud: Cloud, rows: np.ndarray, normal: np.ndarray, offset: float) -> np
     return np.asarray(rows[near & (np.abs(cloud.normals[rows] @ normal) > FACING)])
 
 
-def _best(cloud: Cloud, free: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, float] | None:
+def _best_hypothesis(cloud: Cloud, free: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, float] | None:
     """The hypothesis with the most points; the best few are refitted to what lies on them before they are compared."""
     scored = []
-    some = np.flatnonzero(free)
-    some = some[:: max(1, len(some) // SCORED)]
+    sparse = np.flatnonzero(free)
+    sparse = sparse[:: max(1, len(sparse) // SCORED)]
     for s in seeds:
         rows = cloud.neighbours[s]
         normal, offset = _fit(cloud.points[rows], np.ones(len(rows)))
-        scored.append((len(_on(cloud, some, normal, offset)), normal, offset))
+        scored.append((len(_on(cloud, sparse, normal, offset)), normal, offset))
     scored.sort(key=lambda c: -c[0])
     best: tuple[int, np.ndarray, float] | None = None
     for _, normal, offset in scored[:8]:
         for _ in range(3):
-            rows = _on(cloud, some, normal, offset)
+            rows = _on(cloud, sparse, normal, offset)
             if len(rows) < 8:
                 break
             normal, offset = _fit(cloud.points[rows], cloud.noise_m[rows] ** -2)
-        n = len(_on(cloud, some, normal, offset))
+        n = len(_on(cloud, sparse, normal, offset))
         if best is None or n > best[0]:
             best = n, normal, offset
     return None if best is None or best[0] < 8 else best[1:]
@@ -168,11 +182,139 @@ def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
     """The largest connected part of these points, and those parts that are not much smaller."""
     if len(rows) < 2:
         return rows
-    place = np.full(len(cloud.points), -1)
-    place[rows] = np.arange(len(rows))
-    near = place[cloud.neighbours[rows]]
+    position = np.full(len(cloud.points), -1)
+    position[rows] = np.arange(len(rows))
+    near = position[cloud.neighbours[rows]]
     a, b = np.nonzero(near >= 0)
     graph = coo_matrix((np.ones(len(a)), (a, near[a, b])), shape=(len(rows), len(rows)))
     part = connected_components(graph, directed=False)[1]
     size = np.bincount(part)
     return np.asarray(rows[size[part] >= PART * size.max()])
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneMask:
+    """Cells of a plane, its own axes. mask (rows, columns) bool : what was seen;  low_m (2,) : x, y of the first cell's corner"""
+
+    mask: np.ndarray
+    low_m: np.ndarray
+    cell_m: float
+
+    @property
+    def area_m2(self) -> float:
+        return float(self.mask.sum() * self.cell_m**2)
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        rows, columns = np.flatnonzero(self.mask.any(1)), np.flatnonzero(self.mask.any(0))
+        x, y = self.low_m[0] + columns[[0, -1]] * self.cell_m, self.low_m[1] + rows[[0, -1]] * self.cell_m
+        return float(x[0]), float(y[0]), float(x[1] + self.cell_m), float(y[1] + self.cell_m)
+
+    @property
+    def middle_m(self) -> np.ndarray:
+        """(2,) the place nearest the cells' mean that is well inside: as far from the rim as 60 % of what any place is."""
+        room = cv2.distanceTransform(np.pad(self.mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        inside = np.argwhere(room >= 0.6 * room.max())
+        seen = np.argwhere(self.mask)
+        at = inside[((inside - seen.mean(0)) ** 2).sum(1).argmin()]
+        return np.asarray(self.low_m + (at[::-1] + 0.5) * self.cell_m)
+
+
+def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
+    """places_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) : distance of neighbouring points there"""
+    low, high = positions_m.min(0), positions_m.max(0)
+    cell = max(float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4)
+    pad = int(np.ceil(CLOSED)) + 1
+    size = np.ceil((high - low) / cell).astype(int) + 1 + 2 * pad
+    at = np.clip(((positions_m - low) / cell).astype(int) + pad, 0, size - 1)
+    count = np.zeros((size[1], size[0]), np.uint8)
+    count[at[:, 1], at[:, 0]] = 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pad - 1, 2 * pad - 1))
+    mask = cv2.morphologyEx(count, cv2.MORPH_CLOSE, disc)
+    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5
+    return PlaneMask(smooth if smooth.any() else mask > 0, low - pad * cell, cell)
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePlane:
+    """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on it, world;  up : world;
+    cut (n,) bool : points next to the border of their picture;  right : of the picture, world, for its
+    x axis;  noise_m : of the points"""
+
+    normal: np.ndarray
+    points: np.ndarray
+    spacing_m: np.ndarray
+    cut: np.ndarray
+    right: np.ndarray
+    noise_m: float
+    frames: int
+
+    @property
+    def offset_m(self) -> float:
+        return float(np.median(self.points @ self.normal))
+
+    def real_plane(self) -> RealPlane:
+        """About the middle of what was seen."""
+        x = normalise(self.right - (self.right @ self.normal) * self.normal)
+        axes = np.stack([x, np.cross(self.normal, x), self.normal], 1)
+        positions = self.points @ axes
+        seen = mask_of(positions[:, :2], self.spacing_m)
+        height, middle = self.offset_m, seen.middle_m
+        centred = PlaneMask(seen.mask, seen.low_m - middle, seen.cell_m)
+        pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
+        residual_mm = 1e3 * float(np.sqrt(((positions[:, 2] - height) ** 2).mean()))
+        ends = self._ends(positions[:, :2])
+        return RealPlane(pose, centred.extent_m, centred.area_m2, residual_mm, len(positions), self.frames, ends)
+
+    def _ends(self, positions: np.ndarray) -> tuple[bool, bool, bool, bool]:
+        """Of the sides x0, y0, x1, y1 of what was seen: whether the plane ends there. places (n, 2), plane axes"""
+        low, high = np.quantile(positions, 0.005, 0), np.quantile(positions, 0.995, 0)
+        rim = RIM * (high - low)
+        near = np.hstack([positions < low + rim, positions > high - rim]).T
+        a, b, c, d = (bool(n.any()) and float(self.cut[n].mean()) < CUT for n in near)
+        return a, b, c, d
+
+
+def scene_planes(maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera) -> list[ScenePlane]:
+    """maps : (depth (h, w) metres, 0 = unknown; camera_from_world) of some frames. Those seen most first."""
+    out: list[ScenePlane] = []
+    for depth, pose in maps:
+        if (cloud := cloud_of(depth, camera)) is not None:
+            size, world_from_camera = np.array(depth.shape[1::-1]), pose.inverse()
+            for found in find_planes(cloud):
+                rows, margin = found.inliers, BORDER * max(depth.shape)
+                at, points = cloud.pixels[rows], cloud.points[rows]
+                cosine = np.abs(normalise(points) @ found.normal)
+                plane = ScenePlane(
+                    world_from_camera.rotation @ found.normal, world_from_camera.apply(points),
+                    divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)), ((at < margin) | (at > size - 1 - margin)).any(1),
+                    world_from_camera.rotation[:, 0], float(np.median(cloud.noise_m[rows])), 1,
+                )  # fmt: skip
+                _join(out, plane)
+    return sorted(out, key=lambda p: -len(p.points))
+
+
+def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
+    """Add `new`, or make it part of one that is already there."""
+    for k, old in enumerate(planes):
+        near = SAME_M + SAME_NOISES * max(old.noise_m, new.noise_m)
+        gap = max(
+            abs(float(new.points.mean(0) @ old.normal) - old.offset_m), abs(float(old.points.mean(0) @ new.normal) - new.offset_m)
+        )
+        if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
+            fraction = len(old.points) / (len(old.points) + len(new.points))
+            planes[k] = ScenePlane(
+                normalise(fraction * old.normal + (1 - fraction) * new.normal), np.concatenate([old.points, new.points]),
+                np.concatenate([old.spacing_m, new.spacing_m]), np.concatenate([old.cut, new.cut]), old.right,
+                fraction * old.noise_m + (1 - fraction) * new.noise_m,
+                old.frames + new.frames,
+            )  # fmt: skip
+            return
+    planes.append(new)
+
+
+def facing_up(planes: Sequence[ScenePlane], camera_from_world: Sequence[Pose]) -> list[ScenePlane]:
+    """Those on which something can stand, the one seen most first."""
+    up = normalise(-np.mean([p.rotation[1] for p in camera_from_world], 0))
+    level = [p for p in planes if p.normal @ up > UPRIGHT]
+    return [p for p in level if p.real_plane().area_m2 >= LEAST_AREA_M2]

@@ -29,7 +29,6 @@ FEWEST_FRAMES = 3  # or all of a shorter clip
 MOST_SPREAD = 0.1  # robust standard deviation of a frame's factor, relative
 _INNER = 0.9  # of the print's square, so that no pixel of its edge counts
 _SIGMA = 1.4826  # of a normal distribution, by its median absolute deviation
-Progress = Callable[[str, int, int | None], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +62,8 @@ class Depth(Fold):
         job = self.job
         if job.depth is None:
             return clip
-        facts, about = with_depth(
-            clip.facts, job.depth, job.depth.of_frames(*clip.taken), clip.world_from_marker, job.camera, job.align, job.progress
-        )  # fmt: skip
+        of_frames = job.depth.of_frames(*clip.frame_span)
+        facts, about = with_depth(clip.facts, job.depth, of_frames, clip.world_from_marker, job.camera, job.align, job.progress)
         return clip.adding(facts, None if about["known"] else f"the real depth is not used: {about['reason']}", depth=about)
 
     @staticmethod
@@ -133,24 +131,10 @@ def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
     return DepthScale(True, words, scale, spread, residual, len(telling))
 
 
-@dataclass(frozen=True)
-class _Told:
-    """What one map tells. tiles : as `tile_ranges`, before scaling; None = nothing was measured in it"""
-
-    digest: str
-    tiles: np.ndarray | None
-    holes: float
-
-
 def with_depth(
-    facts: Sequence[FrameFacts],
-    maps: Maps,
-    of_frames: Sequence[int | None],
-    world_from_marker: Mapping[str, Pose],
-    camera: Camera,
-    align: bool,
-    progress: Progress,
-) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
+    facts: Sequence[FrameFacts], maps: Maps, of_frames: Sequence[int | None], world_from_marker: Mapping[str, Pose],
+    camera: Camera, align: bool, progress: Callable[[str, int, int | None], None],
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:  # fmt: skip
     """The facts with `real_depth`, and a summary for the report.
 
     of_frames : number of each frame's map;  align : scale the maps to the markers' planes, else take them at their word
@@ -165,34 +149,33 @@ def with_depth(
         if k is not None:
             frames_of.setdefault(k, []).append(n)
 
-    def read(number: int) -> tuple[_Told, list[np.ndarray]]:
+    def read(number: int) -> tuple[str, np.ndarray | None, float, list[np.ndarray]]:
+        """Of one map its digest, `tile_ranges` before scaling (None = nothing was measured), share of holes, `print_ratios`."""
         depth = maps.load(number, *size)
         known = float((depth > 0).mean())
         tiles = tile_ranges(depth, size) if known > 0 else None
         ratios = [print_ratios(depth, facts[n], world_from_marker, camera) for n in frames_of[number]]
-        return _Told(maps.digest(number), tiles, 1 - known), ratios
+        return maps.digest(number), tiles, 1 - known, ratios
 
-    told: dict[int, _Told] = {}
-    ratios: list[np.ndarray] = []
+    readings = {}
     with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
-        for done, (number, (what, some)) in enumerate(zip(used, pool.map(read, used), strict=True), 1):
-            told[number] = what
-            ratios += some
+        for done, (number, reading) in enumerate(zip(used, pool.map(read, used), strict=True), 1):
+            readings[number] = reading
             progress("depth", done, len(used))
-    if all(t.tiles is None for t in told.values()):
+    if all(tiles is None for _, tiles, _, _ in readings.values()):
         raise InputError(f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest value", "is it depth?")
-    scale = depth_scale(ratios) if align else DepthScale(True, "taken as stated")
+    scale = depth_scale([r for *_, ratios in readings.values() for r in ratios]) if align else DepthScale(True, "taken as stated")
     out, got = list(facts), 0
     if scale.known:
         for n, k in enumerate(of_frames):
-            if k is None or (tiles := told[k].tiles) is None:
-                continue
-            tiles = (tiles / scale.scale).astype(np.float32)
-            out[n] = out[n].with_(real_depth=RealDepth.of(k, scale.scale, told[k].digest, tiles, scale.noise))
-            got += 1
+            if k is not None and (tiles := readings[k][1]) is not None:
+                tiles = (tiles / scale.scale).astype(np.float32)
+                out[n] = out[n].with_(real_depth=RealDepth.of(k, scale.scale, readings[k][0], tiles, scale.noise))
+                got += 1
     paired = "one map for all" if maps.still else "order" if maps.times_s is None else "time"
+    holes = float(np.mean([reading[2] for reading in readings.values()]))
     summary = {
         "path": str(maps.path), "maps": maps.count, "paired_by": paired, "frames_with": got,
-        "frames_without": len(facts) - got, "holes": float(np.mean([t.holes for t in told.values()])), **scale.to_json(),
+        "frames_without": len(facts) - got, "holes": holes, **scale.to_json(),
     }  # fmt: skip
     return tuple(out), summary

@@ -1,37 +1,25 @@
 """The light of every frame: from the markers in the picture if they tell it, else the next best cue, out loud.
 
 Whatever the cue, brightness and colour of each frame are those that the markers show (exposure and light together).
-The frame in which lights are fixed is the room's: the camera's where the camera stands still, else the marker map's.
+The frame in which lights are fixed is the static frame: the camera's where the camera stands still, else the marker map's.
 Source: docs/methods/light.md#cues.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, Picture, Stateful
-from arfx.analyse.light import given as given_light
+from arfx.analyse.light import patches
 from arfx.analyse.light.fit import MEASURED as LIT
 from arfx.analyse.light.fit import REFUSED
-from arfx.analyse.light.patches import (
-    WHITE,
-    Patches,
-    cells,
-    clearly_blocked,
-    comparable,
-    place,
-    quarters,
-    real_shadow,
-    reduced,
-    stack,
-)
 from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
-from arfx.analyse.light.static_frame import Readings, RoomLight, Told
-from arfx.analyse.light.surroundings import Folded, Look, fold, look, with_environment
+from arfx.analyse.light.static_frame import LightReading, Readings, StaticFrameLight, light_from_direction, light_from_panorama
+from arfx.analyse.light.surroundings import EnvironmentSample, Folded, environment_sample, fold, with_environment
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
@@ -39,12 +27,11 @@ from arfx.core.health import Check
 from arfx.core.light import Light, triple
 from arfx.core.rect import Rect
 
-Reading = tuple[int, str, Patches]
-T = TypeVar("T")
-Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, Told | None]]
+Reading = tuple[int, str, patches.Patches]
+Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, LightReading | None]]
 SURROUNDINGS_S = 0.5  # between two looks at the surroundings
 SURROUNDINGS_PX = 96  # width of the picture that is looked at
-MOST_LOOKS = 240  # beyond that every second one is dropped, and the interval doubled
+MOST_ENVIRONMENT_SAMPLES = 240  # beyond that every second one is dropped, and the interval doubled
 SHARP_PX = 0.7  # blur assumed where it could not be measured
 _AROUND_PX = 2
 THREE_ASKED = 1.221  # width of an interval for one of three questions at .95 of all (Bonferroni), over the width for one
@@ -52,7 +39,7 @@ LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and
 
 
 class LightOfMarkers(Fold):
-    """readings : (frame, marker key, Patches) in order;  looks : at the surroundings"""
+    """readings : (frame, marker key, Patches) in order"""
 
     name = "light"
     needs = ("markers", "pose")
@@ -61,11 +48,14 @@ class LightOfMarkers(Fold):
         super().__init__(job)
         self._markers = markers
         self.readings: list[Reading] = []
-        self.looks: list[Look] = []
-        self._when = Looks()
+        self._surroundings = EnvironmentSamples()
+
+    @property
+    def samples(self) -> list[EnvironmentSample]:
+        return self._surroundings.samples
 
     def step(self, frame: AnalysisFrame) -> None:
-        picture, seen = frame.picture, self._markers.seen
+        picture, seen = frame.picture, self._markers.detections
         if picture is None:
             return
         for s in seen:
@@ -74,16 +64,20 @@ class LightOfMarkers(Fold):
             family, _, number = s.key.rpartition(":")
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
             shape = (picture.rect.height, picture.rect.width)
-            spots = place(s.corners_px, cells(family, int(number)), s.inverted, blur, shape)
-            self.readings.append((frame.index, s.key, reduced(picture.linear_at(spots.pixels()), spots)))
-        if seen and (small := self._when.small(frame.time_s, picture)) is not None:
-            shrink = small.shape[1] / picture.rect.width
-            largest = max(seen, key=lambda s: s.side_px)
-            quad = (largest.corners_px + 0.5) * shrink - 0.5
-            self.looks = self._when.thinned([*self.looks, look(frame.index, small, quad, folded(self.job))])
+            points = patches.place_samples(s.corners_px, patches.cells(family, int(number)), s.inverted, blur, shape)
+            self.readings.append((frame.index, s.key, patches.reduced(picture.linear_at(points.pixels()), points)))
+        if seen:
+            corners_px, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
+
+            def sample(small: np.ndarray) -> EnvironmentSample:
+                return environment_sample(
+                    frame.index, small, (corners_px + 0.5) * (small.shape[1] / width) - 0.5, folded(self.job)
+                )
+
+            self._surroundings.step(frame.time_s, picture, sample)
 
     def finish(self, clip: Analysis) -> Analysis:
-        return lighted(clip, self.readings, self.looks, self.job.light, self.job.panorama)
+        return with_light(clip, self.readings, self.samples, self.job.light, self.job.panorama)
 
     @staticmethod
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
@@ -111,49 +105,45 @@ class LightOnPlane(Fold):
 
     name = "light"
     needs = ("pose",)
-    given = frozenset({"job", "looks"})
+    given = frozenset({"job", "samples"})
 
     def __init__(self, job: AnalysisJob, pose: Fold) -> None:
         super().__init__(job)
-        self.pictures: list[tuple[int, np.ndarray]] = []
-        self.looks: list[Look] = []
-        self._when = Looks()
+        self.samples: list[EnvironmentSample] = []
+        self._pictures = EnvironmentSamples()
 
     def step(self, frame: AnalysisFrame) -> None:
-        if frame.picture is not None and (small := self._when.small(frame.time_s, frame.picture)) is not None:
-            self.pictures = self._when.thinned([*self.pictures, (frame.index, small)])
+        if frame.picture is not None:
+            self._pictures.step(frame.time_s, frame.picture, lambda small: (frame.index, small))
 
     def finish(self, clip: Analysis) -> Analysis:
         camera = self.job.camera
-        for k, small in self.pictures:
+        for k, small in self._pictures.samples:
             pose = clip.facts[k].camera_from_world
             quad = None if pose is None else camera.project(pose.apply(clip.anchor.corners_m))
             if quad is not None and np.isfinite(quad).all():
                 quad = (quad + 0.5) * (small.shape[1] / camera.width) - 0.5
-                self.looks.append(look(k, small, quad, folded(self.job)))
-        return lighted(clip, (), self.looks, self.job.light, self.job.panorama)
+                self.samples.append(environment_sample(k, small, quad, folded(self.job)))
+        return with_light(clip, (), self.samples, self.job.light, self.job.panorama)
 
 
-class Looks(Stateful):
-    """When to look at the surroundings."""
+class EnvironmentSamples(Stateful):
+    """What is made of the frames' small pictures at some times, evenly over the clip so far."""
 
     def __init__(self) -> None:
+        self.samples: list[Any] = []
         self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
 
-    def small(self, time_s: float, picture: Picture) -> np.ndarray | None:
-        """The frame made small, None where it is not time to look, or nothing to see."""
+    def step(self, time_s: float, picture: Picture, sample: Callable[[np.ndarray], Any]) -> None:
         if time_s < self._next_s:
-            return None
+            return
         self._next_s = time_s + self._interval_s
         small = picture.reduced(SURROUNDINGS_PX)
-        return small if min(small.shape[:2]) >= 3 else None
-
-    def thinned(self, kept: list[T]) -> list[T]:
-        """Every second of them where they are too many, and from then on half as many."""
-        if len(kept) <= MOST_LOOKS:
-            return kept
-        self._interval_s *= 2
-        return kept[::2]
+        if min(small.shape[:2]) >= 3:
+            self.samples.append(sample(small))
+        if len(self.samples) > MOST_ENVIRONMENT_SAMPLES:
+            self.samples = self.samples[::2]
+            self._interval_s *= 2
 
 
 class Environment(Fold):
@@ -169,7 +159,7 @@ class Environment(Fold):
 
     def finish(self, clip: Analysis) -> Analysis:
         upright = clip.world_from_anchor.rotation
-        return clip.adding(with_environment(clip.facts, self._light.looks, clip.static == "camera", self.job.panorama, upright))
+        return clip.adding(with_environment(clip.facts, self._light.samples, clip.static == "camera", self.job.panorama, upright))
 
 
 def folded(job: AnalysisJob) -> Folded:
@@ -177,66 +167,88 @@ def folded(job: AnalysisJob) -> Folded:
     return job.kinds.get(Environment.name, Environment).folded
 
 
-def solved(
+def solve_patches(
     intensity: np.ndarray, variance: np.ndarray, clipped: np.ndarray, params: LightParams
-) -> tuple[Photometry, Told | None]:  # fmt: skip
+) -> tuple[Photometry, LightReading | None]:  # fmt: skip
     """Bias and light out of patches, and another reading of them where prints are overexposed."""
-    photometry = photometry_of(intensity, variance, WHITE, None, clipped, params.albedos, params.ink, params.paper)
-    y, own, fit = comparable(photometry, intensity, variance, WHITE, clipped)
+    photometry = photometry_of(intensity, variance, patches.WHITE, None, clipped, params.albedos, params.ink, params.paper)
+    y, own, fit = patches.comparable(photometry, intensity, variance, patches.WHITE, clipped)
     used = photometry.seen
-    return photometry, None if y is photometry.y and fit is used else Told(y[used], own[used], fit[used])
+    return photometry, None if y is photometry.y and fit is used else LightReading(y[used], own[used], fit[used])
 
 
-def lighted(
-    analysis: Analysis, taken: Sequence[Reading], looks: Sequence[Look], params: LightParams, panorama: np.ndarray | None = None,
-    solve: Solve = solved, room_light: Callable[..., RoomLight] = RoomLight,
+def with_light(
+    analysis: Analysis, patch_readings: Sequence[Reading], samples: Sequence[EnvironmentSample], params: LightParams,
+    panorama: np.ndarray | None = None, solve: Solve = solve_patches,
+    static_frame_light: Callable[..., StaticFrameLight] = StaticFrameLight,
 ) -> Analysis:  # fmt: skip
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and light out of patches
     """
-    facts = analysis.facts
-    room = _rooms(analysis)
-    readings, photometry = _readings(analysis, taken, room, params, solve)
+    facts, turns = analysis.facts, analysis.static == "camera"
+    posed = {k: f.camera_from_world for k, f in enumerate(facts) if f.camera_from_world is not None}
+    static_from_world = {k: pose.rotation if turns else np.eye(3) for k, pose in posed.items()}  # (3, 3)
+    readings, photometry = _readings(analysis, patch_readings, static_from_world, params, solve)
     anchor = analysis.anchor
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
     known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
-    for shots in _parts(facts, analysis.static):
-        part = room_light(shots, facts, room, readings, params)
-        given = _given(analysis, room, shots, params, panorama)
-        lights, report = part.given(*given) if given else part.told(analysis.static != "both", looks)
+    # frames that share one static frame: the whole clip, or each shot where the camera's axes are the static ones
+    shared = [[k for k in posed if facts[k].shot == s] for s in sorted({facts[k].shot for k in posed})] if turns else [[*posed]]
+    for shots in filter(None, shared):
+        part = static_frame_light(shots, facts, static_from_world, readings, params)
+        light, stated, why = None, False, f"environment {params.environment} given"
+        if panorama is not None:
+            light = light_from_panorama(panorama)
+        elif params.given:
+            light, stated = light_from_direction(params.given, params.size_deg)
+            why = f"light given: azimuth {params.given[0]:g}, elevation {params.given[1]:g} degrees"
+        if light is None:
+            lights, report = part.from_markers(analysis.static != "both", samples)
+        else:
+            lights, report = part.from_given(
+                light.turned(static_from_world[shots[0]] @ analysis.world_from_anchor.rotation), stated, why
+            )
         out |= lights
         reports.append((len(shots), report))
         if report["verdict"] == LIT:
             known |= set(lights)
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
-    turns = analysis.static == "camera"
     shaded = {
         frame: found
-        for frame, key, patches in taken
+        for frame, key, cells in patch_readings
         if frame in known
         and key == anchor.key
-        and (found := real_shadow(quarters(patches.mean, patches.count, bias), anchor.size_m))
+        and (found := patches.real_shadow(patches.quadrant_radiance(cells.mean, cells.count, bias), anchor.size_m))
     }
     lit = (
         f if k not in out else f.with_(
-            light=out[k].turned(room[k].T) if turns else out[k], bias_rgb=triple(bias), plane_shadow=shaded.get(k)
+            light=out[k].turned(static_from_world[k].T) if turns else out[k], bias_rgb=triple(bias), plane_shadow=shaded.get(k)
         )
         for k, f in enumerate(facts)
     )  # fmt: skip
-    about = (
-        {"frames_shaded": len(shaded)}
-        | _about_photometry(photometry, params)
-        | {"frame": "camera" if turns else "marker"}
-        | report
-    )
+    known_bias, p = bool(photometry.determined.all()), photometry
+    summary = {
+        "frames_shaded": len(shaded),
+        "formula": params.formula,
+        "gain": [1.0, 1.0, 1.0],  # the free scale: gain and light are known as a product only
+        "bias": p.bias.tolist() if known_bias else None,
+        "bias_ci95": p.bias_95.tolist() if known_bias else None,
+        "clipped_fraction": p.clipped,
+        "photometry": {
+            "verdict": p.verdict, "reason": p.reason, "rank": p.rank.tolist(), "unknowns": p.unknowns.tolist(),
+            "condition": p.condition.tolist(), "misfit": p.misfit.tolist(), "readings": len(p.seen),
+            "readings_used": int(p.seen.sum()), "not_finite": p.ignored,
+        },
+        "frame": "camera" if turns else "marker", **report,
+    }  # fmt: skip
     notice = None
     if report and report["verdict"] == REFUSED:
         one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
         notice = f"light: no direction is known: {report['reason']}. --light AZ,EL or --environment FILE gives one{one}"
-    return analysis.adding(lit, notice, light=about)
+    return analysis.adding(lit, notice, light=summary)
 
 
 def _certain_bias(photometry: Photometry) -> np.ndarray:
@@ -250,74 +262,31 @@ def _certain_bias(photometry: Photometry) -> np.ndarray:
     return np.where(certain, photometry.bias, 0.0)
 
 
-def _rooms(analysis: Analysis) -> dict[int, np.ndarray]:
-    """(3, 3) rotation to the room's axes from the world's, by frame number, of frames with a pose."""
-    return {
-        k: f.camera_from_world.rotation if analysis.static == "camera" else np.eye(3)
-        for k, f in enumerate(analysis.facts)
-        if f.camera_from_world is not None
-    }
-
-
 def _readings(
-    analysis: Analysis, taken: Sequence[Reading], room: dict[int, np.ndarray], params: LightParams, solve: Solve
+    analysis: Analysis,
+    patch_readings: Sequence[Reading],
+    static_from_world: dict[int, np.ndarray],
+    params: LightParams,
+    solve: Solve,
 ) -> tuple[Readings, Photometry]:
-    """The markers' light in frames whose pose was measured, normals in ROOM axes, and how it was solved."""
+    """The markers' light in frames whose pose was measured, normals in STATIC axes, and how it was solved."""
     rows = []
-    for frame, key, patches in taken:
+    for frame, key, cells in patch_readings:
         fact, marker = analysis.facts[frame], analysis.world_from_marker.get(key)
         if fact.status != MEASURED or fact.camera_from_world is None or marker is None:
             continue
         stands = fact.camera_from_world @ marker
         facing = -float(stands.rotation[:, 2] @ stands.translation_m) / max(float(np.linalg.norm(stands.translation_m)), 1e-9)
         if facing >= LEAST_FACING:
-            rows.append((frame, room[frame] @ marker.rotation[:, 2], patches))
+            rows.append((frame, static_from_world[frame] @ marker.rotation[:, 2], cells))
     # a print that lies partly in a real shadow tells the lamps' light of no frame; where most do, they are all there is
-    intensity, variance, clipped = stack([p for _, _, p in rows])
-    lit = np.flatnonzero(~clearly_blocked(quarters(intensity, np.isfinite(intensity[..., 0]), np.zeros(3))))
+    intensity, variance, clipped = patches.stack([p for _, _, p in rows])
+    lit = np.flatnonzero(
+        ~patches.clearly_shadowed(patches.quadrant_radiance(intensity, np.isfinite(intensity[..., 0]), np.zeros(3)))
+    )
     if 2 * len(lit) > len(rows):
         rows, intensity, variance, clipped = [rows[k] for k in lit], intensity[lit], variance[lit], clipped[lit]
     photometry, other = solve(intensity, variance, clipped, params)
     frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
     used = photometry.seen
     return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used], other), photometry
-
-
-def _parts(facts: Sequence[FrameFacts], static: str) -> list[list[int]]:
-    """Frame numbers that share one room: the whole clip, or each shot where the camera's axes are the room's."""
-    posed = [k for k, f in enumerate(facts) if f.camera_from_world is not None]
-    if static != "camera":
-        return [posed] if posed else []
-    shots = sorted({facts[k].shot for k in posed})
-    return [[k for k in posed if facts[k].shot == s] for s in shots]
-
-
-def _given(
-    analysis: Analysis, room: dict[int, np.ndarray], frames: Sequence[int], params: LightParams,
-    panorama: np.ndarray | None,
-) -> tuple[Light, bool, str] | None:  # fmt: skip
-    """(light in ROOM axes, whether its lamps' brightness is stated, why) of a light that the user gave, or None."""
-    if panorama is not None:
-        light, stated, why = given_light.from_panorama(panorama), False, f"environment {params.environment} given"
-    elif params.given:
-        light, stated = given_light.from_direction(params.given, params.size_deg)
-        why = f"light given: azimuth {params.given[0]:g}, elevation {params.given[1]:g} degrees"
-    else:
-        return None
-    return light.turned(room[frames[0]] @ analysis.world_from_anchor.rotation), stated, why
-
-
-def _about_photometry(p: Photometry, params: LightParams) -> dict[str, Any]:
-    known = bool(p.determined.all())
-    return {
-        "formula": params.formula,
-        "gain": [1.0, 1.0, 1.0],  # the free scale: gain and light are known as a product only
-        "bias": p.bias.tolist() if known else None,
-        "bias_ci95": p.bias_95.tolist() if known else None,
-        "clipped_fraction": p.clipped,
-        "photometry": {
-            "verdict": p.verdict, "reason": p.reason, "rank": p.rank.tolist(), "unknowns": p.unknowns.tolist(),
-            "condition": p.condition.tolist(), "misfit": p.misfit.tolist(), "readings": len(p.seen),
-            "readings_used": int(p.seen.sum()), "not_finite": p.ignored,
-        },
-    }  # fmt: skip

@@ -17,12 +17,12 @@ import numba
 import numpy as np
 
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.sorting import sort
+from arfx.analyse.pose.kernels import sort
 
 UNKNOWN = 1e12  # variance of what no observation has reached
 REACH = 1e-6  # weight below which an observation does not count
 STEP_SIGMA, STEP_LEAST = 5.0, 0.03  # deviations, and relative difference, from which an observation contradicts the map
-STEADY, STEP, STRAY = 0, 1, 2
+STEADY, STEP, OUTLIER = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Observation:
 
 
 def changes(seen: Sequence[Observation], level: int = 3, blur_rad: float = 0.2, drift_per_s: float = 0.05) -> np.ndarray:
-    """(t,) per frame STEADY, STEP (the light changed just before it) or STRAY (it disagrees alone, and is to be left out).
+    """(t,) per frame STEADY, STEP (the light changed just before it) or OUTLIER (it disagrees alone, and is to be left out).
 
     A frame that contradicts the map of those before it begins a step if the next one with observations contradicts that
     map too, to the same side; the last frame is believed. level, blur_rad, drift_per_s : as in LightParams
@@ -151,7 +151,7 @@ def _contradiction(value, variance, corners, weights, normals, x, v, first, last
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _changes(vertices, corners, weights, times_s, starts, normals, x, v, blur_rad, drift_per_s):  # pragma: no cover - compiled
-    """(t,) STEADY, STEP or STRAY: see `changes`."""
+    """(t,) STEADY, STEP or OUTLIER: see `changes`."""
     frames, count = len(times_s), len(vertices)
     value, variance = np.zeros((count, 3)), np.empty((count, 3))
     for i in range(count):
@@ -168,8 +168,8 @@ def _changes(vertices, corners, weights, times_s, starts, normals, x, v, blur_ra
                 if starts[j + 1] > starts[j]:
                     later = _contradiction(value, variance, corners, weights, normals, x, v, starts[j], starts[j + 1])
                     break
-            kinds[i] = STEP if later == side else STRAY
-            if kinds[i] == STRAY:
+            kinds[i] = STEP if later == side else OUTLIER
+            if kinds[i] == OUTLIER:
                 continue
             wait(value, variance, 0.0, drift_per_s, np.bool_(True))
         add(vertices, value, variance, normals, x, v, a, b, blur_rad)
@@ -177,7 +177,7 @@ def _changes(vertices, corners, weights, times_s, starts, normals, x, v, blur_ra
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def walked(times_s, value, variance, begins, order, drift_per_s, mean, spread):  # pragma: no cover - compiled
+def kalman_pass(times_s, value, variance, begins, order, drift_per_s, mean, spread):  # pragma: no cover - compiled
     """A Kalman filter of a random walk through `order`: mean and spread (n, 3) before each value is taken in.
 
     value, variance (n, 3), UNKNOWN = not seen;  begins (n,) : the walk begins anew there

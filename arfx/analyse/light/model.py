@@ -5,7 +5,7 @@ with fixed relative `strength`, and turn together as one `body`.
 
 Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of
 unit vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on;
-dirs (q, 3) unit; column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a sky; body (q,)
+dirs (q, 3) unit; column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a dome; body (q,)
 int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(weight).
 """
 
@@ -22,7 +22,7 @@ _FAST = {"reassoc", "contract", "nsz", "arcp"}
 _SINGULAR = 1e-10  # of a column's own square: what is left of it beside the others
 
 
-class Seen(NamedTuple):
+class Observations(NamedTuple):
     """What is to be explained."""
 
     normals: np.ndarray
@@ -101,7 +101,7 @@ def _non_negative(G, h, best):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _fill(seen: Seen, dirs, columns: Columns, A):  # pragma: no cover - compiled
+def _fill_columns(seen: Observations, dirs, columns: Columns, A):  # pragma: no cover - compiled
     """A (m + 1, k) : what each column's lights give each normal, of strength 1; the first is ambient light."""
     normals, lit, (column, strength, soft, _) = seen.normals, seen.lit, columns
     k = normals.shape[1]
@@ -111,7 +111,7 @@ def _fill(seen: Seen, dirs, columns: Columns, A):  # pragma: no cover - compiled
     for q in range(len(dirs)):
         x, y, z, size, s = dirs[q, 0], dirs[q, 1], dirs[q, 2], strength[q], soft[q]
         row = A[column[q] + 1]
-        if s >= 1:  # a sky: not switched with the lamps
+        if s >= 1:  # a dome: not switched with the lamps
             for i in range(k):
                 low = max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z + 1, 0.0)
                 row[i] += size * low * low / 4
@@ -135,7 +135,7 @@ def _dot(a, b):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _explain(seen: Seen, A, B, amp, residual):  # pragma: no cover - compiled
+def _solve_amplitudes(seen: Observations, A, B, amp, residual):  # pragma: no cover - compiled
     """Chi squared of the columns A with the best amplitudes; B (m + 1, k) is scratch, amp and residual are filled."""
     value, weight, starts = seen.value, seen.weight, seen.starts
     m, k = A.shape
@@ -172,32 +172,32 @@ def _explain(seen: Seen, A, B, amp, residual):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(seen: Seen, dirs, columns: Columns, amp, residual, given):  # pragma: no cover - compiled
+def evaluate(seen: Observations, dirs, columns: Columns, amp, residual, contribution):  # pragma: no cover - compiled
     """Chi squared of one set of directions with the best amplitudes; amp and residual are filled.
 
     given (g, m + 1) : filled with the sum of what each column gives, times weight
     """
     starts, k = seen.starts, seen.normals.shape[1]
     A, B = np.empty((columns.lights + 1, k)), np.empty((columns.lights + 1, k))
-    _fill(seen, dirs, columns, A)
-    chi = _explain(seen, A, B, amp, residual)
+    _fill_columns(seen, dirs, columns, A)
+    chi = _solve_amplitudes(seen, A, B, amp, residual)
     for g in range(len(starts) - 1):
         for p in range(columns.lights + 1):
-            given[g, p] = 0.0
+            contribution[g, p] = 0.0
             for i in range(starts[g], starts[g + 1]):
-                given[g, p] += B[p, i]
+                contribution[g, p] += B[p, i]
     return chi
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def scan(seen: Seen, many, columns: Columns, out):  # pragma: no cover - compiled
+def scan(seen: Observations, many, columns: Columns, out):  # pragma: no cover - compiled
     """out (n,) = chi squared of each of `many` (n, q, 3) sets of directions."""
     k, m = seen.normals.shape[1], columns.lights
     amp, residual = np.empty((len(seen.starts) - 1, 3, m + 1)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
     for n in range(len(many)):
-        _fill(seen, many[n], columns, A)
-        out[n] = _explain(seen, A, B, amp, residual)
+        _fill_columns(seen, many[n], columns, A)
+        out[n] = _solve_amplitudes(seen, A, B, amp, residual)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -224,7 +224,7 @@ def _turn(v, w, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def refine(seen: Seen, dirs, columns: Columns, body, passes, gain):  # pragma: no cover - compiled
+def refine(seen: Observations, dirs, columns: Columns, body, passes, gain):  # pragma: no cover - compiled
     """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns chi squared.
 
     Ends after `passes`, or where one gains less than the share `gain`. The
@@ -238,8 +238,8 @@ def refine(seen: Seen, dirs, columns: Columns, body, passes, gain):  # pragma: n
     amp = np.empty((len(seen.starts) - 1, 3, m + 1))
     r0, r1 = np.empty((3, k)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
-    _fill(seen, dirs, columns, A)
-    best = _explain(seen, A, B, amp, r0)
+    _fill_columns(seen, dirs, columns, A)
+    best = _solve_amplitudes(seen, A, B, amp, r0)
     if n == 0:
         return best
     J = np.empty((n, 3 * k))
@@ -257,8 +257,8 @@ def refine(seen: Seen, dirs, columns: Columns, body, passes, gain):  # pragma: n
                     _turn(dirs[i], w, trial[i])
                 else:
                     _copy(dirs[i], trial[i])
-            _fill(seen, trial, columns, A)
-            _explain(seen, A, B, amp, r1)
+            _fill_columns(seen, trial, columns, A)
+            _solve_amplitudes(seen, A, B, amp, r1)
             after = r1.reshape(-1)
             row = J[p]
             for i in range(3 * k):
@@ -292,8 +292,8 @@ def refine(seen: Seen, dirs, columns: Columns, body, passes, gain):  # pragma: n
                     _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3, 0], trial[i])
                 else:
                     _copy(dirs[i], trial[i])
-            _fill(seen, trial, columns, A)
-            chi = _explain(seen, A, B, amp, r1)
+            _fill_columns(seen, trial, columns, A)
+            chi = _solve_amplitudes(seen, A, B, amp, r1)
             if chi < best:
                 moved = best - chi > gain * best + 1e-9
                 best = chi

@@ -17,8 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from arfx.analyse.light.explain import Params
-from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit
+from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, Params, fit
 from arfx.analyse.light.icosphere import icosphere
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
@@ -81,26 +80,25 @@ def fit_over_time(
     if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
         return CONSTANT, [Span(start, stop, constant, 0)]
     segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
-    held = constant  # the account whose refusal says most: the first that explains what was seen
+    best_refusal = constant  # the account whose refusal says most: the first that explains what was seen
     if (lit := switches(times, E, segments)) is not None:
         group = _group(times, segments)
         found = run(every, group, lit)
-        alike = drift(times, n, E, lit[group].astype(int)) <= _MOST_DRIFT
-        if found.verdict == MEASURED and found.model_error <= _GOOD_ERROR and alike:
-            dark = replace(found, lights=tuple(li for li in found.lights if li.sky))
-            return SWITCHED, [
-                Span(a, b, found if on else dark, 0) for on, (a, b) in zip(lit, pairwise(segments), strict=True)
-            ]  # fmt: skip
+        steady = drift(times, n, E, lit[group].astype(int)) <= _MOST_DRIFT
+        if found.verdict == MEASURED and found.model_error <= _GOOD_ERROR and steady:
+            dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
+            fits = [found if on else dark for on in lit]
+            return SWITCHED, [Span(a, b, f, 0) for f, (a, b) in zip(fits, pairwise(segments), strict=True)]
     for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
         group = _group(times, edges)
         if name == SEGMENTS and len(edges) < 3:
             continue
         if name == SHARED:
-            pumped = _pumped(times, n, E, v, params)
+            pumped = _exposure_drift_fit(times, n, E, v, params)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
                 return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
-        held = shared if shared.model_error <= _GOOD_ERROR < held.model_error else held
+        best_refusal = shared if shared.model_error <= _GOOD_ERROR < best_refusal.model_error else best_refusal
         if shared.verdict == MEASURED and shared.model_error <= _GOOD_ERROR and drift(times, n, E, group) <= _MOST_DRIFT:
             if name == SHARED:
                 shared = confirmed(shared, [~late, late], group)
@@ -115,8 +113,8 @@ def fit_over_time(
     if any(s.fit.verdict == MEASURED for s in spans):
         return WINDOWS, spans
     last = confirmed(constant, [~late, late], None)
-    if last.verdict == REFUSED and held.verdict == REFUSED:
-        last = replace(last, reason=held.reason)
+    if last.verdict == REFUSED and best_refusal.verdict == REFUSED:
+        last = replace(last, reason=best_refusal.reason)
     return CONSTANT, [Span(start, stop, last, 0)]
 
 
@@ -159,7 +157,7 @@ def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
     return np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
 
 
-def _pumped(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params) -> LightFit | None:
+def _exposure_drift_fit(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params) -> LightFit | None:
     """The light under one factor per frame (`gains`); None where that is not to be had, does not hold, or is refused."""
     g = gains(times, n, E) if len(times) else None
     if g is None:
@@ -178,11 +176,10 @@ def _pumped(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, para
 
 def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) -> LightFit:
     """`found` with its first light's cone widened to what the halves say, or refused."""
-    first = found.lights[0]
-    off = 0.0
+    first, off = found.lights[0], 0.0
     for half in halves:
-        apart = angle_between(np.array([li.direction for li in half.lights]), first.direction) if half.lights else np.inf
-        off = max(off, float(np.degrees(np.min(apart))))
+        apart = [angle_between(li.direction, first.direction) for li in half.lights]
+        off = max(off, float(np.degrees(min(apart, default=np.inf))))
     if off > limit_deg:
         why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
         return replace(found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb)
@@ -204,9 +201,9 @@ def drift(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, grou
     cell = np.unique(g * len(icosphere(_CELL_LEVEL).vertices) + icosphere(_CELL_LEVEL).nearest(normals), return_inverse=True)[1]
     count = np.bincount(cell)
     off = off - (np.bincount(cell, off) / count)[cell]
-    again = count[cell] > 1
+    repeated = count[cell] > 1
     window = np.unique(np.floor((times_s - times_s.min()) / _WINDOW_S), return_inverse=True)[1]
-    many = np.bincount(window, again)
+    many = np.bincount(window, repeated)
     mean = divide(np.bincount(window, off), many)
     return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))
 

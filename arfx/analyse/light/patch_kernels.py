@@ -8,7 +8,7 @@ import math
 import numba
 import numpy as np
 
-from arfx.analyse.sorting import sort
+from arfx.analyse.pose.kernels import sort
 
 PATCHES = 8
 MARGIN, MOST_MARGIN = 0.2, 0.45  # of a cell that is left out at each side: the inner 60 % remain, at least 10 %
@@ -23,7 +23,7 @@ _GAMMA = 2.2  # about the slope of the transfer function
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def place(quad, white, blur_px, columns, rows, corner, part, group, about):  # pragma: no cover - compiled
+def place_samples(quad, white, blur_px, columns, rows, corner, part, group, noise):  # pragma: no cover - compiled
     """How many samples lie in the picture; for each its upper left pixel, the part to the next ones, and its patch.
 
     quad : (4, 2) top left, top right, bottom right, bottom left;  white : (n, n) as seen;  columns, rows : of the picture
@@ -56,9 +56,9 @@ def place(quad, white, blur_px, columns, rows, corner, part, group, about):  # p
     margin = min(max(BLURS * blur_px / max(cell_px, 1e-6), MARGIN), MOST_MARGIN)
     k = int(min(max(round((1 - 2 * margin) * cell_px / LEAST_STEP_PX), 1), MOST_SAMPLES))
     per_sample = (1 - 2 * margin) ** 2 * wide_px * cell_px / k**2  # px^2
-    about[0] = max(1.0, SHARED_PX2 / max(per_sample, 1e-6))
+    noise[0] = max(1.0, SHARED_PX2 / max(per_sample, 1e-6))
     nearest = (margin + (1 - 2 * margin) * 0.5 / k) * cell_px
-    about[1] = math.erfc(nearest / blur_px / np.sqrt(2.0)) if blur_px > 0 else 0.0
+    noise[1] = math.erfc(nearest / blur_px / np.sqrt(2.0)) if blur_px > 0 else 0.0
     count = 0
     for r in range(n):
         for c in range(n):
@@ -80,7 +80,7 @@ def place(quad, white, blur_px, columns, rows, corner, part, group, about):  # p
 
 
 @numba.njit(cache=True, nogil=True)
-def around(corner, last_x, last_y, out):  # pragma: no cover - compiled
+def neighbours(corner, last_x, last_y, out):  # pragma: no cover - compiled
     """out (4 k, 2) int32 = x, y of the four pixels of each sample."""
     for i in range(len(corner)):
         x0, y0 = corner[i, 0], corner[i, 1]

@@ -26,8 +26,7 @@ from arfx.core.numerics import HALF_GREY, divide
 # black top left, top right, bottom left, bottom right, then white in the same order
 PATCHES = kernels.PATCHES
 CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
-_SHARES = np.linspace(0, 1, 257)
-SPOILT = 0.02  # share of a reading's paper samples that are clipped, from which the paper says nothing exact
+OVEREXPOSED = 0.02  # share of a reading's paper samples that are clipped, from which the paper says nothing exact
 FEW = 0.15  # of the readings: so many spoilt ones can be left out
 _OUT = 2.5  # deviations from the median of a reading's ink patches, beyond which one counts less
 LEAST_LEFT = 0.7  # of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the reason
@@ -61,7 +60,7 @@ def cells(family: str, number: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Spots:
+class SamplePoints:
     """Where the samples of one print lie. corner : (k, 2) int32, upper left of the four pixels around each (x, y)
     part : (k, 2) from there to the next ones, 0..1;  group : (k,) int32 patch;  last : (x, y) of the picture's last pixel
     shared : samples that have their noise in common;  leak : share of the contrast that blur brings in from other cells"""
@@ -76,11 +75,11 @@ class Spots:
     def pixels(self) -> np.ndarray:
         """(4 k, 2) int32: x, y of every pixel that is read."""
         out = np.empty((4 * len(self.group), 2), np.int32)
-        kernels.around(self.corner, *self.last, out)
+        kernels.neighbours(self.corner, *self.last, out)
         return out
 
 
-def place(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, int]) -> Spots:
+def place_samples(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, int]) -> SamplePoints:
     """Samples of a marker in a picture of shape (rows, columns); none for a quad that is bent.
 
     quad_px : (4, 2) order of MarkerSpec.corners_m;  cells : `cells(family, id)`;  inverted : white on black print
@@ -89,37 +88,34 @@ def place(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float
     rows, columns = shape
     most = len(cells) ** 2 * kernels.MOST_SAMPLES**2
     corner, part, group = np.empty((most, 2), np.int32), np.empty((most, 2)), np.empty(most, np.int32)
-    about = np.array([1.0, 0.0])
+    noise = np.array([1.0, 0.0])
     quad = np.ascontiguousarray(quad_px, float)
-    count = kernels.place(quad, np.asarray(cells, bool) ^ inverted, blur_px, columns, rows, corner, part, group, about)
+    count = kernels.place_samples(quad, np.asarray(cells, bool) ^ inverted, blur_px, columns, rows, corner, part, group, noise)
     last = (max(columns - 1, 0), max(rows - 1, 0))
-    return Spots(corner[:count], part[:count], group[:count], last, float(about[0]), float(about[1]))
+    return SamplePoints(corner[:count], part[:count], group[:count], last, float(noise[0]), float(noise[1]))
 
 
-def reduced(pixels: np.ndarray, spots: Spots) -> Patches:
-    """Patches of the samples. pixels : (4 k, 3) float32 linear RGB at `spots.pixels()`"""
-    mean, spread, variance, tally = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3))
-    kernels.reduce(pixels, spots.part, spots.group, CLIP_LOW, CLIP_HIGH, HALF_GREY, mean, spread, tally)
-    kernels.uncertainty(mean, spread, tally, spots.shared, spots.leak, HALF_GREY, _cut(), variance)
+def reduced(pixels: np.ndarray, points: SamplePoints) -> Patches:
+    """Patches of the samples. pixels : (4 k, 3) float32 linear RGB at `points.pixels()`"""
+    mean, spread, variance, tally = (np.zeros((PATCHES, 3)) for _ in range(4))
+    kernels.reduce(pixels, points.part, points.group, CLIP_LOW, CLIP_HIGH, HALF_GREY, mean, spread, tally)
+    kernels.uncertainty(mean, spread, tally, points.shared, points.leak, HALF_GREY, _CUT, variance)
     used, clipped, every = tally.T
     return Patches(mean, variance, used.astype(int), clipped / np.maximum(every, 1))
 
 
-@cache
-def _cut() -> np.ndarray:
-    """(257,) `cut_off` of _SHARES."""
-    return cut_off(_SHARES)
-
-
-def cut_off(share: np.ndarray) -> np.ndarray:
+def cut_off(fraction: np.ndarray) -> np.ndarray:
     """Deviation, over that of one sample, that a mean gets where a share of its samples was clipped and dropped.
 
     For a normal distribution that is cut off at one end its mean is off by a third of this; but samples are not spread
     normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped.
     """
-    p = np.clip(share, 0, 0.99)
+    p = np.clip(fraction, 0, 0.99)
     lost = np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
     return np.where(p > 0, 3 * lost, 0.0)
+
+
+_CUT = cut_off(np.linspace(0, 1, 257))
 
 
 def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -136,31 +132,27 @@ def comparable(
     p: Photometry, intensity: np.ndarray, variance: np.ndarray, white: np.ndarray, clipped: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over normals). Arguments as for `solve`."""
-    spoilt = p.seen & (np.where(white, clipped, 0).sum(1) > SPOILT * white.sum())
-    share = float(spoilt.sum()) / max(int(p.seen.sum()), 1)
-    if not spoilt.any() or (share <= FEW and not p.determined.all()):
+    overexposed = p.seen & (np.where(white, clipped, 0).sum(1) > OVEREXPOSED * white.sum())
+    fraction = float(overexposed.sum()) / max(int(p.seen.sum()), 1)
+    if not overexposed.any() or (fraction <= FEW and not p.determined.all()):
         return p.y, p.var_y_own, p.seen
-    if share <= FEW:
-        return p.y, p.var_y_own, p.seen & ~spoilt
-    y, own = _by_ink(p, intensity[:, ~white], variance[:, ~white])
-    told = np.isfinite(y).all(1)
-    return np.where(told[:, None], y, p.y), np.where(told[:, None], own, p.var_y_own), p.seen & told
-
-
-def _by_ink(p: Photometry, value: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Light (t, 3) by the ink alone, and its variance; NaN where no ink was seen. value, variance : (t, q, 3) of the ink"""
+    if fraction <= FEW:
+        return p.y, p.var_y_own, p.seen & ~overexposed
+    value, variance = intensity[:, ~white], variance[:, ~white]  # by the ink alone
     fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
-    known = fine.any(1)
-    middle = np.where(known, np.nanmedian(np.where(known[:, None], np.where(fine, value, np.nan), 0.0), 1), 0.0)
+    inked = fine.any(1)
+    middle = np.where(inked, np.nanmedian(np.where(inked[:, None], np.where(fine, value, np.nan), 0.0), 1), 0.0)
     off = np.abs(np.where(fine, value - middle[:, None], 0)) / np.sqrt(np.where(fine, variance, 1))
     w = np.where(fine, divide(1.0, np.where(fine, variance, 1)), 0) * np.minimum(1, divide(_OUT, off, where_zero=1.0))
     total = w.sum(1)
     y = (divide((w * np.where(fine, value, 0)).sum(1), total) - p.bias) / p.ink
-    return np.where(known, y, np.nan), np.where(known, divide(1.0, total * p.ink**2) * p.misfit**2, np.nan)
+    own = divide(1.0, total * p.ink**2) * p.misfit**2
+    known = (inked & np.isfinite(y)).all(1)
+    return np.where(known[:, None], y, p.y), np.where(known[:, None], own, p.var_y_own), p.seen & known
 
 
-def quarters(mean: np.ndarray, count: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """(..., 4) light of the paper in the print's quarters (top left, top right, bottom left, bottom right), NaN = not seen.
+def quadrant_radiance(mean: np.ndarray, count: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """(..., 4) light of the paper in the print's quadrants (top left, top right, bottom left, bottom right), NaN = not seen.
 
     mean (..., 8, 3), count (..., 8) : of Patches
     """
@@ -169,21 +161,19 @@ def quarters(mean: np.ndarray, count: np.ndarray, bias: np.ndarray) -> np.ndarra
     return np.where(count[..., white] > 0, light, np.nan)
 
 
-def clearly_blocked(light: np.ndarray) -> np.ndarray:
-    """(...) whether a quarter is clearly darker than the brightest one. light : (..., 4) of `quarters`"""
-    known = np.where(np.isfinite(light), light, np.inf)
-    low, high = known.min(-1), np.where(np.isfinite(light), light, -np.inf).max(-1)
-    return np.isfinite(light).all(-1) & (high > 0) & (low <= LEAST_LEFT * high)
+def clearly_shadowed(light: np.ndarray) -> np.ndarray:
+    """(...) whether a quadrant is clearly darker than the brightest one. light : (..., 4) of `quadrant_radiance`"""
+    low, high = light.min(-1), light.max(-1)  # NaN where a quarter was not seen: nothing is clear there
+    return (high > 0) & (low <= LEAST_LEFT * high)
 
 
 def real_shadow(light: np.ndarray, size_m: float) -> PlaneShadow | None:
     """The real shadow on the anchor's print, None where no quarter is clearly darker.
 
-    light : (4,) of `quarters`;  size_m : side of the print. Anchor axes: x right, y up.
+    light : (4,) of `quadrant_radiance`;  size_m : side of the print. Anchor axes: x right, y up.
     """
-    if not clearly_blocked(light):
+    if not clearly_shadowed(light):
         return None
-    ratio = divide(light, light.max())
-    top_left, top_right, bottom_left, bottom_right = (float(r) for r in np.clip(ratio, 0, 1))
+    top_left, top_right, bottom_left, bottom_right = np.clip(divide(light, light.max()), 0, 1).tolist()
     half = size_m / 2
     return PlaneShadow((-half, -half, half, half), ((bottom_left, bottom_right), (top_left, top_right)))

@@ -24,7 +24,7 @@ STEPS = 1.5
 UNKNOWN_VARIANCE = 1e12  # of the light of a frame in which nothing was usable
 ASSUMED_BIAS = 0.01  # standard deviation of a bias that nothing tells, linear light: about 10 dark grey levels
 # Share of the information on b that is left once every y_t is eliminated, below which float64 has none of it.
-LEAST_SHARE = 1e-12
+LEAST_FRACTION = 1e-12
 WORST_BIAS = 0.1  # of the bright patches' median: a 95 % interval of b that is wider says nothing
 LEAST_CONTRAST = 0.05  # of the bright patches' median that has to be light: less is haze, or no print at all
 ENOUGH = 100  # frames that tell how much the bias depends on what is not known
@@ -90,50 +90,34 @@ def solve(
         ink_sigma = transfer = steps = 0.0
     rho = np.broadcast_to(np.asarray(albedo, float), (frames, patches))
     weight, known_noise, ignored = weights(value, variance, rho)
-    share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
+    fraction = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
     dark = rho < (rho.min() + rho.max()) / 2 if rho.size else np.zeros(rho.shape, bool)
     parts = []
     for c in range(3):
         grey, w = np.where(weight[..., c] > 0, value[..., c], 0.0), weight[..., c]
         if albedos == "normalised":
-            part = normalised(grey, w, rho, dark, known_noise, ink_sigma)
+            part = solve_normalised(grey, w, rho, dark, known_noise, ink_sigma)
         else:
-            part = robust(grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma)
+            part = solve_robust(grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma)
         if part["determined"] and transfer > 0:
-            part["bias_95"] = _with_other_curves(part, grey, w, rho, dark, known_noise, albedos == "unknown", transfer)
+            # the interval is moved to what the bias is under other exponents of the camera's curve
+            sparse, found = slice(None, None, max(1, frames // ENOUGH)), []
+            few, size = grey[sparse], np.maximum(np.abs(grey[sparse]), 1e-4)
+            for exponent in (1.0, 1 / (1 - transfer), 1 / (1 + transfer)):
+                few_w = w[sparse] / (exponent * size ** (exponent - 1)) ** 2
+                bent = np.sign(few) * np.abs(few) ** exponent
+                found.append(solve_channel(bent, few_w, rho[sparse], dark[sparse], known_noise, albedos == "unknown", 0.0))
+            off = [f["bias"] - found[0]["bias"] for f in found if f["determined"] and found[0]["determined"]] or [0.0]
+            part["bias_95"] = part["bias_95"][0] + min(off), part["bias_95"][1] + max(off)
         if part["determined"] and steps > 0:
             level = float(np.median(grey[dark & (w > 0)]))
-            part["bias_95"] = _widened(part["bias_95"], part["bias"], steps / 255 * slope_of_code(level))
+            # linear light per coded value: sRGB's slope, of which all curves are near enough
+            slope = float(2.4 / 1.055 * max(level, 0.0) ** (1 - 1 / 2.4)) if level > 0.0031 else 1 / 12.92
+            (low, high), middle = part["bias_95"], part["bias"]
+            low, high = (float(np.hypot(away, steps / 255 * slope)) for away in (middle - low, high - middle))
+            part["bias_95"] = middle - low, middle + high
         parts.append(part)
-    return assemble(parts, share, ignored)
-
-
-def _with_other_curves(
-    part: dict, grey: np.ndarray, w: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool,
-    transfer: float,
-) -> tuple[float, float]:  # fmt: skip
-    """The bias's interval, moved to what the bias is under other exponents of the camera's curve. Arguments as for `robust`."""
-    low, high = part["bias_95"]
-    some = slice(None, None, max(1, len(grey) // ENOUGH))
-    grey, w, rho, dark = grey[some], w[some], rho[some], dark[some]
-    size = np.maximum(np.abs(grey), 1e-4)
-    found = []
-    for exponent in (1.0, 1 / (1 - transfer), 1 / (1 + transfer)):
-        slope = exponent * size ** (exponent - 1)
-        value = np.sign(grey) * np.abs(grey) ** exponent
-        found.append(solved(value, w / slope**2, rho, dark, known, find_ink, 0.0))
-    off = [f["bias"] - found[0]["bias"] for f in found if f["determined"] and found[0]["determined"]] or [0.0]
-    return low + min(off), high + max(off)
-
-
-def _widened(interval: tuple[float, float], middle: float, by: float) -> tuple[float, float]:
-    low, high = middle - interval[0], interval[1] - middle
-    return middle - float(np.hypot(low, by)), middle + float(np.hypot(high, by))
-
-
-def slope_of_code(level: float) -> float:
-    """Linear light per coded value at a linear level: sRGB's, of which all curves are near enough."""
-    return float(2.4 / 1.055 * max(level, 0.0) ** (1 - 1 / 2.4)) if level > 0.0031 else 1 / 12.92
+    return assemble(parts, fraction, ignored)
 
 
 def weights(value: np.ndarray, variance: np.ndarray | None, rho: np.ndarray) -> tuple[np.ndarray, bool, int]:
@@ -165,7 +149,7 @@ def assemble(parts: list[dict], clipped: float, ignored: int) -> Photometry:
     )  # fmt: skip
 
 
-def robust(
+def solve_robust(
     grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool, ink_sigma: float
 ) -> dict:  # fmt: skip
     """Shared bias. grey, w0, rho : (t, p) values, inverse variances (0 = not usable), albedos;  dark : (t, p) bool, ink
@@ -175,11 +159,11 @@ def robust(
         holds what an ink with this prior, solved for beside the bias, makes of the bias too. (Gloss and glare bend dark cells
         as another ink would, so that one found is no better an answer than the stated one.)
     """
-    part = solved(grey, w0, rho, dark, known, find_ink, 0.0)
+    part = solve_channel(grey, w0, rho, dark, known, find_ink, 0.0)
     if find_ink or ink_sigma == 0 or not part["determined"]:
         return part
-    some = slice(None, None, max(1, len(grey) // ENOUGH))
-    other = solved(grey[some], w0[some], rho[some], dark[some], known, False, ink_sigma)
+    sparse = slice(None, None, max(1, len(grey) // ENOUGH))
+    other = solve_channel(grey[sparse], w0[sparse], rho[sparse], dark[sparse], known, False, ink_sigma)
     (low, high), bright = part["bias_95"], float(np.median(part["y"][part["seen"]]))
     if other["determined"] and other["ink"] != part["ink"]:
         low, high = min(low, other["bias_95"][0]), max(high, other["bias_95"][1])
@@ -199,10 +183,10 @@ def _refusal(level: float, half: float, noise: float, bright: float, doubt: floa
     return "bright and dark cells look alike" if contrast < LEAST_CONTRAST * level else ""
 
 
-def solved(
+def solve_channel(
     grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, find_ink: bool, ink_sigma: float
 ) -> dict:  # fmt: skip
-    """As `robust`. ink_sigma : above 0 the ink is an unknown with this prior"""
+    """As `solve_robust`. ink_sigma : above 0 the ink is an unknown with this prior"""
     seen = (w0 > 0).any(1)
     count = int((w0 > 0).sum())
     both = bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
@@ -220,12 +204,12 @@ def solved(
         A, B, C = (w * r * r).sum(1), (w * r).sum(1), w.sum(1)
         inverse = divide(1.0, A)
         y0, lean = (w * r * grey).sum(1) * inverse, B * inverse  # y = y0 - lean * b
-        left = float((C - B * lean).sum())
-        share = left / max(float(C.sum()), 1e-300)
-        if share < LEAST_SHARE:
+        remaining = float((C - B * lean).sum())
+        fraction = remaining / max(float(C.sum()), 1e-300)
+        if fraction < LEAST_FRACTION:
             return fallback(grey, w0, rho, "all usable patches have one albedo", unknowns - 1 - free_ink, 1e12)
         before = b
-        b = float((w * (grey - r * y0[:, None])).sum()) / left
+        b = float((w * (grey - r * y0[:, None])).sum()) / remaining
         y = y0 - lean * b
         # for an ink that is known about, its first pass is one without it: the noise's scale makes the prior's weight
         if free_ink or (known_ink and i):
@@ -248,8 +232,8 @@ def solved(
     r = np.where(dark, k, rho) if one_ink else rho
     residual = grey - r * y[:, None] - b
     if joint is None:
-        influence = w * residual * np.where(w > 0, 1 - r * lean[:, None], 0) / left  # on b, y_t eliminated
-        noise_b = scale**2 / left  # if all residuals are independent; or by patch, or by frame
+        influence = w * residual * np.where(w > 0, 1 - r * lean[:, None], 0) / remaining  # on b, y_t eliminated
+        noise_b = scale**2 / remaining  # if all residuals are independent; or by patch, or by frame
     else:
         slope = np.where(dark, y[:, None], 0.0) - r * ((w * r * np.where(dark, y[:, None], 0.0)).sum(1) * inverse)[:, None]
         inverse_S = joint[2]
@@ -263,30 +247,29 @@ def solved(
     level = float(np.median(top[seen]))
     bright = float(np.median(y[seen]))
     half = quantile * float(np.sqrt(noise_b))
-    rank = unknowns if share >= LEAST_SHARE else unknowns - 1
-    condition = float(np.sqrt((1 + np.sqrt(1 - min(share, 1.0))) / (1 - np.sqrt(1 - min(share, 1.0 - 1e-16)))))
+    condition = float(np.sqrt((1 + np.sqrt(1 - min(fraction, 1.0))) / (1 - np.sqrt(1 - min(fraction, 1.0 - 1e-16)))))
     own = np.where(seen, scale**2 * inverse, 0)
     noise = 3 * float(np.sqrt(divide(1.0, np.median(w0[w0 > 0])))) * known
     doubt = 3 * float(np.sqrt(np.median(own[seen]) + lean[seen].max() ** 2 * noise_b))
     why = _refusal(level, half, noise, bright, doubt, bright * float(np.abs(rho).max()))
     if why:
-        return fallback(grey, w0, rho, why, rank, condition)
+        return fallback(grey, w0, rho, why, unknowns, condition)
     return {
         "y": np.where(seen, y, 0.0), "var_y_own": np.where(seen, own, UNKNOWN_VARIANCE), "seen": seen, "bias": b,
         "bias_95": (b - half, b + half),
-        "ink": k if one_ink else float(rho[dark].mean()) if dark.any() else float(rho.min()), "determined": True, "rank": rank,
-        "unknowns": unknowns, "condition": min(condition, 1e12), "misfit": scale, "reason": "",
+        "ink": k if one_ink else float(rho[dark].mean()) if dark.any() else float(rho.min()), "determined": True,
+        "rank": unknowns, "unknowns": unknowns, "condition": min(condition, 1e12), "misfit": scale, "reason": "",
     }  # fmt: skip
 
 
-def normalised(
+def solve_normalised(
     grey: np.ndarray, w0: np.ndarray, rho: np.ndarray, dark: np.ndarray, known: bool, ink_sigma: float
 ) -> dict:  # fmt: skip
     """Light of each frame from its own difference of bright and dark patches; the bias is what the dark ones have beside.
 
-    Arguments as for `robust`. Frames with patches of one kind alone are not seen.
+    Arguments as for `solve_robust`. Frames with patches of one kind alone are not seen.
     """
-    shared = robust(grey, w0, rho, dark, known, False, ink_sigma)
+    shared = solve_robust(grey, w0, rho, dark, known, False, ink_sigma)
     if not shared["determined"]:
         return shared
     w = w0 / max(shared["misfit"] ** 2, 1e-300) if not known or shared["misfit"] > 1 else w0.copy()
@@ -294,9 +277,9 @@ def normalised(
     sums = []
     for kind in (~dark, dark):  # Huber about the median of the kind in its frame
         part = np.where(kind & (w > 0), residual, np.nan)
-        some = np.isfinite(part).any(1)
+        sparse = np.isfinite(part).any(1)
         middle = np.zeros(len(part))
-        middle[some] = np.nanmedian(part[some], 1)
+        middle[sparse] = np.nanmedian(part[sparse], 1)
         z = np.abs(np.where(np.isfinite(part), part - middle[:, None], 0)) * np.sqrt(w)
         v = np.where(kind, w, 0) * np.minimum(1, divide(2 * _HUBER, z, where_zero=1.0))
         sums.append((v.sum(1), divide((v * grey).sum(1), v.sum(1)), divide((v * rho).sum(1), v.sum(1))))

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,7 +22,7 @@ AZIMUTHS = np.arange(12) * np.pi / 6
 RINGS_DEG = np.array([0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 45])
 NO_CONE_DEG = 180.0
 SOFT_DEG = (10.0, 20.0, 35.0)  # half-angles of a large light, tried beside a point
-SKY = 1.0
+DOME = 1.0
 RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
 RADII = np.array([1, 1.5, 2.2, 3.3, 4.5])  # of the stronger from the light that they replace, over the least
 FINE_GAIN, FOLLOWED_GAIN, ROUGH_GAIN = 1e-6, 1e-4, 1e-3  # of chi squared: a pass that gains less is the last
@@ -37,7 +37,7 @@ class Samples:
     normals : (k, 3) mean of unit vectors;  value : (k, 3) irradiance over `scale` (3,), the channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective : number of independent values
     ignored : observations;  gamma : exponent that has been taken out of the values
-    lit : (k,) share of the lamps that is on, 0..1; empty = 1
+    lit : (k,) share of the lamps that is on, 0..1
     """
 
     normals: np.ndarray
@@ -47,28 +47,17 @@ class Samples:
     scale: np.ndarray
     effective: float
     ignored: int
-    gamma: float = 1.0
-    lit: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    gamma: float
+    lit: np.ndarray
 
     @cached_property
-    def data(self) -> light_model.Seen:
+    def data(self) -> light_model.Observations:
         normals, value = (np.ascontiguousarray(a.T) for a in (self.normals, self.value))
-        lit = self.lit if len(self.lit) else np.ones(len(self.weight))
-        return light_model.Seen(normals, value, self.weight, self.starts, lit)
+        return light_model.Observations(normals, value, self.weight, self.starts, self.lit)
 
     @property
     def groups(self) -> int:
         return len(self.starts) - 1
-
-    def span_deg(self) -> float:
-        """Largest angle between two normals."""
-        unit = self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
-        return float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))
-
-    def design(self) -> np.ndarray:
-        """(k, 4) weighted [1, n], columns of length 1: what tells an ambient light and a direction apart."""
-        rows = np.sqrt(self.weight)[:, None] * np.column_stack([np.ones(len(self.normals)), self.normals])
-        return divide(rows, np.linalg.norm(rows, axis=0))
 
     def without_gamma(self, gamma: float) -> Samples:
         """The same where the values are a power `gamma` of the irradiance (a wrong transfer function makes them that)."""
@@ -79,7 +68,7 @@ class Samples:
         value = np.sign(self.value) * np.abs(self.value) ** (1 / gamma)
         return replace(self, value=value, weight=self.weight / slope**2, gamma=gamma)
 
-    def damped(self, residual: np.ndarray) -> Samples:
+    def downweighted(self, residual: np.ndarray) -> Samples:
         """Less weight (Huber) on samples whose residual (k, 3), in deviations, is beyond what the others have."""
         z = np.sqrt((residual**2).mean(1))
         width = 2.5 * max(1.0, float(np.median(z)) / 0.8)
@@ -141,45 +130,35 @@ def _mean(n: np.ndarray, E: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.n
 @dataclass(frozen=True, eq=False)
 class Model:
     """dirs : (q, 3) unit, towards the lights;  chi2;  at : the samples fitted
-    soft : (q,) sine of their discs' half-angle; SKY = ambient light that is brighter from one side"""
+    soft : (q,) sine of their discs' half-angle; DOME = ambient light that is brighter from one side"""
 
     dirs: np.ndarray
     chi2: float
     at: Samples
     soft: np.ndarray
 
-    @property
-    def count(self) -> int:
-        return len(self.dirs)
-
     def amplitudes(self) -> tuple[np.ndarray, np.ndarray]:
         """(ambient and lights (g, 3, q + 1) in units of the samples' scale, residuals (k, 3) in deviations)"""
-        amp, residual, _ = self._evaluated
-        return amp, residual.T
+        return self._evaluated[0], self._evaluated[1].T
 
     @cached_property
-    def shares(self) -> np.ndarray:
+    def fractions(self) -> np.ndarray:
         """(q,) of each light in all the light that was seen."""
-        amp, _, given = self._evaluated
-        part = amp.sum(1) * given
+        amp, _, contribution = self._evaluated
+        part = amp.sum(1) * contribution
         return np.asarray(part.sum(0)[1:] / max(float(part.sum()), 1e-300))
 
     @cached_property
     def _evaluated(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        q, s = self.count, self.at
-        amp, residual, given = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals))), np.empty((s.groups, q + 1))
-        light_model.evaluate(s.data, self.dirs, _each(q, self.soft), amp, residual, given)
-        return amp, residual, given
+        q, s = len(self.dirs), self.at
+        amp, residual, contribution = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals))), np.empty((s.groups, q + 1))
+        light_model.evaluate(s.data, self.dirs, _each(self.soft), amp, residual, contribution)
+        return amp, residual, contribution
 
 
-@cache
-def _own(count: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.arange(count), np.ones(count)
-
-
-def _each(count: int, soft: np.ndarray) -> light_model.Columns:
+def _each(soft: np.ndarray) -> light_model.Columns:
     """Of lights of one direction each."""
-    return light_model.Columns(*_own(count), soft, count)
+    return light_model.Columns(np.arange(len(soft)), np.ones(len(soft)), soft, len(soft))
 
 
 def refine(
@@ -194,11 +173,11 @@ def refine(
     if held is not None:
         body[held + 1 :] -= 1
         body[held] = -1
-    chi = light_model.refine(s.data, d, _each(q, soft), body, passes, gain)
+    chi = light_model.refine(s.data, d, _each(soft), body, passes, gain)
     return Model(d, float(chi), s, soft)
 
 
-def search(s: Samples, count: int, first: Model | None = None) -> list[Model]:
+def minima(s: Samples, count: int, first: Model | None = None) -> list[Model]:
     """Local minima with `count` lights (0 to 2), best first, from a grid over the whole sphere.
 
     first : the best single light, for pairs that it belongs to
@@ -216,16 +195,16 @@ def search(s: Samples, count: int, first: Model | None = None) -> list[Model]:
     return _minima(s, many, np.zeros(count), 4 * count)
 
 
-def search_sky(s: Samples, first: list[Model]) -> list[Model]:
-    """Local minima of one light beside a sky, started from those of one light alone."""
+def search_dome(s: Samples, first: list[Model]) -> list[Model]:
+    """Local minima of one light beside a dome, started from those of one light alone."""
     v = icosphere(1).vertices
     many = np.concatenate([np.stack([np.broadcast_to(m.dirs[0], v.shape), v], 1) for m in first])
-    return _minima(s, many, np.array([0, SKY]), 6)
+    return _minima(s, many, np.array([0, DOME]), 6)
 
 
 def _minima(s: Samples, many: np.ndarray, soft: np.ndarray, most: int) -> list[Model]:
     count = len(soft)
-    chi = _scan(s, many, _each(count, soft))
+    chi = _scan(s, many, _each(soft))
     rough: list[Model] = []
     free, near = np.ones(len(many), bool), np.cos(np.radians(_APART_DEG))
     for i in np.argsort(chi, kind="stable"):
@@ -244,9 +223,11 @@ def _different(models: list[Model]) -> list[Model]:
     """Best first, each minimum once."""
     found: list[Model] = []
     for m in sorted(models, key=lambda m: m.chi2):
-        orders = ([0, 1], [1, 0]) if m.count == 2 and m.soft[0] == m.soft[1] else (list(range(m.count)),)
+        orders = ([0, 1], [1, 0]) if len(m.soft) == 2 and m.soft[0] == m.soft[1] else ([*range(len(m.soft))],)
         near = np.cos(np.radians(_SAME_DEG))
-        if not any(((m.dirs[order] * f.dirs).sum(1) > near).all() for f in found for order in orders if len(order) == f.count):
+        if not any(
+            ((m.dirs[order] * f.dirs).sum(1) > near).all() for f in found for order in orders if len(order) == len(f.soft)
+        ):
             found.append(m)
     return found
 
@@ -257,7 +238,7 @@ def cone_deg(model: Model, light: int, bound: float) -> float:
     Profile likelihood on rings of 12 azimuths: the radius is that of the first ring that is wholly outside.
     """
     for radius in RINGS_DEG:
-        for d in around(model.dirs[light], radius):
+        for d in cone_directions(model.dirs[light], radius):
             dirs = model.dirs.copy()
             dirs[light] = d
             if refine(model.at, dirs, model.soft, light, 8).chi2 <= bound:
@@ -267,23 +248,23 @@ def cone_deg(model: Model, light: int, bound: float) -> float:
     return NO_CONE_DEG
 
 
-def sky_beside(model: Model, s: Samples, radius_deg: float) -> float:
-    """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a sky wherever that helps most."""
+def dome_beside(model: Model, s: Samples, radius_deg: float) -> float:
+    """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a dome wherever that helps most."""
     best = np.inf
-    for d, opposite in zip(around(model.dirs[0], radius_deg), around(model.dirs[0], 60.0, np.pi), strict=True):
+    for d, opposite in zip(cone_directions(model.dirs[0], radius_deg), cone_directions(model.dirs[0], 60.0, np.pi), strict=True):
         for start in (opposite, -d):
-            moved = refine(s, np.array([d, start]), np.append(model.soft, SKY), 0, 12)
+            moved = refine(s, np.array([d, start]), np.append(model.soft, DOME), 0, 12)
             best = min(best, moved.chi2)
     return best
 
 
-def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound: float) -> tuple[float, float]:
+def two_in_place(model: Model, s: Samples, light: int, least_deg: float, bound: float) -> tuple[float, float]:
     """(lowest chi squared with two lights of one colour in the place of one, angle between the two in degrees).
 
     Both stand `least_deg` or more from the light that they replace, the stronger is held there; everything else is free.
     The search ends at the first that is not above `bound`. Normals that are all lit by both can never tell them from one.
     """
-    q, place = model.count, model.dirs[light]
+    q, replaced_dir = len(model.dirs), model.dirs[light]
     others = np.delete(model.dirs, light, 0)
     soft = np.concatenate([model.soft[[light, light]], np.delete(model.soft, light)])
     column = np.concatenate([[0, 0], np.arange(1, q)])
@@ -295,20 +276,20 @@ def pair_in_place(model: Model, s: Samples, light: int, least_deg: float, bound:
             sine = np.sin(np.radians(radius)) / ratio  # the two balance about the light that they replace
             if sine >= 1:
                 continue
-            a, b = around(place, radius), around(place, float(np.degrees(np.arcsin(sine))), np.pi)
+            a, b = cone_directions(replaced_dir, radius), cone_directions(replaced_dir, float(np.degrees(np.arcsin(sine))), np.pi)
             many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
             for i in np.argsort(_scan(s, many, columns), kind="stable")[:2]:
                 d = np.array(many[i])
                 chi = float(light_model.refine(s.data, d, columns, body, 12, FINE_GAIN))
                 # one that has moved to where the light was leaves it in its place, beside one that no normal sees
-                if chi < best and np.degrees(angle_between(d[1], place)) > 0.9 * least_deg:
+                if chi < best and np.degrees(angle_between(d[1], replaced_dir)) > 0.9 * least_deg:
                     best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
                     if best <= bound:
                         return best, apart
     return best, apart
 
 
-def around(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
+def cone_directions(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
     """(12, 3) directions at `radius_deg` from the unit vector d, at AZIMUTHS + turn."""
     x, y, z = d.tolist()
     across = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))[int(np.abs(d).argmin())]  # d x the axis farthest from it

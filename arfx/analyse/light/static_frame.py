@@ -1,4 +1,8 @@
-"""The light of the frames that share one room: told by the markers, given, or taken from the surroundings."""
+"""The light of the frames that share one static frame: read off the markers, given, or taken from the surroundings.
+
+A light that the user gives is a direction, or a high dynamic range picture of the surroundings, in the anchor marker's axes: x
+right, y up the print, z out of it. Panoramas are equirectangular, z up: the middle column looks along x, the left half holds +y.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +11,31 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import cv2
 import numpy as np
 
 from arfx.analyse.light import light_map
-from arfx.analyse.light.explain import Params as FitParams
 from arfx.analyse.light.fit import MEASURED, REFUSED
-from arfx.analyse.light.given import fitted_to
+from arfx.analyse.light.fit import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import walked
+from arfx.analyse.light.light_map import kalman_pass
 from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
-from arfx.analyse.light.surroundings import Look, matched, soft_light
+from arfx.analyse.light.surroundings import OUTSTANDING, EnvironmentSample, matched, soft_light
 from arfx.analyse.params import LightParams
 from arfx.core.facts import FrameFacts
-from arfx.core.light import Light, triple
+from arfx.core.light import DIFFUSE, DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import divide, normalise
 
+ROWS = 64  # a panorama is reduced to: 2.8 degrees a pixel
+LEAST_FRACTION = 0.1  # of all light that a lamp gives
+AMBIENT, DIRECT = 0.45, 0.5  # radiance of a white surface without, and from a facing light, where only a direction is given
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
 JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
 UNKNOWN = light_map.UNKNOWN  # variance
 MODEL_ERROR = 0.003  # of a model's irradiance, relative: a reading of one normal is no better
 LEAST_SEEN = 0.02  # of the brightest irradiance seen: darker normals say nothing about a frame's brightness
-_ACCOUNTS = {
+_TEMPORAL_MODELS = {
     CONSTANT: "constant over the clip",
     SWITCHED: "its lamps are switched",
     SEGMENTS: "constant between its steps",
@@ -38,8 +45,69 @@ _ACCOUNTS = {
 Lights = dict[int, Light]
 
 
+def light_from_direction(given: tuple[float, ...], size_deg: float) -> tuple[Light, bool]:
+    """(light in anchor axes, whether its brightness is stated). given : azimuth, elevation, and perhaps R, G, B."""
+    a, e = np.radians(given[:2])  # azimuth from x towards y, elevation above the plane
+    d = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    rgb = given[2:] if len(given) == 5 else (DIRECT,) * 3
+    lamp = DirectionalLight(triple(d), (rgb[0], rgb[1], rgb[2]), size_deg)
+    return Light((AMBIENT,) * 3, (lamp,), "given"), len(given) == 5
+
+
+def light_from_panorama(picture: np.ndarray) -> Light:
+    """Light in anchor axes: up to two lamps that stand out, everything else as soft light.
+
+    picture : (h, w, 3) linear radiance, finite and >= 0. rgb are those of core.light: radiance of a white surface.
+    """
+    small = cv2.resize(np.asarray(picture, np.float32), (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA).astype(float)
+    elevation = np.pi / 2 - (np.arange(ROWS) + 0.5) / ROWS * np.pi
+    azimuth = np.pi - (np.arange(2 * ROWS) + 0.5) / ROWS * np.pi
+    e, a = np.meshgrid(elevation, azimuth, indexing="ij")
+    direction = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
+    edges = np.sin(np.pi / 2 - np.arange(ROWS + 1) / ROWS * np.pi)
+    solid = np.repeat(((edges[:-1] - edges[1:]) * np.pi / ROWS)[:, None], 2 * ROWS, 1)  # steradians of the pixels
+    power = small.mean(-1) * solid
+    lamps, rest = [], small.copy()
+    out = (small.mean(-1) > OUTSTANDING * power.sum() / solid.sum()).astype(np.uint8)
+    count, labels = cv2.connectedComponents(out, connectivity=8)
+    for left, right in labels[:, [0, -1]]:  # connected over the panorama's left and right edge too
+        if left and right and left != right:
+            labels[labels == right] = left
+    order = sorted(range(1, count), key=lambda k: -float(power[labels == k].sum()))
+    for k in order[:2]:
+        on = labels == k
+        if power[on].sum() < LEAST_FRACTION * power.sum():
+            break
+        base = np.median(small[~out.astype(bool)], axis=0) if (out == 0).any() else np.zeros(3)
+        above = np.clip(small[on] - base, 0, None)
+        d = normalise((direction[on] * power[on][:, None]).sum(0))
+        facing = np.clip(direction[on] @ d, 0, None)
+        rgb = (above * (solid[on] * facing)[:, None]).sum(0) / np.pi
+        size = 2 * np.degrees(np.arccos(np.clip(1 - solid[on].sum() / (2 * np.pi), -1, 1)))
+        lamps.append(DirectionalLight(triple(d), triple(rgb), float(min(size, 90.0))))
+        rest[on] = np.minimum(small[on], base)
+    basis = harmonics(direction.reshape(-1, 3)) * solid.reshape(-1, 1)
+    soft = DIFFUSE[:, None] * (basis.T @ rest.reshape(-1, 3))  # of a white diffuse surface over its normal
+    return Light.of_soft(soft, tuple(lamps), "environment file")
+
+
+def fitted_to(light: Light, normals: np.ndarray, radiance: np.ndarray, keep_lamps: bool) -> Light:
+    """The light, with white surfaces of `normals` as bright as measured, on average.
+
+    normals : (k, 3), radiance : (k, 3) of white surfaces, axes of the light. keep_lamps : their brightness is stated, and
+    what they leave is ambient light (none is left where they are brighter than what was measured); else all of the light
+    is scaled, channel by channel.
+    """
+    n, want = np.atleast_2d(normals), np.atleast_2d(radiance).mean(0)
+    if keep_lamps:
+        lit = (light.radiance(n) - light.soft_radiance(n)).mean(0)
+        return Light(triple(np.clip(want - lit, 0, None)), light.lights, light.source)
+    factor = divide(want, light.radiance(n).mean(0), where_zero=1.0)
+    return light.scaled(factor)
+
+
 @dataclass(frozen=True, eq=False)
-class Told:
+class LightReading:
     """Another reading of the same light. y, variance : (k, 3);  fit : (k,) where it can be compared with the others"""
 
     y: np.ndarray
@@ -49,7 +117,7 @@ class Told:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, ROOM axes
+    """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, STATIC axes
     y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it
     alone : of one kind of cells alone (patches.comparable), where prints are overexposed"""
 
@@ -57,23 +125,23 @@ class Readings:
     normal: np.ndarray
     y: np.ndarray
     variance: np.ndarray
-    alone: Told | None = None
+    alone: LightReading | None = None
 
 
-class RoomLight:
-    """Frames that share one room, with their readings."""
+class StaticFrameLight:
+    """Frames that share one static frame, with their readings."""
 
     def __init__(
-        self, frames: Sequence[int], facts: Sequence[FrameFacts], room: dict[int, np.ndarray], readings: Readings,
+        self, frames: Sequence[int], facts: Sequence[FrameFacts], static_from_world: dict[int, np.ndarray], readings: Readings,
         params: LightParams,
     ) -> None:  # fmt: skip
-        """frames : numbers of those that share the room;  room : by number, (3, 3) to ROOM axes from the world's"""
-        self.frames, self.facts, self.room, self.params = list(frames), facts, room, params
+        """frames : numbers of those that share it;  static_from_world : (3, 3) by number"""
+        self.frames, self.facts, self.static_from_world, self.params = list(frames), facts, static_from_world, params
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
         mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
         self.y, self.variance, alone = readings.y[mine], readings.variance[mine], readings.alone
-        self.alone = None if alone is None else Told(alone.y[mine], alone.variance[mine], alone.fit[mine])
+        self.alone = None if alone is None else LightReading(alone.y[mine], alone.variance[mine], alone.fit[mine])
         lit, first, self.which = np.unique(self.numbers, return_index=True, return_inverse=True)  # which : reading's row of lit
         self.lit = lit.tolist()
         self.observations = [
@@ -82,64 +150,62 @@ class RoomLight:
         ]
         self.kinds = light_map.changes(self.observations, params.map_level, params.map_blur_rad, params.drift_per_s)
 
-    def told(self, rests: bool, looks: Sequence[Look]) -> tuple[Lights, dict[str, Any]]:
-        """The light that the markers tell, or the softer cue that takes its place. rests : a light can rest in the room"""
+    def from_markers(self, rests: bool, samples: Sequence[EnvironmentSample]) -> tuple[Lights, dict[str, Any]]:
+        """The light that the markers tell, or the softer cue that takes its place. rests : a light can rest in it"""
         if not self.lit:
-            soft, source = self._surroundings(looks)
+            soft, source = self._surroundings(samples)
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
-            return dict.fromkeys(self.frames, soft), report_of(REFUSED, source, why, soft)
+            return dict.fromkeys(self.frames, soft), light_report(REFUSED, source, why, soft)
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
-        account, spans, better = explained(
-            times, self.normals, Told(self.y, self.variance, np.ones(len(times), bool)), self.alone, breaks, self.params.window_s,
-            FitParams(most_lights=self.params.most_lights, limit_deg=self.params.limit_deg),
-        )  # fmt: skip
+        everything = LightReading(self.y, self.variance, np.ones(len(times), bool))
+        fit_params = FitParams(most_lights=self.params.most_lights, limit_deg=self.params.limit_deg)
+        model, spans, better = fit_temporal_model(
+            times, self.normals, everything, self.alone, breaks, self.params.window_s, fit_params
+        )
         if better is not None:
             self.y, self.variance = better.y, better.variance
-        told = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
-        normals = self.about_normals(told.span_deg)
+        longest = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
+        normals = self.normal_statistics(longest.span_deg)
         known = [s for s in spans if s.fit.verdict == MEASURED]
         if known and rests:
             at = np.array([self.facts[k].time_s for k in self.frames])
-            lights = self._follow([s.fit.light(s.group) for s in known], _span_at(known, at))
+            start, stop = np.array([[s.start_s, s.stop_s] for s in known]).T
+            nearest = np.maximum(np.maximum(start - at[:, None], at[:, None] - stop), 0).argmin(1)
+            lights = self._follow([s.fit.light(s.group) for s in known], nearest)
             best = max(known, key=lambda s: s.stop_s - s.start_s)
-            why = f"{best.fit.reason}; {_ACCOUNTS[account]}"
-            report = report_of(MEASURED, "marker", why, best.fit.light(best.group), **normals)
-            return lights, report | {"gamma": best.fit.gamma, "account": account}
-        why = told.reason
-        if not rests:
-            why = "camera and marker both move: no frame is known in which a light rests"
-        soft, source = self._surroundings(looks)
+            why = f"{best.fit.reason}; {_TEMPORAL_MODELS[model]}"
+            report = light_report(MEASURED, "marker", why, best.fit.light(best.group), **normals)
+            return lights, report | {"gamma": best.fit.gamma, "account": model}
+        why = longest.reason if rests else "camera and marker both move: no frame is known in which a light rests"
+        soft, source = self._surroundings(samples)
         lights = self._follow([soft])
         used = "soft light from the picture's surroundings" if source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
-        return lights, report_of(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
+        return lights, light_report(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
 
-    def given(self, light: Light, stated: bool, why: str) -> tuple[Lights, dict[str, Any]]:
+    def from_given(self, light: Light, stated: bool, why: str) -> tuple[Lights, dict[str, Any]]:
         """A light that the user gave, as bright in each frame as the markers show."""
         if not self.lit:
-            return dict.fromkeys(self.frames, light), report_of(ASSUMED, light.source, why, light)
+            return dict.fromkeys(self.frames, light), light_report(ASSUMED, light.source, why, light)
         typical = fitted_to(light, self.normals, self.y, stated)
         lights = self._follow([typical])
-        return lights, report_of(ASSUMED, light.source, why, typical, **self.about_normals())
+        return lights, light_report(ASSUMED, light.source, why, typical, **self.normal_statistics())
 
-    def _surroundings(self, looks: Sequence[Look]) -> tuple[Light, str]:
-        """(soft light of this room, "environment" or "ambient"): mean of all looks, as bright as the markers show."""
+    def _surroundings(self, samples: Sequence[EnvironmentSample]) -> tuple[Light, str]:
+        """(soft light of this static frame, "environment" or "ambient"): mean of all samples, as bright as the markers show."""
         mine = set(self.frames)
-        looks = [look for look in looks if look.frame in mine]
+        samples = [sample for sample in samples if sample.frame in mine]
         shows = self.y.sum(1) > 0
         measured = self.y[shows]
-        if not looks:
+        if not samples:
             level = np.median(measured, 0) if len(measured) else np.array(Light().ambient_rgb)
             return Light(triple(level), (), "ambient"), "ambient"
-        turns = []
-        for one in looks:
-            pose = self.facts[one.frame].camera_from_world
-            assert pose is not None
-            turns.append(self.room[one.frame] @ pose.rotation.T)
+        poses = {sample.frame: self.facts[sample.frame].camera_from_world for sample in samples}
+        turns = [self.static_from_world[k] @ pose.rotation.T for k, pose in poses.items() if pose is not None]
         n = self.normals[shows]
         up = normalise((n if len(n) else -np.array([t[:, 2] for t in turns])).sum(0))
-        light = soft_light(looks, turns, up, np.median(measured, 0) if len(measured) else None)
+        light = soft_light(samples, turns, up, np.median(measured, 0) if len(measured) else None)
         return (matched(light, n, measured) if len(n) else light), "environment"
 
     def _follow(self, models: Sequence[Light], of_frame: np.ndarray | None = None) -> Lights:
@@ -157,28 +223,27 @@ class RoomLight:
         for i, model in enumerate(models):
             made[of_reading == i] = model.radiance(self.normals[of_reading == i])
         weight = np.where(made > LEAST_SEEN * bright, divide(made, self.variance + (MODEL_ERROR * made) ** 2), 0)
-        share, shown = (
+        fraction, shown = (
             np.stack([np.bincount(self.which, (weight * a)[:, c], count) for c in range(3)], -1) for a in (made, self.y)
         )
-        factors, variance = divide(shown, share, where_zero=1.0), divide(1.0, share, where_zero=UNKNOWN)
+        factors, variance = divide(shown, fraction, where_zero=1.0), divide(1.0, fraction, where_zero=UNKNOWN)
         at = np.array([self.facts[k].time_s for k in self.lit])
-        stepped = (self.kinds == light_map.STEP) | jumps(factors)
-        variance[(self.kinds == light_map.STRAY) & ~stepped] = UNKNOWN
-        factors = smoothed(at, factors, variance, stepped, self.params.drift_per_s)
-        factors = np.clip(factors, LEAST_FACTOR, MOST_FACTOR)
+        # the factors change by more than JUMP from one to the next, in all channels, and stay so
+        size = np.log(np.maximum(np.abs(factors), 1e-6))
+        before, here, later = size[:-1], size[1:], np.concatenate([size[2:], size[-1:]])
+        jumps = (np.abs(later - here) < np.abs(later - before)).all(1) & (np.abs(here - before) > JUMP).all(1)
+        stepped = (self.kinds == light_map.STEP) | np.append(False, jumps)
+        variance[(self.kinds == light_map.OUTLIER) & ~stepped] = UNKNOWN
+        factors = np.clip(smoothed(at, factors, variance, stepped, self.params.drift_per_s), LEAST_FACTOR, MOST_FACTOR)
         after = np.searchsorted(self.lit, self.frames)
         last, first = np.minimum(after, count - 1), np.clip(after - 1, 0, count - 1)
         now = np.array([self.facts[k].time_s for k in self.frames])
-        share = np.clip(divide(now - at[first], at[last] - at[first], where_zero=1.0), 0, 1)
-        share[(at[last] > now) & stepped[last]] = 0.0
-        every = factors[first] + share[:, None] * (factors[last] - factors[first])
-        out: Lights = {}
-        for i, model in enumerate(models):
-            rows = np.flatnonzero(of_frame == i)
-            out |= {self.frames[r]: model.scaled(every[r]) for r in rows}
-        return out
+        fraction = np.clip(divide(now - at[first], at[last] - at[first], where_zero=1.0), 0, 1)
+        fraction[(at[last] > now) & stepped[last]] = 0.0
+        every = factors[first] + fraction[:, None] * (factors[last] - factors[first])
+        return {self.frames[r]: models[i].scaled(every[r]) for r, i in enumerate(of_frame)}
 
-    def about_normals(self, span_deg: float | None = None) -> dict[str, Any]:
+    def normal_statistics(self, span_deg: float | None = None) -> dict[str, Any]:
         """What was seen, and how well it tells an ambient light and a direction apart."""
         n = self.normals
         if span_deg is None:
@@ -193,12 +258,12 @@ class RoomLight:
         }  # fmt: skip
 
 
-def explained(
-    times_s: np.ndarray, normals: np.ndarray, told: Told, alone: Told | None, breaks_s: Sequence[float],
+def fit_temporal_model(
+    times_s: np.ndarray, normals: np.ndarray, reading: LightReading, alone: LightReading | None, breaks_s: Sequence[float],
     window_s: float = 2.0, params: FitParams = FitParams(),  # noqa: B008 - frozen
-) -> tuple[str, list[Span], Told | None]:  # fmt: skip
+) -> tuple[str, list[Span], LightReading | None]:  # fmt: skip
     """(account, spans, the readings that tell it if not the first): `alone` where the light is refused by what all cells tell."""
-    account, spans = fit_over_time(times_s, normals, told.y, told.variance, breaks_s, window_s, params)
+    account, spans = fit_over_time(times_s, normals, reading.y, reading.variance, breaks_s, window_s, params)
     if alone is None or not alone.fit.any() or any(s.fit.verdict == MEASURED for s in spans):
         return account, spans, None
     on = alone.fit
@@ -206,16 +271,6 @@ def explained(
     if any(s.fit.verdict == MEASURED for s in other):
         return again, other, alone
     return account, spans, None
-
-
-def jumps(factors: np.ndarray) -> np.ndarray:
-    """(n,) True where factors (n, 3) change by more than JUMP from one to the next, in all channels, and stay so."""
-    out = np.zeros(len(factors), bool)
-    size = np.log(np.maximum(np.abs(factors), 1e-6))
-    before, here, after = size[:-1], size[1:], np.concatenate([size[2:], size[-1:]])
-    stays = (np.abs(after - here) < np.abs(after - before)).all(1)
-    out[1:] = stays & (np.abs(here - before) > JUMP).all(1)
-    return out
 
 
 def smoothed(
@@ -226,24 +281,16 @@ def smoothed(
     time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk begins anew there
     drift_per_s : its relative standard deviation over one second
     """
-
     order = np.arange(len(value))
     m0, v0, m1, v1 = (np.zeros(value.shape) for _ in range(4))
-    walked(time_s, value, variance, step, order, drift_per_s, m0, v0)
-    walked(time_s, value, variance, np.append(step[1:], False), order[::-1].copy(), drift_per_s, m1, v1)
+    kalman_pass(time_s, value, variance, step, order, drift_per_s, m0, v0)
+    kalman_pass(time_s, value, variance, np.append(step[1:], False), order[::-1].copy(), drift_per_s, m1, v1)
     weights = np.stack([divide(1.0, v) * (v < UNKNOWN) for v in (v0, v1, variance)])
     total = weights.sum(0)
     return np.where(total > 0, divide((weights * np.stack([m0, m1, value])).sum(0), total), value)
 
 
-def _span_at(spans: Sequence[Span], times_s: np.ndarray) -> np.ndarray:
-    """(n,) number of the span that holds each time, or is nearest to it."""
-    start, stop = np.array([s.start_s for s in spans]), np.array([s.stop_s for s in spans])
-    away = np.maximum(np.maximum(start - times_s[:, None], times_s[:, None] - stop), 0)
-    return np.asarray(away.argmin(1))
-
-
-def report_of(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:
+def light_report(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:
     """What the summary says of a light."""
     document = light.to_json()
     normals = {"normals_seen": 0, "normal_span_deg": 0.0, "rank": 0, "condition": None}

@@ -14,12 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 
-from arfx.analyse.light.given import STANDS_OUT
 from arfx.analyse.light.icosphere import icosphere
 from arfx.core.codec import stored
 from arfx.core.cube import CubeMap, face_directions, look_up, solid_angles
@@ -33,6 +31,7 @@ FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
 RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 % of the light is left to noise
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
+OUTSTANDING = 6.0  # times the panorama's mean radiance from which a pixel belongs to a lamp
 PANORAMA_PX = 16  # side of a face
 
 
@@ -61,40 +60,31 @@ def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     across = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
     x = (1 + out * d[..., 0] / across) / 2 * small.shape[1] - 0.5
     y = (1 + out * d[..., 1] / across) / 2 * small.shape[0] - 0.5
-    return _looked_up(small, x, y, cv2.BORDER_REPLICATE)
+    return _sampled_at(small, x, y, cv2.BORDER_REPLICATE)
 
 
-def _looked_up(picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
+def _sampled_at(picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
     """(6, n, n, 3) of the picture at places (6, n, n)."""
     places = zip(x.astype(np.float32), y.astype(np.float32), strict=True)
     return np.stack([cv2.remap(picture, a, b, cv2.INTER_LINEAR, borderMode=border) for a, b in places])
 
 
 def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of given.py (z up, middle column x).
+    """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of static_frame.py (z up, middle column x).
 
-    What is more than STANDS_OUT times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
+    What is more than OUTSTANDING times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
     """
     a = np.asarray(picture, np.float32)
     solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
     grey = a.mean(-1)
-    limit = STANDS_OUT * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
+    limit = OUTSTANDING * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
     a = np.ascontiguousarray(a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None], np.float32)
     a = np.asarray(cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32)
     d = face_directions(size)
     x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
     y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
     y = np.clip(y, 0, a.shape[0] - 1)
-    return _looked_up(a, x, y, cv2.BORDER_WRAP).astype(float)
-
-
-def mip_chain(faces: np.ndarray) -> list[np.ndarray]:
-    """The cube (6, n, n, 3), n a power of two, and its means over 2 x 2 texels, down to one texel a face."""
-    out = [np.asarray(faces)]
-    while out[-1].shape[1] > 1:
-        n = out[-1].shape[1] // 2
-        out.append(out[-1].reshape(6, n, 2, n, 2, 3).mean((2, 4)))
-    return out
+    return _sampled_at(a, x, y, cv2.BORDER_WRAP).astype(float)
 
 
 def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
@@ -108,21 +98,14 @@ def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
 
     faces : (6, n, n, 3) of `fold`;  world_from_camera : (3, 3) rotation
     """
-    n = faces.shape[1]
-    basis = _basis(n, np.asarray(world_from_camera, float).round(12).tobytes())
+    directions = face_directions(faces.shape[1]).reshape(-1, 3) @ np.asarray(world_from_camera, float).round(12).T
+    basis = harmonics(directions) * np.tile(solid_angles(faces.shape[1]).ravel(), 6)[:, None]
     return DIFFUSE[:, None] * (basis.T @ faces.reshape(-1, 3))
-
-
-@lru_cache(maxsize=2)
-def _basis(size: int, rotation: bytes) -> np.ndarray:
-    """(6 n n, 9) harmonics of the texels' world directions times their solid angles."""
-    directions = face_directions(size).reshape(-1, 3) @ np.frombuffer(rotation).reshape(3, 3).T
-    return harmonics(directions) * np.tile(solid_angles(size).ravel(), 6)[:, None]
 
 
 @stored
 @dataclass(frozen=True, eq=False)
-class Look:
+class EnvironmentSample:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA axes (`fold`)
     plane : (3,) radiance beside the marker, as seen"""
 
@@ -131,48 +114,48 @@ class Look:
     plane: np.ndarray
 
 
-def look(frame: int, picture: np.ndarray, quad: np.ndarray, folded: Folded = fold) -> Look:
+def environment_sample(frame: int, picture: np.ndarray, quad: np.ndarray, folded: Folded = fold) -> EnvironmentSample:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels
 
     folded : makes the cube of a picture
     """
     middle = quad.mean(0)
-    share = np.linspace(0, 1, 8, endpoint=False)[:, None]
-    sides = np.concatenate([a + share * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)])
+    fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
+    sides = np.concatenate([a + fraction * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)])
     at = np.rint(middle + AROUND * (sides - middle)).astype(int)
     inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
     beside = picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
     small = cv2.resize(np.ascontiguousarray(picture, np.float32), (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)))
-    return Look(frame, folded(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
+    return EnvironmentSample(frame, folded(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
 
 
 def soft_light(
-    looks: Sequence[Look], room_from_camera: Sequence[np.ndarray], up: np.ndarray, shown: np.ndarray | None
+    samples: Sequence[EnvironmentSample], static_from_camera: Sequence[np.ndarray], up: np.ndarray, shown: np.ndarray | None
 ) -> Light:  # fmt: skip
-    """Mean of the looks as one light without a direction, ROOM axes.
+    """Mean of the looks as one light without a direction, STATIC axes.
 
-    room_from_camera : (3, 3) of each look;  up : (3,) unit, out of the plane
+    static_from_camera : (3, 3) of each look;  up : (3,) unit, out of the plane
     shown : (3,) radiance of a white surface that lies in the plane, None = unknown: the surroundings' own scale
     """
-    size = looks[0].cube.shape[1]
+    size = samples[0].cube.shape[1]
     directions, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
-    total, plane = np.zeros((9, 3)), np.mean([s.plane for s in looks], 0)
-    for one, turn in zip(looks, room_from_camera, strict=True):
+    total, plane = np.zeros((9, 3)), np.mean([s.plane for s in samples], 0)
+    for one, turn in zip(samples, static_from_camera, strict=True):
         d = directions @ turn.T
         height = d @ up
         above = (height > 0)[:, None]
-        sky = one.cube.reshape(-1, 3)
+        incoming = one.cube.reshape(-1, 3)
         even = divide(
-            (np.where(above, sky, 0) * (solid * height)[:, None]).sum(0), float((solid * np.clip(height, 0, None)).sum())
+            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), float((solid * np.clip(height, 0, None)).sum())
         )
-        sky = EVEN * even + (1 - EVEN) * sky
-        arriving = divide((np.where(above, sky, 0) * (solid * height)[:, None]).sum(0), np.pi)
+        incoming = EVEN * even + (1 - EVEN) * incoming
+        arriving = divide((np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), np.pi)
         if shown is not None:  # a colour that the surroundings lack altogether comes evenly from all of them
-            sky = np.where(arriving > 1e-3 * np.max(shown), sky * divide(shown, arriving), shown)
+            incoming = np.where(arriving > 1e-3 * np.max(shown), incoming * divide(shown, arriving), shown)
         below = np.minimum(plane, arriving if shown is None else shown)  # no plane is brighter than white
-        radiance = np.where(above, sky, below)
+        radiance = np.where(above, incoming, below)
         total += soft_of(radiance.reshape(one.cube.shape), turn)
-    light = Light.of_soft(total / len(looks), (), "environment")
+    light = Light.of_soft(total / len(samples), (), "environment")
     if shown is None:
         return light
     return light.scaled(divide(shown, light.radiance(up), where_zero=1.0))  # what degree 2 rounds off
@@ -181,7 +164,7 @@ def soft_light(
 def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
     """The soft light bent so that white surfaces with `normals` look as measured, as little as that takes.
 
-    normals : (k, 3) unit, ROOM axes;  shown : (k, 3). Ridge regression of what is missing on the harmonics: one normal moves
+    normals : (k, 3) unit, STATIC axes;  shown : (k, 3). Ridge regression of what is missing on the harmonics: one normal moves
     the whole light, many shape it. Never below 0 where it was measured to be above.
     """
     cell = icosphere(3).nearest(normals)
@@ -197,41 +180,37 @@ def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
 
 
 def with_environment(
-    facts: Sequence[FrameFacts], looks: Sequence[Look], still_camera: bool, panorama: np.ndarray | None,
+    facts: Sequence[FrameFacts], samples: Sequence[EnvironmentSample], still_camera: bool, panorama: np.ndarray | None,
     world_from_anchor: np.ndarray,
 ) -> tuple[FrameFacts, ...]:  # fmt: skip
     """The facts with `environment` in every frame that has a pose and a look in its shot.
 
-    still_camera : the room is the camera's, else the world's;  world_from_anchor : (3, 3)
+    still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)
     """
-    given = None if panorama is None else turned(from_panorama(panorama, PANORAMA_PX), np.asarray(world_from_anchor).T)
     bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0)))  # is no light
-    by_shot: dict[int, list[np.ndarray]] = {}
-    for look in looks:
-        f = facts[look.frame]
-        if f.camera_from_world is None:
-            continue
-        cube = np.clip(look.cube - bias, 0, None)
-        by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
-    mean = {shot: np.mean(cubes, 0) for shot, cubes in by_shot.items()}
-    plane = {
-        shot: np.clip(np.mean([s.plane for s in looks if facts[s.frame].shot == shot], 0) - bias, 0, None) for shot in by_shot
-    }
 
-    def cube_map(faces: np.ndarray, plane_rgb: np.ndarray | None = None) -> CubeMap:
+    def cube_map(faces: np.ndarray, plane_rgb: np.ndarray | None) -> CubeMap:
         return CubeMap.of(np.maximum(faces, 0), None, plane_rgb)
 
-    whole = {shot: cube_map(cube, plane[shot]) for shot, cube in mean.items()}
-    always = None if given is None else cube_map(given)
+    if panorama is not None:
+        faces = turned(from_panorama(panorama, PANORAMA_PX), np.asarray(world_from_anchor).T)
+        given = cube_map(faces, None)
+        return tuple(f if f.camera_from_world is None else f.with_(environment=given) for f in facts)
+    by_shot: dict[int, list[np.ndarray]] = {}
+    for sample in samples:
+        f = facts[sample.frame]
+        if f.camera_from_world is not None:
+            cube = np.clip(sample.cube - bias, 0, None)
+            by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
+    mean = {shot: np.mean(cubes, 0) for shot, cubes in by_shot.items()}
+    planes = {shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0) for shot in mean}
+    plane = {shot: np.clip(rgb - bias, 0, None) for shot, rgb in planes.items()}
+    whole = {} if still_camera else {shot: cube_map(cube, plane[shot]) for shot, cube in mean.items()}
     out = []
     for f in facts:
-        pose = f.camera_from_world
-        if pose is None or (always is None and f.shot not in mean):
-            out.append(f)
-        elif always is not None:
-            out.append(f.with_(environment=always))
-        elif still_camera:
-            out.append(f.with_(environment=cube_map(turned(mean[f.shot], pose.rotation), plane[f.shot])))
-        else:
-            out.append(f.with_(environment=whole[f.shot]))
+        pose, known = f.camera_from_world, f.shot in mean
+        if pose is not None and known:
+            environment = cube_map(turned(mean[f.shot], pose.rotation), plane[f.shot]) if still_camera else whole[f.shot]
+            f = f.with_(environment=environment)
+        out.append(f)
     return tuple(out)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.analyse.sorting import sort
+from arfx.analyse.pose.kernels import sort
 
 SAMPLES = 32  # normals per side
 STEPS = 33  # samples along a normal
@@ -16,19 +16,19 @@ STEPS = 33  # samples along a normal
 # slanted edge crosses (at a slope of 1 in 2 even ones every 2.2 px saw one phase of them all: .05 px of error became .02).
 _EVEN = (np.arange(SAMPLES) + 0.5) / SAMPLES
 FRACTIONS = 0.05 + 0.9 * (_EVEN + 0.15 * np.sin(2 * np.pi * _EVEN) / (2 * np.pi))
-SETTLED_PX = 4e-3  # a fifth of the noise of a good corner
+CONVERGED_PX = 4e-3  # a fifth of the noise of a good corner
 ITERATIONS = 6
 # Least standard deviation of the window: a narrower one sees the steps of the pixels in a sharp edge and is drawn towards
 # them, by up to .13 px at .7 px. Noise gains nothing from a narrow window. Small cells need one: what is beyond is near.
 WINDOW_PX = (0.7, 1.3)
-WINDOW_SHARE = 0.4  # of what is looked at to one side, between those two
+WINDOW_FRACTION = 0.4  # of what is looked at to one side, between those two
 WIDE_ITERATIONS = 2  # with the far reach, before the others
-# Columns of what `settle` says of a marker.
+# Columns of what `refine_quad` tells of a marker.
 OK, BLUR, SPREAD, GAIN, SKEW, INVERTED = range(6)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def settle(luma, table, quads, bend, half, reach, least_gain, fractions, out):  # pragma: no cover - compiled
+def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, out):  # pragma: no cover - compiled
     """Move quads (n, 4, 2) onto their edges, in place; out (n, 6) by the columns above.
 
     luma : (h, w) uint8, at least 2 x 2;  table : (256,) to linear light;  bend : (n, 4, SAMPLES, 2) px off the chord
@@ -40,19 +40,19 @@ def settle(luma, table, quads, bend, half, reach, least_gain, fractions, out):  
     offset, slope = np.empty((4, samples)), np.empty((4, samples, STEPS - 1))
     ends, moved = np.empty((4, 2)), np.empty((4, 2))
     for i in range(len(quads)):
-        quad, said = quads[i], out[i]
+        quad, stats = quads[i], out[i]
         wide = WIDE_ITERATIONS if reach[i] > half[i] else 0
         window, blur = reach[i] / 2, np.nan
-        least = min(max(WINDOW_SHARE * half[i], WINDOW_PX[0]), WINDOW_PX[1])
-        said[OK] = 1.0
+        least = min(max(WINDOW_FRACTION * half[i], WINDOW_PX[0]), WINDOW_PX[1])
+        stats[OK] = 1.0
         for k in range(ITERATIONS + wide):
             far = reach[i] if k < wide else half[i]
             gain, blur, skew, inverted = _edges(luma, table, quad, bend[i], far, window, blur, fractions, slope, offset)
-            said[BLUR], said[GAIN], said[SKEW], said[INVERTED] = blur, gain, skew, inverted
+            stats[BLUR], stats[GAIN], stats[SKEW], stats[INVERTED] = blur, gain, skew, inverted
             if k < 3 + wide:  # the blur's estimate settles; then the window is held, so that the fixed point is one
                 next_half = reach[i] if k + 1 < wide else half[i]
                 window = min(max(1.2 * blur, least), next_half / 2)
-            said[SPREAD] = _fit(offset, fractions, ends)
+            stats[SPREAD] = _fit(offset, fractions, ends)
             _meet(quad, ends, moved)
             step = 0.0
             finite = True
@@ -61,11 +61,11 @@ def settle(luma, table, quads, bend, half, reach, least_gain, fractions, out):  
                     finite = finite and np.isfinite(moved[c, j])
                     step = max(step, abs(moved[c, j] - quad[c, j]))
             if not (finite and gain > least_gain[i]):
-                said[OK] = 0.0
+                stats[OK] = 0.0
                 break
             for c in range(4):
                 quad[c, 0], quad[c, 1] = moved[c, 0], moved[c, 1]
-            if step <= SETTLED_PX and k >= 2 + wide:
+            if step <= CONVERGED_PX and k >= 2 + wide:
                 break
 
 
@@ -228,7 +228,7 @@ def _meet(quad, ends, out):  # pragma: no cover - compiled
     for side in range(4):
         q, e = p[side - 1], d[side - 1]  # the side before: they meet in this corner
         cross = e[0] * d[side, 1] - e[1] * d[side, 0]
-        share = ((p[side, 0] - q[0]) * d[side, 1] - (p[side, 1] - q[1]) * d[side, 0]) / cross
-        if not np.isfinite(share):
-            share = np.nan
-        out[side, 0], out[side, 1] = q[0] + e[0] * share, q[1] + e[1] * share
+        fraction = ((p[side, 0] - q[0]) * d[side, 1] - (p[side, 1] - q[1]) * d[side, 0]) / cross
+        if not np.isfinite(fraction):
+            fraction = np.nan
+        out[side, 0], out[side, 1] = q[0] + e[0] * fraction, q[1] + e[1] * fraction

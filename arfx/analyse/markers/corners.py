@@ -16,7 +16,7 @@ import numpy as np
 from arfx.analyse.fold import Stateful
 from arfx.analyse.markers import corner_kernels as kernels
 from arfx.analyse.markers.corner_kernels import FRACTIONS, SAMPLES
-from arfx.analyse.markers.detect import Candidate, Seen, cells_per_side
+from arfx.analyse.markers.detect import Candidate, Detection, cells_per_side
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
 from arfx.core.numerics import divide
@@ -74,24 +74,26 @@ def refine_corners(
     cell = np.linalg.norm(start - start[:, [1, 2, 3, 0]], axis=-1).mean(-1) / np.asarray(cells, float).reshape(n)
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
-    quad, said, ok = start.copy(), np.zeros((n, 6)), np.zeros(n, bool)
+    quad, stats, ok = start.copy(), np.zeros((n, 6)), np.zeros(n, bool)
     if n and min(luma.shape) > 1:
         light, bend = np.array(table, float), _bend(start, camera)
         luma = luma.view()
         luma.flags.writeable = False  # whoever made it, it is one type to the compiler
-        kernels.settle(luma, light, quad, bend, half, half, np.where(reach > half, FAINT, 0.0), FRACTIONS, said)
-        ok = _clear(start, quad, said, half, half)
+        kernels.refine_quad(luma, light, quad, bend, half, half, np.where(reach > half, FAINT, 0.0), FRACTIONS, stats)
+        ok = _clear(start, quad, stats, half, half)
         again = np.flatnonzero(~ok & (reach > half))
         if len(again):
-            far, told = start[again], said[again]
-            kernels.settle(luma, light, far, bend[again], half[again], reach[again], np.zeros(len(again)), FRACTIONS, told)
-            ok[again] = _clear(start[again], far, told, half[again], reach[again])
-            quad[again], said[again] = far, told
+            far, far_stats = start[again], stats[again]
+            kernels.refine_quad(
+                luma, light, far, bend[again], half[again], reach[again], np.zeros(len(again)), FRACTIONS, far_stats
+            )
+            ok[again] = _clear(start[again], far, far_stats, half[again], reach[again])
+            quad[again], stats[again] = far, far_stats
     # a corner is where two lines meet, each known at its end to about twice the error of its mean
-    sigma = np.maximum(2.0 * said[:, kernels.SPREAD] / np.sqrt(SAMPLES), 0.01)
+    sigma = np.maximum(2.0 * stats[:, kernels.SPREAD] / np.sqrt(SAMPLES), 0.01)
     return Corners(
-        np.where(ok[:, None, None], quad, start), np.where(ok, sigma, 1.0), np.where(ok, said[:, kernels.BLUR], np.nan),
-        said[:, kernels.INVERTED] > 0, ok, np.where(ok, said[:, kernels.SKEW], np.nan),
+        np.where(ok[:, None, None], quad, start), np.where(ok, sigma, 1.0), np.where(ok, stats[:, kernels.BLUR], np.nan),
+        stats[:, kernels.INVERTED] > 0, ok, np.where(ok, stats[:, kernels.SKEW], np.nan),
     )  # fmt: skip
 
 
@@ -108,16 +110,16 @@ def aliasing_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) 
         crossed = np.abs(side[..., 0] * y - side[..., 1] * x)  # rows of pixels along (x, y): 1 / |(x, y)| apart
         shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
     cell = np.linalg.norm(side, axis=-1).mean(1) / cells
-    window = np.clip(kernels.WINDOW_SHARE * np.clip(0.6 * cell, *HALF_PX), *kernels.WINDOW_PX)
+    window = np.clip(kernels.WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *kernels.WINDOW_PX)
     step = np.minimum(np.interp(blur_px, _STEP_BLUR_PX, _STEP_PX) * (kernels.WINDOW_PX[1] / window) ** 2, _STEP_PX[0])
     # the line that runs to a corner from the samples on its side carries their error on, and more of it if they disagree
     return np.where(np.isfinite(blur_px), 1.3 * step * np.sqrt(shared.mean(1)), 0.0)
 
 
-def _clear(start: np.ndarray, quad: np.ndarray, said: np.ndarray, half: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def _clear(start: np.ndarray, quad: np.ndarray, stats: np.ndarray, half: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
     near = np.abs(quad - start).max((1, 2)) <= np.maximum(3.0, 1.5 * reach)
-    return (said[:, kernels.OK] > 0) & near & (said[:, kernels.GAIN] > FAINT) & (said[:, kernels.SPREAD] < half)
+    return (stats[:, kernels.OK] > 0) & near & (stats[:, kernels.GAIN] > FAINT) & (stats[:, kernels.SPREAD] < half)
 
 
 def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
@@ -139,12 +141,12 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     a, b = ends[:, :, None], ends[:, [1, 2, 3, 0], None]
     off = (along - a) * [camera.fx, camera.fy]
     chord = (b - a) * [camera.fx, camera.fy]
-    share = divide((off * chord).sum(-1), (chord * chord).sum(-1) + 0 * off[..., 0])
-    across = off - chord * share[..., None]
+    fraction = divide((off * chord).sum(-1), (chord * chord).sum(-1) + 0 * off[..., 0])
+    across = off - chord * fraction[..., None]
     out = np.empty_like(none)
     for i, j in np.ndindex(n, 4):  # resample to the picture's fractions
         for axis in range(2):
-            out[i, j, :, axis] = np.interp(FRACTIONS, share[i, j], across[i, j, :, axis])
+            out[i, j, :, axis] = np.interp(FRACTIONS, fraction[i, j], across[i, j, :, axis])
     return np.where(np.isfinite(out), out, 0.0)
 
 
@@ -155,10 +157,9 @@ class EdgeRefiner(Stateful):
         self.transfer = transfer
         self.table = linear_table(LIGHT if transfer == AUTO else transfer)
         self._skews: list[tuple[float, float]] = []
-        self._other: list[tuple[int, tuple[Seen, ...]]] = []  # what frames would be in code
-        self._ready = False
+        self._other: list[tuple[int, tuple[Detection, ...]]] = []  # what frames would be in code
 
-    def refine(self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera) -> tuple[Seen, ...]:
+    def refine(self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera) -> tuple[Detection, ...]:
         """frame : number of the record, for `corrections`."""
         if not found:
             return ()
@@ -169,31 +170,27 @@ class EdgeRefiner(Stateful):
             self._skews += [(float(a), float(b)) for a, b in both[np.isfinite(both).all(1)]]
             self._other.append((frame, second))
             if len(self._skews) >= SIGHTINGS or len(self._other) >= FRAMES:
-                self._decide()
+                in_light, in_code = np.abs(np.median(np.array(self._skews or [(0.0, 0.0)]), axis=0))
+                self.transfer = CODE if in_light > _SKEWED and in_code < 0.5 * in_light else LIGHT
+                self.table = linear_table(self.transfer)
+                self._other = self._other if self.transfer == CODE else []
         return first
 
-    def _decide(self) -> None:
-        light, code = np.abs(np.median(np.array(self._skews or [(0.0, 0.0)]), axis=0))
-        self.transfer = CODE if light > _SKEWED and code < 0.5 * light else LIGHT
-        self.table = linear_table(self.transfer)
-        self._ready = self.transfer == CODE
-        if not self._ready:
-            self._other = []
-
-    def corrections(self) -> list[tuple[int, tuple[Seen, ...]]]:
+    def corrections(self) -> list[tuple[int, tuple[Detection, ...]]]:
         """(frame, sightings) to replace, once, after a decision against what was assumed."""
-        if not self._ready:
+        if self.transfer == AUTO:
             return []
-        out, self._other, self._ready = self._other, [], False
+        out, self._other = self._other, []
         return out
 
 
 def _refined(
     luma: np.ndarray, found: Sequence[Candidate], table: np.ndarray, camera: Camera
-) -> tuple[tuple[Seen, ...], np.ndarray]:
+) -> tuple[tuple[Detection, ...], np.ndarray]:
     quads = np.stack([c.quad_px for c in found])
     r = refine_corners(luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera)
     seen = tuple(
-        Seen(c.key, r.corners_px[i], float(r.sigma_px[i]), float(r.blur_px[i]), bool(r.inverted[i])) for i, c in enumerate(found)
+        Detection(c.key, r.corners_px[i], float(r.sigma_px[i]), float(r.blur_px[i]), bool(r.inverted[i]))
+        for i, c in enumerate(found)
     )
     return seen, r.skew

@@ -21,7 +21,7 @@ from arfx.core.marker import opencv_name
 from arfx.core.rect import Rect
 
 # Families whose dictionary is a superset of others of the same size: enough to look for these.
-SURVEY_FAMILIES = (
+SCANNED_FAMILIES = (
     "36h11", "4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ORIGINAL", "25h9", "36h10", "MIP_36h12", "16h5",
 )  # fmt: skip
 
@@ -48,7 +48,7 @@ class Candidate:
 
 @stored
 @dataclass(frozen=True)
-class Seen:
+class Detection:
     """One marker print in one frame, refined. corners_px : (4, 2);  sigma_px : predicted;  blur_px : nan where unknown."""
 
     key: str
@@ -65,14 +65,14 @@ class Seen:
 @stored
 @dataclass(frozen=True)
 class Record:
-    """One frame. unlike : CutSignal's two numbers;  rivals : further prints with a key that is in `seen` too."""
+    """One frame. unlike : ShotDetector's two numbers;  rivals : further prints with a key that is in `detections` too."""
 
     index: int
     time_s: float
-    seen: tuple[Seen, ...]
-    rivals: tuple[Seen, ...]
+    detections: tuple[Detection, ...]
+    duplicates: tuple[Detection, ...]
     whole: bool
-    unlike: tuple[float, float]
+    dissimilarity: tuple[float, float]
 
 
 def dictionary(family: str) -> cv2.aruco.Dictionary:
@@ -95,9 +95,6 @@ class MarkerDetector:
         self._parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
         self._parameters.detectInvertedMarker = inverted
         self._parameters.minDistanceToBorder = 1
-        # A reduced image is searched to see whether there is something at all: one threshold window finds the same markers
-        # as OpenCV's three (3, 13, 23 px) on every real test clip, in less than half of the time.
-        self._windows = {False: (3, 23), True: (_REDUCED_WINDOW_PX, _REDUCED_WINDOW_PX)}
         self._detectors = {f: cv2.aruco.ArucoDetector(dictionary(f), self._parameters) for f in self.families}
 
     def search(self, luma: np.ndarray, rect: Rect | None = None, factor: int = 1, min_side_px: float = 0.0) -> list[Candidate]:
@@ -114,23 +111,23 @@ class MarkerDetector:
         if factor > 1:
             image = cv2.resize(image, (area.width // factor, area.height // factor), interpolation=cv2.INTER_AREA)
         image = np.ascontiguousarray(image)
-        low, high = self._windows[factor > 1]
-        self._parameters.adaptiveThreshWinSizeMin, self._parameters.adaptiveThreshWinSizeMax = low, high
+        # A reduced image is searched to see whether there is something at all: one threshold window finds the same markers
+        # as OpenCV's three (3, 13, 23 px) on every real test clip, in less than half of the time.
+        self._parameters.adaptiveThreshWinSizeMin = _REDUCED_WINDOW_PX if factor > 1 else 3
+        self._parameters.adaptiveThreshWinSizeMax = _REDUCED_WINDOW_PX if factor > 1 else 23
         self._parameters.minMarkerPerimeterRate = 4 * max(self.min_side_px, min_side_px) / max(image.shape)
         out = []
         scale = np.array([area.width / image.shape[1], area.height / image.shape[0]])
         for family, detector in self._detectors.items():
             detector.setDetectorParameters(self._parameters)
             quads, ids, _ = detector.detectMarkers(image)
-            if ids is None:
-                continue
-            for quad, number in zip(quads, np.ravel(ids), strict=True):
+            for quad, number in zip(quads, [] if ids is None else np.ravel(ids), strict=True):
                 px = (np.asarray(quad, float).reshape(4, 2) + 0.5) * scale - 0.5 + [area.x0, area.y0]
                 out.append(Candidate(family, int(number), px))
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))
 
 
-class Survey(Stateful):
+class DictionaryScan(Stateful):
     """Counts markers of all families in a few frames."""
 
     def __init__(self) -> None:
@@ -144,7 +141,7 @@ class Survey(Stateful):
         self.next_frame *= _GROWTH
         self.looked += 1
         # 14 px: smaller squares of weak dictionaries are found in any texture
-        found = MarkerDetector(SURVEY_FAMILIES, min_side_px=14.0, inverted=False).search(luma)
+        found = MarkerDetector(SCANNED_FAMILIES, min_side_px=14.0, inverted=False).search(luma)
         self.counts.update({c.key for c in found})
 
     def text(self) -> str:
@@ -153,8 +150,4 @@ class Survey(Stateful):
 
     def likeliest(self) -> list[str]:
         """Keys seen: most often first; among equals the families that are hardest to misread first."""
-
-        def rank(key: str) -> tuple[int, int, str]:
-            return -self.counts[key], SURVEY_FAMILIES.index(key.rsplit(":", 1)[0]), key
-
-        return sorted(self.counts, key=rank)
+        return sorted(self.counts, key=lambda k: (-self.counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k))

@@ -9,16 +9,16 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.corners import EdgeRefiner
-from arfx.analyse.markers.detect import Record, Seen, Survey
+from arfx.analyse.markers.detect import Detection, DictionaryScan, Record
 from arfx.analyse.markers.tracker import Tracker
-from arfx.analyse.pose.presence import CutSignal
+from arfx.analyse.pose.visibility import ShotDetector
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
 
 class Markers(Fold):
     """records : of every frame;  camera : at the clip's size
 
-    seen : in the last frame, as it was refined at once;  prints : these and their rivals
+    detections : in the last frame, as it was refined at once;  prints : these and their rivals
     """
 
     name = "markers"
@@ -34,11 +34,11 @@ class Markers(Fold):
             raise ConfigError("the marker map holds none of the configured markers", f"it holds {', '.join(job.marker_map)}")
         self.camera = job.camera
         self.records: list[Record] = []
-        self.seen: tuple[Seen, ...] = ()
-        self.prints: tuple[Seen, ...] = ()
+        self.detections: tuple[Detection, ...] = ()
+        self.prints: tuple[Detection, ...] = ()
         self._tracker = Tracker([m.key for m in job.markers], job.params)
         self._refiner = EdgeRefiner(job.params.transfer)
-        self._cut, self._survey = CutSignal(), Survey()
+        self._cut, self._survey = ShotDetector(), DictionaryScan()
         self._others: Counter[str] = Counter()
         self._ever_seen = False
 
@@ -48,23 +48,7 @@ class Markers(Fold):
         return self._refiner.table
 
     def step(self, frame: AnalysisFrame) -> None:
-        luma = self._checked(frame)
-        found = self._tracker.step(frame.time_s, luma, frame.following)
-        self.prints = self._refiner.refine(frame.index, luma, (*found.sightings, *found.rivals), self.camera)
-        self.seen = self.prints[: len(found.sightings)]
-        self._others.update(found.others)
-        self._ever_seen |= bool(self.seen)
-        if not self._ever_seen:
-            self._survey.step(frame.index, luma)
-        rivals = self.prints[len(self.seen) :]
-        self.records.append(Record(frame.index, frame.time_s, self.seen, rivals, found.whole, self._cut.step(luma)))
-        for k, replaced in self._refiner.corrections():
-            r = self.records[k]
-            n = len(r.seen)
-            self.records[k] = replace(r, seen=replaced[:n], rivals=replaced[n:])
-
-    def _checked(self, frame: AnalysisFrame) -> np.ndarray:
-        """(h, w) uint8. Raises InputError."""
+        """Raises InputError for luma of another type or size, and for frames out of order."""
         index, time_s, luma, records = frame.index, frame.time_s, frame.luma, self.records
         if luma.ndim != 2 or luma.dtype != np.uint8:
             raise InputError(f"frame {index}: luma is {luma.dtype} of shape {luma.shape}", "uint8 of shape (height, width)")
@@ -75,27 +59,34 @@ class Markers(Fold):
         if index != len(records) or (records and time_s <= records[-1].time_s):
             last = f" after frame {records[-1].index} at {records[-1].time_s:g} s" if records else ", which is not the first"
             raise InputError(f"frame {index} at {time_s:g} s comes{last}")
-        return luma
+        found = self._tracker.step(frame.time_s, luma, frame.following)
+        self.prints = self._refiner.refine(frame.index, luma, (*found.sightings, *found.duplicates), self.camera)
+        self.detections, duplicates = self.prints[: len(found.sightings)], self.prints[len(found.sightings) :]
+        self._others.update(found.others)
+        self._ever_seen |= bool(self.detections)
+        if not self._ever_seen:
+            self._survey.step(frame.index, luma)
+        self.records.append(Record(frame.index, frame.time_s, self.detections, duplicates, found.whole, self._cut.step(luma)))
+        for k, replaced in self._refiner.corrections():
+            n = len(self.records[k].detections)
+            self.records[k] = replace(self.records[k], detections=replaced[:n], duplicates=replaced[n:])
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError if no configured marker was ever seen, saying what was."""
         if not self.records:
             raise NothingToDoError("the clip holds no frame", "is it empty, or does --start lie behind its end?")
-        if not self._ever_seen:
-            raise self._nothing()
-        return clip.adding(edge_transfer=self._refiner.transfer)
-
-    def _nothing(self) -> NothingToDoError:
+        if self._ever_seen:
+            return clip.adding(edge_transfer=self._refiner.transfer)
         wanted = ", ".join(m.key for m in self.job.markers)
         families = ", ".join(dict.fromkeys(m.family for m in self.job.markers))
         message = f"no configured marker ({wanted}) in {len(self.records)} frames; dictionaries tried: {families}"
         ids = sorted(self._others, key=lambda k: (-self._others[k], k))[:6]
         other = self._survey.text()
         if ids:
-            return NothingToDoError(f"{message}; ids of the same dictionary seen: {', '.join(ids)}",
-                                    f"configure one of those: --marker {ids[0]}:SIZE")  # fmt: skip
+            raise NothingToDoError(f"{message}; ids of the same dictionary seen: {', '.join(ids)}",
+                                   f"configure one of those: --marker {ids[0]}:SIZE")  # fmt: skip
         if other:
             first = self._survey.likeliest()[0]
-            return NothingToDoError(f"{message}; other dictionaries saw: {other}", f"perhaps --marker {first}:SIZE")
-        return NothingToDoError(f"{message}; no marker of any dictionary was seen",
-                                "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?")  # fmt: skip
+            raise NothingToDoError(f"{message}; other dictionaries saw: {other}", f"perhaps --marker {first}:SIZE")
+        raise NothingToDoError(f"{message}; no marker of any dictionary was seen",
+                               "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?")  # fmt: skip

@@ -45,10 +45,8 @@ class Track:
 
     def rect(self, time_s: float) -> Rect:
         centre, was = self.predicted(time_s), self.quad_px.mean(0)
-        spread = max(0.4 * float(self.sides_px.max()), 20.0) * (1 + 0.25 * min(self.missing, 4)) + 0.5 * float(
-            np.abs(centre - was).max()
-        )
-        return Rect.around(self.quad_px + (centre - was), spread)
+        spread = max(0.4 * float(self.sides_px.max()), 20.0) * (1 + 0.25 * min(self.missing, 4))
+        return Rect.around(self.quad_px + (centre - was), spread + 0.5 * float(np.abs(centre - was).max()))
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class Found:
     """
 
     sightings: tuple[Candidate, ...]
-    rivals: tuple[Candidate, ...]
+    duplicates: tuple[Candidate, ...]
     others: tuple[str, ...]
     whole: bool
 
@@ -99,8 +97,7 @@ class Tracker(Stateful):
         missing = [k for k in self.keys if k not in {c.key for c in every}]
         newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)
         nothing_here, self.nothing_here = self.nothing_here, False
-        if newly_lost:
-            self.lost_frames = self.params.loss_search_frames
+        self.lost_frames = self.params.loss_search_frames if newly_lost else self.lost_frames
         due = time_s - self.last_whole_s >= self.params.search_interval_s
         if missing and (factor == 1 or due or newly_lost or self.lost_frames > 0):
             every, whole = self.detector.search(luma), True
@@ -108,14 +105,14 @@ class Tracker(Stateful):
             self.lost_frames = max(0, self.lost_frames - 1)
         elif missing and (len(missing) == len(self.keys) or self.frames % self.params.reduced_search_every == 0):
             ahead = following if self.nothing_before and len(missing) == len(self.keys) else None
-            hits = [] if nothing_here else self._glance(luma, ahead, factor, missing)
+            hits = [] if nothing_here else self._search_reduced(luma, ahead, factor, missing)
             for part in _merged(Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)).clip(frame) for c in hits):
                 every += self.detector.search(luma, part)
         self.frames += 1
         self.nothing_before = not any(c.key in self.keys for c in every)
         return self._choose(time_s, every, whole)
 
-    def _glance(
+    def _search_reduced(
         self, luma: np.ndarray, ahead: Callable[[], np.ndarray] | None, factor: int, keys: Sequence[str]
     ) -> list[Candidate]:
         """Markers on the reduced image. ahead : the next frame, if it may speak for this"""
@@ -129,9 +126,12 @@ class Tracker(Stateful):
         return [] if self.nothing_here else on_reduced(luma)
 
     def _choose(self, time_s: float, every: list[Candidate], whole: bool) -> Found:
-        chosen, rivals = [], []
+        chosen, duplicates = [], []
         for key in self.keys:
-            seen = _distinct([c for c in every if c.key == key])
+            seen: list[Candidate] = []
+            for c in every:  # one candidate per place: two within half a side of each other are one print
+                if c.key == key and all(np.linalg.norm(c.quad_px.mean(0) - o.quad_px.mean(0)) > 0.5 * o.side_px for o in seen):
+                    seen.append(c)
             track = self.tracks.get(key)
             if not seen:
                 if track is not None:
@@ -139,20 +139,19 @@ class Tracker(Stateful):
                     if time_s - track.time_s > self.params.search_interval_s:
                         del self.tracks[key]
                 continue
-            if track is not None:  # two prints of one id: the one where this marker was expected
-                expected = track.predicted(time_s)
-                seen.sort(key=lambda c: float(np.linalg.norm(c.quad_px.mean(0) - expected)))
-            else:
+            speed, expected = np.zeros(2), None if track is None else track.predicted(time_s)
+            if expected is None:
                 seen.sort(key=lambda c: -c.side_px)
+            else:  # two prints of one id: the one where this marker was expected
+                seen.sort(key=lambda c: float(np.linalg.norm(c.quad_px.mean(0) - expected)))
             best, *rest = seen
             chosen.append(best)
-            rivals += rest
-            speed = np.zeros(2)
+            duplicates += rest
             if track is not None and 0 < time_s - track.time_s < 0.3:
                 speed = (best.quad_px.mean(0) - track.quad_px.mean(0)) / max(time_s - track.time_s, 1e-3)
             self.tracks[key] = Track(best.quad_px, speed, time_s)
         others = tuple(sorted({c.key for c in every} - set(self.keys)))
-        return Found(tuple(chosen), tuple(rivals), others, whole)
+        return Found(tuple(chosen), tuple(duplicates), others, whole)
 
 
 def _merged(rects: Iterable[Rect]) -> list[Rect]:
@@ -165,13 +164,4 @@ def _merged(rects: Iterable[Rect]) -> list[Rect]:
             out.remove(hit)
             r = r.union(hit)
         out.append(r)
-    return out
-
-
-def _distinct(candidates: list[Candidate]) -> list[Candidate]:
-    """One candidate per place: two within half a side of each other are one print."""
-    out: list[Candidate] = []
-    for c in candidates:
-        if all(np.linalg.norm(c.quad_px.mean(0) - o.quad_px.mean(0)) > 0.5 * o.side_px for o in out):
-            out.append(c)
     return out

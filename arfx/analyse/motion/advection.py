@@ -1,9 +1,9 @@
-"""The field of sites of every frame: motion steps chained over the clip, around the markers through the known poses.
+"""The advection field of every frame: motion steps chained over the clip, around the markers through the known poses.
 
-field(new set, node) = field(key frame, where the node lay then). A cut begins anew, elsewhere. A second pattern begins unbent at
-the end of each stretch and is carried back (`both_ways`): whoever paints both, fading from one to the other, sees one that is
-little bent. The fade goes by sets, not by time.
-Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per set.
+field(new epoch, node) = field(key frame, where the node lay then). A cut starts a new field, elsewhere. A second texture starts
+undeformed at the end of each stretch and is carried back (`forward_and_backward`): whoever paints both, fading from one to the
+other, sees one that is little deformed. The fade goes by epochs, not by time.
+Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from itertools import pairwise
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
-from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_places
+from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_positions
 from arfx.core.advection import AdvectionField, packed_detail, packed_places
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 
-_NEW_DETAIL = 0.1  # share of what is seen now in the detail of a set; the rest is what was there before
-_RELAX = 0.02  # share of the field's bend that is taken out per set
+_NEW_DETAIL = 0.1  # fraction of what is seen now in the detail of an epoch; the rest is what was there before
+_RELAX = 0.02  # fraction of the field's bend that is taken out per epoch
 _LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
 _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
-PERIOD = 90  # sets of sites
+PERIOD = 90  # epochs
 _APART_PX = 5003.0  # the pattern of the other end of a stretch comes from that far away
 _ROUNDS = 6  # of the search for where a node came to lie
 AROUND = 2.4  # sizes of the marker: so far its pose tells the motion of what is near it better than the flow
@@ -49,10 +49,10 @@ class Advection(Fold):
     def finish(self, clip: Analysis) -> Analysis:
         camera = self.job.camera.scaled_to(*self._motion.size)
         reach_m = AROUND * clip.anchor.size_m
-        return clip.adding(with_anchors(clip.facts, self._motion.steps, camera, clip.world_from_anchor, reach_m))
+        return clip.adding(with_advection(clip.facts, self._motion.steps, camera, clip.world_from_anchor, reach_m))
 
 
-def with_anchors(
+def with_advection(
     facts: Sequence[FrameFacts], steps: Sequence[MotionStep], camera: Camera, world_from_anchor: Pose, reach_m: float
 ) -> tuple[FrameFacts, ...]:
     """The facts with `advection`.
@@ -61,14 +61,14 @@ def with_anchors(
     believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
     """
     by_index = {s.index: s for s in steps}
-    gx, gy = node_places(camera.width, camera.height)
+    gx, gy = node_positions(camera.width, camera.height)
     rays = camera.directions(np.stack([gx, gy], -1)) if reach_m > 0 else None
     number, u, v = 0, gx, gy
     last: FrameFacts | None = None
     key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
     detail, last_back = np.zeros(gx.shape), np.zeros((*gx.shape, 2))
-    made: list[AdvectionField] = []
-    sets, of_frame = [], []
+    fields: list[AdvectionField] = []
+    epochs, of_frame = [], []
     for f in facts:
         step = by_index.get(f.index)
         cut = last is not None and f.shot != last.shot
@@ -98,19 +98,18 @@ def with_anchors(
                 if step is not None and step.back is not None:
                     key = (*_at((u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None)
             origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
-            made.append(
+            fields.append(
                 AdvectionField(number, GRID_PX, origin, shape, packed_places(u, v), packed_detail(detail), f.camera_from_world)
             )
-            begins = back is None
-            kept = back if back is not None else None if step is None or step.back is None else step.back.astype(float)
-            sets.append(SetStep(kept, (step is not None and step.key) or kept is None, begins))
+            kept = back if back is not None or step is None or step.back is None else step.back.astype(float)
+            epochs.append(EpochStep(kept, (step is not None and step.key) or kept is None, back is None))
         last = f
-        of_frame.append(len(sets) - 1)
-    made = [
+        of_frame.append(len(epochs) - 1)
+    fields = [
         replace(m, share=round(share, 4), forward=packed_places(*forward), backward=packed_places(*backward))
-        for m, (forward, backward, share) in zip(made, both_ways(sets, gx, gy), strict=True)
+        for m, (forward, backward, share) in zip(fields, forward_and_backward(epochs, gx, gy), strict=True)
     ]
-    return tuple(f.with_(advection=made[k]) for f, k in zip(facts, of_frame, strict=True))
+    return tuple(f.with_(advection=fields[k]) for f, k in zip(facts, of_frame, strict=True))
 
 
 def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
@@ -182,51 +181,45 @@ def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class SetStep:
-    """One set of sites. back (gh, gw, 2) px : what its nodes must be moved by to lie where they lay in the key frame before it;
+class EpochStep:
+    """One epoch. back (gh, gw, 2) px : what its nodes must be moved by to lie where they lay in the key frame before it;
     None : it has none, or lies as that
-    key : the next ones are relative to this frame;  begins : a shot"""
+    key : the next ones are relative to this frame;  starts_shot : it is the first of its shot"""
 
     back: np.ndarray | None
     key: bool
-    begins: bool
+    starts_shot: bool
 
 
-def both_ways(sets: Sequence[SetStep], gx: np.ndarray, gy: np.ndarray) -> list[tuple[Field, Field, float]]:
-    """Of every set the two patterns at its nodes, and the share of the second, 0..1."""
+def forward_and_backward(epochs: Sequence[EpochStep], gx: np.ndarray, gy: np.ndarray) -> list[tuple[Field, Field, float]]:
+    """Of every epoch the two patterns at its nodes, and the share of the second, 0..1."""
     out: list[tuple[Field, Field, float]] = []
-    ends = _ends(sets)
+    ends: list[int] = []  # first epoch of each stretch
+    for k, s in enumerate(epochs):
+        if not ends or s.starts_shot or (s.key and k - ends[-1] >= PERIOD):
+            ends.append(k)
     number = -1
-    for a, b in pairwise(ends):
-        number += 2 if sets[a].begins else 1  # nothing of the old pattern is seen in a new shot
-        # the next stretch of a shot goes on from this one's end: they share that set, and its pattern
-        last = b if b < len(sets) and not sets[b].begins else b - 1
+    for a, b in pairwise([*ends, len(epochs)]):
+        number += 2 if epochs[a].starts_shot else 1  # nothing of the old pattern is seen in a new shot
+        # the next stretch of a shot goes on from this one's end: they share that epoch, and its pattern
+        last = b if b < len(epochs) and not epochs[b].starts_shot else b - 1
         patterns = [(gx + _APART_PX * (number + k), gy) for k in (1, 2)]
-        forward = _carried(sets, a, last, patterns[0], gx, gy)
-        backward = _carried_back(sets, a, last, patterns[1], gx, gy)
+        forward = _advect_forward(epochs, a, last, patterns[0], gx, gy)
+        backward = _advect_backward(epochs, a, last, patterns[1], gx, gy)
         out += [(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
     return out
 
 
-def _ends(sets: Sequence[SetStep]) -> list[int]:
-    """First set of each stretch, and the number of sets."""
-    out: list[int] = []
-    for k, s in enumerate(sets):
-        if not out or s.begins or (s.key and k - out[-1] >= PERIOD):
-            out.append(k)
-    return [*out, len(sets)]
-
-
-def _at_set(key: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
-    """The field at a set's nodes, from that at the nodes of its key frame."""
+def _at_epoch(key: Field, step: EpochStep, gx: np.ndarray, gy: np.ndarray) -> Field:
+    """The field at an epoch's nodes, from that at the nodes of its key frame."""
     if step.back is None:
         return key
     x, y = gx + step.back[..., 0], gy + step.back[..., 1]
     return _at(key, x, y, gx, gy)
 
 
-def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
-    """The field at the nodes of a set's key frame, from that at the set's: a node came to lie where place + back = node."""
+def _at_key(own: Field, step: EpochStep, gx: np.ndarray, gy: np.ndarray) -> Field:
+    """The field at the nodes of an epoch's key frame, from that at the epoch's: a node came to lie where place + back = node."""
     if step.back is None:
         return own
     x, y = gx, gy
@@ -235,25 +228,25 @@ def _at_key(own: Field, step: SetStep, gx: np.ndarray, gy: np.ndarray) -> Field:
     return _at(own, x, y, gx, gy)
 
 
-def _carried(sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
-    """Of the sets a ... b, unbent at a."""
+def _advect_forward(epochs: Sequence[EpochStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
+    """Of the epochs a ... b, unbent at a."""
     out = [pattern]
-    key = pattern if sets[a].key else _at_key(pattern, sets[a], gx, gy)
-    for step in sets[a + 1 : b + 1]:
-        out.append(relaxed(*_at_set(key, step, gx, gy)))
+    key = pattern if epochs[a].key else _at_key(pattern, epochs[a], gx, gy)
+    for step in epochs[a + 1 : b + 1]:
+        out.append(relaxed(*_at_epoch(key, step, gx, gy)))
         key = out[-1] if step.key else key
     return out
 
 
-def _carried_back(sets: Sequence[SetStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
-    """Of the sets a ... b, unbent at b."""
+def _advect_backward(epochs: Sequence[EpochStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
+    """Of the epochs a ... b, unbent at b."""
     out = [pattern]
-    key = _at_key(pattern, sets[b], gx, gy)
+    key = _at_key(pattern, epochs[b], gx, gy)
     for k in range(b - 1, a - 1, -1):
-        step = sets[k]
+        step = epochs[k]
         if step.key:  # what follows is relative to it: the field at the key frame is its own
             out.append(relaxed(*key))
             key = _at_key(out[-1], step, gx, gy)
         else:
-            out.append(relaxed(*_at_set(key, step, gx, gy)))
+            out.append(relaxed(*_at_epoch(key, step, gx, gy)))
     return out[::-1]

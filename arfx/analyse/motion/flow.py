@@ -1,6 +1,6 @@
 """How the picture moves: dense optical flow (DIS) on a small frame, folded into what paint needs to stay where it lies.
 
-`BackgroundMotion` compares each frame with a key frame: while the picture has moved by less than HOLD_PX the set of sites stays,
+`BackgroundMotion` compares each frame with a key frame: while the picture has moved by less than HOLD_PX the epoch stays,
 so that a resting camera gathers no drift. The flow is good to a tenth of a px of the small frame; `refined` makes that some
 hundredths, by a step of Gauss and Newton on the nodes: what all nodes ask for together (an affine motion) first, then each one.
 Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame.
@@ -22,18 +22,18 @@ from arfx.core.numerics import divide
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
 BORDER = 3  # nodes outside the picture on each side
 WIDTH_PX = 256  # of the small frame
-# A set of sites is kept while no more than a tenth of the nodes has moved by this much. Half a cell (the issue's figure)
+# An epoch is kept while no more than a tenth of the nodes has moved by this much. Half a cell (the issue's figure)
 # would let a slow pan go by in visible leaps.
 HOLD_PX = 0.35
-_AGREE_PX, _AGREE_SHARE = 0.6, 0.05  # forward and backward flow agree to this, on the small frame
+_AGREE_PX, _AGREE_FRACTION = 0.6, 0.05  # forward and backward flow agree to this, on the small frame
 _GRADIENT = 6.0  # grey levels per px at which a place is trusted half
-KEY_SHARE = 0.06  # of the picture's width
+KEY_FRACTION = 0.06  # of the picture's width
 _NOISE, _STEEP = 2.0, 20.0  # grey levels per px of the small frame: no detail, and as much as counts
 # Standard deviation of what counts as around a node, in nodes. Any less, and what lies between two nodes would change as they
 # pass over the things: cells would grow and shrink.
 _DETAIL_NODES = 0.85
 _CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
-_LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last set's
+_LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last epoch's
 _SPREAD_NODES = 1.5
 _FINE_PX = 1.0  # what is finer is not compared, px of the small picture
 _MISFIT = 6.0  # grey levels at which a pixel counts half
@@ -46,7 +46,7 @@ _RIM_PX = 3  # the interpolation and the band need that much around a pixel
 @stored
 @dataclass(frozen=True, eq=False)
 class MotionStep:
-    """A frame at which a new set of sites begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
+    """A frame at which a new epoch of advection begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
     frame, to lie where they lay in the last key frame; None : nothing is known (first frame, or all is new)
     key : later steps are relative to this frame
     detail (gh, gw) uint8 : how much there is to see around the nodes, 0 = even, 255 = edges everywhere"""
@@ -57,7 +57,7 @@ class MotionStep:
     detail: np.ndarray
 
 
-def node_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+def node_positions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """(x, y) (gh, gw) float64 px of the nodes: every GRID_PX, and BORDER of them outside on each side."""
     x = (np.arange(-(-width // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
     y = (np.arange(-(-height // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
@@ -71,16 +71,16 @@ class BackgroundMotion(Stateful):
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
-        self._last: np.ndarray | None = None  # back of the last set, None where that is the key frame
+        self._last: np.ndarray | None = None  # back of the last epoch, None where that is the key frame
         self.size = (0, 0)
 
     def step(self, index: int, luma: np.ndarray) -> None:
         """Take the next frame. luma : (h, w) uint8."""
         h, w = luma.shape
-        small = _shrunk(luma)
-        found = None
-        if self._reference is not None and self.size == (w, h):
-            found = self._back(small, w, h)
+        factor = max(w / WIDTH_PX, 1.0)
+        small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
+        small = np.ascontiguousarray(cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA))
+        found = self._back(small, w, h) if self._reference is not None and self.size == (w, h) else None
         self.size = (w, h)
         if found is None:
             self._reference, self._last = small, None
@@ -92,7 +92,7 @@ class BackgroundMotion(Stateful):
         moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
         if float(np.quantile(moved, 0.9)) <= HOLD_PX:
             return
-        far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_SHARE * w or agreed < _CHANGED
+        far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_FRACTION * w or agreed < _CHANGED
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
         self._last = None if far else back
         if far:
@@ -104,7 +104,7 @@ class BackgroundMotion(Stateful):
         assert self._reference is not None
         h, w = small.shape
         if min(h, w) < 16 or np.array_equal(small, self._reference):  # DIS needs a patch or two
-            return np.zeros((*node_places(width, height)[0].shape, 2), np.float32), 1.0
+            return np.zeros((*node_positions(width, height)[0].shape, 2), np.float32), 1.0
         dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
         dis.setFinestScale(0)
         back = dis.calc(small, self._reference, None)
@@ -113,7 +113,7 @@ class BackgroundMotion(Stateful):
         to_x, to_y = x + back[..., 0], y + back[..., 1]
         again = cv2.remap(there, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         apart = np.linalg.norm(back + again, axis=-1)
-        agree = apart < _AGREE_PX + _AGREE_SHARE * np.linalg.norm(back, axis=-1)
+        agree = apart < _AGREE_PX + _AGREE_FRACTION * np.linalg.norm(back, axis=-1)
         before = cv2.remap(self._reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         agree &= np.abs(before.astype(np.float32) - small) < 40
         slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
@@ -129,23 +129,21 @@ class BackgroundMotion(Stateful):
         return (refined(rough, small, self._reference, trust, first, GRID_PX / scale) * scale).astype(np.float32), agreed
 
 
-def _shrunk(luma: np.ndarray) -> np.ndarray:
-    h, w = luma.shape
-    factor = max(w / WIDTH_PX, 1.0)
-    size = (max(round(w / factor), 1), max(round(h / factor), 1))
-    return np.ascontiguousarray(cv2.resize(luma, size, interpolation=cv2.INTER_AREA))
-
-
 def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> np.ndarray:
     """Flow of the small frame at the nodes, px of the frame: the affine motion of what is trusted, and what differs from it
     spread from where it is trusted."""
     h, w = trust.shape
-    gx, gy = node_places(width, height)
+    gx, gy = node_positions(width, height)
     sx, sy = width / w, height / h
     y, x = np.mgrid[0:h, 0:w].astype(np.float64)
     terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
     few = (slice(None, None, 2),) * 2  # a fourth of the pixels tells the motion of the whole well enough
-    motion = _affine(terms[few].reshape(-1, 3), trust[few].ravel().astype(float), back[few].reshape(-1, 2).astype(float))
+    some, weight = terms[few].reshape(-1, 3), trust[few].ravel().astype(float)
+    moved, robust, motion = back[few].reshape(-1, 2).astype(float), weight, np.zeros((3, 2))
+    for _ in range(3):  # weighted least squares, with what misses it by much counting less; drawn towards no motion
+        normal = (some * robust[:, None]).T @ some + np.diag([1e-3, 1.0, 1.0])
+        motion = np.linalg.solve(normal, (some * robust[:, None]).T @ moved)
+        robust = weight / (1 + (np.linalg.norm(moved - some @ motion, axis=1) / 0.5) ** 2)
     residual = back - terms @ motion
     # onto the nodes: the mean of what lies around each, by trust; then outwards from node to node
     u, v = ((gx + 0.5) / sx - 0.5), ((gy + 0.5) / sy - 0.5)
@@ -153,12 +151,12 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     row = np.clip(np.round(v[:, 0]).astype(int), 0, h - 1)
     reach = max(GRID_PX / sx / 2, 0.5)
     blur = lambda a: cv2.GaussianBlur(a, (0, 0), reach, borderType=cv2.BORDER_CONSTANT)  # noqa: E731
-    much = blur(trust.astype(np.float64))[np.ix_(row, column)]
+    density = blur(trust.astype(np.float64))[np.ix_(row, column)]
     moved = np.stack([blur(residual[..., c] * trust)[np.ix_(row, column)] for c in range(2)], -1)
     spread = lambda a: cv2.GaussianBlur(a, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)  # noqa: E731
     moved = moved + 0.3 * spread(moved)
-    much = much + 0.3 * spread(much)
-    rest = moved / (much + 0.01)[..., None]
+    density = density + 0.3 * spread(density)
+    rest = moved / (density + 0.01)[..., None]
     whole = np.stack([np.ones(u.shape), (u / w), (v / h)], -1) @ motion
     out: np.ndarray = ((whole + rest) * [sx, sy]).astype(np.float32)
     return np.clip(out, -2000, 2000)
@@ -167,26 +165,14 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP; slopes of noise count nothing."""
     slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
-    much = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
+    density = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
     h, w = small.shape
     reach = max(_DETAIL_NODES * GRID_PX * w / width, 0.5)
-    around = cv2.GaussianBlur(much, (0, 0), reach, borderType=cv2.BORDER_REPLICATE)
-    gx, gy = node_places(width, height)
+    around = cv2.GaussianBlur(density, (0, 0), reach, borderType=cv2.BORDER_REPLICATE)
+    gx, gy = node_positions(width, height)
     column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
     row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
     return np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
-
-
-def _affine(terms: np.ndarray, weight: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """(3, 2) weighted least squares, thrice, with what misses it by much counting less. Drawn towards no motion."""
-    motion = np.zeros((3, 2))
-    robust = weight
-    for _ in range(3):
-        a = (terms * robust[:, None]).T @ terms + np.diag([1e-3, 1.0, 1.0])
-        motion = np.linalg.solve(a, (terms * robust[:, None]).T @ flow)
-        missed = np.linalg.norm(flow - terms @ motion, axis=1)
-        robust = weight / (1 + (missed / 0.5) ** 2)
-    return motion
 
 
 def refined(
@@ -201,11 +187,20 @@ def refined(
     back = np.asarray(back, float)
     sums = np.zeros((*back.shape[:2], 9))
     now, then = (cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference))
-    _hear(now, then, trust > 0, back, first, pitch, sums)
-    heard = _centred(sums)
-    affine = _affine_of(heard)
-    spread = cv2.GaussianBlur(heard, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
-    xx, xy, yy, xe, ye = np.moveaxis(heard + _NEIGHBOURS * spread, -1, 0)
+    _accumulate_normal_equations(now, then, trust > 0, back, first, pitch, sums)
+    mean_x, mean_y, mean_e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
+    of_x, of_y = sums[..., 5], sums[..., 6]  # taken out: the means around each node
+    centred = sums[..., :5] - np.stack([of_x * mean_x, of_x * mean_y, of_y * mean_y, of_x * mean_e, of_y * mean_e], -1)
+    gh, gw = centred.shape[:2]
+    y, x = np.mgrid[0:gh, 0:gw] / np.array([gh, gw]).reshape(2, 1, 1) - 0.5
+    terms = np.stack([np.ones((gh, gw)), x, y], -1).reshape(-1, 3)
+    xx, xy, yy, xe, ye = centred.reshape(-1, 5).T  # the affine motion that the nodes ask for together, at each of them
+    of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
+    normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
+    motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
+    affine = (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
+    spread = cv2.GaussianBlur(centred, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
+    xx, xy, yy, xe, ye = np.moveaxis(centred + _NEIGHBOURS * spread, -1, 0)
     ex, ey = xe - xx * affine[..., 0] - xy * affine[..., 1], ye - xy * affine[..., 0] - yy * affine[..., 1]
     xx, yy = xx + _PRIOR, yy + _PRIOR
     det = xx * yy - xy * xy  # _PRIOR^2 at least: without it a sum of squares
@@ -213,27 +208,8 @@ def refined(
     return back + np.clip(step, -_MOST_PX, _MOST_PX)
 
 
-def _centred(sums: np.ndarray) -> np.ndarray:
-    """(gh, gw, 5) sums of xx, xy, yy, xe, ye without the means around each node. sums : of `_hear`"""
-    x, y, e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
-    of_x, of_y = sums[..., 5], sums[..., 6]
-    return sums[..., :5] - np.stack([of_x * x, of_x * y, of_y * y, of_x * e, of_y * e], -1)
-
-
-def _affine_of(heard: np.ndarray) -> np.ndarray:
-    """(gh, gw, 2) px: the affine motion that the nodes ask for together, at each of them."""
-    gh, gw = heard.shape[:2]
-    y, x = np.mgrid[0:gh, 0:gw] / np.array([gh, gw]).reshape(2, 1, 1) - 0.5
-    terms = np.stack([np.ones((gh, gw)), x, y], -1).reshape(-1, 3)
-    xx, xy, yy, xe, ye = heard.reshape(-1, 5).T
-    of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
-    normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
-    motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
-    return (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
-
-
 @numba.njit(cache=True, nogil=True)
-def _hear(small, reference, trusted, back, first, pitch, total):  # pragma: no cover - compiled
+def _accumulate_normal_equations(small, reference, trusted, back, first, pitch, sums_out):  # pragma: no cover - compiled
     """total (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and what is missing (e)."""
     h, w = small.shape
     gh, gw = back.shape[:2]
@@ -260,20 +236,20 @@ def _hear(small, reference, trusted, back, first, pitch, total):  # pragma: no c
             gx, gy = 0.5 * (small[y, x + 1] - small[y, x - 1]), 0.5 * (small[y + 1, x] - small[y - 1, x])
             weight = 1.0 / (1.0 + (e / _MISFIT) ** 2)
             for k in range(2):
-                share = weight * (s if k else 1.0 - s)
-                sums[n + k, 0] += share * gx * gx
-                sums[n + k, 1] += share * gx * gy
-                sums[n + k, 2] += share * gy * gy
-                sums[n + k, 3] += share * gx * e
-                sums[n + k, 4] += share * gy * e
-                sums[n + k, 5] += share * gx
-                sums[n + k, 6] += share * gy
-                sums[n + k, 7] += share * e
-                sums[n + k, 8] += share
+                fraction = weight * (s if k else 1.0 - s)
+                sums[n + k, 0] += fraction * gx * gx
+                sums[n + k, 1] += fraction * gx * gy
+                sums[n + k, 2] += fraction * gy * gy
+                sums[n + k, 3] += fraction * gx * e
+                sums[n + k, 4] += fraction * gy * e
+                sums[n + k, 5] += fraction * gx
+                sums[n + k, 6] += fraction * gy
+                sums[n + k, 7] += fraction * e
+                sums[n + k, 8] += fraction
         for k in range(gw):
             for c in range(9):
-                total[m, k, c] += (1.0 - t) * sums[k, c]
-                total[m + 1, k, c] += t * sums[k, c]
+                sums_out[m, k, c] += (1.0 - t) * sums[k, c]
+                sums_out[m + 1, k, c] += t * sums[k, c]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -32,7 +32,7 @@ _MIN_POINTS = 6
 REST_WIDTH_PX = 480  # of the reduced pictures of `RestCheck`
 REST_POINTS = 80
 REST_PX = 0.7  # in a reduced picture: sensor noise and compression move corners by a tenth
-REST_SHARE = 0.6  # of the corners that have to stay
+REST_FRACTION = 0.6  # of the corners that have to stay
 _LEAST_POINTS = 8
 _WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
@@ -67,9 +67,7 @@ class BackgroundFlow(Stateful):
             grown = r.pad(max(r.width, r.height) // 3)
             part = Rect(grown.x0 // factor, grown.y0 // factor, grown.x1 // factor + 1, grown.y1 // factor + 1)
             mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
-        self._points = []
-        for view in (small, _evened(small)):
-            self._points.append(_corners(view, POINTS, mask))
+        self._points = [_corners(view, POINTS, mask) for view in (small, _local_contrast(small))]
         self._image, self._index, self._time_s = small, index, time_s
 
     def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
@@ -78,12 +76,15 @@ class BackgroundFlow(Stateful):
         if self._count % self._stride:
             return
         from_, to = [], []
-        for points, before, now in zip(
-            self._points, (self._image, _evened(self._image)), (small, _evened(small)), strict=True
-        ):  # fmt: skip
+        views = (self._image, small), (_local_contrast(self._image), _local_contrast(small))
+        for points, (before, now) in zip(self._points, views, strict=True):
             if len(points) < _MIN_POINTS:
                 continue
-            there, keep = _tracked(before, now, points)
+            options = {"winSize": (11, 11), "maxLevel": 3}
+            there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
+            back, good_back, _ = cv2.calcOpticalFlowPyrLK(now, before, there, None, **options)  # type: ignore[call-overload]
+            # which of them lead back to where they came from
+            keep = (good.ravel() > 0) & (good_back.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < 0.3)
             if keep.sum() >= _MIN_POINTS:
                 from_.append(points[keep])
                 to.append(there[keep])
@@ -102,15 +103,7 @@ def _corners(image: np.ndarray, most: int, mask: np.ndarray) -> np.ndarray:
     return np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
 
 
-def _tracked(before: np.ndarray, now: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((n, 2) where points went, (n,) which of them lead back to where they came from)"""
-    options = {"winSize": (11, 11), "maxLevel": 3}
-    there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
-    back, good_back, _ = cv2.calcOpticalFlowPyrLK(now, before, there, None, **options)  # type: ignore[call-overload]
-    return there, (good.ravel() > 0) & (good_back.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < 0.3)
-
-
-def _evened(image: np.ndarray) -> np.ndarray:
+def _local_contrast(image: np.ndarray) -> np.ndarray:
     """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves it nearly as it was."""
     value = image.astype(np.float32)
     off = value - cv2.blur(value, (NEAR_PX, NEAR_PX))
@@ -142,13 +135,10 @@ def decide_static(
         "samples": float(len(rest)),
         "at_rest": float(np.mean(rest)) if rest else 0.0,
         "with_marker": float(np.mean(along)) if along else 0.0,
-        "marker_moves_px": float(np.nanmedian(moves)) if moves and np.isfinite(moves).any() else 0.0,
+        "marker_moves_px": float(np.nanmedian(moves)) if np.isfinite(moves).any() else 0.0,
     }
-    if not rest:
-        return "both", evidence
-    if evidence["at_rest"] > AT_REST:
-        return "camera", evidence
-    return ("marker" if evidence["with_marker"] > 0.6 else "both"), evidence
+    otherwise = "marker" if evidence["with_marker"] > 0.6 else "both"
+    return ("camera" if evidence["at_rest"] > AT_REST else otherwise), evidence
 
 
 def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: float) -> np.ndarray:
@@ -195,5 +185,5 @@ class RestCheck(Stateful):
         away = np.where(good.ravel() > 0, away, np.inf)  # a corner that is lost may have left the picture
         seen = away[np.isfinite(away)]
         self.moved_px = max(self.moved_px, factor * float(np.median(seen)) if len(seen) else 0.0)
-        if (away < REST_PX).mean() < REST_SHARE:
+        if (away < REST_PX).mean() < REST_FRACTION:
             self.rests = False

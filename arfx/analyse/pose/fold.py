@@ -12,15 +12,15 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.corners import aliasing_px
-from arfx.analyse.markers.detect import Record, Seen, cells_per_side
+from arfx.analyse.markers.detect import Detection, Record, cells_per_side
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static
 from arfx.analyse.pose.marker_map import MarkerMap, View, map_markers
 from arfx.analyse.pose.path import WorldPath, world_path
 from arfx.analyse.pose.planar import Observed, hypotheses, information, lens_scale, residuals, rms_px, stack
-from arfx.analyse.pose.presence import find_cuts, lasting, opacities, statuses, stretches
 from arfx.analyse.pose.smooth import smooth_poses
+from arfx.analyse.pose.visibility import find_cuts, frame_statuses, opacities, visible_intervals, without_flickers
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
 from arfx.core.health import Check
@@ -30,7 +30,6 @@ from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
 from arfx.core.rect import Rect
 from arfx.errors import NothingToDoError
 
-NONE = np.zeros(0)
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
 
 
@@ -48,19 +47,19 @@ class MarkerPose(Fold):
     def step(self, frame: AnalysisFrame) -> None:
         if self.job.params.static == "auto":
             boxes = (Rect.around(s.corners_px) for s in self.markers.prints)  # rarely asked for
-            self.flow.step(frame.index, frame.time_s, frame.luma, boxes, bool(self.markers.seen))
+            self.flow.step(frame.index, frame.time_s, frame.luma, boxes, bool(self.markers.detections))
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError where no frame has a pose."""
         job, records = self.job, self.markers.records
         found = solve(records, job.markers, self.markers.camera, job.params, job.marker_map, self.flow.samples)
         if all(f.status == ABSENT for f in found.facts):
-            seen = sum(bool(r.seen) for r in records)
+            seen = sum(bool(r.detections) for r in records)
             raise NothingToDoError(
                 f"markers were seen in {seen} of {len(records)} frames, but no pose fits, or none lasts for three frames",
                 "are the marker's size and the camera calibration right, and of this clip?",
             )
-        return replace(found, taken=clip.taken, summary={**found.summary, **clip.summary})
+        return replace(found, frame_span=clip.frame_span, summary={**found.summary, **clip.summary})
 
     @staticmethod
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
@@ -107,7 +106,7 @@ class Views:
 
     def __init__(self, records: Sequence[Record], markers: Sequence[MarkerSpec], camera: Camera) -> None:
         spec, cells = {m.key: m for m in markers}, {m.key: cells_per_side(m.family) for m in markers}
-        seen = [(k, s) for k, r in enumerate(records) for s in r.seen]
+        seen = [(k, s) for k, r in enumerate(records) for s in r.detections]
         corners = np.array([s.corners_px for _, s in seen]).reshape(-1, 4, 2)
         ideal = camera.normalised(corners)
         scale = lens_scale(camera, np.where(np.isfinite(ideal), ideal, 0.0))
@@ -115,19 +114,19 @@ class Views:
         good = np.isfinite(ideal).all((1, 2))
         points = [spec[s.key].corners_m for _, s in seen]
         shared = aliasing_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
-        ways = hypotheses(points, ideal, scale, np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)) if seen else []
-        self.sigma_factor = self._calibrate(seen, ways, sigma, ideal, scale, points)
+        candidates = hypotheses(points, ideal, scale, np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)) if seen else []
+        self.sigma_factor = self._calibrate(seen, candidates, sigma, ideal, scale, points)
         self.frames: list[list[View]] = [[] for _ in records]
         self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
         for i, (k, s) in enumerate(seen):
             px = float(np.hypot(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX), shared[i]))
-            if good[i] and ways[i]:
-                poses = tuple(h.camera_from_marker for h in ways[i])
+            if good[i] and candidates[i]:
+                poses = tuple(h.camera_from_marker for h in candidates[i])
                 self.frames[k].append(View(s.key, points[i], ideal[i], scale[i], px, poses))
-            self.sightings[k].append(MarkerSighting(s.key, s.corners_px, px, ways[i], 0, s.inverted))
+            self.sightings[k].append(MarkerSighting(s.key, s.corners_px, px, candidates[i], 0, s.inverted))
 
     def _calibrate(
-        self, seen: Sequence[tuple[int, Seen]], ways: Sequence[tuple[Hypothesis, ...]], sigma: np.ndarray,
+        self, seen: Sequence[tuple[int, Detection]], candidates: Sequence[tuple[Hypothesis, ...]], sigma: np.ndarray,
         ideal: np.ndarray, scale: np.ndarray, points: Sequence[np.ndarray],
     ) -> float:  # fmt: skip
         """Factor on the predicted sigma, from how residuals change from one sighting of a marker to its next.
@@ -135,8 +134,8 @@ class Views:
         What stays (a bent print, an imperfect lens model) is no noise: taken for noise it would let the smoother drag
         the object away from a picture that shakes. 8 coordinates minus 6 unknowns leave 2 degrees of freedom.
         """
-        at = [i for i in range(len(seen)) if ways[i] and sigma[i] < 1.0]
-        rotation, translation = stack([ways[i][0].camera_from_marker for i in at])
+        at = [i for i in range(len(seen)) if candidates[i] and sigma[i] < 1.0]
+        rotation, translation = stack([candidates[i][0].camera_from_marker for i in at])
         these = np.array(at, int)
         one = Observed(np.array([points[i] for i in at]).reshape(-1, 4, 3), ideal[these], scale[these], np.ones((len(at), 4)))
         misfit = residuals(rotation, translation, one)
@@ -168,11 +167,11 @@ def solve(
     if layout.unmapped:
         notices.append(f"never seen together with a mapped marker, so not used: {', '.join(layout.unmapped)}")
     path = world_path(views.frames, layout.world_from_marker, keys, shot, times)
-    every = stretches(path.measured, shot, times, params.max_gap_s)
-    present = lasting(every, path.measured, shot)
+    every = visible_intervals(path.measured, shot, times, params.max_gap_s)
+    present = without_flickers(every, path.measured, shot)
     if len(present) < len(every):
         notices.append(f"{len(every) - len(present)} sightings of only one or two frames are not shown")
-    status = statuses(path.measured, present)
+    status = frame_statuses(path.measured, present)
     opacity = opacities(present, shot, params.fade_frames)
     rotation, translation = _filled(path, present, times)
     covariance = np.zeros((len(records), 6, 6))
@@ -188,15 +187,14 @@ def solve(
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
     facts, errors = _facts(records, views, path, layout, rotation, translation, covariance, shot, status, opacity)
-    if params.static == "auto":
+    static, evidence = params.static, dict[str, float]()
+    if static == "auto":
         poses = {f.index: f.camera_from_world for f in facts if f.camera_from_world is not None}
         static, evidence = decide_static(flow, poses, camera)
-    else:
-        static, evidence = params.static, {}
-    rivals = sum(len(r.rivals) for r in records)
-    if rivals:
-        names = sorted({s.key for r in records for s in r.rivals})
-        notices.append(f"two prints of the same id in a frame ({', '.join(names)}, {rivals} times): the one that moves on "
+    duplicates = sum(len(r.duplicates) for r in records)
+    if duplicates:
+        names = sorted({s.key for r in records for s in r.duplicates})
+        notices.append(f"two prints of the same id in a frame ({', '.join(names)}, {duplicates} times): the one that moves on "
                        "from the frame before is followed")  # fmt: skip
     if path.dropped:
         notices.append(f"{len(path.dropped)} sightings contradict the other markers of their frame and are not used")
@@ -209,7 +207,7 @@ def solve(
         "unmapped": list(layout.unmapped), "sd_m": dict(layout.standard_deviation_m or {}),
     }  # fmt: skip
     summary = figures(
-        facts, keys, **errors, flips_resolved=int(path.flips), sigma_factor=views.sigma_factor, rivals=rivals,
+        facts, keys, **errors, flips_resolved=int(path.flips), sigma_factor=views.sigma_factor, duplicates=duplicates,
         dropped=len(path.dropped), static_evidence=evidence, map=placed, motion_noise=[d.tolist() for d in density],
     )  # fmt: skip
     anchor = anchor_marker(markers, layout.world_from_marker)
@@ -225,8 +223,8 @@ def figures(facts: Sequence[FrameFacts], keys: Sequence[str], **more: Any) -> di
         "frames_absent": count[ABSENT], "shots": facts[-1].shot + 1,
         "cuts": [b.index for a, b in pairwise(facts) if a.shot != b.shot], "flips_resolved": 0,
         "whole_frame_searches": sum(f.whole_frame_search for f in facts),
-        "reprojection_px": {"raw": _quantiles(NONE), "smoothed": _quantiles(NONE)}, "pose_condition": _quantiles(NONE),
-        "sigma_px": _quantiles(np.array([m.sigma_px for f in facts for m in f.markers])),
+        "reprojection_px": {"raw": _quantiles([]), "smoothed": _quantiles([])}, "pose_condition": _quantiles([]),
+        "sigma_px": _quantiles([m.sigma_px for f in facts for m in f.markers]),
         "ambiguity_ratio": _quantiles(ratios), "ambiguous_sightings": int((ratios < 4.0).sum()),
         "markers_seen": {k: sum(any(m.key == k for m in f.markers) for f in facts) for k in keys},
         "rivals": 0, "dropped": 0, "map": {"given": True, "frames": 0, "unmapped": []}, **more,
@@ -236,17 +234,12 @@ def figures(facts: Sequence[FrameFacts], keys: Sequence[str], **more: Any) -> di
 def _shots(records: Sequence[Record]) -> np.ndarray:
     followed = [False]
     for a, b in pairwise(records):
-        before = {s.key: s for s in a.seen}
-        followed.append(any(s.key in before and _near(before[s.key], s) for s in b.seen))
-    cuts = find_cuts([r.unlike[0] for r in records], [r.unlike[1] for r in records], followed)
-    shot = np.zeros(len(records), int)
-    shot[cuts] = 1
-    return np.cumsum(shot)
-
-
-def _near(a: Seen, b: Seen) -> bool:
-    """No corner moved by more than a quarter of the side: one marker, one shot."""
-    return float(np.linalg.norm(a.corners_px - b.corners_px, axis=1).max()) < 0.25 * a.side_px
+        before = {s.key: s for s in a.detections}
+        # no corner moved by more than a quarter of the side: one marker, one shot
+        pairs = [(before[s.key], s) for s in b.detections if s.key in before]
+        followed.append(any(np.linalg.norm(p.corners_px - s.corners_px, axis=1).max() < 0.25 * p.side_px for p, s in pairs))
+    cuts = find_cuts([r.dissimilarity[0] for r in records], [r.dissimilarity[1] for r in records], followed)
+    return np.cumsum(np.isin(np.arange(len(records)), cuts).astype(int))
 
 
 def _filled(path: WorldPath, present: Sequence[tuple[int, int]], times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -255,13 +248,11 @@ def _filled(path: WorldPath, present: Sequence[tuple[int, int]], times: np.ndarr
     for first, end in present:
         on = first + np.flatnonzero(path.measured[first:end])
         for a, b in pairwise(on):
-            if b == a + 1:
-                continue
             turn = rotvec_from_rotation(rotation[b] @ rotation[a].T)
             for k in range(a + 1, b):
-                share = (times[k] - times[a]) / (times[b] - times[a])
-                rotation[k] = rotation_from_rotvec(turn * share) @ rotation[a]
-                translation[k] = translation[a] + share * (translation[b] - translation[a])
+                fraction = (times[k] - times[a]) / (times[b] - times[a])
+                rotation[k] = rotation_from_rotvec(turn * fraction) @ rotation[a]
+                translation[k] = translation[a] + fraction * (translation[b] - translation[a])
     return rotation, translation
 
 
@@ -279,16 +270,18 @@ def _facts(
         pose = Pose(rotation[k], translation[k]) if here else None
         raw = Pose(path.rotation[k], path.translation[k]) if on[k] else None
         markers = tuple(_with_choice(m, layout.world_from_marker, raw) for m in views.sightings[k])
-        blur = [s.blur_px for s in r.seen if np.isfinite(s.blur_px)]
+        blur = [s.blur_px for s in r.detections if np.isfinite(s.blur_px)]
         facts.append(FrameFacts(
             r.index, r.time_s, int(shot[k]), status[k], pose, raw, covariance[k] if here else None,
             float(smooth_px[k]) if on[k] else None, float(opacity[k]), markers, r.whole,
             blur_px=float(np.median(blur)) if blur else None,
         ))  # fmt: skip
     info = information(path.rotation[on], path.translation[on], seen.take(np.flatnonzero(on)))
+    d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))  # each parameter in units of its own precision
+    size = np.linalg.svd(info / d[:, :, None] / d[:, None], compute_uv=False)
     errors = {
         "reprojection_px": {"raw": _quantiles(raw_px[on]), "smoothed": _quantiles(smooth_px[on])},
-        "pose_condition": _quantiles(_conditions(info)),
+        "pose_condition": _quantiles(divide(size[:, 0], size[:, -1], where_zero=np.inf)),
     }
     return tuple(facts), errors
 
@@ -301,13 +294,7 @@ def _with_choice(m: MarkerSighting, world_from_marker: Mapping[str, Pose], raw: 
     return MarkerSighting(m.key, m.corners_px, m.sigma_px, m.hypotheses, int(np.argmin(away)), m.inverted)
 
 
-def _conditions(info: np.ndarray) -> np.ndarray:
-    """(n,) condition numbers of information matrices with each parameter in units of its own precision: without units."""
-    d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
-    size = np.linalg.svd(info / d[:, :, None] / d[:, None], compute_uv=False)
-    return divide(size[:, 0], size[:, -1], where_zero=np.inf)
-
-
-def _quantiles(values: np.ndarray) -> dict[str, float | None]:
-    v = values[np.isfinite(values)]
+def _quantiles(values: Sequence[float] | np.ndarray) -> dict[str, float | None]:
+    v = np.asarray(values, float)
+    v = v[np.isfinite(v)]
     return {"median": float(np.median(v)), "p95": float(np.quantile(v, 0.95))} if len(v) else {"median": None, "p95": None}

@@ -1,4 +1,4 @@
-"""Compiled loops of chain.py, for one chain of small matrices, and planar.refine_poses. Float64 throughout.
+"""Compiled loops of smooth.py, for one chain of small matrices, and planar.refine_poses. Float64 throughout.
 
 Every link of a chain has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes:
 only those blocks are multiplied.
@@ -16,21 +16,37 @@ from arfx.core.numerics import EPS_ANGLE, EPS_DEPTH_M
 DIM = 12
 _UNFIXED = 1e-14  # share of an axis's information below which what the other axes leave of it is rounding
 HUBER_SIGMA = 3.0  # residuals beyond it count linearly
-_SETTLED = 1e-9  # change of the cost, relative to 1 + cost
+_CONVERGED = 1e-9  # change of the cost, relative to 1 + cost
 
 
 class Chain(NamedTuple):
-    """Of n states. measured (n, 6, 6), pull (n, 6) : as of smooth_chain;  move ... dt (n - 1, ...) : of its links
+    """Of n states. measured (n, 6, 6), info_vector (n, 6) : as of smooth_chain;  move ... dt (n - 1, ...) : of its links
     start : standard deviations of the first state"""
 
     measured: np.ndarray
-    pull: np.ndarray
+    info_vector: np.ndarray
     move: np.ndarray
     gate: np.ndarray
     shift: np.ndarray
     shake: np.ndarray
     dt: np.ndarray
     start: np.ndarray
+
+
+@numba.njit(cache=True, nogil=True)
+def sort(v):  # pragma: no cover - compiled
+    """In place (Shell 1959), for some hundred numbers at most; none of them NaN. numpy's own sort takes a second to compile."""
+    gap = 1
+    while gap < len(v) // 9:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, len(v)):
+            x, j = v[i], i - gap
+            while j >= 0 and v[j] > x:
+                v[j + gap] = v[j]
+                j -= gap
+            v[j + gap] = x
+        gap //= 3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -50,24 +66,24 @@ def solve_in_place(a, b):  # pragma: no cover - compiled
                 b[c, k], b[pivot, k] = b[pivot, k], b[c, k]
         log_det += np.log(size)
         for r in range(c + 1, n):
-            share = a[r, c] / a[c, c]
-            if share != 0.0:
+            fraction = a[r, c] / a[c, c]
+            if fraction != 0.0:
                 for k in range(c + 1, n):
-                    a[r, k] -= share * a[c, k]
+                    a[r, k] -= fraction * a[c, k]
                 for k in range(m):
-                    b[r, k] -= share * b[c, k]
+                    b[r, k] -= fraction * b[c, k]
     for c in range(n - 1, -1, -1):
         for r in range(c + 1, n):
-            share = a[c, r]
+            fraction = a[c, r]
             for k in range(m):
-                b[c, k] -= share * b[r, k]
+                b[c, k] -= fraction * b[r, k]
         for k in range(m):
             b[c, k] /= a[c, c]
     return log_det
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _keep(x, p, means, covs):  # pragma: no cover - compiled
+def _copy_state(x, p, means, covs):  # pragma: no cover - compiled
     """Copy a state; in loops, because slices of arrays take seconds to compile."""
     for i in range(DIM):
         means[i] = x[i]
@@ -76,7 +92,7 @@ def _keep(x, p, means, covs):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _ahead(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover - compiled
+def _predict(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover - compiled
     """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (7,) densities.
 
     shake (6, 6) : of the last density;  w (6, 12) : filled with the upper half of move p, p being that of before
@@ -130,13 +146,13 @@ def _ahead(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover - c
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _whitened(measured, pull, roots, values):  # pragma: no cover - compiled
+def _whitened(measured, info_vector, roots, values):  # pragma: no cover - compiled
     """Measurements as independent ones of unit noise: roots (n, 6, 6) lower triangular, values (n, 6), of
-    measured = roots roots^T, pull = roots values. Of a direction that nothing fixes the column is 0."""
+    measured = roots roots^T, info_vector = roots values. Of a direction that nothing fixes the column is 0."""
     for f in range(len(measured)):
         m, root = measured[f], roots[f]
         for j in range(6):
-            rest, missed = m[j, j], pull[f, j]
+            rest, missed = m[j, j], info_vector[f, j]
             for k in range(j):
                 rest -= root[j, k] ** 2
                 missed -= root[j, k] * values[f, k]
@@ -174,10 +190,10 @@ def _update(x, p, root, value, t):  # pragma: no cover - compiled
             missed -= root[k, j] * x[k]
         log -= 0.5 * (np.log(spread) + missed * missed / spread - value[j] * value[j])
         for i in range(DIM):
-            share = t[i] / spread
-            x[i] += share * missed
+            fraction = t[i] / spread
+            x[i] += fraction * missed
             for k in range(i + 1):
-                p[i, k] -= share * t[k]
+                p[i, k] -= fraction * t[k]
                 p[k, i] = p[i, k]
     return log
 
@@ -185,38 +201,38 @@ def _update(x, p, root, value, t):  # pragma: no cover - compiled
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def filter_and_smooth(chain: Chain, density, means, covs):  # pragma: no cover - compiled
     """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the rest as for smooth_chain."""
-    measured, pull, move, gate, shift, shake, dt, start = chain
+    measured, info_vector, move, gate, shift, shake, dt, start = chain
     n = len(measured)
     x, p, none = np.zeros(DIM), np.empty((DIM, DIM)), np.zeros(DIM)
-    _keep(none, start, x, p)
+    _copy_state(none, start, x, p)
     upper = np.empty((max(n - 1, 0), 6, DIM))
-    ahead_x, ahead_p = np.empty((n, DIM)), np.empty((n, DIM, DIM))
+    predicted_x, predicted_p = np.empty((n, DIM)), np.empty((n, DIM, DIM))
     roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
-    _whitened(measured, pull, roots, values)
+    _whitened(measured, info_vector, roots, values)
     for k in range(n):
         if k:
-            _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[k - 1], dt[k - 1], upper[k - 1], v)
-        _keep(x, p, ahead_x[k], ahead_p[k])
+            _predict(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[k - 1], dt[k - 1], upper[k - 1], v)
+        _copy_state(x, p, predicted_x[k], predicted_p[k])
         _update(x, p, roots[k], values[k], t)
-        _keep(x, p, means[k], covs[k])
+        _copy_state(x, p, means[k], covs[k])
     size, scaled, gain, change = np.empty(DIM), np.empty((DIM, DIM)), np.empty((DIM, DIM)), np.empty((DIM, DIM))
     for k in range(n - 2, -1, -1):
         # gain^T = ahead^-1 move p, each axis scaled to its own size first
         for i in range(DIM):
-            size[i] = 1 / np.sqrt(ahead_p[k + 1, i, i])
+            size[i] = 1 / np.sqrt(predicted_p[k + 1, i, i])
         for i in range(DIM):
             for j in range(DIM):
-                scaled[i, j] = ahead_p[k + 1, i, j] * size[i] * size[j]
+                scaled[i, j] = predicted_p[k + 1, i, j] * size[i] * size[j]
                 gain[i, j] = size[i] * (upper[k, i, j] if i < 6 else covs[k, i, j])
         solve_in_place(scaled, gain)
         for i in range(DIM):
             for j in range(DIM):
                 gain[i, j] *= size[i]
-                scaled[i, j] = covs[k + 1, i, j] - ahead_p[k + 1, i, j]
+                scaled[i, j] = covs[k + 1, i, j] - predicted_p[k + 1, i, j]
         for i in range(DIM):
             moved = means[k, i]
             for j in range(DIM):
-                moved += gain[j, i] * (means[k + 1, j] - ahead_x[k + 1, j])
+                moved += gain[j, i] * (means[k + 1, j] - predicted_x[k + 1, j])
                 total = 0.0
                 for m in range(DIM):
                     total += gain[m, i] * scaled[m, j]
@@ -233,17 +249,17 @@ def filter_and_smooth(chain: Chain, density, means, covs):  # pragma: no cover -
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def log_evidence(chain: Chain, density, out):  # pragma: no cover - compiled
     """Fill out (c,): log evidence, up to a constant, of c candidates of density (c, n - 1, 6)."""
-    measured, pull, move, gate, shift, shake, dt, start = chain
+    measured, info_vector, move, gate, shift, shake, dt, start = chain
     x, p, none, upper = np.empty(DIM), np.empty((DIM, DIM)), np.zeros(DIM), np.empty((6, DIM))
     n = len(measured)
     roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
-    _whitened(measured, pull, roots, values)
+    _whitened(measured, info_vector, roots, values)
     for c in range(len(density)):
-        _keep(none, start, x, p)
+        _copy_state(none, start, x, p)
         total = 0.0
         for k in range(n):
             if k:
-                _ahead(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[c, k - 1], dt[k - 1], upper, v)
+                _predict(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[c, k - 1], dt[k - 1], upper, v)
             total += _update(x, p, roots[k], values[k], t)
         out[c] = total
 
@@ -251,7 +267,7 @@ def log_evidence(chain: Chain, density, out):  # pragma: no cover - compiled
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def refine(rotation, translation, points, ideal, px_per_ideal, weight, iterations, cost):  # pragma: no cover - compiled
     """Refine rotation (n, 3, 3) and translation (n, 3) in place and fill cost (n,); the rest as in geometry.Observed."""
-    a, g, left, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
+    a, g, normal, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
     new_r, new_t, turn = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for n in range(len(rotation)):
         r, t = rotation[n], translation[n]
@@ -260,10 +276,10 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
         for _ in range(iterations):
             for i in range(6):
                 for j in range(6):
-                    left[i, j] = a[i, j]
-                left[i, i] += a[i, i] * damping + 1e-12
+                    normal[i, j] = a[i, j]
+                normal[i, i] += a[i, i] * damping + 1e-12
                 step[i, 0] = -g[i]
-            solve_in_place(left, step)
+            solve_in_place(normal, step)
             _turn(step, turn)
             for i in range(3):
                 for j in range(3):
@@ -271,7 +287,7 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
                 new_t[i] = turn[i, 0] * t[0] + turn[i, 1] * t[1] + turn[i, 2] * t[2] + step[i + 3, 0]
             now = _system(new_r, new_t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(False))
             # settled twice in a row: a refused step may by chance cost the same as the place it came from
-            still = still + 1 if abs(best - now) < _SETTLED * (1 + best) else 0
+            still = still + 1 if abs(best - now) < _CONVERGED * (1 + best) else 0
             if now < best:
                 best = now
                 for i in range(3):

@@ -5,12 +5,22 @@ world = the axes of the first configured marker that was seen. Source: docs/meth
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.pose.planar import Observed, apply_step, huber_cost, jacobian, refine_poses, residuals, rms_px, view_jacobian
+from arfx.analyse.pose.planar import (
+    Observed,
+    apply_step,
+    huber_cost,
+    jacobian,
+    refine_poses,
+    residuals,
+    rms_px,
+    stack,
+    view_jacobian,
+)
 from arfx.core.numerics import EPS_DEPTH_M, condition
 from arfx.core.pose import Pose, skew
 
@@ -88,20 +98,20 @@ def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float
     """
     if not frames:
         return np.inf, Pose.identity()
-    picked = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _VOTERS).round().astype(int))]
+    sampled = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _VOTERS).round().astype(int))]
     judges = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _JUDGES).round().astype(int))]
-    candidates = [pa.inverse() @ pb for f in picked for pa in f[a].solutions for pb in f[b].solutions]
+    candidates = [pa.inverse() @ pb for f in sampled for pa in f[a].solutions for pb in f[b].solutions]
     corners = np.stack([c.apply(frames[0][b].corners_m) for c in candidates])  # (c, 4, 3) in a
     error = np.empty((len(candidates), len(judges)))
     for k, f in enumerate(judges):
-        ways = []
+        distances = []
         s = f[b].px_per_ideal
         for p in f[a].solutions:
             q = p.apply(corners)
             d = q[..., :2] / np.maximum(q[..., 2:], EPS_DEPTH_M) - f[b].ideal
             x, y = (s[:, i, 0] * d[..., 0] + s[:, i, 1] * d[..., 1] for i in range(2))
-            ways.append(np.sqrt((x * x + y * y).mean(-1)))
-        error[:, k] = np.min(ways, axis=0)
+            distances.append(np.sqrt((x * x + y * y).mean(-1)))
+        error[:, k] = np.min(distances, axis=0)
     typical = np.median(error, axis=1)
     best = int(typical.argmin())
     return float(typical[best] / np.sqrt(len(frames))), candidates[best]
@@ -109,19 +119,17 @@ def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float
 
 def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tuple[str, ...]) -> MarkerMap:
     keys = list(start)
-    slot = {k: i for i, k in enumerate(keys)}
     n, m = len(frames), len(keys)
-    local = np.zeros((m, 4, 3))
-    seen = Observed(np.zeros((n, 4 * m, 3)), np.zeros((n, 4 * m, 2)), np.zeros((n, 4 * m, 2, 2)), np.zeros((n, 4 * m)))
-    for k, frame in enumerate(frames):
-        for key, view in frame.items():
-            if key in slot:
-                part = slice(4 * slot[key], 4 * slot[key] + 4)
-                local[slot[key]] = view.corners_m
-                seen.ideal[k, part], seen.px_per_ideal[k, part] = view.ideal, view.px_per_ideal
-                seen.weight[k, part] = view.sigma_px**-2.0
-    map_r, map_t = np.stack([start[k].rotation for k in keys]), np.stack([start[k].translation_m for k in keys])
-    rotation, translation = _first_frames(frames, start, _placed(seen, map_r, map_t, local))
+    corners_m = {v.key: v.corners_m for frame in frames for v in frame.values()}
+    local = np.stack([corners_m.get(k, np.zeros((4, 3))) for k in keys])
+    seen = observe([frame.values() for frame in frames], start, keys)
+    map_r, map_t = stack([*start.values()])
+    now, first = _placed(seen, map_r, map_t, local), []
+    for k, frame in enumerate(frames):  # from the planar solution that fits all its markers best
+        candidates = [p @ start[key].inverse() for key, v in frame.items() if key in start for p in v.solutions]
+        one = now.take(np.full(len(candidates), k))
+        first.append(candidates[int(huber_cost(residuals(*stack(candidates), one), one.weight)[0].argmin())])
+    rotation, translation, _ = refine_poses(*stack(first), now)
     damping, cost = 1e-6, np.inf
     reduced = np.eye(6 * (m - 1))
     for _ in range(30):
@@ -133,7 +141,11 @@ def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tup
         cost = float(rho.sum())
         w = now.weight * factor
         jf = jacobian(rotation, translation, now)
-        jm = _marker_jacobian(rotation, translation, now)
+        # (n, p, 2, 6) px per left perturbation, in world axes, of the marker that carries the corner
+        world = now.points_m
+        q = np.einsum("nij,npj->npi", rotation, world) + translation[:, None]
+        lever = np.concatenate([-skew(world), np.broadcast_to(np.eye(3), (*world.shape, 3))], -1)
+        jm = now.px_per_ideal @ view_jacobian(q) @ rotation[:, None] @ lever
         jfw = np.swapaxes((jf * w[..., None, None]).reshape(n, 8 * m, 6), 1, 2)
         hff = jfw @ jf.reshape(n, 8 * m, 6)
         gf = (jfw @ r.reshape(n, 8 * m, 1))[..., 0]
@@ -169,28 +181,22 @@ def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tup
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
 
 
+def observe(frames: Sequence[Iterable[View]], world_from_marker: Mapping[str, Pose], keys: Sequence[str]) -> Observed:
+    """The corners of these markers, four places per key."""
+    slot = {k: i for i, k in enumerate(keys)}
+    n, p = len(frames), 4 * max(len(slot), 1)
+    out = Observed(np.zeros((n, p, 3)), np.zeros((n, p, 2)), np.zeros((n, p, 2, 2)), np.zeros((n, p)))
+    for k, views in enumerate(frames):
+        for v in views:
+            if v.key in slot:
+                part = slice(4 * slot[v.key], 4 * slot[v.key] + 4)
+                out.points_m[k, part] = world_from_marker[v.key].apply(v.corners_m)
+                out.ideal[k, part], out.px_per_ideal[k, part] = v.ideal, v.px_per_ideal
+                out.weight[k, part] = v.sigma_px**-2.0
+    return out
+
+
 def _placed(seen: Observed, map_r: np.ndarray, map_t: np.ndarray, local: np.ndarray) -> Observed:
     """The same observations with the corners where the map now puts them, in world coordinates."""
     world = (np.einsum("mij,mpj->mpi", map_r, local) + map_t[:, None]).reshape(1, -1, 3)
     return Observed(np.broadcast_to(world, seen.points_m.shape), seen.ideal, seen.px_per_ideal, seen.weight)
-
-
-def _marker_jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
-    """(n, p, 2, 6) px per left perturbation, in world axes, of the marker that carries the corner."""
-    world = seen.points_m
-    q = np.einsum("nij,npj->npi", rotation, world) + translation[:, None]
-    lever = np.concatenate([-skew(world), np.broadcast_to(np.eye(3), (*world.shape, 3))], -1)
-    return seen.px_per_ideal @ view_jacobian(q) @ rotation[:, None] @ lever
-
-
-def _first_frames(frames: list[dict[str, View]], start: dict[str, Pose], seen: Observed) -> tuple[np.ndarray, np.ndarray]:
-    """Start each frame from the planar solution that fits all its markers best."""
-    best: list[Pose] = []
-    for k, frame in enumerate(frames):
-        ways = [p @ start[key].inverse() for key, v in frame.items() if key in start for p in v.solutions]
-        one = seen.take(np.full(len(ways), k))
-        r = residuals(np.stack([p.rotation for p in ways]), np.stack([p.translation_m for p in ways]), one)
-        best.append(ways[int(huber_cost(r, one.weight)[0].argmin())])
-    rotation, translation = np.stack([p.rotation for p in best]), np.stack([p.translation_m for p in best])
-    rotation, translation, _ = refine_poses(rotation, translation, seen)
-    return rotation, translation

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.pose.marker_map import View
+from arfx.analyse.pose.marker_map import View, observe
 from arfx.analyse.pose.planar import Observed, refine_poses, residuals, stack
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_angle_rad, rotvec_from_rotation
 
 TURN_RAD_S = 1.0  # a hand turns a marker, or a camera, about this fast; faster is possible, and costs more
 TURN_FLOOR_RAD = 0.01  # noise of a tilt between two frames that nothing moved in
-SHIFT_SHARE_S = 1.0  # the same for the distance, as a share of it per second
+SHIFT_FRACTION_S = 1.0  # the same for the distance, as a share of it per second
 SHIFT_FLOOR = 0.005
 MOVE_CAP = 40.0  # above this a move is no less likely than any other: a cut or a glitch must not bend the path
 FLIP_RAD = np.radians(5.0)  # solutions farther apart than this are told apart as a flip
@@ -61,7 +61,7 @@ def move_costs(r0: np.ndarray, t0: np.ndarray, r1: np.ndarray, t1: np.ndarray, d
     shift, distance = np.linalg.norm(t1 - t0, axis=-1), np.linalg.norm(t1, axis=-1)
     dt = np.maximum(dt_s, 0.0)
     a = turn / (TURN_FLOOR_RAD + TURN_RAD_S * dt)
-    b = divide(shift, distance * (SHIFT_FLOOR + SHIFT_SHARE_S * dt), where_zero=np.inf)
+    b = divide(shift, distance * (SHIFT_FLOOR + SHIFT_FRACTION_S * dt), where_zero=np.inf)
     return np.minimum(0.5 * (a * a + b * b), MOVE_CAP)
 
 
@@ -79,28 +79,13 @@ class WorldPath:
     dropped: tuple[tuple[int, str], ...]
 
 
-def observe(frames: Sequence[Sequence[View]], world_from_marker: Mapping[str, Pose], keys: Sequence[str]) -> Observed:
-    """All mapped corners, four places per key."""
-    slot = {k: i for i, k in enumerate(k for k in keys if k in world_from_marker)}
-    n, p = len(frames), 4 * max(len(slot), 1)
-    out = Observed(np.zeros((n, p, 3)), np.zeros((n, p, 2)), np.zeros((n, p, 2, 2)), np.zeros((n, p)))
-    for k, views in enumerate(frames):
-        for v in views:
-            if v.key in slot:
-                part = slice(4 * slot[v.key], 4 * slot[v.key] + 4)
-                out.points_m[k, part] = world_from_marker[v.key].apply(v.corners_m)
-                out.ideal[k, part], out.px_per_ideal[k, part] = v.ideal, v.px_per_ideal
-                out.weight[k, part] = v.sigma_px**-2.0
-    return out
-
-
 def world_path(
     frames: Sequence[Sequence[View]], world_from_marker: Mapping[str, Pose], keys: Sequence[str],
     shot: np.ndarray, times_s: np.ndarray,
 ) -> WorldPath:  # fmt: skip
     """frames : markers of each frame;  shot : number of each frame's shot: no path runs across a cut."""
     mapped = [k for k in keys if k in world_from_marker]
-    seen = observe(frames, world_from_marker, keys)
+    seen = observe(frames, world_from_marker, mapped)
     owner, start = [], []
     for k, views in enumerate(frames):
         usable = sorted((v for v in views if v.key in world_from_marker and v.solutions), key=_extent)
@@ -124,10 +109,10 @@ def world_path(
         poses = [[Pose(r[i], t[i]) for i in g] for g in groups]
         costs = [[float(cost[i]) if t[i, 2] > 0 else 1e9 for i in g] for g in groups]
         path = choose_path(poses, costs, [float(times_s[k]) for k in at])
-        for k, group, ways, misfit, pick in zip(at, groups, poses, costs, path, strict=True):
+        for k, group, candidates, misfit, pick in zip(at, groups, poses, costs, path, strict=True):
             rotation[k], translation[k] = r[group[pick]], t[group[pick]]
             alone = int(np.argmin(misfit))
-            flips += int(alone != pick and rotation_angle_rad(ways[alone], ways[pick]) > FLIP_RAD)
+            flips += int(alone != pick and rotation_angle_rad(candidates[alone], candidates[pick]) > FLIP_RAD)
     dropped = _drop_inconsistent(rotation, translation, seen, frames, world_from_marker, mapped, measured)
     if dropped:
         again = np.array(sorted({k for k, _ in dropped}))
@@ -150,7 +135,7 @@ def _drop_inconsistent(
     """
     slots = {k: slice(4 * i, 4 * i + 4) for i, k in enumerate(keys)}
 
-    def missed(r: np.ndarray, t: np.ndarray, one: Observed) -> dict[str, float]:
+    def misses(r: np.ndarray, t: np.ndarray, one: Observed) -> dict[str, float]:
         error = np.linalg.norm(residuals(r[None], t[None], one)[0], axis=-1)
         there = {k: p for k, p in slots.items() if one.weight[0, p].all()}
         gate = {k: max(GATE_PX, GATE_SIGMA / float(np.sqrt(one.weight[0, p].mean()))) for k, p in there.items()}
@@ -159,14 +144,14 @@ def _drop_inconsistent(
     out: list[tuple[int, str]] = []
     for k in map(int, np.flatnonzero(measured & ((seen.weight > 0).sum(1) > 4))):
         one = seen.take(np.array([k]))
-        if max(missed(rotation[k], translation[k], one).values()) <= 1:
+        if max(misses(rotation[k], translation[k], one).values()) <= 1:
             continue
         views = sorted((v for v in frames[k] if v.key in slots and v.solutions), key=_extent, reverse=True)
-        ways = [p @ world_from_marker[v.key].inverse() for v in views for p in v.solutions]
+        candidates = [p @ world_from_marker[v.key].inverse() for v in views for p in v.solutions]
         # a single marker says less about its neighbours than all together: three times the gate
-        agree = [[key for key, m in missed(p.rotation, p.translation_m, one).items() if m <= 3] for p in ways]
-        best = max(range(len(ways)), key=lambda i: (len(agree[i]), -i))
-        rotation[k], translation[k] = ways[best].rotation, ways[best].translation_m
+        agree = [[key for key, m in misses(p.rotation, p.translation_m, one).items() if m <= 3] for p in candidates]
+        best = max(range(len(candidates)), key=lambda i: (len(agree[i]), -i))
+        rotation[k], translation[k] = candidates[best].rotation, candidates[best].translation_m
         for key, part in slots.items():
             if one.weight[0, part].any() and key not in agree[best]:
                 seen.weight[k, part] = 0.0

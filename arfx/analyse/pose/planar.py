@@ -44,9 +44,7 @@ def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
     """(..., 2, 2) px per unit of ideal normalised coordinates, at ideal (..., 2): central differences."""
     h = 1e-6
     focal = np.array([camera.fx, camera.fy])
-    columns = []
-    for axis in np.eye(2) * h:
-        columns.append((camera.distort(ideal + axis) - camera.distort(ideal - axis)) / (2 * h) * focal)
+    columns = [(camera.distort(ideal + axis) - camera.distort(ideal - axis)) / (2 * h) * focal for axis in np.eye(2) * h]
     return np.stack(columns, -1)
 
 
@@ -87,9 +85,7 @@ def refine_poses(
     """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation, cost (n,))."""
     rotation, translation = np.array(rotation, float, order="C"), np.array(translation, float, order="C")
     cost = np.empty(len(rotation))
-    points, ideal, scale, weight = (
-        np.array(v, float, order="C") for v in (seen.points_m, seen.ideal, seen.px_per_ideal, seen.weight)
-    )
+    points, ideal, scale, weight = (np.array(v, float, order="C") for v in vars(seen).values())
     kernels.refine(rotation, translation, points, ideal, scale, weight, iterations, cost)
     return rotation, translation, cost
 
@@ -169,7 +165,14 @@ def hypotheses(
     if not len(at):
         return out
     points, ideal, px_per_ideal = np.stack(corners_m)[at], ideal[at], px_per_ideal[at]
-    owner, rotation, translation = _starts(points, ideal)
+    n = len(points)
+    every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
+    # IPPE returns rubbish for a marker that faces the camera, or is parallel to the picture, exactly: starts of their own
+    ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
+    starts = [stack([p for _, p in every])]
+    starts += [frontal_poses(points, ideal, d) for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3)))]
+    owner = np.concatenate([np.array([i for i, _ in every], int), np.arange(n), np.arange(n)])
+    rotation, translation = (np.concatenate(parts) for parts in zip(*starts, strict=True))
     seen = Observed(points[owner], ideal[owner], px_per_ideal[owner], np.repeat(sigma_px[at][owner, None] ** -2.0, 4, 1))
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
@@ -183,15 +186,3 @@ def hypotheses(
                 found.append(int(i))
         out[at[owner[mine[0]]]] = tuple(Hypothesis(Pose(rotation[i], translation[i]), float(error[i])) for i in found)
     return out
-
-
-def _starts(points: np.ndarray, ideal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(owner (k,), rotation (k, 3, 3), translation (k, 3)) of poses to start from, points (n, 4, 3) and ideal (n, 4, 2)."""
-    n = len(points)
-    every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
-    # IPPE returns rubbish for a marker that faces the camera, or is parallel to the picture, exactly: starts of their own
-    ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
-    facing, parallel = (frontal_poses(points, ideal, d) for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3))))
-    owner = np.concatenate([np.array([i for i, _ in every], int), np.arange(n), np.arange(n)])
-    r, t = stack([p for _, p in every])
-    return owner, np.concatenate([r, facing[0], parallel[0]]), np.concatenate([t, facing[1], parallel[1]])

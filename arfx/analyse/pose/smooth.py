@@ -1,25 +1,182 @@
 """Smooths the poses of one shot with past and future, in the metric of the measurement: Gauss-Newton on SE(3).
 
-Axes: rotation about the camera's x, y, z; the place of the markers' centre as x/z, y/z and ln z.
-Source: docs/methods/pose.md#smoothing.
+Axes: rotation about the camera's x, y, z; the position of the markers' centre as x/z, y/z and ln z.
+Each linearised problem is a Gauss-Markov chain: Kalman filter, Rauch-Tung-Striebel smoother, and its noise by maximum likelihood.
+State per frame: 6 position-like and 6 velocity-like numbers, each axis accelerated by noise of its own density; a seventh density
+accelerates several axes at once (Links.shake). Measurements are information on the first six numbers. Covariance form: regular
+for a density of nearly zero, and for directions that no measurement fixes. Source: docs/methods/pose.md#smoothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.pose.chain import AXES, GROUPS, LEAST, MOST, Links, evidence, learn_density, link, smooth_chain
+from arfx.analyse.pose import kernels
+from arfx.analyse.pose.kernels import DIM
 from arfx.analyse.pose.planar import Observed, huber_cost, residuals, view_jacobian
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
+# What is known before the first frame: nothing. Standard deviations of 10 (radians, or e-folds of distance) and of
+# 100 per second lie beyond anything filmed, and their squares times the information of a corner still leave digits.
+_START = np.diag([1e2] * 6 + [1e4] * 6)
+# Axes whose noise is one number: turning about the picture's two axes, about the line of sight; sideways; distance; and
+# the camera's turning about itself (Links.shake), which turns the marker and moves it sideways at once.
+GROUPS = ((0, 1), (2,), (3, 4), (5,), (6,))
+TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
+AXES = 7
+# (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4 turns a frame by 20 degrees.
+LEAST, MOST = 1e-12, 1e4
+_GRID = 10.0 ** np.arange(-12, 5)
+# Factors on a value, for what is tried beside it.
+_FAR, _NEAR, _NEXT = 10.0 ** np.arange(-5, 6), 10.0 ** np.arange(-2, 3), 10.0 ** np.array([-1, -0.5, 0, 0.5, 1])
+_BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
+_WINDOW, _CONTEXT = 24, 18  # frames
+# A window has little evidence on its own: each factor of ten away from the shot's value costs this much (nats).
+_HOLD = 1.0
+_EARNED = 3.0  # nats by which a camera that shakes must explain the shot better than a marker that moves: one number more
 # Between two frames: what moves is unknown after ten seconds as after a day, whose cube leaves no digits for the corners.
 LONGEST_STEP_S = 10.0
 PASSES = 4  # linearisations between two estimates of the motion's noise
 _STIFF = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6, LEAST])  # start of the second attempt: hardly any motion but sideways
 _LOOSE = 1e-8  # share of a shake in which its axes go their own ways: 1e-4 of its size, and nothing is singular
 _UNSURE_RAD = 0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
+
+
+@dataclass(frozen=True)
+class Links:
+    """How a state follows from the one before: x_k+1 = move_k x_k + shift_k + noise_k, noise through `gate_k`.
+
+    move, gate : (n - 1, 12, 12);  shift : (n - 1, 12);  dt_s : (n - 1,)
+    shake : (n - 1, 6, 6) covariance, per unit of its density, of what turns and moves the marker at once
+    Only the turns' blocks (3 x 3, of angles and of their velocities) are free: the other axes have constant velocity.
+    """
+
+    move: np.ndarray
+    gate: np.ndarray
+    shift: np.ndarray
+    dt_s: np.ndarray
+    shake: np.ndarray
+
+    def part(self, first: int, end: int) -> Links:
+        """The links between frames first .. end - 1."""
+        s = slice(first, end - 1)
+        return Links(self.move[s], self.gate[s], self.shift[s], self.dt_s[s], self.shake[s])
+
+
+def link(before: np.ndarray, after: np.ndarray, offset: np.ndarray, dt_s: np.ndarray, shake: np.ndarray) -> Links:
+    """Links from residuals before_k x_k + after_k x_k+1 + offset_k = noise_k."""
+    gate = np.linalg.inv(after) if len(after) else after
+    return Links(-gate @ before, gate, -np.einsum("nij,nj->ni", gate, offset), dt_s, shake)
+
+
+def smooth_chain(
+    measured: np.ndarray, info_vector: np.ndarray, links: Links, density: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n, 12) and covariance (n, 12, 12) of every state given all measurements.
+
+    measured : (n, 6, 6) information;  info_vector : (n, 6) information times measured value;  density : (n - 1, 7)
+    """
+    n = len(measured)
+    means, covs = np.empty((n, DIM)), np.empty((n, DIM, DIM))
+    kernels.filter_and_smooth(_chain(measured, info_vector, links), np.array(density, float, order="C"), means, covs)
+    if not (np.isfinite(means).all() and np.isfinite(covs).all()):
+        raise np.linalg.LinAlgError("the smoother's chain is singular")
+    return means, covs
+
+
+def evidence(measured: np.ndarray, info_vector: np.ndarray, links: Links, density: np.ndarray) -> np.ndarray:
+    """(c,) log evidence, up to a constant, of c candidates of noise density (c, n - 1, 7) on one chain."""
+    out = np.empty(len(density))
+    kernels.log_evidence(_chain(measured, info_vector, links), np.array(density, float, order="C"), out)
+    return out
+
+
+def _chain(measured: np.ndarray, info_vector: np.ndarray, links: Links) -> kernels.Chain:
+    """Of copies, all of one type to the compiler: contiguous and writable."""
+    given = (measured, info_vector, links.move, links.gate, links.shift, links.shake, links.dt_s)
+    return kernels.Chain._make([*(np.array(a, float, order="C") for a in given), _START])
+
+
+def learn_density(
+    measured: np.ndarray, info_vector: np.ndarray, links: Links, density: np.ndarray | None, local: bool
+) -> np.ndarray:
+    """(n - 1, AXES) densities.
+
+    measured, info_vector, links : as for smooth_chain;  density : what was learned for the shot, None at first
+    local : also let it change with time
+    """
+    n = len(measured)
+    if n < 3:
+        return np.full((max(n - 1, 0), AXES), 1e-2)
+    if density is None:
+        shot = _density_of_shot(measured, info_vector, links)
+    else:
+        shot = np.exp([np.median(np.log(density[:, list(g)])) for g in GROUPS])
+    if not local or n <= _WINDOW + _CONTEXT:
+        return _axes(np.repeat(shot[None], n - 1, 0))
+    centres = np.unique(np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW))))
+    values = np.repeat(shot[None], len(centres), 0)
+    for i in range(SHAKE + 1 if shot[SHAKE] > LEAST else SHAKE):
+        for w, centre in enumerate(centres):
+            a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
+            b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
+            near = _scaled(shot[i], _FAR)
+            trial = np.repeat(values[w : w + 1], len(near), 0)
+            trial[:, i] = near
+            total = _evidence(measured, info_vector, links, a, b, trial) - _HOLD * np.abs(np.log10(near / shot[i]))
+            values[w, i] = near[int(total.argmax())]
+    at = np.arange(n - 1) + 0.5
+    smooth = np.stack([np.interp(at, centres, np.log(values[:, i])) for i in range(len(GROUPS))], -1)
+    return _axes(np.exp(smooth))
+
+
+def _density_of_shot(measured: np.ndarray, info_vector: np.ndarray, links: Links) -> np.ndarray:
+    """(groups,) one value each for a shot: the likelier of a marker that moves on its own and of a camera that shakes."""
+    n = len(measured)
+    blocks = [(0, n)]
+    if n > _BLOCK * _BLOCKS:
+        blocks = [(int(a), int(a) + _BLOCK) for a in np.linspace(0, n - _BLOCK, _BLOCKS)]
+
+    def ascend(shot: np.ndarray, order: Sequence[int], grid: np.ndarray | None = None) -> tuple[float, np.ndarray]:
+        """Evidence and values when one group after the other has taken its best; grid : factors, None = the whole range"""
+        shot, best = shot.copy(), -np.inf
+        for i in order:
+            near = _GRID if grid is None else _scaled(shot[i], grid)
+            trial = np.repeat(shot[None], len(near), 0)
+            trial[:, i] = near
+            total = np.sum([_evidence(measured, info_vector, links, a, b, trial) for a, b in blocks], axis=0)
+            shot[i], best = near[int(total.argmax())], float(total.max())
+        return best, shot
+
+    _, shot = ascend(np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE))
+    moving, shot = ascend(shot, range(SHAKE), _NEAR)
+    start = shot.copy()  # what was sideways motion is now the shake: from the one peak no single number leads to the other
+    start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
+    _, other = ascend(start, (SIDEWAYS, TURN, DISTANCE))
+    shaking, other = ascend(other, (SHAKE, ROLL, SIDEWAYS, TURN), _NEAR)
+    if shaking > moving + _EARNED:
+        return ascend(other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), _NEXT)[1]
+    return ascend(shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), _NEXT)[1]
+
+
+def _scaled(value: float, factors: np.ndarray) -> np.ndarray:
+    return np.unique(np.clip(value * factors, LEAST, MOST))
+
+
+def _axes(groups: np.ndarray) -> np.ndarray:
+    """(..., groups) to (..., AXES)."""
+    out = np.empty((*groups.shape[:-1], AXES))
+    for i, g in enumerate(GROUPS):
+        out[..., list(g)] = groups[..., i : i + 1]
+    return out
+
+
+def _evidence(measured: np.ndarray, info_vector: np.ndarray, links: Links, a: int, b: int, trial: np.ndarray) -> np.ndarray:
+    density = np.broadcast_to(_axes(trial)[:, None], (len(trial), b - a - 1, AXES))
+    return evidence(measured[a:b], info_vector[a:b], links.part(a, b), density)
 
 
 @dataclass(frozen=True)
@@ -51,18 +208,22 @@ def smooth_poses(
     for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
         chain, density = raw, None
         if stiff:
-            chain = chain.settled(np.broadcast_to(_STIFF, (len(dt), AXES)), 2 * PASSES)
+            chain = chain.iterated(np.broadcast_to(_STIFF, (len(dt), AXES)), 2 * PASSES)
         for local in (False, True):
             density = learn_density(*chain.measurement, chain.links, density, local)
-            chain = chain.settled(density, PASSES)
+            chain = chain.iterated(density, PASSES)
         assert density is not None
         attempts.append((chain.likelihood(density), chain, density))
     _, chain, density = max(attempts, key=lambda a: a[0])
     if strength != 1.0:
         density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)
-    chain = chain.settled(density, PASSES)
+    chain = chain.iterated(density, PASSES)
     _, covariance = smooth_chain(*chain.measurement, chain.links, density)
-    to_left = _left_from_axes(chain.rotation, chain.translation, centre)
+    p, _ = _position(chain.rotation, chain.translation, centre)
+    to_left = np.zeros((len(p), 6, 6))  # from a step in this module's axes to the left perturbation of the pose
+    to_left[:, :3, :3] = np.eye(3)
+    to_left[:, 3:, :3] = skew(p)
+    to_left[:, 3:, 3:] = _position_jacobian(p)
     covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
     middle = np.array([np.median(density[:, list(group)]) for group in GROUPS]) if len(dt) else np.zeros(len(GROUPS))
     return Smoothed(chain.rotation, chain.translation, covariance, middle)
@@ -76,7 +237,7 @@ class _Chain:
         self.measurement = _measurement(rotation, translation, seen, centre)
         self.links = _links(rotation, translation, centre, dt)
 
-    def settled(self, density: np.ndarray, passes: int) -> _Chain:
+    def iterated(self, density: np.ndarray, passes: int) -> _Chain:
         """Smoothed and linearised anew, up to `passes` times."""
         chain = self
         for _ in range(passes):
@@ -85,7 +246,7 @@ class _Chain:
             # linearisation holds for about .3 rad: a frame that wants more gets there in several passes
             size = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
             step = step * np.minimum(1.0, 0.3 / np.maximum(size, 1e-12))
-            chain = _Chain(*_moved(chain.rotation, chain.translation, step, self.centre), self.seen, self.dt, self.centre)
+            chain = _Chain(*_apply_step(chain.rotation, chain.translation, step, self.centre), self.seen, self.dt, self.centre)
             if np.abs(step).max() < 1e-6:  # rad, or shares of the distance: a thousandth of a pixel
                 break
         return chain
@@ -105,14 +266,14 @@ class _Chain:
         return float(evidence(*self.measurement, self.links, density[None])[0] - cost.sum())
 
 
-def _place(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _position(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre in camera coordinates (n, 3) and as x/z, y/z, ln z."""
     p = rotation @ centre + translation
     z = np.maximum(p[:, 2], 1e-4)
     return p, np.stack([p[:, 0] / z, p[:, 1] / z, np.log(z)], -1)
 
 
-def _place_jacobian(p: np.ndarray) -> np.ndarray:
+def _position_jacobian(p: np.ndarray) -> np.ndarray:
     """(n, 3, 3) of the camera point with respect to x/z, y/z, ln z."""
     out = np.zeros((len(p), 3, 3))
     out[:, 0, 0] = out[:, 1, 1] = p[:, 2]
@@ -120,21 +281,13 @@ def _place_jacobian(p: np.ndarray) -> np.ndarray:
     return out
 
 
-def _left_from_axes(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """(n, 6, 6) from a step in this module's axes to the left perturbation of the pose."""
-    p, _ = _place(rotation, translation, centre)
-    out = np.zeros((len(p), 6, 6))
-    out[:, :3, :3] = np.eye(3)
-    out[:, 3:, :3] = skew(p)
-    out[:, 3:, 3:] = _place_jacobian(p)
-    return out
-
-
-def _moved(rotation: np.ndarray, translation: np.ndarray, step: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    _, place = _place(rotation, translation, centre)
-    place = place + step[:, 3:]
-    z = np.exp(place[:, 2])
-    p = np.stack([place[:, 0] * z, place[:, 1] * z, z], -1)
+def _apply_step(
+    rotation: np.ndarray, translation: np.ndarray, step: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    _, position = _position(rotation, translation, centre)
+    position = position + step[:, 3:]
+    z = np.exp(position[:, 2])
+    p = np.stack([position[:, 0] * z, position[:, 1] * z, z], -1)
     turned = rotation_from_rotvec(step[:, :3]) @ rotation
     return turned, p - turned @ centre
 
@@ -143,10 +296,10 @@ def _measurement(
     rotation: np.ndarray, translation: np.ndarray, seen: Observed, centre: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information (n, 6, 6) and right-hand side (n, 6) of the corners, linearised here."""
-    p, _ = _place(rotation, translation, centre)
+    p, _ = _position(rotation, translation, centre)
     arm = np.einsum("nij,npj->npi", rotation, seen.points_m - centre)
     view = seen.px_per_ideal @ view_jacobian(arm + p[:, None])
-    j = np.concatenate([view @ -skew(arm), view @ _place_jacobian(p)[:, None]], -1)
+    j = np.concatenate([view @ -skew(arm), view @ _position_jacobian(p)[:, None]], -1)
     r = residuals(rotation, translation, seen)
     _, factor = huber_cost(r, seen.weight)
     jw = j * (seen.weight * factor)[..., None, None]
@@ -156,7 +309,7 @@ def _measurement(
 def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt: np.ndarray) -> Links:
     """Constant velocity between frames: Log(R_k+1 R_k^T) and the place's difference, minus dt times the velocity."""
     n = len(dt)
-    _, place = _place(rotation, translation, centre)
+    _, position = _position(rotation, translation, centre)
     turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
     bend = skew(turn) / 2  # inverse Jacobians of SO(3), left and right, to second order in the turn between frames
     before, after = np.zeros((n, 12, 12)), np.zeros((n, 12, 12))
@@ -169,16 +322,16 @@ def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt
     after[:, i + 6, i + 6] = 1
     before[:, i + 6, i + 6] = -1
     offset = np.zeros((n, 12))
-    offset[:, :3], offset[:, 3:6] = turn, np.diff(place, axis=0)
-    return link(before, after, offset, dt, _shake((place[1:] + place[:-1]) / 2))
+    offset[:, :3], offset[:, 3:6] = turn, np.diff(position, axis=0)
+    return link(before, after, offset, dt, _shake((position[1:] + position[:-1]) / 2))
 
 
-def _shake(place: np.ndarray) -> np.ndarray:
+def _shake(position: np.ndarray) -> np.ndarray:
     """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at place (n, 3).
 
     The hand that holds a camera turns it far more than it carries it: the marker turns and moves, both at once.
     """
-    x, y, axes = place[:, 0], place[:, 1], np.zeros((len(place), 6, 2))
+    x, y, axes = position[:, 0], position[:, 1], np.zeros((len(position), 6, 2))
     axes[:, 0, 0] = axes[:, 1, 1] = 1
     axes[:, 3] = np.stack([-x * y, 1 + x * x], -1)
     axes[:, 4] = np.stack([-1 - y * y, x * y], -1)

@@ -1,21 +1,133 @@
-"""Where in each frame the model can be seen, and how much its place in the picture trembles."""
+"""When the object is there: measured frames, bridged gaps, absence and the fades at its ends; where a new shot begins; where in
+each frame the model can be seen, and how much its position in the picture jitters.
+
+Source: docs/methods/pose.md#presence.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
-from arfx.analyse.fold import Analysis, Fold
+from arfx.analyse.fold import Analysis, Fold, Stateful
 from arfx.core.camera import Camera
-from arfx.core.facts import FrameFacts
-from arfx.core.numerics import EPS_DEPTH_M
+from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
+from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 
+MIN_FRAMES = 3
+THUMBNAIL = (32, 18)
+DISSIMILAR = 0.45  # 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie around 1
+_STANDS_OUT = 3.0
+_CALM = 0.6  # of a cut's dissimilarity: on one side of it at least, frames follow each other with less
 _AT_ONCE = 1 << 13  # points that are projected at a time: they stay in the cache
 _HULL_POINTS = 400  # above this many vertices their convex hull is taken once: it projects to the same box
+
+
+def visible_intervals(measured: np.ndarray, shot: np.ndarray, times_s: np.ndarray, max_gap_s: float) -> list[tuple[int, int]]:
+    """Half-open ranges of frames in which the object is present: from one measured frame to another of the same shot,
+    with no gap between two measured frames longer than max_gap_s beyond the clip's own frame distance."""
+    out: list[tuple[int, int]] = []
+    for k in np.flatnonzero(measured).tolist():
+        last = out[-1][1] - 1 if out else k
+        bridged = bool(out) and shot[last] == shot[k] and (k == last + 1 or times_s[k] - times_s[last] <= max_gap_s)
+        first = out.pop()[0] if bridged else k
+        out.append((first, k + 1))
+    return out
+
+
+def without_flickers(present: Sequence[tuple[int, int]], measured: np.ndarray, shot: np.ndarray) -> list[tuple[int, int]]:
+    """The intervals without flickers: fewer than MIN_FRAMES measured frames with absence of the same shot on both sides.
+
+    A square of texture that is misread as a marker lasts for a frame or two; an object that appears for as long would
+    only flash.
+    """
+    n = len(measured)
+    return [
+        (a, b) for a, b in present
+        if not (a > 0 and b < n and shot[a - 1] == shot[a] and shot[b] == shot[b - 1]) or measured[a:b].sum() >= MIN_FRAMES
+    ]  # fmt: skip
+
+
+def frame_statuses(measured: np.ndarray, present: Sequence[tuple[int, int]]) -> list[str]:
+    """Status of every frame."""
+    out = [ABSENT] * len(measured)
+    for first, end in present:
+        out[first:end] = [MEASURED if measured[k] else INTERPOLATED for k in range(first, end)]
+    return out
+
+
+def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray, fade_frames: int) -> np.ndarray:
+    """(n,) 0..1: 1 inside a stretch, ramping over its first and last frames where an absence follows in the same shot.
+
+    At the ends of the clip and at cuts the object is there at once: nothing was absent before.
+    """
+    n = len(shot)
+    out = np.zeros(n)
+    for first, end in present:
+        k = np.arange(first, end)
+        out[k] = 1
+        if first > 0 and shot[first - 1] == shot[first]:
+            out[k] = np.minimum(out[k], (k - first + 1) / (fade_frames + 1))
+        if end < n and shot[end] == shot[end - 1]:
+            out[k] = np.minimum(out[k], (end - k) / (fade_frames + 1))
+    return out
+
+
+class ShotDetector(Stateful):
+    """Unlikeness of successive frames, 0 (same up to brightness and contrast) to 2."""
+
+    def __init__(self) -> None:
+        self._last: list[np.ndarray] = []
+
+    def step(self, luma: np.ndarray) -> tuple[float, float]:
+        """To the frame before, and to the one before that; 0 where there is none. luma : (h, w) uint8."""
+        step = max(1, min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0])))
+        thin = np.ascontiguousarray(luma[::step, ::step])
+        thumb = cv2.resize(thin, THUMBNAIL, interpolation=cv2.INTER_AREA)
+        first, second = [*(dissimilarity(thumb, old) for old in reversed(self._last)), 0.0, 0.0][:2]
+        self._last = [*self._last, thumb][-2:]
+        return first, second
+
+
+def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
+    """1 - correlation of two pictures of one size; flat pictures are compared by their level alone."""
+    x, y = a.ravel().astype(float), b.ravel().astype(float)
+    level_x, level_y = float(x.mean()), float(y.mean())
+    x -= level_x
+    y -= level_y
+    sx, sy = math.sqrt(x @ x / x.size), math.sqrt(y @ y / y.size)
+    if sx < 2.0 or sy < 2.0:  # less contrast than noise: no structure to compare
+        return 0.0 if sx < 2.0 and sy < 2.0 and abs(level_x - level_y) < 20 else float(sx > 8.0 or sy > 8.0)
+    return 1.0 - float(divide(x @ y / x.size, sx * sy))
+
+
+def find_cuts(before: Sequence[float], before_last: Sequence[float], followed: Sequence[bool]) -> list[int]:
+    """Frames that begin a new shot.
+
+    before, before_last : ShotDetector of every frame;  followed : a marker moved on smoothly from the frame before
+    """
+    cuts = []
+    n = len(before)
+    for k in range(1, n):
+        if before[k] < DISSIMILAR or followed[k]:
+            continue
+        # the next frame is like the last one, a flash or one broken frame; or back from such a frame
+        if any(before_last[i] < DISSIMILAR / 2 for i in (k, k + 1) if 2 <= i < n):
+            continue
+        near = [before[i] for i in range(max(1, k - 4), min(n, k + 5)) if i != k]
+        if near and before[k] < _STANDS_OUT * float(np.median(near)):
+            continue
+        beside = [before[i] for i in (k - 1, k + 1) if 1 <= i < n]
+        if beside and min(beside) > _CALM * before[k]:
+            continue  # the midst of a quick move
+        cuts.append(k)
+    return cuts
 
 
 class ModelBox(Fold):
@@ -36,20 +148,16 @@ def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, .
     """
     points = _outline(scene.model_points_m)
     seen = [f for f in facts if f.camera_from_world is not None]
-    places: list[tuple[Rect, tuple[float, float]]] = []
+    regions: list[tuple[Rect, tuple[float, float]]] = []
     step = max(_AT_ONCE // len(points), 1)
     for start in range(0, len(seen), step):
-        places += _seen_boxes(_seen_from([f.camera_from_world for f in seen[start : start + step]], points), scene.camera)
-    found = iter(places)
-    nowhere = (EMPTY, (0.0, 0.0))
-    out = []
-    for f in facts:
-        box, depth = nowhere if f.camera_from_world is None else next(found)
-        out.append(f.with_(model_box=box, depth_range_m=depth))
-    return tuple(out)
+        regions += _seen_boxes(_seen_from([f.camera_from_world for f in seen[start : start + step]], points), scene.camera)
+    found = iter(regions)
+    pairs = [(f, *((EMPTY, (0.0, 0.0)) if f.camera_from_world is None else next(found))) for f in facts]
+    return tuple(f.with_(model_box=box, depth_range_m=depth) for f, box, depth in pairs)
 
 
-def trembling_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> tuple[np.ndarray, np.ndarray]:
+def jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> tuple[np.ndarray, np.ndarray]:
     """(frames,) root mean square, px, of the second difference over three successive frames of points' place in the picture,
     and the same of their place relative to the centre of the markers as measured: there the footage's own motion, which the
     object has to follow, is taken out.
@@ -60,20 +168,21 @@ def trembling_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Came
     """
     posed = [f for f in facts if f.camera_from_world is not None and f.raw_camera_from_world is not None]
     projected = camera.project(_seen_from([f.raw_camera_from_world if raw else f.camera_from_world for f in posed], points_m))
-    place = dict(zip((f.index for f in posed), projected, strict=True))
+    position = dict(zip((f.index for f in posed), projected, strict=True))
     moved, relative = np.full((2, len(facts)), np.nan)
     for k, three in enumerate(zip(facts, facts[1:], facts[2:], strict=False), 1):
         a, b, c = three
-        if any(f.index not in place or f.shot != a.shot for f in three):
+        if any(f.index not in position or f.shot != a.shot for f in three):
             continue
         first, second = b.time_s - a.time_s, c.time_s - b.time_s
         if abs(first - second) > 0.2 * max(first, second):
             continue
-        bend = place[a.index] - 2 * place[b.index] + place[c.index]
+        bend = position[a.index] - 2 * position[b.index] + position[c.index]
         keys = set.intersection(*({m.key for m in f.markers} for f in three))
         if not np.isfinite(bend).any() or not keys:
             continue
-        centre = [_centre(f, keys) for f in three]
+        corners = [[m.corners_px for m in f.markers if m.key in keys] for f in three]
+        centre = [np.sum(c, axis=(0, 1)) / (4 * len(c)) for c in corners]
         moved[k], relative[k] = _rms(bend), _rms(bend - (centre[0] - 2 * centre[1] + centre[2]))
     return moved, relative
 
@@ -81,11 +190,6 @@ def trembling_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Came
 def _rms(offsets_px: np.ndarray) -> float:
     """Of the lengths of offsets (n, 2), those that are not known left out."""
     return float(np.sqrt(2 * np.nanmean(offsets_px * offsets_px)))
-
-
-def _centre(f: FrameFacts, keys: set[str]) -> np.ndarray:
-    corners = [m.corners_px for m in f.markers if m.key in keys]
-    return np.sum(corners, axis=(0, 1)) / (4 * len(corners))
 
 
 def _seen_from(poses: Sequence[Pose | None], points_m: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import Record, Seen, dictionary
+from arfx.analyse.markers.detect import Detection, Record, dictionary
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_from_rotvec
@@ -41,7 +41,7 @@ def records(
             noise = rng.normal(0, noise_px, (4, 2)) if noise_px else np.zeros((4, 2))
             if px is not None and visible(k, m):
                 sigma = max(claimed_px if claimed_px is not None else noise_px, 0.01)
-                seen.append(Seen(m.key, px + noise, sigma, 0.8, False))
+                seen.append(Detection(m.key, px + noise, sigma, 0.8, False))
         out.append(Record(k, float(t), tuple(seen), (), False, (0.0, 0.0)))
     return out
 

@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.calibrate.advice import GOOD, LIMITS, POOR, USABLE, judge
+from arfx.calibrate.advice import GOOD, LIMITS, POOR, USABLE, coverage, judge, projection_uncertainty_px
 from arfx.calibrate.board import BoardSpec
 from arfx.calibrate.calibration import Calibration, Found, calibrate, find_board
 from arfx.calibrate.corners import View
-from arfx.calibrate.coverage import coverage, projection_uncertainty_px
 from arfx.calibrate.document import document, file_extras, summary
 from arfx.calibrate.plots import write_plots
 from arfx.calibrate.solve import FIRST_MODEL, fit, uncertainty
@@ -89,7 +88,7 @@ def test_projection_uncertainty_is_the_spread_of_projections() -> None:
     """At the picture's border, with a turn of the camera allowed for, over repetitions."""
     grids, stated = [], []
     truth = fit(views(12, noise_px=0.0), FIRST_MODEL)
-    from arfx.calibrate.coverage import projection_jacobian
+    from arfx.calibrate.advice import projection_jacobian
 
     j = projection_jacobian(truth)
     for seed in range(40):
@@ -190,7 +189,7 @@ def test_no_board_says_what_is_there_instead() -> None:
 
 def test_the_other_charuco_pattern_is_tried_and_told() -> None:
     old = BoardSpec.parse("charuco:9x6:25mm:18mm:5X5_100:legacy")
-    got = find_board([("a", flat(old)), ("b", flat(old))], old.other_pattern())
+    got = find_board([("a", flat(old)), ("b", flat(old))], replace(old, legacy=not old.legacy))
     assert got.spec == old
     assert len(got.views) == 2
     assert "legacy pattern" in got.notices[0]

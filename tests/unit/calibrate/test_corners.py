@@ -32,7 +32,7 @@ def test_a_window_that_reaches_the_next_corner_is_worse(monkeypatch: pytest.Monk
     pose = poses(3, tilt_deg=(60, 60))[1]
     picture, truth = render(CHESS, pose), projected(CHESS, pose)
     own = find_view(picture, CHESS, "a")
-    monkeypatch.setattr(corners, "REFINE_SHARE", 0.8)
+    monkeypatch.setattr(corners, "REFINE_FRACTION", 0.8)
     wide = find_view(picture, CHESS, "a")
     assert own is not None
     assert wide is not None
@@ -44,7 +44,7 @@ def test_nor_may_it_reach_the_markers(monkeypatch: pytest.MonkeyPatch) -> None:
     pose = poses(8)[4]
     picture = render(CHARUCO, pose)
     own = find_view(picture, CHARUCO, "a")
-    monkeypatch.setattr(corners, "CLEAR_SHARE", 2.0)
+    monkeypatch.setattr(corners, "CLEAR_FRACTION", 2.0)
     wide = find_view(picture, CHARUCO, "a")
     assert own is not None
     assert wide is not None

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.calibrate.screen import drop_copies, drop_corners, reject_views, rejection_limit_px
-from arfx.calibrate.select import sharpest_of_each, varied
+from arfx.calibrate.screen import drop_copies, drop_corners, most_varied, reject_views, rejection_limit_px, sharpest_of_each
 from arfx.core.camera import Camera
 from tests.unit.calibrate.boards import CHESS, SIZE, TRUE, names, poses, render, view, views
 
@@ -71,10 +70,10 @@ def test_of_a_video_the_varied_sharp_views_are_kept() -> None:
     near = [replace(views(1, seed=k)[0], name=f"same{k}") for k in range(30)]
     blurred = [replace(v, name="blurred", sharpness=0.1) for v in views(3)]
     different = [replace(v, name=f"different{i}") for i, v in enumerate(views(6)[1:])]
-    kept = varied([*near[:15], *different, *blurred, *near[15:]], 6)
+    kept = most_varied([*near[:15], *different, *blurred, *near[15:]], 6)
     assert sorted(n for n in names(kept) if n.startswith("different")) == [f"different{i}" for i in range(5)]
     assert "blurred" not in names(kept)
-    assert varied(near[:4], 6) == near[:4]
+    assert most_varied(near[:4], 6) == near[:4]
 
 
 def test_of_each_stretch_of_frames_the_sharpest_is_searched() -> None:

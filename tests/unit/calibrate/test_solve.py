@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.calibrate.evidence import choose_model, one_to_one
-from arfx.calibrate.solve import FIRST_MODEL, MODELS, fit, jacobians, pose_residual, rms, uncertainty, without_pose
+from arfx.calibrate.solve import (
+    FIRST_MODEL,
+    MODELS,
+    choose_model,
+    fit,
+    jacobians,
+    one_to_one,
+    pose_residual,
+    rms,
+    uncertainty,
+    without_pose,
+)
 from arfx.core.camera import Camera
 from arfx.errors import NothingToDoError
 from tests.unit.calibrate.boards import SIZE, TRUE, poses, view, views

@@ -24,7 +24,7 @@ from tests.unit.analyse.light.test_fold import run as corrected
 def run(clip: Clip, **settings: Any) -> Analysis:
     analysis, taken = clip.made()
     fold = PrintedLight(AnalysisJob((MARKER,), clip_camera(), light=PrintedLightParams(**settings)), *[None] * 2)  # type: ignore
-    fold.readings, fold.looks = taken.readings, taken.looks
+    fold.readings, fold._surroundings.samples = taken.readings, taken.samples
     return fold.finish(analysis)
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.motion.advection import with_anchors
+from arfx.analyse.motion.advection import with_advection
 from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.core.advection import AdvectionField, packed_detail, packed_places
 from arfx.core.facts import FrameFacts
@@ -298,7 +298,7 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
     for k, frame in enumerate(frames):
         motion.step(k, np.clip(255 * frame.mean(-1), 0, 255).astype(np.uint8))
     given = [FrameFacts(k, k / 30, advection=fact_of(nodes, nodes.u + step * k, nodes.v)) for k in range(4)]
-    measured = with_anchors([FrameFacts(k, k / 30) for k in range(4)], motion.steps, camera(*size), Pose.identity(), 0.0)
+    measured = with_advection([FrameFacts(k, k / 30) for k in range(4)], motion.steps, camera(*size), Pose.identity(), 0.0)
     ours, error = WatercolorParams(grain=0, dry_brush=0), []
     for stage, seen in ((PrintedWatercolor(), given), (Watercolor(ours), given), (Watercolor(ours), measured)):
         ready = ReadyStage.of(stage, SCENE, "standard")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.depth.planes import cloud_of, find_planes
-from arfx.analyse.depth.scene_planes import facing_up, mesh_of, scene_planes
+from arfx.analyse.depth.planes import cloud_of, facing_up, find_planes, mask_of, scene_planes
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
@@ -89,24 +88,19 @@ def test_the_search_is_the_same_each_time() -> None:
 
 
 def test_planes_of_several_maps_are_one_and_the_floor_is_to_stand_on() -> None:
-    """Seen from two places, a wall first by its size: what faces up is the floor."""
+    """Detection from two places, a wall first by its size: what faces up is the floor."""
     turned = rotation_from_euler_deg(0, 12, 0) @ POSE.rotation
     poses = [POSE, Pose(turned, turned @ -np.array([0.3, 0.2, 1.5]))]
     planes = scene_planes([(room(p, 0.001, 0.3, seed=k), p) for k, p in enumerate(poses)], CAMERA)
     assert len(planes) == 3 and all(p.frames == 2 for p in planes)
     best = facing_up(planes, poses)
     assert len(best) == 1
-    plane, mesh = best[0].meshed()
+    plane = best[0].real_plane()
     stands = plane.world_from_plane
     assert abs(stands.translation_m[2]) < 0.004 and stands.rotation[2, 2] > 0.9999
     assert np.linalg.det(stands.rotation) == pytest.approx(1) and plane.residual_mm < 10
     seen = CAMERA.project(POSE.apply(stands.translation_m))
     assert 0 < seen[0] < CAMERA.width and 0 < seen[1] < CAMERA.height
-    vertices, faces = mesh.triangles()
-    assert np.isfinite(vertices).all() and faces.max() == len(vertices) - 1 and (vertices[:, 2] == 0).all()
-    e = vertices[faces]
-    assert (np.cross(e[:, 1] - e[:, 0], e[:, 2] - e[:, 0])[:, 2] > 0).all()
-    assert 0.5 * np.cross(e[:, 1] - e[:, 0], e[:, 2] - e[:, 0])[:, 2].sum() == pytest.approx(plane.area_m2)
     x0, y0, x1, y1 = plane.extent_m
     assert x0 < 0 < x1 and y0 < 0 < y1
 
@@ -118,18 +112,18 @@ def test_a_wall_alone_is_nothing_to_stand_on() -> None:
     assert planes and not facing_up(planes, [level])
 
 
-def test_mesh_closes_holes_and_keeps_the_gap_of_a_corridor() -> None:
+def test_mask_closes_holes_and_keeps_the_gap_of_a_corridor() -> None:
     rng = np.random.default_rng(1)
-    places = rng.uniform([-1, -1], [1, 1], (9000, 2))
-    places = places[~((np.abs(places[:, 0]) < 0.25) & (places[:, 1] > -0.5))]
-    mesh = mesh_of(places, np.full(len(places), 0.025))
-    assert mesh.area_m2 == pytest.approx(4 - 0.5 * 1.5, rel=0.05)
-    assert abs(mesh.middle_m[0]) > 0.25 or mesh.middle_m[1] < -0.5
+    positions = rng.uniform([-1, -1], [1, 1], (9000, 2))
+    positions = positions[~((np.abs(positions[:, 0]) < 0.25) & (positions[:, 1] > -0.5))]
+    mask = mask_of(positions, np.full(len(positions), 0.025))
+    assert mask.area_m2 == pytest.approx(4 - 0.5 * 1.5, rel=0.05)
+    assert abs(mask.middle_m[0]) > 0.25 or mask.middle_m[1] < -0.5
 
 
 def test_a_table_ends_and_the_floor_goes_on_beyond_the_picture() -> None:
     """The table's four sides are in the picture; the floor ends at the walls and is cut by the picture's lower border."""
-    planes = [p.meshed()[0] for p in scene_planes([(room(noise=0.001, table=True), POSE)], CAMERA)]
+    planes = [p.real_plane() for p in scene_planes([(room(noise=0.001, table=True), POSE)], CAMERA)]
     level = sorted(
         (p for p in planes if p.world_from_plane.rotation[2, 2] > 0.95), key=lambda p: p.world_from_plane.translation_m[2]
     )

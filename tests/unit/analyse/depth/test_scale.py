@@ -42,9 +42,9 @@ def test_one_factor_is_found(half: bool) -> None:
 
 
 def test_frames_with_a_hand_over_the_marker_do_not_move_it() -> None:
-    some = ratios([1.0] * 7)
-    some[2] = some[2] * 1.7
-    found = depth_scale(some)
+    sparse = ratios([1.0] * 7)
+    sparse[2] = sparse[2] * 1.7
+    found = depth_scale(sparse)
     assert found.known and found.scale == pytest.approx(1.0, rel=0.01)
 
 

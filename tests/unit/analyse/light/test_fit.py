@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.light.explain import Params
-from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, fit
+from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, Params, fit
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SWITCHED, fit_over_time, switches
 from arfx.core.numerics import angle_between, normalise

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.light.fold import LightOfMarkers, Reading, _certain_bias, lighted
+from arfx.analyse.light.fold import LightOfMarkers, Reading, _certain_bias, with_light
 from arfx.analyse.light.patches import WHITE, Patches
-from arfx.analyse.light.surroundings import Look
-from arfx.analyse.markers.detect import Seen
+from arfx.analyse.light.surroundings import EnvironmentSample
+from arfx.analyse.markers.detect import Detection
 from arfx.analyse.params import LightParams, parse_light
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
@@ -34,7 +34,7 @@ class Meter:
     """What the fold has taken."""
 
     readings: list[Reading] = field(default_factory=list)
-    looks: list[Look] = field(default_factory=list)
+    samples: list[EnvironmentSample] = field(default_factory=list)
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Clip:
             if k % 10 == 0:
                 cube = np.full((6, 6, 6, 3), 0.2)
                 cube[0] = 0.9  # bright to the right
-                meter.looks.append(Look(k, cube, np.full(3, 0.3)))
+                meter.samples.append(EnvironmentSample(k, cube, np.full(3, 0.3)))
         return Analysis(tuple(facts), {KEY: Pose.identity()}, self.static, anchor=MARKER), meter
 
     def exact(self, k: int, facts: FrameFacts, normal_world: np.ndarray) -> np.ndarray:
@@ -80,7 +80,7 @@ class Clip:
 
 def run(clip: Clip, params: LightParams | None = None, panorama: np.ndarray | None = None) -> Analysis:
     analysis, meter = clip.made()
-    return lighted(analysis, meter.readings, meter.looks, params or LightParams(), panorama)
+    return with_light(analysis, meter.readings, meter.samples, params or LightParams(), panorama)
 
 
 UP = np.array([0.0, 0, 1])
@@ -136,7 +136,7 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
     for k, key, patches in meter.readings[10:15]:
         patches.mean[[0, 2, 4, 6]] = 0.4 * (patches.mean[[0, 2, 4, 6]] - 0.004) + 0.004  # the left half
         assert key == KEY and k in range(10, 15)
-    done = lighted(analysis, meter.readings, meter.looks, LightParams())
+    done = with_light(analysis, meter.readings, meter.samples, LightParams())
     assert done.summary["light"]["verdict"] == "measured" and done.summary["light"]["frames_shaded"] == 5
     shadow = done.facts[12].plane_shadow
     assert (
@@ -150,7 +150,7 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
 def test_nothing_that_rests_means_no_direction() -> None:
     clip = Clip()
     analysis, meter = clip.made()
-    moving = lighted(replace(analysis, static="both"), meter.readings, meter.looks, LightParams())
+    moving = with_light(replace(analysis, static="both"), meter.readings, meter.samples, LightParams())
     assert moving.summary["light"]["verdict"] == "refused" and "both move" in moving.summary["light"]["reason"]
 
 
@@ -198,9 +198,9 @@ def test_a_stated_colour_is_kept_and_the_rest_is_ambient() -> None:
 
 
 def test_a_panorama_gives_its_lamp_and_its_sky() -> None:
-    sky = np.full((64, 128, 3), 0.2)
-    sky[14:18, 30:34] = 60.0  # elevation 45 degrees, azimuth 90: 32 of 128 columns from the left is +y
-    done = run(Clip(static="marker"), LightParams(), sky)
+    dome = np.full((64, 128, 3), 0.2)
+    dome[14:18, 30:34] = 60.0  # elevation 45 degrees, azimuth 90: 32 of 128 columns from the left is +y
+    done = run(Clip(static="marker"), LightParams(), dome)
     light = done.facts[0].light
     assert light is not None and light.source == "environment file" and len(light.lights) == 1
     assert np.degrees(angle_between(light.lights[0].unit, np.array([0, 1, 1.0]))) < 2
@@ -209,7 +209,7 @@ def test_a_panorama_gives_its_lamp_and_its_sky() -> None:
 
 def test_no_reading_at_all_still_gives_a_light() -> None:
     analysis, _ = Clip(frames=5).made()
-    done = lighted(analysis, (), (), LightParams())
+    done = with_light(analysis, (), (), LightParams())
     report = done.summary["light"]
     assert report["verdict"] == "refused" and report["source"] == "ambient" and done.facts[0].light is not None
     json.dumps(report, allow_nan=False)
@@ -219,7 +219,7 @@ def test_a_black_clip_is_finite() -> None:
     analysis, meter = Clip(frames=8).made()
     black = [(k, key, Patches(p.mean * 0, p.variance, p.count, p.clipped + 1)) for k, key, p in meter.readings]
     meter.readings = black
-    done = lighted(analysis, meter.readings, meter.looks, LightParams())
+    done = with_light(analysis, meter.readings, meter.samples, LightParams())
     for f in done.facts:
         assert f.light is not None and np.isfinite(f.light.radiance(UP)).all()
     json.dumps(done.summary["light"], allow_nan=False)
@@ -239,12 +239,12 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
         def reduced(self, width: int) -> np.ndarray:
             return self.linear(self.rect)
 
-    seen = [Seen(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)]
-    markers: Any = SimpleNamespace(seen=seen)
+    seen = [Detection(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)]
+    markers: Any = SimpleNamespace(detections=seen)
     whole = LightOfMarkers(AnalysisJob((MARKER,), clip_camera()), markers, markers)
     for k in range(6):
         whole.step(AnalysisFrame(k, k * 0.3, np.zeros((48, 64), np.uint8), Grey()))
-    assert len(whole.readings) == 6 and len(whole.looks) == 3  # looks every .5 s
+    assert len(whole.readings) == 6 and len(whole.samples) == 3  # looks every .5 s
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import STEADY, STEP, STRAY, UNKNOWN, Observation, add, changes, wait
+from arfx.analyse.light.light_map import OUTLIER, STEADY, STEP, UNKNOWN, Observation, add, changes, wait
 from arfx.papers.s1_light import LightMap as PrintedMap
 from arfx.papers.s1_light import eq8_weight
 
@@ -148,7 +148,7 @@ def test_light_switched_off_and_on_is_cut_at_its_frames(low: float, high: float)
     truth = np.array([high] * 20 + [low] * 25 + [high] * 17)
     seen = clip(truth.tolist(), 0.003)
     kinds = changes(seen)
-    assert np.flatnonzero(kinds == STEP).tolist() == [20, 45] and not (kinds == STRAY).any()
+    assert np.flatnonzero(kinds == STEP).tolist() == [20, 45] and not (kinds == OUTLIER).any()
 
 
 def test_one_frame_that_disagrees_is_left_out() -> None:
@@ -157,7 +157,7 @@ def test_one_frame_that_disagrees_is_left_out() -> None:
     values[12] = 0.9  # a flash, or a misread marker
     seen = clip(values, 0.002)
     kinds = changes(seen)
-    assert np.flatnonzero(kinds).tolist() == [12] and kinds[12] == STRAY
+    assert np.flatnonzero(kinds).tolist() == [12] and kinds[12] == OUTLIER
 
 
 def test_slow_change_is_no_step() -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light import over_time
-from arfx.analyse.light.explain import Params
-from arfx.analyse.light.fit import MEASURED, REFUSED, FittedLight, LightFit
+from arfx.analyse.light.fit import MEASURED, REFUSED, FittedLight, LightFit, Params
 from arfx.analyse.light.over_time import SHARED, drift, fit_over_time, gains, matched
 from arfx.core.light import harmonics
 from arfx.core.numerics import normalise

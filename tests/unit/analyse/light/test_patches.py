@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.light.patches import WHITE, Patches, cells, place, reduced, stack
+from arfx.analyse.light.patches import WHITE, Patches, cells, place_samples, reduced, stack
 from arfx.analyse.markers.detect import MarkerDetector
 from arfx.core.colour import SRGB
 
@@ -19,9 +19,9 @@ QUAD = np.array([[70.3, 52.1], [331.7, 75.4], [318.2, 329.9], [48.6, 301.5]])
 def measure(
     linear: np.ndarray, origin: tuple[int, int], quad: np.ndarray, cells: np.ndarray, inverted: bool = False, blur_px: float = 0.7
 ) -> Patches:
-    spots = place(np.asarray(quad, float) - origin, cells, inverted, blur_px, (linear.shape[0], linear.shape[1]))
-    x, y = spots.pixels().T
-    return reduced(linear[y, x], spots)
+    points = place_samples(np.asarray(quad, float) - origin, cells, inverted, blur_px, (linear.shape[0], linear.shape[1]))
+    x, y = points.pixels().T
+    return reduced(linear[y, x], points)
 
 
 def rendered(

@@ -263,13 +263,13 @@ def test_time_is_linear_in_frames(formula: str) -> None:
     assert seconds(10_000) < 25 * seconds(1000)  # quadratic: 100 times
 
 
-@pytest.mark.parametrize(("spoilt", "kept", "of_ink"), [(0, 30, False), (3, 27, False), (12, 30, True)])
-def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(spoilt: int, kept: int, of_ink: bool) -> None:
+@pytest.mark.parametrize(("overexposed", "kept", "of_ink"), [(0, 30, False), (3, 27, False), (12, 30, True)])
+def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(overexposed: int, kept: int, of_ink: bool) -> None:
     """The ink is .06 in truth: read from it, all light is 1.2 times as much, but of one scale."""
     grey, y = clip(30, rho=np.where(WHITE, PAPER, 0.06), bias=0.0, noise=1e-5)
     clipped = np.zeros(grey.shape[:2])
-    clipped[:spoilt, WHITE] = 1.0
-    grey[:spoilt, WHITE] = np.nan
+    clipped[:overexposed, WHITE] = 1.0
+    grey[:overexposed, WHITE] = np.nan
     variance = np.full(grey.shape, 1e-10)
     p = solve(grey, variance, WHITE, clipped=clipped)
     light, _own, fit = comparable(p, grey, variance, WHITE, clipped)

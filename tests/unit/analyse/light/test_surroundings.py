@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light.surroundings import (
-    Look,
+    EnvironmentSample,
+    environment_sample,
     face_directions,
     fold,
     from_panorama,
-    look,
-    mip_chain,
     soft_of,
     solid_angles,
     turned,
@@ -93,8 +92,8 @@ def test_the_papers_fold_has_a_seam_and_the_corrected_one_none() -> None:
     assert largest_step(fold(picture, 12)) < 0.16
     assert np.abs(fold(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
     quad = np.array([[100.0, 80], [140, 80], [140, 120], [100, 120]])
-    printed, corrected = (largest_step(look(0, picture, quad, folded).cube) for folded in (step3_environment, fold))
-    assert printed > 0.3 and corrected < 0.3 and look(0, picture, quad).cube.shape == (6, 6, 6, 3)
+    printed, corrected = (largest_step(environment_sample(0, picture, quad, folded).cube) for folded in (step3_environment, fold))
+    assert printed > 0.3 and corrected < 0.3 and environment_sample(0, picture, quad).cube.shape == (6, 6, 6, 3)
 
 
 def test_the_corrected_fold_keeps_sides_where_they_are() -> None:
@@ -106,14 +105,6 @@ def test_the_corrected_fold_keeps_sides_where_they_are() -> None:
     assert right[0] > 0.9 > 0.1 > left[0] and down[1] > 0.9 > 0.1 > up[1]
     ahead, behind = (look_up(faces, np.array([[0, 0, z]], float))[0] for z in (1, -1))
     np.testing.assert_allclose(ahead, behind, atol=1e-6)
-
-
-def test_means_of_a_cube_keep_its_light() -> None:
-    faces = np.random.default_rng(0).random((6, 16, 16, 3))
-    chain = mip_chain(faces)
-    assert [c.shape[1] for c in chain] == [16, 8, 4, 2, 1]
-    for c in chain:
-        np.testing.assert_allclose(c.mean((1, 2)), faces.mean((1, 2)))
 
 
 @pytest.mark.parametrize("angles", [(0, 0, 0), (90, 0, 0), (20, -35, 110)])
@@ -143,12 +134,12 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     facts.append(FrameFacts(3, 0.1))
     d = face_directions(8)
     room = np.stack([1 + d[..., 0], 1 + d[..., 1], 1 + 0 * d[..., 2]], -1)
-    looks = [Look(k, turned(room, p.rotation.T), np.zeros(3)) for k, p in enumerate(poses)]
-    made = with_environment(facts, looks, False, None, np.eye(3))
+    samples = [EnvironmentSample(k, turned(room, p.rotation.T), np.zeros(3)) for k, p in enumerate(poses)]
+    made = with_environment(facts, samples, False, None, np.eye(3))
     assert made[3].environment is None and made[0].environment is made[2].environment is not None
     np.testing.assert_allclose(checked(made[0].environment), room, atol=0.12)
     # a camera that stands still sees the same while the marker turns: other axes every frame, one room
-    still = with_environment(facts, [Look(0, room, np.zeros(3))], True, None, np.eye(3))
+    still = with_environment(facts, [EnvironmentSample(0, room, np.zeros(3))], True, None, np.eye(3))
     back = turned(checked(still[2].environment), poses[2].rotation.T)
     np.testing.assert_allclose(back, room, atol=0.25)
     given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3))

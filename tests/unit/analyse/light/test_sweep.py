@@ -15,7 +15,7 @@ import pytest
 from arfx.analyse.light.fit import MEASURED, LightFit
 from arfx.analyse.light.patches import WHITE, comparable, cut_off
 from arfx.analyse.light.photometry import INK, PAPER, solve
-from arfx.analyse.light.static_frame import Told, explained
+from arfx.analyse.light.static_frame import LightReading, fit_temporal_model
 from arfx.core.numerics import normalise
 from arfx.papers.s1_light import gain_and_bias
 
@@ -157,11 +157,11 @@ def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
         E, lamps = E + 0.4 * np.clip(normals @ other, 0, None)[:, None] * ~off[:, None], np.stack([d, other])
     if "pumps" in kind:
         E = E * (0.75 + 0.25 * np.sin(2 * np.pi * 0.4 * times))[:, None]
-    about = {"bias": rng.uniform(0.003, 0.03), "gamma": rng.uniform(0.94, 1.06), "exact": "own model" in kind}
-    about["breaks"] = breaks
-    about["gamma"] = 1.0 if about["exact"] else about["gamma"]
-    about |= {"clip_share": {"clipped 5 %": 0.05, "clipped 60 %": 0.6}.get(kind, 0.0), "gloss": kind == "highlight"}
-    return times, normals, E, lamps, about
+    noise = {"bias": rng.uniform(0.003, 0.03), "gamma": rng.uniform(0.94, 1.06), "exact": "own model" in kind}
+    noise["breaks"] = breaks
+    noise["gamma"] = 1.0 if noise["exact"] else noise["gamma"]
+    noise |= {"clip_share": {"clipped 5 %": 0.05, "clipped 60 %": 0.6}.get(kind, 0.0), "gloss": kind == "highlight"}
+    return times, normals, E, lamps, noise
 
 
 def off_deg(f: LightFit, lamps: np.ndarray) -> float:
@@ -177,16 +177,16 @@ def one_lamp_is_plain(normals: np.ndarray, lamps: np.ndarray) -> bool:
 def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
     out = Tally()
     for seed in range(scenes):
-        times, normals, E, lamps, about = scene(kind, seed)
-        breaks = about.pop("breaks")
-        mean, variance, clipped, bias = photographed(E, np.random.default_rng(seed), **about)
+        times, normals, E, lamps, noise = scene(kind, seed)
+        breaks = noise.pop("breaks")
+        mean, variance, clipped, bias = photographed(E, np.random.default_rng(seed), **noise)
         p = solve(mean, variance, WHITE, None, clipped)
         assert np.isfinite(p.y).all() and np.isfinite(p.bias).all()
         y, own, on = comparable(p, mean, variance, WHITE, clipped)
         seen = p.seen
-        alone = None if y is p.y and on is p.seen else Told(y[seen], own[seen], on[seen])
-        every = Told(p.y[seen], p.var_y_own[seen], on[seen])
-        _, spans, _ = explained(times[seen], normals[seen], every, alone, breaks)
+        alone = None if y is p.y and on is p.seen else LightReading(y[seen], own[seen], on[seen])
+        every = LightReading(p.y[seen], p.var_y_own[seen], on[seen])
+        _, spans, _ = fit_temporal_model(times[seen], normals[seen], every, alone, breaks)
         out.scenes += 1
         low, high = p.bias_95.T
         out.bias_held.append(float(np.mean((low <= bias) & (bias <= high))))
@@ -209,7 +209,7 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
             continue
         out.direction_deg.append(off_deg(best, lamps))
         out.cone_deg.append(best.lights[0].confidence_deg)
-        if len(spans) == 1 and about["clip_share"] == 0 and "pumps" not in kind:
+        if len(spans) == 1 and noise["clip_share"] == 0 and "pumps" not in kind:
             model = best.irradiance(normals)
             scale = (model * E).sum() / (E * E).sum()  # gain and albedo
             out.irradiance.append(float(np.sqrt(((model / scale - E) ** 2).mean()) / E.mean()))

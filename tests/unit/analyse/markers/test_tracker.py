@@ -140,11 +140,11 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
     tracker.tracks[M.key].time_s = -9.0
     del tracker.tracks[M.key]
     both = tracker.step(3.0, frame((M, small), (M, big)))  # found anew: the larger, and the rival is known
-    assert len(both.rivals) == 1 and both.sightings[0].side_px > both.rivals[0].side_px
-    tracker.tracks[M.key].quad_px = both.rivals[0].quad_px
+    assert len(both.duplicates) == 1 and both.sightings[0].side_px > both.duplicates[0].side_px
+    tracker.tracks[M.key].quad_px = both.duplicates[0].quad_px
     tracker.last_whole_s = -9.0
-    again = tracker._choose(3.03, [*both.sightings, *both.rivals], True)
-    assert np.array_equal(again.sightings[0].quad_px, both.rivals[0].quad_px)
+    again = tracker._choose(3.03, [*both.sightings, *both.duplicates], True)
+    assert np.array_equal(again.sightings[0].quad_px, both.duplicates[0].quad_px)
 
 
 def run(analyser: Analyser, first: int, end: int) -> None:

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.motion.advection import determinants, relaxed, with_anchors
-from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_places, refined
+from arfx.analyse.motion.advection import determinants, relaxed, with_advection
+from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_positions, refined
 from arfx.core.facts import ABSENT, MEASURED, FrameFacts
 from arfx.core.pose import Pose
 from arfx.stages.watercolor import field as reader
@@ -66,7 +66,7 @@ def field_of(f: FrameFacts) -> tuple[np.ndarray, np.ndarray]:
 def facts_of(motion: BackgroundMotion, n: int, **shots: int) -> tuple[FrameFacts, ...]:
     cut = shots.get("cut", n)
     frames = [FrameFacts(k, k / 30, shot=int(k >= cut)) for k in range(n)]
-    return with_anchors(frames, motion.steps, camera(W, H), Pose.identity(), 0.0)
+    return with_advection(frames, motion.steps, camera(W, H), Pose.identity(), 0.0)
 
 
 @pytest.mark.parametrize("path", [pan, zoom, roll])
@@ -75,7 +75,7 @@ def test_the_field_follows_true_motion(path: object) -> None:
     n, world = 13, texture()
     facts = facts_of(folded([view(world, path(t), t) for t in range(n)]), n)  # type: ignore[operator]
     u, v = field_of(facts[-1])
-    gx, gy = node_places(W, H)
+    gx, gy = node_positions(W, H)
     now, first = (np.vstack([path(t), [0, 0, 1]]) for t in (n - 1, 0))  # type: ignore[operator]
     true = np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
     missed = np.hypot(u.ravel() - true[0], v.ravel() - true[1])
@@ -134,7 +134,7 @@ def test_a_cut_begins_anew_whether_or_not_the_flow_noticed() -> None:
         facts = facts_of(folded(frames), 8, cut=cut)
         u = [field_of(f)[0] for f in facts]
         assert np.abs(u[cut] - u[cut - 1]).min() > 1000
-        gx, _ = node_places(W, H)
+        gx, _ = node_positions(W, H)
         assert np.ptp(u[cut] - gx) == 0
         assert np.abs(u[cut + 1] - u[cut]).max() < 20
 
@@ -151,7 +151,7 @@ def test_any_size(size: tuple[int, int]) -> None:
     for k in range(3):
         motion.step(k, g.integers(0, 256, size).astype(np.uint8))
     frames = [FrameFacts(k, k / 30) for k in range(3)]
-    for f in with_anchors(frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0):
+    for f in with_advection(frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0):
         assert np.isfinite(field_of(f)).all()
 
 
@@ -170,7 +170,7 @@ def test_noise_and_torn_motion_never_fold_the_field() -> None:
 
 
 def test_linear_fields_are_not_bent() -> None:
-    gx, gy = node_places(W, H)
+    gx, gy = node_positions(W, H)
     u, v = 0.3 * gx - 0.1 * gy + 5, 0.1 * gx + 0.3 * gy
     a, b = relaxed(u, v)
     np.testing.assert_allclose(a, u, atol=1e-9)
@@ -179,13 +179,13 @@ def test_linear_fields_are_not_bent() -> None:
 
 def test_near_the_marker_the_pose_is_believed() -> None:
     """A blank picture shows no motion; the poses do, and the sites on the plane go with it."""
-    nodes = node_places(W, H)[0].shape
+    nodes = node_positions(W, H)[0].shape
     even = np.zeros(nodes, np.uint8)
     steps = [MotionStep(0, None, True, even), MotionStep(1, np.zeros((*nodes, 2), np.float32), False, even)]
     s = scene(camera(W, H))
     poses = [look_at(0.5, 40, 20), look_at(0.5, 40, 26)]
     given = [FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0) for k, p in enumerate(poses)]
-    facts = with_anchors(given, steps, s.camera, s.world_from_anchor, 0.15)
+    facts = with_advection(given, steps, s.camera, s.world_from_anchor, 0.15)
     where, pose = reader.frame_field(facts[1], s, 8.0, 0.0, True)
     assert pose == poses[1]
     ground = np.array([[0.05, 0.02, 0], [-0.04, 0.05, 0], [0.0, -0.06, 0]])
@@ -206,9 +206,9 @@ def test_the_stage_reads_what_is_written_and_json_keeps_it() -> None:
     back = FrameFacts.from_json(json.loads(json.dumps(facts[-1].to_json())))
     assert GRID_PX == STAGE_GRID_PX and back.status == ABSENT
     where, pose = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, True)
-    assert pose is None and where.u.shape == node_places(W, H)[0].shape
-    assert where.x0 == node_places(W, H)[0][0, 0]
-    assert np.median(where.u - node_places(W, H)[0]) == pytest.approx(7.5, abs=0.4)
+    assert pose is None and where.u.shape == node_positions(W, H)[0].shape
+    assert where.x0 == node_positions(W, H)[0][0, 0]
+    assert np.median(where.u - node_positions(W, H)[0]) == pytest.approx(7.5, abs=0.4)
     still_, _ = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, False)
     assert np.ptp(still_.u - np.arange(still_.u.shape[1]) * GRID_PX) == 0
 
@@ -224,7 +224,7 @@ def test_both_ways_follow_true_motion_and_begin_unbent_at_either_end(path: objec
     facts = facts_of(folded([view(world, path(t), t) for t in range(n)]), n)  # type: ignore[operator]
     shares = [f.advection.share for f in facts]
     assert shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
-    gx, gy = node_places(W, H)
+    gx, gy = node_positions(W, H)
     inside = ((gx >= 0) & (gx < W) & (gy >= 0) & (gy < H)).ravel()
     for way, start in (("forward", 0), ("backward", n - 1)):
         u, v = fields_of(facts[start], way)
@@ -258,7 +258,7 @@ def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(monkeypatch: p
     u = [fields_of(f, "forward")[0] for f in facts]
     begins = [t for t in range(1, 18) if np.abs(u[t] - u[t - 1]).min() > 1000]
     assert len(begins) >= 3 and 14 in begins
-    gx, _ = node_places(W, H)
+    gx, _ = node_positions(W, H)
     for t in begins:
         before = fields_of(facts[t - 1], "backward")[0]
         assert np.ptp(u[t] - gx) == 0
@@ -273,7 +273,7 @@ def test_detail_goes_with_the_things_and_holds_still() -> None:
     world[210:330, 260:330] = texture(3)[210:330, 260:330] // 2 + 40
     world[210:330:12, 260:330] = 230
     motion = folded([view(world, pan(t), t) for t in range(16)])
-    facts = with_anchors([FrameFacts(t, t / 30) for t in range(16)], motion.steps, camera(W, H), Pose.identity(), 0.0)
+    facts = with_advection([FrameFacts(t, t / 30) for t in range(16)], motion.steps, camera(W, H), Pose.identity(), 0.0)
     s, on, off = scene(camera(W, H)), [], []
     for t, f in enumerate(facts):
         field, _ = reader.frame_field(f, s, 8.0, 0.0, True, detail=1.0)
@@ -292,6 +292,6 @@ def test_detail_goes_on_after_a_pause_and_begins_anew_at_a_cut() -> None:
     a, b = np.full((H, W), 90, np.uint8), view(texture(1), pan(0), 1)
     motion = folded([b, b, a, a])
     facts = [FrameFacts(t, t / 30, shot=t // 2) for t in range(4)]
-    made = with_anchors(facts, motion.steps, camera(W, H), Pose.identity(), 0.0)
+    made = with_advection(facts, motion.steps, camera(W, H), Pose.identity(), 0.0)
     size = [reader.frame_field(f, scene(camera(W, H)), 8.0, 0.0, True, detail=1.0)[0].size for f in made]
     assert np.array_equal(size[0], size[1]) and size[0].mean() < 7 and (size[2] > 8).all()

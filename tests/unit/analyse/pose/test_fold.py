@@ -9,13 +9,21 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.markers.detect import Record, Seen
+from arfx.analyse.markers.detect import Detection, Record
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_distance
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
-from arfx.analyse.pose.presence import CutSignal, find_cuts, lasting, opacities, stretches, unlikeness
-from arfx.analyse.pose.visibility import trembling_px, with_model
+from arfx.analyse.pose.visibility import (
+    ShotDetector,
+    dissimilarity,
+    find_cuts,
+    jitter_px,
+    opacities,
+    visible_intervals,
+    with_model,
+    without_flickers,
+)
 from arfx.core.facts import FrameFacts
 from arfx.core.facts_file import read_facts, write_facts
 from arfx.core.marker import MarkerSpec
@@ -62,8 +70,8 @@ def test_marker_never_seen_with_others_is_left_out_and_named() -> None:
 
 def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
     rec = records(CAM, ORBIT, T, LAYOUT, 0.05)
-    wrong = rec[20].seen[2]
-    seen = (*rec[20].seen[:2], Seen(wrong.key, wrong.corners_px + np.array([90, -60]), wrong.sigma_px, 0.8, False))
+    wrong = rec[20].detections[2]
+    seen = (*rec[20].detections[:2], Detection(wrong.key, wrong.corners_px + np.array([90, -60]), wrong.sigma_px, 0.8, False))
     rec[20] = Record(20, rec[20].time_s, seen, (), False, (0.0, 0.0))
     a = solve(rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, [])
     assert a.summary["map"]["given"] and a.summary["dropped"] == 1
@@ -106,7 +114,7 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
     white = np.full_like(one, 255)
 
     def cuts(clip: list[np.ndarray], followed: bool = False) -> list[int]:
-        signal = CutSignal()
+        signal = ShotDetector()
         values = [signal.step(f) for f in clip]
         return find_cuts([v[0] for v in values], [v[1] for v in values], [followed] * len(clip))
 
@@ -115,7 +123,7 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
     assert cuts([*shift[:4], flash, *shift[5:]]) == []
     assert cuts([*shift[:4], white, *shift[5:]]) == []
     assert cuts([np.roll(one, 60 * k, 1) for k in range(12)]) == []  # a whip pan
-    assert unlikeness(one, np.clip(one * 0.5 + 30, 0, 255).astype(np.uint8)) < 0.02
+    assert dissimilarity(one, np.clip(one * 0.5 + 30, 0, 255).astype(np.uint8)) < 0.02
 
 
 def test_the_midst_of_a_quick_move_is_no_cut() -> None:
@@ -134,20 +142,20 @@ def test_a_flicker_is_no_presence() -> None:
     measured = np.zeros(40, bool)
     measured[[0, 12, 13, 25, 26, 27, 39]] = True
     shot = np.zeros(40, int)
-    every = stretches(measured, shot, np.arange(40) / 10, 0.3)
-    assert lasting(every, measured, shot) == [(0, 1), (25, 28), (39, 40)]
+    every = visible_intervals(measured, shot, np.arange(40) / 10, 0.3)
+    assert without_flickers(every, measured, shot) == [(0, 1), (25, 28), (39, 40)]
     shot[12:] = 1  # now it begins a shot: what came before is unknown
-    assert (12, 14) in lasting(stretches(measured, shot, np.arange(40) / 10, 0.3), measured, shot)
+    assert (12, 14) in without_flickers(visible_intervals(measured, shot, np.arange(40) / 10, 0.3), measured, shot)
 
 
 def test_presence_and_fades() -> None:
     measured = np.array([1, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 1], bool)
     shot = np.zeros(12, int)
     times = np.arange(12) * 0.1
-    assert stretches(measured, shot, times, 0.25) == [(0, 4), (8, 12)]
-    assert stretches(measured, shot, times, 0.6) == [(0, 12)]
+    assert visible_intervals(measured, shot, times, 0.25) == [(0, 4), (8, 12)]
+    assert visible_intervals(measured, shot, times, 0.6) == [(0, 12)]
     shot[3:] = 1
-    assert stretches(measured, shot, times, 0.6) == [(0, 2), (3, 12)]
+    assert visible_intervals(measured, shot, times, 0.6) == [(0, 2), (3, 12)]
     o = opacities([(0, 4), (8, 12)], np.zeros(12, int), 2)
     np.testing.assert_allclose(o, [1, 1, 2 / 3, 1 / 3, 0, 0, 0, 0, 1 / 3, 2 / 3, 1, 1])
     assert (opacities([(0, 2), (3, 12)], shot, 2)[3:] == 1).all()
@@ -225,11 +233,11 @@ def test_jitter_is_the_second_difference_and_skips_breaks() -> None:
     facts = [FrameFacts(k, k / 30, 0, "measured", p, p) for k, p in enumerate(place)]
     rec = records(CAM, place, T[:5], {A: Pose.identity()}, 0.0)
     facts = [f.with_(markers=solve(rec, [A], CAM, PARAMS, None, []).facts[k].markers) for k, f in enumerate(facts)]
-    moved, relative = trembling_px(facts, np.zeros((1, 3)), CAM, raw=True)
+    moved, relative = jitter_px(facts, np.zeros((1, 3)), CAM, raw=True)
     assert np.isnan(moved[[0, -1]]).all() and np.isfinite(moved[1:-1]).all(), "the ends have no second difference"
     assert np.median(moved[1:-1]) == pytest.approx(0.02 * 800) and np.median(relative[1:-1]) < 1e-6
     broken = [f.with_(shot=int(k > 1)) for k, f in enumerate(facts)]
-    assert np.isfinite(trembling_px(broken, np.zeros((1, 3)), CAM, raw=True)[0]).sum() == 1
+    assert np.isfinite(jitter_px(broken, np.zeros((1, 3)), CAM, raw=True)[0]).sum() == 1
 
 
 def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:

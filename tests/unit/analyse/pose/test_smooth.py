@@ -10,8 +10,8 @@ import pytest
 from arfx.analyse.fold import Analysis
 from arfx.analyse.markers.detect import Record
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.pose.chain import LEAST, SHAKE, SIDEWAYS
 from arfx.analyse.pose.fold import solve
+from arfx.analyse.pose.smooth import LEAST, SHAKE, SIDEWAYS
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
@@ -108,18 +108,18 @@ def test_a_marker_that_is_carried_is_no_shake() -> None:
 
 
 def test_shake_is_the_camera_turned_about_itself() -> None:
-    from arfx.analyse.pose.smooth import _place, _shake
+    from arfx.analyse.pose.smooth import _position, _shake
 
     centre = np.array([0.02, 0.01, 0.0])
     pose = tilted([0.2, 0.1, 0], [0.3, -0.2, 1.1])
 
     def axes(p: Pose) -> np.ndarray:
         turn = (p @ pose.inverse()).rotvec
-        return np.concatenate([turn, _place(p.rotation[None], p.translation_m[None], centre)[1][0]])
+        return np.concatenate([turn, _position(p.rotation[None], p.translation_m[None], centre)[1][0]])
 
     step = 1e-5
     moved = np.stack([axes(Pose.from_rotvec(step * e, np.zeros(3)) @ pose) - axes(pose) for e in np.eye(3)[:2]], -1) / step
-    place = _place(pose.rotation[None], pose.translation_m[None], centre)[1]
+    place = _position(pose.rotation[None], pose.translation_m[None], centre)[1]
     np.testing.assert_allclose(_shake(place)[0], moved @ moved.T, atol=1e-4)
 
 
@@ -135,7 +135,7 @@ def test_rest_is_smoothed_as_rest_in_a_clip_that_also_moves() -> None:
 
 
 def test_links_between_turned_frames_are_the_derivative() -> None:
-    from arfx.analyse.pose.smooth import _links, _moved
+    from arfx.analyse.pose.smooth import _apply_step, _links
 
     poses = [tilted([0.2, 0.1, 0], [0.1, 0, 1.0]), tilted([0.45, -0.1, 0.2], [0.15, 0.05, 1.1])]
     rotation, translation = np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
@@ -151,7 +151,7 @@ def test_links_between_turned_frames_are_the_derivative() -> None:
     after_inverse = np.linalg.inv(before.gate[0])
     back = -after_inverse @ before.move[0]
     predicted = shift(rotation, translation) + after_inverse[:6, :6] @ step[1] + back[:6, :6] @ step[0]
-    error = np.abs(shift(*_moved(rotation, translation, step, centre)) - predicted).max()
+    error = np.abs(shift(*_apply_step(rotation, translation, step, centre)) - predicted).max()
     assert error < 0.02 * np.abs(step).max()  # the series is cut after the first order in the turn, here .4 rad
 
 
@@ -199,8 +199,8 @@ def test_cut_is_not_smoothed_over_and_times_may_be_uneven() -> None:
     truth = [tilted([0.5, 0, 0.3 * t], [0.1 * t - 0.1, 0, away(80)]) for t in times[:50]]
     truth += [tilted([-0.4, 0.2, 1.0], [0.05, 0.1 * np.sin(t), away(60)]) for t in times[50:]]
     rec = records(CAM, truth, times, {M: Pose.identity()}, 0.05)
-    for k, unlike in ((50, (1.0, 1.0)), (51, (0.0, 1.0))):
-        rec[k] = Record(k, rec[k].time_s, rec[k].seen, (), False, unlike)
+    for k, dissimilarity in ((50, (1.0, 1.0)), (51, (0.0, 1.0))):
+        rec[k] = Record(k, rec[k].time_s, rec[k].detections, (), False, dissimilarity)
     a = analysed(rec)
     assert a.summary["cuts"] == [50] and [f.shot for f in a.facts] == [0] * 50 + [1] * 50
     deg, mm = pose_errors(a.facts, truth, raw=False)
