@@ -59,14 +59,12 @@ def _read(s: Setting, value: Any) -> Any:
     three = [p.strip() for p in value.split(",")]
     if len(three) != 3:
         raise ConfigError(f"{s.flags[0]} {value!r} is not three values", "X,Y,Z with commas")
-    return [_degrees(part, s.flags[0]) for part in three] if Turn in s.kinds else three
-
-
-def _degrees(text: str, flag: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError(f"{flag}: {text!r} is not a number of degrees") from None
+    for part in three if Turn in s.kinds else ():
+        try:
+            float(part)
+        except ValueError:
+            raise ConfigError(f"{s.flags[0]}: {part!r} is not a number of degrees") from None
+    return [float(part) for part in three] if Turn in s.kinds else three
 
 
 def parse_setting(text: str) -> tuple[list[str], Any]:

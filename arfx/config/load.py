@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,12 +15,13 @@ from typing import Any, NamedTuple, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from arfx.config.locate import KeyPath, pointed
 from arfx.config.sections import JobConfig, kinds, settings
 from arfx.core.opener import parse_toml, read_text
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, InputError
 
+KeyPath = tuple[str | int, ...]
 Parameters = Mapping[str, Mapping[str, type]]
+_PRESETS = (Path(__file__).parent / "presets", Path(__file__).parents[2] / "configs")  # in a wheel, in the source tree
 _TYPE_TAGS = ("constrained-str", "function-before")  # parts of pydantic's places that are no keys
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
@@ -50,7 +52,8 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
             dotted = ".".join(map(str, path))
             problems.append(f"{message}\n  --> command line: {dotted}" + (f"\nhelp: {hint}" if hint else ""))
         else:
-            file = _origin(read, path)
+            # the last file that holds the key, or else its nearest parent
+            file = next(f for n in range(len(path), -1, -1) for f in reversed(read) if _reaches(f.document, path[:n]))
             problems.append(pointed(message, str(file.path), file.text, path, hint))
 
     sections = {s.section for s in settings()}
@@ -96,17 +99,13 @@ def _read(file: Path, parameters: Parameters) -> _JobFile:
     return _JobFile(file, text, document)
 
 
-def _origin(files: Sequence[_JobFile], path: KeyPath) -> _JobFile:
-    """The file from which a key was taken: the last that holds it, or else its nearest parent."""
-    return next(f for n in range(len(path), -1, -1) for f in reversed(files) if _reaches(f.document, path[:n]))
-
-
 def _paths(parameters: Parameters) -> set[tuple[str, str]]:
     """(section, key) of the settings that are paths: in a job file they are relative to it."""
-    made = ((name, kind) for name, formulas in parameters.items() for kind in formulas.values())
-    hints = ((name, key, hint) for name, kind in made for key, hint in get_type_hints(kind).items())
-    typed = [*((s.section, s.key, s.kinds) for s in settings()), *((name, key, kinds(hint)) for name, key, hint in hints)]
-    return {(section, key) for section, key, made_of in typed if Path in made_of}
+    out = {(s.section, s.key) for s in settings() if Path in s.kinds}
+    for name, formulas in parameters.items():
+        for kind in formulas.values():
+            out |= {(name, key) for key, hint in get_type_hints(kind).items() if Path in kinds(hint)}
+    return out
 
 
 def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], problem: Any) -> Any:
@@ -182,3 +181,61 @@ def _reaches(tree: Any, path: KeyPath) -> bool:
         else:
             return isinstance(tree, (list, tuple))
     return True
+
+
+def line_of(text: str, path: KeyPath) -> int:
+    """1-based line of a key path such as ("marker", 1, "spec"); its nearest written parent, or 0 if none.
+
+    Knows tables, arrays of tables and dotted keys, which is what job files hold; a key inside an inline
+    table is found at the line of that table.
+    """
+    prefix: KeyPath = ()
+    seen: dict[KeyPath, int] = {}
+    best_depth, best_line = 0, 0
+    for number, raw in enumerate(text.splitlines(), 1):
+        m = re.match(r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=", raw.strip())
+        if not m:
+            continue
+        name = tuple(p.strip(" \"'") for p in (m[3] or m[4]).split("."))
+        if m["array"]:
+            seen[name] = seen.get(name, -1) + 1
+            prefix = here = (*name, seen[name])
+        elif m["table"]:
+            prefix = here = name
+        else:
+            here = (*prefix, *name)
+        if here == path[: len(here)] and len(here) > best_depth:
+            best_depth, best_line = len(here), number
+    return best_line
+
+
+def pointed(message: str, file: str, text: str, path: KeyPath, hint: str = "") -> str:
+    """The message with file:line, the line itself and carets under its key."""
+    number = line_of(text, path)
+    shown = [message, f"  --> {file}"]
+    if number:
+        source = text.splitlines()[number - 1]
+        start, length = len(source) - len(source.lstrip()), max(len(source.strip()), 1)
+        for key in path:
+            if isinstance(key, str) and (m := re.search(rf"(?<![\w-]){re.escape(key)}(?![\w-])", source)):
+                start, length = m.start(), m.end() - m.start()
+        gutter = " " * len(str(number))
+        caret = f"{gutter} | {' ' * start}{'^' * length}"
+        shown = [message, f"{gutter} --> {file}:{number}", f"{gutter} |", f"{number} | {source}", caret]
+    return "\n".join([*shown, f"help: {hint}"] if hint else shown)
+
+
+def presets() -> dict[str, Path]:
+    """Name -> file of the job presets that come with arfx."""
+    place = next((p for p in _PRESETS if p.is_dir()), None)
+    return {} if place is None else {p.stem: p for p in sorted(place.glob("*.toml"))}
+
+
+def find(name_or_file: Path) -> Path:
+    """A job file, or a preset by its bare name. Raises InputError naming the presets."""
+    if os.path.exists(name_or_file) or name_or_file.suffix or len(name_or_file.parts) > 1:  # noqa: PTH110 - False for a name too long
+        return name_or_file
+    known = presets()
+    if str(name_or_file) not in known:
+        raise InputError(f"there is no job file or preset {str(name_or_file)!r}", near(str(name_or_file), known))
+    return known[str(name_or_file)]

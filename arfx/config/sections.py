@@ -16,33 +16,19 @@ from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError
 
 
-def _via(parse: Any, kind: type) -> BeforeValidator:
+def _via(parse: Any) -> BeforeValidator:
     def read(value: Any) -> Any:
-        if value is None or isinstance(value, kind):
-            return value
         try:
-            return parse(value if isinstance(value, str) else f"{value}")
+            return None if value is None else parse(f"{value}")
         except ConfigError as e:
             raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
 
     return BeforeValidator(read)
 
 
-class _LengthValue(float):
-    """A length that was read with its unit, so that a second validation keeps it."""
-
-
-def _length(text: str) -> _LengthValue:
-    return _LengthValue(length_m(text))
-
-
-class _TimeValue(float):
-    """A time that was read already."""
-
-
-Length = Annotated[float, _via(_length, _LengthValue)]
+Length = Annotated[float, _via(length_m)]
 Turn = Annotated[float, Field(ge=-1e6, le=1e6)]
-Time = Annotated[float, _via(lambda t: _TimeValue(time_s(t)), _TimeValue)]
+Time = Annotated[float, _via(time_s)]
 
 
 def _transfer(value: Any) -> str:
@@ -91,7 +77,7 @@ class InputSection(Section):
 
 
 class MarkerSection(Section):
-    spec: Annotated[MarkerSpec, _via(MarkerSpec.parse, MarkerSpec)] = _field(
+    spec: Annotated[MarkerSpec, _via(MarkerSpec.parse)] = _field(
         ..., "FAMILY:ID:SIZE, such as 36h11:3:165mm.", "--marker FAMILY:ID:SIZE", "Repeatable: 36h11:3:165mm."
     )
 

@@ -186,20 +186,22 @@ Unbounded = Annotated[float, _Infinite]  # a float that may be infinite, which J
 @cache
 def _of_type(hint: Any) -> tuple[Convert | None, Convert | None]:
     """(writes, reads) a value of this type; None = it is JSON already."""
+    write: Any
+    read: Any
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return parts[1].write, parts[1].read
     if origin in (Union, UnionType):
         every = [_of_type(p) for p in parts if p is not type(None)]
         write, read = every[0] if len(every) == 1 else (None, None)
-        return write and _unless_none(write), read and _unless_none(read)
+        return write and (lambda v: None if v is None else write(v)), read and (lambda v: None if v is None else read(v))
     if origin in (tuple, Sequence):
         write, read = _of_type(parts[0])
         made: Convert = tuple if origin is tuple else list
-        return write and _each(write, list), _each(read, made) if read else made
+        return write and (lambda v: list(map(write, v))), (lambda v: made(map(read, v))) if read else made
     if origin in (dict, Mapping):
         write, read = _of_type(parts[1])
-        return write and _each_value(write), read and _each_value(read)
+        return write and (lambda v: {k: write(x) for k, x in v.items()}), read and (lambda v: {k: read(x) for k, x in v.items()})
     if hint is np.ndarray:
         return (lambda a: np.asarray(a).tolist()), (lambda v: np.array(v, float))
     if hint in (Path, Fraction):
@@ -210,28 +212,15 @@ def _of_type(hint: Any) -> tuple[Convert | None, Convert | None]:
     return (hint.to_json, hint.from_json) if own else _of_class(hint)  # type: ignore[attr-defined]
 
 
-def _unless_none(f: Convert) -> Convert:
-    return lambda v: None if v is None else f(v)
-
-
-def _each(f: Convert, made: Convert) -> Convert:
-    return lambda v: made(map(f, v))
-
-
-def _each_value(f: Convert) -> Convert:
-    return lambda v: {k: f(x) for k, x in v.items()}
-
-
 @cache
 def _of_class(kind: type) -> tuple[Convert, Convert]:
     """(writes, reads) an object of this dataclass."""
     hints = get_type_hints(kind, include_extras=True)
-    names = [f.name for f in fields(kind)]
-    of = {name: _of_type(hints[name]) for name in names}
+    of = {f.name: _of_type(hints[f.name]) for f in fields(kind)}
     writers, readers = ([(name, pair[k]) for name, pair in of.items() if pair[k] is not None] for k in (0, 1))
 
     def write(v: Any) -> dict[str, Any]:
-        out = {name: getattr(v, name) for name in names}
+        out = {name: getattr(v, name) for name in of}
         for name, convert in writers:
             out[name] = convert(out[name])  # type: ignore[misc]
         return out

@@ -22,8 +22,7 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from arfx.core.machine import instructions
-from arfx.core.places import cache_folder
+from arfx.core.machine import cache_folder, instructions
 
 _OURS = ("arfx", "arfx_cli")
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"

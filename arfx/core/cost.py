@@ -9,6 +9,7 @@ new_directions, new_lights 1 where the frame's light is not one that was met bef
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import platform
@@ -18,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from arfx.core.codec import Document
-from arfx.core.machine import processor_name, usable_cores
-from arfx.core.places import cache_folder
+from arfx.core.machine import cache_folder, processor_name, usable_cores
 
 TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
 # An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
@@ -90,8 +90,7 @@ class Prices:
 
     def predict(self, key: str, terms: Mapping[str, float]) -> Prediction | None:
         """None = not known."""
-        price = self.prices.get(key)
-        if price is None:
+        if (price := self.prices.get(key)) is None:
             return None
         return with_spread(price.seconds(terms), price.spread if self.calibrated else max(price.spread, UNCALIBRATED))
 
@@ -129,12 +128,8 @@ def prices_file() -> Path:
 
 def load_prices(file: Path | None = None) -> Prices:
     """This machine's price list where `arfx bench --calibrate` left one, else the shipped one."""
-    try:
-        return Prices.from_json(json.loads((file or prices_file()).read_text(encoding="utf-8")), calibrated=True)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
-        pass
-    shipped = Path(__file__).with_name("default_costs.json")
-    try:
-        return Prices.from_json(json.loads(shipped.read_text(encoding="utf-8")), calibrated=False)
-    except (OSError, ValueError, KeyError, TypeError):
-        return Prices()
+    for own in (True, False):
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
+            path = (file or prices_file()) if own else Path(__file__).with_name("default_costs.json")
+            return Prices.from_json(json.loads(path.read_text(encoding="utf-8")), calibrated=own)
+    return Prices()

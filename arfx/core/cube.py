@@ -11,8 +11,6 @@ import numpy as np
 from arfx.core.codec import Document
 from arfx.core.numerics import normalise
 
-_MOST = 6e4  # float16 ends at 65504
-
 
 @lru_cache(maxsize=4)
 def face_directions(size: int) -> np.ndarray:
@@ -56,8 +54,8 @@ class CubeMap(Document):
 
     @staticmethod
     def of(faces: np.ndarray, axes: np.ndarray | None = None, plane_rgb: np.ndarray | None = None) -> CubeMap:
-        """faces : (6, n, n, 3), cut to +-_MOST;  axes : (3, 3);  plane_rgb : (3,)"""
-        data = base64.b64encode(np.clip(faces, -_MOST, _MOST).astype("<f2").tobytes()).decode()
+        """faces : (6, n, n, 3), clipped to +-6e4;  axes : (3, 3);  plane_rgb : (3,)"""
+        data = base64.b64encode(np.clip(faces, -6e4, 6e4).astype("<f2").tobytes()).decode()  # float16 ends at 65504
         rows = (None if a is None else tuple(np.asarray(a, float).ravel().tolist()) for a in (axes, plane_rgb))
         return CubeMap(faces.shape[1], data, *rows)
 

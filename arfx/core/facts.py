@@ -19,8 +19,6 @@ from arfx.core.rect import EMPTY, Rect
 
 MEASURED, INTERPOLATED, ABSENT = "measured", "interpolated", "absent"
 
-_AROUND_PX = 2
-
 
 @dataclass(frozen=True)
 class Hypothesis(Document):
@@ -111,7 +109,7 @@ class FrameFacts(Document):
     @property
     def drawn_box(self) -> Rect:
         """model_box and the pixels around it that a raster may write; not clipped to the frame."""
-        return self.model_box.pad(_AROUND_PX)
+        return self.model_box.pad(2)
 
     @property
     def pose(self) -> Pose:

@@ -27,10 +27,8 @@ class Guard:
         self.overwrite = overwrite
         self.own: frozenset[Fingerprint] = frozenset()
         self._reads = {_real(path): what for what, path in reads}
-        self._same: dict[tuple[int, int], str] = {}
-        for path, what in self._reads.items():
-            if (key := _identity(Path(path))) is not None:
-                self._same[key] = what
+        self._same = {_identity(Path(path)): what for path, what in self._reads.items()}
+        self._same.pop(None, None)
 
     def file(self, path: Path, start: bytes = b"", option: str = "-o", folder_made: bool = False) -> None:
         """A file to write. start : how those of arfx begin; one that begins otherwise is not replaced at all."""
@@ -87,12 +85,10 @@ class Guard:
         self._refuse_if_read(path, option)
 
     def _may_replace(self, path: Path) -> bool:
-        return self.overwrite or (bool(self.own) and fingerprint(path) in self.own)
+        return self.overwrite or fingerprint(path) in self.own
 
     def _refuse_if_read(self, path: Path, option: str) -> None:
-        key = _identity(path)
-        what = self._reads.get(_real(path)) or (None if key is None else self._same.get(key))
-        if what is not None:
+        if what := self._reads.get(_real(path)) or self._same.get(_identity(path)):
             raise ConfigError(f"output {path} is also an input ({what}): it would be lost", f"name another with {option}")
 
 

@@ -30,12 +30,10 @@ class _State:
     settled : the outcome stands;  code : the exit code that it has
     before : the handlers that were there, by signal; empty = none is caught"""
 
+    number, at, code = 0, 0.0, 0
+    held = settled = False
+
     def __init__(self) -> None:
-        self.number = 0
-        self.at = 0.0
-        self.held = False
-        self.settled = False
-        self.code = 0
         self.before: dict[int, Any] = {}
 
 

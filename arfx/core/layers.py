@@ -34,18 +34,14 @@ class Layer(StrEnum):
 
 # (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing virtual, no shadow.
 _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
-    Layer.VIRTUAL: (3, np.float32, 0.0),
+    **{name: (3, np.float32, 0.0) for name in (Layer.VIRTUAL, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.EMISSIVE)},
+    Layer.IRRADIANCE: (3, np.float32, 0.0),
     Layer.COVERAGE: (0, np.float32, 0.0),
     Layer.DEPTH: (0, np.float32, np.inf),
-    Layer.NORMAL: (3, np.float32, 0.0),
-    Layer.POSITION: (3, np.float32, 0.0),
-    Layer.ALBEDO: (3, np.float32, 0.0),
     Layer.MATERIAL: (4, np.float32, 0.0),
-    Layer.EMISSIVE: (3, np.float32, 0.0),
     Layer.OBJECT_ID: (0, np.int32, 0),
     Layer.MOTION: (2, np.float32, 0.0),
     Layer.SHADOW: (3, np.float32, 1.0),
-    Layer.IRRADIANCE: (3, np.float32, 0.0),
     Layer.REAL_DEPTH: (0, np.float32, np.inf),
 }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -101,18 +100,11 @@ def harmonics(n: np.ndarray) -> np.ndarray:
 
 def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree. rotation : as in Light.turned"""
-    at, inverse = _evenly()
-    return inverse @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
-
-
-@lru_cache(maxsize=1)
-def _evenly() -> tuple[np.ndarray, np.ndarray]:
-    """(24, 3) unit directions that tell all nine harmonics apart (a spiral of even height), and (9, 24) what does so."""
-    k = np.arange(24) + 0.5
+    k = np.arange(24) + 0.5  # a spiral of even height, by which all nine harmonics can be separated
     z, phi = 1 - 2 * k / 24, k * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
-    at = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
-    return at, np.linalg.pinv(harmonics(at))
+    directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
+    return np.linalg.pinv(harmonics(directions)) @ (harmonics(directions @ np.asarray(rotation)) @ coefficients)
 
 
 def triple(v: np.ndarray) -> tuple[float, float, float]:

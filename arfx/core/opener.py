@@ -11,12 +11,13 @@ import math
 import os
 import re
 import stat
+import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from arfx.core.places import check_name
-from arfx.errors import InputError
+from arfx.errors import ConfigError, InputError
 
 MIB = 1 << 20
 # kind of file, as messages call it -> (largest size in MiB, why this much)
@@ -40,6 +41,16 @@ LIMITS: dict[str, tuple[float, str]] = {
 DEEPEST = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse
 LARGEST_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
 _DOTTED = re.compile(r"(?<![^\s.=])(?:[^\s.=]++[ \t]*+\.[ \t]*+){64}")  # tomllib takes the square of a dotted key's parts
+
+
+def check_name(name: str | Path) -> None:
+    """Raises ConfigError for a name that is not text in the system's encoding: job files cannot hold it, and OpenCV crashes."""
+    try:
+        str(name).encode()
+    except UnicodeEncodeError:
+        raise ConfigError(
+            f"the name {str(os.fsencode(name))[1:]} is not {sys.getfilesystemencoding()} text", "rename it"
+        ) from None
 
 
 def regular(path: Path | str, kind: str) -> Path:
@@ -98,28 +109,23 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Raises ValueError that says what is wrong: no TOML, nested too deep, a number out of range."""
     if _DOTTED.search(text):
         raise ValueError("a key of more than 64 parts")
-    try:
-        tree = tomllib.loads(text)
-    except RecursionError:
-        raise ValueError(f"nested deeper than {DEEPEST}") from None
-    except tomllib.TOMLDecodeError:
-        raise
-    except ValueError as e:  # Python's own limit of digits, or a date that does not exist
-        raise ValueError(_digits(e)) from None
-    return bounded(tree)
+    return _parse(lambda: tomllib.loads(text))
 
 
 def parse_json(text: str | bytes) -> Any:
     """Raises ValueError that says what is wrong: no JSON, nested too deep, a number out of range, NaN."""
+    return _parse(lambda: json.loads(text, parse_constant=_no_constant, parse_float=_finite))
+
+
+def _parse(parse: Callable[[], Any]) -> Any:
     try:
-        tree = json.loads(text, parse_constant=_no_constant, parse_float=_finite)
+        return bounded(parse())
     except RecursionError:
         raise ValueError(f"nested deeper than {DEEPEST}") from None
-    except json.JSONDecodeError:
-        raise
     except ValueError as e:
-        raise ValueError(_digits(e)) from None
-    return bounded(tree)
+        if "integer string conversion" in str(e):  # Python's own limit of digits
+            raise ValueError("an integer of more than 64 bits") from None
+        raise
 
 
 def bounded(tree: Any) -> Any:
@@ -149,10 +155,6 @@ def _finite(text: str) -> float:
     if math.isinf(value):
         raise ValueError(f"{text[:40]} is out of range")
     return value
-
-
-def _digits(e: ValueError) -> str:
-    return "an integer of more than 64 bits" if "integer string conversion" in str(e) else str(e)
 
 
 def _checked(told: os.stat_result, path: Path, kind: str) -> None:

@@ -1,4 +1,4 @@
-"""Measured depth of the real scene in one frame, as the facts carry it: which map, its scale, and the range in every tile.
+"""Measured depth of the real scene: in one frame, as the facts carry it, and the planes that were found in it.
 
 The pixels are `Layer.REAL_DEPTH`; what the planner needs to know of them before any pixel is read is here.
 """
@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from arfx.core.codec import Document, Packed
+from arfx.core.pose import Pose
 
 TILE_PX = 64
 USUAL_NOISE = 0.007  # of depth cameras, share of the distance
@@ -64,7 +65,23 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         y0, y1 = max(j * TILE_PX * h // size[1] - 1, 0), min(-(-(j + 1) * TILE_PX * h // size[1]) + 1, h)
         for i in range(tw):
             x0, x1 = max(i * TILE_PX * w // size[0] - 1, 0), min(-(-(i + 1) * TILE_PX * w // size[0]) + 1, w)
-            here = np.s_[y0:y1, x0:x1]
-            whole = bool(known[here].all())
-            out[:, j, i] = (dioptre[here].min(), dioptre[here].max()) if whole else (low, high)
+            here = dioptre[y0:y1, x0:x1]
+            out[:, j, i] = (here.min(), here.max()) if known[y0:y1, x0:x1].all() else (low, high)
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class RealPlane(Document):
+    """world_from_plane : z out of the plane, towards the room, origin in the middle of what was seen of it
+    extent_m : (x0, y0, x1, y1) of what was seen, plane axes;  area_m2 : of it, holes left out
+    ends : for each of its four sides, whether the plane was seen to end there, or the picture did (False)
+    residual_mm : root mean square of its points' distances;  points : how many;  frames : in how many maps it was found
+    """
+
+    world_from_plane: Pose
+    extent_m: tuple[float, float, float, float]
+    area_m2: float
+    residual_mm: float
+    points: int
+    frames: int = 1
+    ends: tuple[bool, bool, bool, bool] = (False, False, False, False)

@@ -14,7 +14,7 @@ from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.errors import ConfigError, InputError
 
 # Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up file's y goes out of the print.

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
 from arfx.core.memo import Memos
@@ -76,6 +75,35 @@ class View:
 
 
 @dataclass(frozen=True)
+class Check:
+    """An estimate beside its limit. action : what was done about it where it is not ok"""
+
+    name: str
+    value: Any
+    limit: Any
+    ok: bool
+    action: str
+
+    def to_json(self) -> dict[str, Any]:
+        verdict, action = ("ok", "none") if self.ok else ("warn", self.action)
+        return {"check": self.name, "value": self.value, "limit": self.limit, "verdict": verdict, "action": action}
+
+
+@dataclass(frozen=True)
+class JobView:
+    """A job whose frames are rendered.
+
+    levels : those at which each stage ran;  picture : renders one frame of a scene by the stages named, at these levels, over a
+    plate of ones; None where nothing of the model is in view
+    """
+
+    facts: Sequence[FrameFacts]
+    scene: Scene
+    levels: Mapping[str, frozenset[str]]
+    picture: Callable[[Scene, FrameFacts, Mapping[str, str]], Layers | None]
+
+
+@dataclass(frozen=True)
 class NoParams:
     """No settings."""
 
@@ -95,10 +123,7 @@ class Stage:
 
     always: ClassVar[bool] = False  # part of every job; else of those that name it, or set something of it
     requires: ClassVar[frozenset[str]] = frozenset()  # inputs ("depth") without which it is left out
-    overrides: ClassVar[
-        Mapping[str, Mapping[str, Any]]
-    ] = {}  # settings of other stages that it takes over: stage, setting, value
-
+    overrides: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # settings of other stages that it sets: stage, setting, value
     after: ClassVar[str] = ""  # of a plug-in: the stage that it runs behind; "" = the last one that writes what it reads
 
     facts: frozenset[str] = frozenset({"pose"})  # parts of the analysis that it reads, by name

@@ -15,9 +15,9 @@ LONGEST_M = 1e7  # no scene is larger than the Earth
 def length_m(text: str, what: str = "length") -> float:
     """'25mm', '0.165m', '6.5in', '-2cm' to metres. A unit is required. Raises ConfigError."""
     m = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)?\s*", text)
+    if m and m[2] is None and float(m[1]) == 0:
+        return 0.0
     if not m or (m[2] or "").lower() not in METRES_PER:
-        if m and m[2] is None and float(m[1]) == 0:
-            return 0.0
         raise ConfigError(f"{what}: {text!r} is not a length", "a number with a unit: 25mm, 0.165m, 6.5in, 4cm")
     value = float(m[1]) * METRES_PER[m[2].lower()]
     if not abs(value) <= LONGEST_M:

@@ -20,7 +20,8 @@ from arfx.measure.timed_runs import Runs, Watch
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.codecs import CODECS
 from arfx.media.containers import create
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.planes import copy_picture

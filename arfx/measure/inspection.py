@@ -26,7 +26,8 @@ from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.numerics import angle_between, divide
 from arfx.media.clip import ClipInfo
 from arfx.media.containers import open_video
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
 _LIGHT = 255 * SRGB.decode(np.arange(256) / 255)

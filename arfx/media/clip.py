@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import av
+import numpy as np
 
 from arfx.core.codec import Document
 from arfx.core.colour import SRGB, Transfer
 from arfx.errors import InputError
 from arfx.media.containers import check_size, open_video
-from arfx.media.frame import FrameFormat
-from arfx.media.orient import Orientation, matrix_from_side_data, orientation_of
-from arfx.media.planes import PixelLayout, working_layout
+from arfx.media.planes import FrameFormat, Orientation, PixelLayout, matrix_from_side_data, orientation_of, working_layout
 
 UNSPECIFIED = 2
 _MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
@@ -104,15 +103,6 @@ class ClipInfo(Document):
         )  # fmt: skip
 
 
-def video_stream(container: Any, path: Path) -> Any:
-    """The first video stream that is not a cover picture. Raises InputError if there is none."""
-    for s in container.streams.video:
-        if not _is_cover(s):
-            return s
-    held = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-    raise InputError(f"{path} has no video stream (it holds: {held})", "give a clip with pictures")
-
-
 def _is_cover(stream: Any) -> bool:
     return bool(stream.disposition & av.stream.Disposition.attached_pic)
 
@@ -132,12 +122,14 @@ def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
     """
     path = Path(path)
     with open_video(path) as container:
-        stream = video_stream(container, path)
+        stream = next((s for s in container.streams.video if not _is_cover(s)), None)
+        if stream is None:
+            held = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
+            raise InputError(f"{path} has no video stream (it holds: {held})", "give a clip with pictures")
         if stream.codec_context is None:
             raise InputError(f"{path}: no decoder for its video", "convert it to H.264 first")
         check_size(stream.codec_context.width, stream.codec_context.height, path)
-        first = _first_picture(container, stream, path)
-        return _info(container, stream, first, path, transfer)
+        return _info(container, stream, _first_picture(container, stream, path), path, transfer)
 
 
 def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
@@ -146,8 +138,7 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
     packets = container.demux(stream)
     while True:
         try:
-            packet = next(packets, None)
-            if packet is None:
+            if (packet := next(packets, None)) is None:
                 break
             for picture in packet.decode():
                 return picture
@@ -159,7 +150,7 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
 
 
 def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer) -> ClipInfo:
-    ctx, notices = stream.codec_context, []
+    ctx = stream.codec_context
     trc = first.color_trc if first.color_trc not in (0, UNSPECIFIED) else ctx.color_trc
     if int(trc) in _HDR:
         raise InputError(
@@ -167,8 +158,7 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
             "convert it to SDR first, for example with FFmpeg's zscale and tonemap filters",
         )
     layout, notice = working_layout(first.format.name)
-    if notice:
-        notices.append(notice)
+    notices = [notice] if notice else []
     space = int(first.colorspace) if int(first.colorspace) not in (0, UNSPECIFIED) else int(ctx.colorspace)
     matrix = _MATRIX.get(space)
     stated = matrix is not None
@@ -179,10 +169,8 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
             notices.append(f"the stream {said}: {matrix} is used ({first.height} lines)")
     range_tag = int(first.color_range) or int(ctx.color_range)
     full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
-    if layout.kind == "gray" and range_tag == 0:
-        full = True
-    if layout.kind == "rgb" and space not in (0, UNSPECIFIED):
-        stated = False
+    full = full or (layout.kind == "gray" and range_tag == 0)
+    stated = stated and (layout.kind != "rgb" or space in (0, UNSPECIFIED))
     sides: dict[str, Any] = {s.type.name: s for s in list(first.side_data)}  # type: ignore[attr-defined]
     turn = matrix_from_side_data(bytes(sides["DISPLAYMATRIX"])) if "DISPLAYMATRIX" in sides else None
     orientation, exact = orientation_of(turn)
@@ -213,3 +201,25 @@ def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
     """Matroska's per-stream DURATION tag, "00:00:05.005000000"."""
     m = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", metadata.get("DURATION", ""))
     return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
+
+
+def by_time(taken_s: np.ndarray, times_s: list[float]) -> list[int | None]:
+    """Number of what was recorded nearest to each frame (a depth map, a pose), None where nothing is near. taken_s : rising"""
+    if len(taken_s) == 1:
+        return [0] * len(times_s)
+    reach = 0.75 * float(np.median(np.diff(taken_s)))
+    times = np.asarray(times_s, float)
+    after = np.clip(np.searchsorted(taken_s, times), 1, len(taken_s) - 1)
+    nearest = after - (times - taken_s[after - 1] <= taken_s[after] - times)
+    return [int(k) if abs(taken_s[k] - t) <= reach else None for k, t in zip(nearest, times, strict=True)]
+
+
+def in_order(what: str, held: int, frames: int, before: int, whole: bool, hint: str) -> list[int | None]:
+    """One thing for each frame of the clip. before : frames of the clip before these;  whole : these reach to its end
+
+    Raises InputError where their number is not the clip's. what : for the message, "depth X holds 4 maps"
+    """
+    wanted = before + frames
+    if held < wanted or (whole and held > wanted):
+        raise InputError(f"{what}, the clip has {'' if whole else 'at least '}{wanted} frames", hint)
+    return list(range(before, wanted))

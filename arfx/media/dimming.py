@@ -13,16 +13,18 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.media.curves import FAST, apply_curve, power_of
 from arfx.media.lines import (
+    FAST,
     Chroma,
     Luma,
     Planes,
     add_steps,
+    apply_curve,
     chroma_span,
     clipped_differences,
     coded_line,
     line_room,
+    power_of,
     reduce_line,
     taps,
 )

@@ -10,10 +10,8 @@ import av
 from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
 from arfx.media.containers import open_video
-from arfx.media.frame import Frame, FrameFormat
+from arfx.media.frame import Frame
 from arfx.media.planes import repacked
-
-__all__ = ["ClipReader", "Frame", "FrameFormat"]
 
 _SHORT_S = 0.5  # a file that ends this much before its stated end was cut off; container durations are rounded, not this far
 

@@ -88,11 +88,17 @@ def read_exr(path: Path, kind: str) -> np.ndarray:
         raise InputError(f"{kind} {path} cannot be read as an EXR image: {e}") from e
 
 
+def write_failed(path: Path, error: BaseException) -> RenderError:
+    """One clear message for a write that failed: full disk, read-only folder, file limit."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return RenderError(f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?")
+
+
 def _write(path: Path, data: bytes) -> None:
     try:
         path.write_bytes(data)
     except OSError as e:
-        raise RenderError(f"{path} cannot be written: {e.strerror or e}", "is the disk full, or the folder read-only?") from e
+        raise write_failed(path, e) from e
 
 
 def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:

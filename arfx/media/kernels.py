@@ -1,7 +1,6 @@
-"""Compiled loops between stored planes and linear light, over a rectangle only.
+"""Between stored planes and linear light, over a rectangle only: compiled loops, and how they are called.
 
-Left out: nothing is clipped when reading, so values
-beyond black and white (limited range, out-of-gamut chroma) come out below 0 and above 1.
+Nothing is clipped when reading: values beyond black and white (limited range, out-of-gamut chroma) come out below 0 and above 1.
 """
 
 # mypy: disable-error-code="no-untyped-def, index, assignment"
@@ -10,21 +9,28 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from arfx.core.colour import yuv_from_rgb
 from arfx.core.compiled import line_kernel
-from arfx.media.curves import FAST, apply_curve
+from arfx.core.rect import Rect
+from arfx.media.dimming import dim_luma
 from arfx.media.lines import (
+    FAST,
     Chroma,
     Luma,
     Planes,
     add_steps,
+    apply_curve,
     chroma_span,
     clipped_differences,
     coded_line,
+    decode_curve,
+    encode_curve,
     line_room,
     reduce_line,
     taps,
     to_luma_and_chroma,
 )
+from arfx.media.planes import FrameFormat, chroma_size
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -212,3 +218,75 @@ def _edit_chroma_lines(plane, lines, reach, rect, height, steps, factor, legal, 
                 for i in range(from_, to):
                     total[i] += line[i] * weight
         add_steps(plane[r, ca + a : ca + b], total[a:b], factor, legal[0], legal[1])
+
+
+def read_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect) -> np.ndarray:
+    """(h, w, 3) float32 linear RGB of a coded rectangle."""
+    out = np.empty((r.height, r.width, 3), np.float32)
+    linear_from_yuv(_stored(planes, f), (r.x0, r.y0, r.x1, r.y1), decode_curve(f.transfer), out)
+    return out
+
+
+def read_yuv_at(planes: list[np.ndarray], f: FrameFormat, pixels: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 linear RGB of coded pixels (n, 2), x and y."""
+    out = np.empty((len(pixels), 3), np.float32)
+    linear_at_yuv(_stored(planes, f), np.ascontiguousarray(pixels, np.int32), decode_curve(f.transfer), out)
+    return out
+
+
+def edit_yuv(
+    planes: list[np.ndarray], f: FrameFormat, r: Rect, columns: np.ndarray | None, before: np.ndarray, after: np.ndarray
+) -> int:
+    """As `Frame.edited`, in place and coded. Returns how many pixels are not finite."""
+    whole = np.tile(np.array([0, r.width], np.int32), (r.height, 1)) if columns is None else columns
+    chroma = _chroma(r, f)
+    bad = edit_luma(
+        planes[0], (r.x0, r.y0, r.x1, r.y1), _bits(whole), _bits(before), _bits(after), encode_curve(f.transfer), _luma(f),
+        f.layout.sub_x, f.cosited[0], chroma,
+    )  # fmt: skip
+    _edit_chroma(planes, f, r, chroma)
+    return int(bad)
+
+
+def dim_yuv(
+    planes: list[np.ndarray], f: FrameFormat, r: Rect, hole: Rect, left: np.ndarray, opacity: float, bias: np.ndarray
+) -> None:
+    """As `Frame.dimmed`, in place and coded."""
+    _, _, alpha, power = f.transfer.curve
+    curves = decode_curve(f.transfer), encode_curve(f.transfer), np.array([1 / power, alpha - 1], np.float32)
+    chroma = _chroma(r, f)
+    dim_luma(
+        _stored(planes, f), (r.x0, r.y0, r.x1, r.y1), (hole.x0, hole.y0, hole.x1, hole.y1), left, np.float32(opacity),
+        bias.astype(np.float32) if bias.any() else None, curves, _luma(f), chroma,
+    )  # fmt: skip
+    _edit_chroma(planes, f, r, chroma)
+
+
+def _stored(planes: list[np.ndarray], f: FrameFormat) -> Planes:
+    to_rgb, (yo, yn), (co, cn) = np.linalg.inv(yuv_from_rgb(f.matrix)), f.luma_steps, f.chroma_steps
+    scale = np.float32(yo), np.float32(1 / yn), np.float32(co), np.float32(1 / cn)
+    matrix = np.float32(to_rgb[0, 2]), np.float32(-to_rgb[1, 1]), np.float32(-to_rgb[1, 2]), np.float32(to_rgb[2, 1])
+    y, u, v = planes[:3]
+    return Planes(y, u, v, (f.layout.sub_x, f.layout.sub_y), f.cosited, chroma_size(f.layout, f.width, f.height), scale, matrix)
+
+
+def _luma(f: FrameFormat) -> Luma:
+    return Luma(yuv_from_rgb(f.matrix).astype(np.float32), np.float32(f.luma_steps[1]), *f.legal[:2], f.width)
+
+
+def _chroma(r: Rect, f: FrameFormat) -> Chroma:
+    columns = -(-r.x1 >> f.layout.sub_x) - (r.x0 >> f.layout.sub_x)
+    return Chroma(np.empty((2, r.height, columns), np.float32), np.empty((r.height, 2), np.int32))
+
+
+def _edit_chroma(planes: list[np.ndarray], f: FrameFormat, r: Rect, chroma: Chroma) -> None:
+    rect, steps = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y)
+    for plane, lines in zip(planes[1:3], chroma.lines, strict=True):
+        edit_chroma(plane, lines, chroma.reach, rect, f.height, steps, f.cosited[1], np.float32(f.chroma_steps[1]), f.legal[2:])
+
+
+def _bits(array: np.ndarray) -> np.ndarray:
+    """A contiguous array of 32 bits as int32, not to be written: whoever made it, it is one type to the compiler."""
+    out = array.view(np.int32)
+    out.flags.writeable = False
+    return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ class OutputPlan(Document):
     transfer_tag: int = UNSPECIFIED
     primaries_tag: int = UNSPECIFIED
     streams: tuple[int, ...] = ()
-    notices: tuple[str, ...] = field(default_factory=tuple)
+    notices: tuple[str, ...] = ()
 
     @property
     def is_sequence(self) -> bool:
@@ -74,10 +74,8 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
     if codec.sequence:
         return _plan_sequence(info, path, codec, settings)
     if container not in codec.containers:
-        raise ConfigError(
-            f"{path}: a {path.suffix} file cannot hold {codec.name}",
-            "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers),
-        )
+        hint = "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers)
+        raise ConfigError(f"{path}: a {path.suffix} file cannot hold {codec.name}", hint)
     notices: list[str] = []
     streams = _further_streams(info, container, codec, path, notices)
     fmt = _pixel_format(info, codec, settings, notices)
@@ -156,21 +154,16 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
             options[what] = f"{value:g}" if what == "crf" else str(value)
     if crf is not None and not 0 <= crf <= 63:
         raise ConfigError(f"crf must be within 0 and 63, is {crf:g}", "18 is nearly transparent, 28 is small")
-    if preset is not None:
-        _try(codec, options, preset)
+    if preset is not None:  # the encoder alone knows its presets
+        ctx: Any = av.CodecContext.create(codec.encoder, "w")
+        ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats()[0], Fraction(1, 25)
+        ctx.options = dict(options)
+        try:
+            open_encoder(ctx)
+        except (av.error.FFmpegError, ValueError):
+            usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` lists them"
+            raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None
     return tuple(sorted(options.items()))
-
-
-def _try(codec: Codec, options: dict[str, str], preset: str) -> None:
-    """Open the encoder for a small picture: it alone knows its presets. Raises ConfigError."""
-    ctx: Any = av.CodecContext.create(codec.encoder, "w")
-    ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats()[0], Fraction(1, 25)
-    ctx.options = dict(options)
-    try:
-        open_encoder(ctx)
-    except (av.error.FFmpegError, ValueError):
-        usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` lists them"
-        raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None
 
 
 def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> None:
@@ -198,19 +191,15 @@ def _pixel_format(info: ClipInfo, codec: Codec, settings: OutputSettings, notice
     if source.alpha:
         notices.append("the clip's transparency is not written")
     fmt = nearest_format(source, formats, odd, refuses_odd)
+    size = f"{info.coded_width}x{info.coded_height}"
     if fmt is None:
-        able = ", ".join(
-            n for n, c in CODECS.items() if c.containers and nearest_format(source, c.formats(), odd, not c.lossless)
-        )
-        raise ConfigError(
-            f"codec {codec.name} cannot write the odd picture size {info.coded_width}x{info.coded_height}", f"one of {able}"
-        )
+        able = [n for n, c in CODECS.items() if c.containers and nearest_format(source, c.formats(), odd, not c.lossless)]
+        raise ConfigError(f"codec {codec.name} cannot write the odd picture size {size}", f"one of {', '.join(able)}")
     target = layout_named(fmt)
     assert target is not None
     if target.kind == "yuv" and source.kind == "yuv" and (target.sub_x, target.sub_y) != (source.sub_x, source.sub_y):
-        why = (
-            "the picture size is odd" if any(odd) and target.subsampling == "444" else f"{codec.name} has no {source.subsampling}"
-        )
+        too_odd = any(odd) and target.subsampling == "444"
+        why = "the picture size is odd" if too_odd else f"{codec.name} has no {source.subsampling}"
         notices.append(f"chroma is written as 4:{target.subsampling[1]}:{target.subsampling[2]}: {why}")
     if target.depth < source.depth:
         notices.append(f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name} has no more")

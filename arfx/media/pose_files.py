@@ -15,7 +15,7 @@ import numpy as np
 from arfx.core.opener import read_text
 from arfx.core.pose import Pose, rotation_from_quaternion
 from arfx.errors import InputError
-from arfx.media.pairing import by_time, in_order
+from arfx.media.clip import by_time, in_order
 
 _FARTHEST = 1e12  # metres or seconds: times count from 1970, nothing is farther than that in metres
 _UNIT = 1e-2  # from 1, of a quaternion's length
@@ -55,25 +55,17 @@ def load_poses(path: Path) -> CameraPath:
         except ValueError:
             values = np.zeros(0)
         length = math.hypot(*values[-4:]) if len(values) in (7, 8) else 0.0
-        if (
-            len(values) not in (7, 8)
-            or (columns and len(values) != columns)
-            or not (np.abs(values) <= _FARTHEST).all()
-            or (abs(length - 1) > _UNIT)
-        ):
-            raise InputError(
-                f"poses {path}, line {number}: {line.strip()!r} is not a pose",
-                "tx ty tz qx qy qz qw, perhaps the time before them",
-            )
+        alike = len(values) in (7, 8) and columns in (0, len(values))
+        if not (alike and (np.abs(values) <= _FARTHEST).all() and abs(length - 1) <= _UNIT):
+            where, hint = f"poses {path}, line {number}", "tx ty tz qx qy qz qw, perhaps the time before them"
+            raise InputError(f"{where}: {line.strip()!r} is not a pose", hint)
         columns = len(values)
         rows.append(values)
     if not rows:
         raise InputError(f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw")
     table = np.array(rows)
-    turns = [q / np.linalg.norm(q) for q in table[:, -4:]]
-    poses = tuple(
-        Pose(rotation_from_quaternion(*q[[3, 0, 1, 2]]), t).inverse() for t, q in zip(table[:, -7:-4], turns, strict=True)
-    )
+    rotations = [rotation_from_quaternion(*(q / np.linalg.norm(q))[[3, 0, 1, 2]]) for q in table[:, -4:]]
+    poses = tuple(Pose(r, t).inverse() for r, t in zip(rotations, table[:, -7:-4], strict=True))
     if columns == 7:
         return CameraPath(path, poses, None)
     times = table[:, 0] - table[0, 0]

@@ -18,7 +18,7 @@ from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS, open_encoder
 from arfx.media.containers import create
 from arfx.media.frame import SWS_MATRIX, Frame
-from arfx.media.images import write_exr, write_png
+from arfx.media.images import write_exr, write_failed, write_png
 from arfx.media.output import OutputPlan
 from arfx.media.planes import copy_picture, layout_named
 
@@ -32,12 +32,6 @@ def chunk_suffix(plan: OutputPlan) -> str:
     rounded times do no harm: both are intra-only, and joining takes the times from the clip.
     """
     return "" if plan.is_sequence else CODECS[plan.codec].chunk
-
-
-def write_failed(path: Path, error: BaseException) -> RenderError:
-    """One clear message for a write that failed: full disk, read-only folder, file limit."""
-    reason = getattr(error, "strerror", None) or str(error)
-    return RenderError(f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?")
 
 
 class ChunkWriter:
@@ -134,18 +128,13 @@ class ChunkWriter:
         )
 
     def _write_image(self, frame: Frame) -> None:
-        path = self.part / (Path(self.plan.path).name % frame.index)
+        path, linear = self.part / (Path(self.plan.path).name % frame.index), frame.linear(frame.rect)
         if self.plan.codec == "exr":
-            write_exr(path, frame.linear(frame.rect))
-        elif self.plan.pixel_format == "rgb24":
-            write_png(path, np.rint(self._coded(frame) * 255).astype(np.uint8))
+            write_exr(path, linear)
         else:
-            write_png(path, np.rint(self._coded(frame) * 65535).astype(np.uint16))
+            kind = np.uint8 if self.plan.pixel_format == "rgb24" else np.uint16
+            write_png(path, np.rint(np.clip(frame.format.transfer.encode(linear), 0, 1) * np.iinfo(kind).max).astype(kind))
         self._times.append((frame.index, frame.time_s))
-
-    @staticmethod
-    def _coded(frame: Frame) -> np.ndarray:
-        return np.clip(frame.format.transfer.encode(frame.linear(frame.rect)), 0, 1)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:

@@ -9,9 +9,8 @@ from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.errors import InputError
-from arfx.media.depth_fill import filled
-from arfx.media.depth_maps import DepthMaps, open_depth
-from arfx.media.frames import Frame
+from arfx.media.depth_maps import DepthMaps, filled, open_depth
+from arfx.media.frame import Frame
 
 
 def job_depth(config: JobConfig) -> DepthMaps | None:

@@ -17,7 +17,7 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.opener import parse_json, parse_toml, read_text, regular
 from arfx.core.pose import Pose, rotation_from_euler_deg, rotation_from_quaternion
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.core.scene import Placement, Scene
 from arfx.core.units import LONGEST_M, length_m
 from arfx.errors import ConfigError, InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.media.frames import Frame
+from arfx.media.frame import Frame
 
 COUNT, WIDEST_PX = 8, 960
 

@@ -9,7 +9,8 @@ import threading
 from collections.abc import Iterator
 
 from arfx.media.clip import ClipInfo
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
 
 
 class Source:

@@ -111,9 +111,6 @@ def write_model(name: str, path: Path) -> int:
         raise ConfigError(f"there is no shape {name!r}", f"one of {', '.join(SHAPES)}")
     import trimesh
 
-    scene = trimesh.Scene()
-    for part in SHAPES[name]():
-        scene.add_geometry(part)
-    data = scene.export(file_type="glb")
-    path.write_bytes(data)
+    scene = trimesh.Scene(SHAPES[name]())
+    path.write_bytes(scene.export(file_type="glb"))
     return sum(len(g.faces) for g in scene.geometry.values())

@@ -64,8 +64,7 @@ def _parameter(s: Setting) -> click.Parameter:
 def job_config(given: dict[str, Any]) -> Any:
     """The typed job from the parsed options. Raises ConfigError."""
     from arfx.config.given import of_sections, overrides
-    from arfx.config.load import load
-    from arfx.config.presets import find
+    from arfx.config.load import find, load
     from arfx.run.parameters import parameters, pipeline
 
     kinds = parameters()

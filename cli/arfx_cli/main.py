@@ -14,7 +14,7 @@ import click
 
 from arfx import __version__
 from arfx.core import interrupt
-from arfx.core.places import check_name
+from arfx.core.opener import check_name
 from arfx.errors import ArfxError, JobInterruptedError
 
 # A tenth of a short command went into looking for garbage among the libraries' own objects, while they are imported.

@@ -77,7 +77,7 @@ def test_installed_it_has_no_package_cli_and_finds_its_presets(wheel: Path, tmp_
 
     got = python("import cli")
     assert got.returncode != 0 and "No module named 'cli'" in got.stderr, got.stderr
-    got = python("import arfx; from arfx.config.presets import presets; print(arfx.__file__); print(sorted(presets()))")
+    got = python("import arfx; from arfx.config.load import presets; print(arfx.__file__); print(sorted(presets()))")
     assert got.returncode == 0 and str(tmp_path) in got.stdout and "preview" in got.stdout, got.stderr
 
 

@@ -18,7 +18,8 @@ from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError, RenderError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.codecs import CODECS
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
 from arfx.media.output import MOST_TICKS, OutputPlan, OutputSettings, check_times, plan_output
 from arfx.media.planes import planes_of

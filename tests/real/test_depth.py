@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.media.depth_fill import filled
-from arfx.media.depth_maps import open_depth
+from arfx.media.depth_maps import filled, open_depth
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "gaoxiang12-slambook2"
 pytestmark = [pytest.mark.real, pytest.mark.skipif(not DATA.is_dir(), reason=f"real depth maps are absent ({DATA})")]

@@ -14,7 +14,7 @@ from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.pose.fold import figures
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.errors import NothingToDoError
 
 MAPS = 4  # that planes are looked for in, over the clip

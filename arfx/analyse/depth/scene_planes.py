@@ -16,7 +16,7 @@ from arfx.analyse.depth.planes import Cloud, FoundPlane, cloud_of, find_planes
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 
 MOST_CELLS = 160  # along the longer side
 CLOSED = 2.5  # cells: holes and gaps narrower than twice this are closed

@@ -35,9 +35,9 @@ from arfx.analyse.light.surroundings import Folded, Look, fold, look, with_envir
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
-from arfx.core.health import Check
 from arfx.core.light import Light, triple
 from arfx.core.rect import Rect
+from arfx.core.stage import Check
 
 Reading = tuple[int, str, Patches]
 T = TypeVar("T")

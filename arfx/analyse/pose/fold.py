@@ -23,11 +23,11 @@ from arfx.analyse.pose.presence import find_cuts, lasting, opacities, statuses, 
 from arfx.analyse.pose.smooth import smooth_poses
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
-from arfx.core.health import Check
 from arfx.core.marker import MarkerSpec, anchor_marker
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
 from arfx.core.rect import Rect
+from arfx.core.stage import Check
 from arfx.errors import NothingToDoError
 
 NONE = np.zeros(0)

@@ -19,13 +19,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.numerics import divide
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, View
+from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.errors import require_within
 from arfx.stages.gi.cones import mirror_tangent, six_cones, steps_of
 from arfx.stages.gi.field import Body, Field, make_body

@@ -10,8 +10,7 @@ import pytest
 
 from arfx.config.freeze import frozen, to_toml
 from arfx.config.given import parse_setting
-from arfx.config.load import load
-from arfx.config.locate import line_of
+from arfx.config.load import line_of, load
 from arfx.config.sections import settings
 from arfx.errors import ConfigError, InputError
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from arfx.config.load import load
-from arfx.config.presets import find, presets
+from arfx.config.load import find, load, presets
 from arfx.errors import InputError
 from arfx.run.parameters import parameters
 

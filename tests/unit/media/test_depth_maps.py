@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.errors import InputError
-from arfx.media.depth_fill import filled
-from arfx.media.depth_maps import open_depth
+from arfx.media.depth_maps import filled, open_depth
 from arfx.media.images import write_exr, write_png
 
 W, H = 32, 24

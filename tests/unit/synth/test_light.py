@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.errors import InputError
-from arfx.synth.environment import environment_lamps, environment_picture
+from arfx.synth.textures import environment_lamps, environment_picture
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 
 GREY = {"kind": "plain", "colour": [0.5, 0.5, 0.5]}
