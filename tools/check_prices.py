@@ -96,7 +96,7 @@ def one(asked: Mapping[str, Any]) -> dict[str, Any]:
     """What `run` runs."""
     from arfx.config.load import load
     from arfx.core.cost import Prediction
-    from arfx.plan.levels import alike
+    from arfx.plan.levels import sum_correlated
     from arfx.run.folder import JobFolder
     from arfx.run.job import Options, process
     from arfx.run.parameters import parameters
@@ -117,7 +117,7 @@ def one(asked: Mapping[str, Any]) -> dict[str, Any]:
     spent, after = time.process_time() - marks[0][0], time.perf_counter() - marks[0][1]
     predicted = report["predicted"]
     phases = [p for name, p in predicted["phases"].items() if name != "before"]
-    known = None if None in phases else alike(Prediction(p["s"], p["low_s"], p["high_s"]) for p in phases).to_json()
+    known = None if None in phases else sum_correlated(Prediction(p["s"], p["low_s"], p["high_s"]) for p in phases).to_json()
     summary = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     levels = {f"{row['stage']} {row['level']}" for row in summary["levels"]["chosen"]}
     return {

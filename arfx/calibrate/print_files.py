@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from arfx.calibrate.print_layout import TEXT_MM, Sheet, outlines
-from arfx.core.guard import aside
+from arfx.core.guard import atomic_write
 from arfx.errors import ConfigError
 
 MM_PER_INCH = 25.4
@@ -24,7 +24,7 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
     ending = path.suffix.lower()
     if ending not in (".pdf", ".svg", ".png"):
         raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")
-    with aside(path) as part:
+    with atomic_write(path) as part:
         if ending == ".png":
             _png(sheet, part, dpi)
         else:

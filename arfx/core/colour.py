@@ -75,9 +75,7 @@ SRGB = Transfer("srgb")
 
 def yuv_from_rgb(matrix: str) -> np.ndarray:
     """(3, 3) float64 from coded R'G'B' to Y'CbCr with Y' in 0..1 and Cb, Cr in -0.5..0.5 (full scale).
-
-    Raises ConfigError for an unknown matrix name.
-    """
+    Raises ConfigError for an unknown matrix name."""
     if matrix not in LUMA_COEFFICIENTS:
         raise ConfigError(f"unknown colour matrix {matrix!r}", "one of " + ", ".join(LUMA_COEFFICIENTS))
     kr, kb = LUMA_COEFFICIENTS[matrix]

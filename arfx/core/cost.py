@@ -23,7 +23,7 @@ from arfx.core.machine import cache_folder, processor_name, usable_cores
 
 TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
 # An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
-_REACH = 1.645
+_Z_90 = 1.645
 UNCALIBRATED = 0.7  # spread of a price from another machine: a factor of 3 either way
 FORMAT = 1
 
@@ -43,21 +43,21 @@ class Prediction:
         return Prediction(self.seconds * factor, self.low_s * factor, self.high_s * factor)
 
 
-def exactly(seconds: float) -> Prediction:
+def measured(seconds: float) -> Prediction:
     """What is known because it was measured."""
     return Prediction(seconds, seconds, seconds)
 
 
 def with_spread(seconds: float, spread: float) -> Prediction:
-    return Prediction(seconds, seconds * math.exp(-_REACH * spread), seconds * math.exp(_REACH * spread))
+    return Prediction(seconds, seconds * math.exp(-_Z_90 * spread), seconds * math.exp(_Z_90 * spread))
 
 
-def together(parts: Iterable[Prediction]) -> Prediction:
+def sum_independent(parts: Iterable[Prediction]) -> Prediction:
     """The sum of predictions whose errors have nothing to do with each other: their widths add in quadrature."""
-    every = list(parts)
-    total = sum(p.seconds for p in every)
-    below = math.sqrt(sum((p.seconds - p.low_s) ** 2 for p in every))
-    above = math.sqrt(sum((p.high_s - p.seconds) ** 2 for p in every))
+    predictions = list(parts)
+    total = sum(p.seconds for p in predictions)
+    below = math.sqrt(sum((p.seconds - p.low_s) ** 2 for p in predictions))
+    above = math.sqrt(sum((p.high_s - p.seconds) ** 2 for p in predictions))
     return Prediction(total, max(total - below, 0.0), total + above)
 
 
@@ -76,11 +76,9 @@ class Price(Document):
 @dataclass(frozen=True)
 class Prices:
     """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
-
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
     calibrated : all of it measured on this machine
-    alone : time of one that works alone, as a share of its time among `threads`
-    """
+    alone : time of one that works alone, as a fraction of its time among `threads`"""
 
     prices: Mapping[str, Price] = field(default_factory=dict)
     threads: int = 1

@@ -15,10 +15,8 @@ from arfx.core.numerics import normalise
 @lru_cache(maxsize=4)
 def face_directions(size: int) -> np.ndarray:
     """(6, size, size, 3) unit directions of the texels' centres.
-
     A face's rows and columns run along the other two axes, the last of them towards -z on the sides: with camera axes
-    (x right, y down, z forward) a picture lies upright on +z.
-    """
+    (x right, y down, z forward) a picture lies upright on +z."""
     t = (np.arange(size) + 0.5) / size * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     one = np.ones_like(u)
@@ -42,10 +40,8 @@ def solid_angles(size: int) -> np.ndarray:
 @dataclass(frozen=True)
 class CubeMap(Document):
     """A cube of radiance, as facts hold one. size : texels along a face's side;  data : text of float16, see `faces`
-
     axes : nine numbers, row by row, of the rotation to the cube's axes from the world's; None = they are the world's
-    plane_rgb : radiance of the anchor's plane as seen, where the cube is a guess: what is next to its horizon agrees with it
-    """
+    plane_rgb : radiance of the anchor's plane as seen, where the cube is a guess: what is next to its horizon agrees with it"""
 
     size: int
     data: str

@@ -9,7 +9,7 @@ import numpy as np
 from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
 
-# Share of each degree of a radiance distribution that is left in the radiance of a white diffuse surface over its normal
+# Fraction of each degree of a radiance distribution that remains in the radiance of a white diffuse surface over its normal
 # (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the nine `harmonics`.
 DIFFUSE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
 
@@ -33,11 +33,9 @@ class DirectionalLight(Document):
 @dataclass(frozen=True)
 class Light(Document):
     """ambient_rgb : radiance of a white diffuse surface without any directional light, mean over its normals
-
     soft : (9, 3) real spherical harmonics, WORLD frame, of that radiance over the normal (`soft_radiance`); empty = the
     same for every normal. source : what it was taken from ("default", "given", "marker", "environment", ...)
-    Radiance is scene referred linear RGB as the camera codes it: gain and exposure are in it, its bias is not.
-    """
+    Radiance is scene referred linear RGB as the camera codes it: gain and exposure are in it, its bias is not."""
 
     ambient_rgb: tuple[float, float, float] = (0.45, 0.45, 0.45)
     lights: tuple[DirectionalLight, ...] = field(
@@ -84,9 +82,7 @@ class Light(Document):
 
 def harmonics(n: np.ndarray) -> np.ndarray:
     """(..., 9) real spherical harmonics up to degree 2 of unit vectors (..., 3), orthonormal on the sphere.
-
-    Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3).
-    """
+    Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3)."""
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     return np.stack(
         [

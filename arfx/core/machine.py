@@ -45,7 +45,7 @@ def _cpuinfo(name: str) -> str:
 
 
 @contextlib.contextmanager
-def scheduling_kept() -> Iterator[None]:
+def preserve_scheduling() -> Iterator[None]:
     """Threads that the body starts, and its own, get no more of the processor afterwards than this one had before."""
     if not hasattr(os, "sched_setscheduler"):  # POSIX has it, macOS and Windows do not
         yield

@@ -24,10 +24,8 @@ LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 @dataclass(frozen=True, slots=True)
 class Demand:
     """What a stage would change in a frame.
-
     rect : pixels it may change, empty = it does not run;  reason : in units
-    within_earlier : it can only change pixels in which an earlier stage of the frame writes (the composite)
-    """
+    within_earlier : it can only change pixels in which an earlier stage of the frame writes (the composite)"""
 
     rect: Rect
     reason: str
@@ -37,11 +35,9 @@ class Demand:
 @dataclass(frozen=True, eq=False)
 class View:
     """One frame as `run` sees it. view[LAYER] is what the layer holds over `rect`, read-only.
-
     out : the pixels that are kept of what it makes: a slow stage may leave the others as they are
     key : of its random numbers, from seed, frame and stage;  memo : what it keeps from frame to frame
-    before : earlier frames, oldest first, at most `history`; those have no earlier ones themselves
-    """
+    before : earlier frames, oldest first, at most `history`; those have no earlier ones themselves"""
 
     layers: Layers
     facts: FrameFacts
@@ -92,10 +88,8 @@ class Check:
 @dataclass(frozen=True)
 class JobView:
     """A job whose frames are rendered.
-
     levels : those at which each stage ran;  picture : renders one frame of a scene by the stages named, at these levels, over a
-    plate of ones; None where nothing of the model is in view
-    """
+    plate of ones; None where nothing of the model is in view"""
 
     facts: Sequence[FrameFacts]
     scene: Scene
@@ -110,9 +104,7 @@ class NoParams:
 
 class Stage:
     """One effect. Required: name, reads, writes, run. The rest has a default that fits an effect on the object's own pixels.
-
-    One instance per job, made from `params` (what the user meant). `prepare` once per clip, worker and level; `run` is pure.
-    """
+    One instance per job, made from `params` (what the user meant). `prepare` once per clip, worker and level; `run` is pure."""
 
     name: ClassVar[str]
     reads: ClassVar[frozenset[Layer]]
@@ -147,10 +139,8 @@ class Stage:
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         """Pixels that it may change in this frame, and why; an empty rectangle: why it does not run.
-
-        The planner does not ask where the object is not visible, unless `without_object`.
-        """
-        rect = facts.drawn_box.clip(frame)
+        The planner does not ask where the object is not visible, unless `without_object`."""
+        rect = facts.raster_box.clip(frame)
         return Demand(rect, "model out of view" if rect.empty else "model in view")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:

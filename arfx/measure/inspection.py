@@ -25,7 +25,7 @@ from arfx.core.colour import SRGB
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.numerics import angle_between, divide
 from arfx.media.clip import ClipInfo
-from arfx.media.containers import open_video
+from arfx.media.codecs import open_video
 from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
 

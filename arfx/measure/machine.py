@@ -96,7 +96,7 @@ def _codecs() -> list[Check]:
         if codec.sequence:
             out.append(_picture_format(name))
             continue
-        why = _encode_fails(codec.encoder, codec.formats()[0], codec.chunk, dict(codec.options))
+        why = _encode_fails(codec.encoder, codec.formats[0], codec.chunk, dict(codec.options))
         fix = "" if not why else "pip install --force-reinstall av (its wheels hold this encoder)"
         out.append(Check("codec", name, not why, why or f"{codec.encoder}, wrote and read back", fix, essential=name == "h264"))
     return out
@@ -165,9 +165,9 @@ def _resources(folder: Path) -> list[Check]:
 
 
 def _compiled() -> Check:
-    kept = compiled.kept_in(Path(arfx.__file__).parent / "media")
-    made_for = f"for {compiled.target() or 'this very processor'}"
-    lasting = compiled.lasting()
+    kept = compiled.code_folder(Path(arfx.__file__).parent / "media")
+    made_for = f"for {compiled.target_cpu() or 'this very processor'}"
+    lasting = compiled.cache_persists()
     where = f"in {kept}" if lasting else "for one run: the next compiles again what did not come with the package"
     fix = "" if lasting else "set NUMBA_CACHE_DIR to a folder that can be written"
     return Check("machine", "compiled code", lasting, f"{made_for}, kept {where}", fix)

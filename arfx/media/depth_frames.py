@@ -16,7 +16,7 @@ import numpy as np
 
 from arfx.core.opener import regular
 from arfx.errors import InputError
-from arfx.media.containers import check_size, open_video
+from arfx.media.codecs import check_size, open_video
 from arfx.media.images import check_tiff
 
 TIFF = (".tif", ".tiff")

@@ -19,7 +19,7 @@ import numpy as np
 from arfx.core.numerics import divide
 from arfx.core.opener import is_folder, read_bytes
 from arfx.errors import InputError
-from arfx.media.clip import by_time, in_order
+from arfx.media.clip import match_by_time, match_in_order
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
 from arfx.media.images import decode_picture, read_exr
 
@@ -27,18 +27,16 @@ SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"
 _STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
 _ASPECT = 0.005
-LAMBDA = 10.0  # reach of the smoother: about sqrt of it, px, where the picture is even; beyond, what is left of it decides
+LAMBDA = 10.0  # radius of the smoother: about its square root, px, where the picture is even
 SIGMA = 6.0  # grey levels that count as an edge
-_FAINT = 1e-6  # a mask smoothed to less than this tells nothing: the nearest known value is taken
+_FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
 
 @dataclass(frozen=True)
 class DepthMaps:
     """files : in order;  steps_per_m : stored values to a metre, None = by kind (integers: millimetres, floats: metres)
-
-    times_s : of each map after the first one, where they are told, else None;  start_s : of the first, after the clip's
-    frames : the maps where one file holds them, else None: each file is one
-    """
+    times_s : of each map after the first one, where they are known, else None;  start_s : of the first, after the clip's
+    frames : the maps where one file holds them, else None: each file is one"""
 
     path: Path
     files: tuple[Path, ...]
@@ -62,30 +60,24 @@ class DepthMaps:
 
     def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[int | None]:
         """Number of each frame's map, None where none was taken near its time.
-
-        times_s : after the clip's first frame;  before, whole : as of `in_order`, which raises InputError
-        """
+        times_s : after the clip's first frame;  before, whole : as of `in_order`, which raises InputError"""
         if self.still:
             return [0] * len(times_s)
         if self.times_s is not None:
-            return by_time(np.array(self.times_s) + self.start_s, times_s)
+            return match_by_time(np.array(self.times_s) + self.start_s, times_s)
         hint = "one map for each frame, or times in their names (1305031102.160407.png), or a single map"
-        return in_order(f"depth {self.path} holds {self.count} maps", self.count, len(times_s), before, whole, hint)
+        return match_in_order(f"depth {self.path} holds {self.count} maps", self.count, len(times_s), before, whole, hint)
 
     def load(self, number: int, width: int, height: int) -> np.ndarray:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
-
-        width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
-        """
+        width, height : of the clip. Raises InputError: unreadable, of another kind or shape."""
         stored = (
             _stored(self.files[number]) if self.frames is None else _depth_kind(self.frames.stored(number), self.name(number))
         )
         h, w = stored.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
-            raise InputError(
-                f"depth map {self.name(number)} is {w}x{h}, the clip {width}x{height}: another shape",
-                "maps as the clip is shown, of its size or the same aspect ratio",
-            )
+            hint = "maps as the clip is shown, of its size or the same aspect ratio"
+            raise InputError(f"depth map {self.name(number)} is {w}x{h}, the clip {width}x{height}: another shape", hint)
         steps = self.steps_per_m or (_STEPS_A_METRE if stored.dtype.kind == "u" else 1.0)
         with np.errstate(all="ignore"):
             metres = stored.astype(np.float32) / np.float32(steps)
@@ -151,14 +143,14 @@ def _depth_kind(raw: np.ndarray, name: str) -> np.ndarray:
     return raw
 
 
-def filled(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
+def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     """(H, W) float32 metres at the guide's size, > 0 everywhere: holes are filled along the picture's edges.
 
     depth_m : (h, w) metres, 0 = unknown, at least one known;  guide : (H, W) uint8, the picture
 
     What is known at a hole's rim spreads into it through what looks alike: the smoothed product of the rim's values and its
     mask, over the smoothed mask, both by the weighted least squares that follow the picture's edges (fast global smoother).
-    Measured pixels keep their value. A short reach keeps a surface's slope: 20 px holes put into real maps are filled to .1 to
+    Measured pixels keep their value. A short radius keeps a surface's slope: 20 px holes put into real maps are filled to .1 to
     .9 % (median), as nearest values would. In dioptres, so that a far wall weighs no more than a near table.
     Source: Min et al. 2014 (the smoother); the quotient as in normalised convolution (Knutsson and Westin 1993).
     """

@@ -14,7 +14,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.errors import RenderError
 from arfx.media.planes import FrameFormat, Orientation, copy_picture, planes_of
 
-LEAST_SPARSE = 3  # pixels of a rectangle for each that is wanted, from which these alone are converted
+MIN_SPARSE_RATIO = 3  # pixels of a rectangle for each that is wanted, from which these alone are converted
 SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
 
 
@@ -77,9 +77,7 @@ class Frame:
 
     def linear(self, rect: Rect) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly below 0 and above 1 occur.
-
-        Any two rectangles agree where they meet. Raises RenderError if rect is empty or leaves the picture.
-        """
+        Any two rectangles agree where they meet. Raises RenderError if rect is empty or leaves the picture."""
         f, r = self.format, self._coded(rect)
         planes = planes_of(self.picture, f.layout)
         if f.layout.kind != "yuv":
@@ -100,31 +98,29 @@ class Frame:
         rect = Rect(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
         f, coded = self.format, self._coded(rect)
         plain = f.layout.kind == "yuv" and f.orientation == Orientation()
-        if not plain or coded.area < LEAST_SPARSE * len(pixels):
+        if not plain or coded.area < MIN_SPARSE_RATIO * len(pixels):
             return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
         from arfx.media import kernels
 
         return kernels.read_yuv_at(planes_of(self.picture, f.layout), f, pixels)
 
-    def dimmed(self, rect: Rect, left: np.ndarray, opacity: float, bias: np.ndarray, hole: Rect) -> Frame:
-        """A new frame with less light inside `rect`, but for `hole`: of every linear value's part above `bias` (3,) a share
-        1 + opacity (left - 1) is left.
-
-        left : (h, w, 3 or 1) float32 over the upright `rect`; 1 keeps a pixel's bits. Errors and legal range as in `edited`.
-        """
+    def dimmed(self, rect: Rect, transmittance: np.ndarray, opacity: float, bias: np.ndarray, hole: Rect) -> Frame:
+        """A new frame with less light inside `rect`, but for `hole`: every linear value's part above `bias` (3,) is
+        multiplied by 1 + opacity (transmittance - 1).
+        transmittance : (h, w, 3 or 1) float32 over the upright `rect`; 1 keeps a pixel's bits. Errors, range: see `edited`."""
         f, r, h = self.format, self._coded(rect), self._coded(hole) if not hole.empty else EMPTY
-        if left.shape[:2] != (rect.height, rect.width) or left.shape[2] not in (1, 3):
-            raise RenderError(f"frame {self.index}: {left.shape} shares of light for {rect.to_json()}")
+        if transmittance.shape[:2] != (rect.height, rect.width) or transmittance.shape[2] not in (1, 3):
+            raise RenderError(f"frame {self.index}: {transmittance.shape} shares of light for {rect.to_json()}")
         if f.layout.kind != "yuv":
             before = self.linear(rect)
-            after = before + np.float32(opacity) * (left - 1) * (before - bias.astype(np.float32))
+            after = before + np.float32(opacity) * (transmittance - 1) * (before - bias.astype(np.float32))
             if not hole.empty:
                 after[hole.slices_in(rect)] = before[hole.slices_in(rect)]
             return self.edited(rect, before, after)
         from arfx.media import kernels
 
         picture = copy_picture(self.picture, f.layout)
-        whole = np.ascontiguousarray(f.orientation.coded(left), np.float32)
+        whole = np.ascontiguousarray(f.orientation.coded(transmittance), np.float32)
         kernels.dim_yuv(planes_of(picture, f.layout), f, r, h, whole, opacity, bias)
         return Frame(picture, f, self.index, self.pts, self.key)
 

@@ -9,7 +9,7 @@ import av
 
 from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
-from arfx.media.containers import open_video
+from arfx.media.codecs import open_video
 from arfx.media.frame import Frame
 from arfx.media.planes import repacked
 
@@ -18,9 +18,7 @@ _SHORT_S = 0.5  # a file that ends this much before its stated end was cut off; 
 
 class ClipReader:
     """Context manager over one clip.
-
-    truncated : after iterating to the end, a message when the file ends in damage, else None
-    """
+    truncated : after iterating to the end, a message when the file ends in damage, else None"""
 
     def __init__(self, info: ClipInfo, threads: int = 0) -> None:
         self.info = info
@@ -55,9 +53,7 @@ class ClipReader:
 
     def frames(self, first_pts: int | None = None, last_pts: int | None = None, first_index: int = 0) -> Iterator[Frame]:
         """Frames with first_pts <= pts <= last_pts; `index` counts from first_index.
-
-        Seeks to the key frame at or before first_pts; where seeking is not exact, decodes from the start.
-        """
+        Seeks to the key frame at or before first_pts; where seeking is not exact, decodes from the start."""
         index = first_index
         for picture, pts in self._pictures(first_pts, last_pts):
             yield Frame(repacked(picture, self._format.layout), self._format, index, pts, bool(picture.key_frame))

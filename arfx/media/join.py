@@ -22,10 +22,10 @@ import av
 
 from arfx.core import interrupt
 from arfx.core.guard import TIMES, part_name
-from arfx.core.opener import av_name
+from arfx.core.opener import ffmpeg_url
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
-from arfx.media.containers import create, open_video
+from arfx.media.codecs import create_container, open_video
 from arfx.media.images import write_failed
 from arfx.media.output import OutputPlan
 from arfx.media.writer import remove_output
@@ -57,17 +57,17 @@ def join_chunks(
         _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent), made)
         return 0
     part = part or part_name(out)
-    with _made_aside(part, out):
+    with _temporary_output(part, out):
         left_out = _remux(chunks, pts, _ranks_of(chunks, len(pts)), plan, info, part, start_s, end_s)
         if made is not None:
             made()
-        with interrupt.completing():
+        with interrupt.committing():
             part.replace(out)
     return left_out
 
 
 @contextlib.contextmanager
-def _made_aside(part: Path, out: Path) -> Iterator[None]:
+def _temporary_output(part: Path, out: Path) -> Iterator[None]:
     """Nothing is at `part` before the body, nor after it has failed. Raises RenderError where `out` cannot be written."""
     try:
         remove_output(part)
@@ -82,7 +82,7 @@ def _made_aside(part: Path, out: Path) -> Iterator[None]:
 
 def _packets_of(chunk: Path) -> Any:
     """The opened file for reading packets only: FFmpeg would else decode a picture of each to tell its format (14 ms)."""
-    return av.open(av_name(chunk), options={"skip_frame": "all"})
+    return av.open(ffmpeg_url(chunk), options={"skip_frame": "all"})
 
 
 def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
@@ -131,11 +131,11 @@ def _remux(
     left_out = 0
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(open_video(info.path))
-        first = stack.enter_context(av.open(av_name(chunks[0])))
+        first = stack.enter_context(av.open(ffmpeg_url(chunks[0])))
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
         if plan.container in ("mp4", "mov"):
             options |= {"movflags": "faststart", "movie_timescale": str(_timescale(info, source, plan))}
-        out = create(part, plan.container, container_options=options)
+        out = create_container(part, plan.container, container_options=options)
         try:
             out.metadata.update(_plain_metadata(source.metadata))
             streams: dict[int, Any] = {}
@@ -200,11 +200,9 @@ def _copied_packets(
     container: Any, info: ClipInfo, plan: OutputPlan, streams: Mapping[int, Any], start_s: float | None, end_s: float | None
 ) -> Iterator[tuple[Fraction, Any]]:
     """(decode time in seconds, packet) of the streams that the plan copies, in file order, for those of the output.
-
     start_s, end_s : seconds after the clip's first frame; a packet that ends before or begins after them is left out.
     A further video stream begins at its last key frame before start_s, so that it can be decoded.
-    A file that breaks off ends the copy where it breaks, like the frames.
-    """
+    A file that breaks off ends the copy where it breaks, like the frames."""
     zero = info.start_pts * info.time_base
     low = -math.inf if start_s is None else zero + Fraction(start_s)
     high = math.inf if end_s is None else zero + Fraction(end_s)
@@ -251,7 +249,7 @@ def _join_folders(
 ) -> None:  # fmt: skip
     """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
     folder = out.absolute().parent
-    with _made_aside(part, out):
+    with _temporary_output(part, out):
         part.mkdir(parents=True)
         times = []
         for chunk in chunks:
@@ -269,7 +267,7 @@ def _join_folders(
         (part / TIMES).write_text("".join(times))
         if made is not None:
             made()
-        with interrupt.completing():
+        with interrupt.committing():
             if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
                 folder.rmdir()
             if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step

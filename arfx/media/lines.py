@@ -24,10 +24,8 @@ FAST = {"contract", "nsz", "arcp"}
 
 class Planes(NamedTuple):
     """Whole-line planes and how they are read. steps : log2 of the chroma step (x, y)
-
     cosited : chroma on the left/top luma sample;  chroma_size : columns, rows;  scale : y offset, y factor, chroma offset,
-    chroma factor;  matrix : R from Cr, G from Cb, G from Cr, B from Cb
-    """
+    chroma factor;  matrix : R from Cr, G from Cb, G from Cr, B from Cb"""
 
     y: np.ndarray
     u: np.ndarray
@@ -52,17 +50,15 @@ class Luma(NamedTuple):
 
 class Chroma(NamedTuple):
     """What is to be added to chroma. lines : (2, h, n) float32 Cb and Cr differences, -0.5..0.5, of a rectangle's columns
-
-    reach : (h, 2) first of those columns that changes and the one behind the last
-    """
+    changed_columns : (h, 2) first of those columns that changes and the one behind the last"""
 
     lines: np.ndarray
-    reach: np.ndarray
+    changed_columns: np.ndarray
 
 
 @numba.njit(cache=True, nogil=True)
-def line_room(lines, width):
-    """(lines, width + 2 or more) float32 to work in, each of whole cache lines."""
+def line_scratch(lines, width):
+    """(lines, width + 2 or more) float32 scratch, each of whole cache lines."""
     return np.empty((lines, (width + 17) // 16 * 16), np.float32)
 
 
@@ -73,11 +69,9 @@ def chroma_span(x0, x1, step, columns):
 
 
 @line_kernel(fastmath=FAST)
-def coded_line(planes: Planes, row, x0, few, cb, cr, coded):
+def coded_line(planes: Planes, row, x0, samples, cb, cr, coded):
     """coded (3, w or more) = R'G'B' of w pixels of one line from column x0 on.
-
-    few (n,), cb, cr (w,) : room to work in, n of the columns' `chroma_span`
-    """
+    samples (n,), cb, cr (w,) : scratch, n of the columns' `chroma_span`"""
     y, u, v, (sx, sy), cosited, (cw, ch), scale, matrix = planes
     yo, yf, co, cf = scale
     w = cb.shape[0]
@@ -86,10 +80,10 @@ def coded_line(planes: Planes, row, x0, few, cb, cr, coded):
     c = min(max(c, np.float32(0)), np.float32(ch - 1))
     r0 = np.int32(c)
     r1 = min(r0 + 1, ch - 1)
-    _between(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, few)
-    _widen(few, c0, cw, sx, cosited[0], x0, cb)
-    _between(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, few)
-    _widen(few, c0, cw, sx, cosited[0], x0, cr)
+    _interpolate_rows(u[r0, c0:c1], u[r1, c0:c1], c - np.float32(r0), co, cf, samples)
+    _upsample(samples, c0, cw, sx, cosited[0], x0, cb)
+    _interpolate_rows(v[r0, c0:c1], v[r1, c0:c1], c - np.float32(r0), co, cf, samples)
+    _upsample(samples, c0, cw, sx, cosited[0], x0, cr)
     _rgb(y[row, x0 : x0 + w], cb, cr, yo, yf, matrix, coded)
 
 
@@ -104,7 +98,7 @@ def _rgb(line, cb, cr, offset, factor, matrix, coded):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _between(above, below, part, offset, factor, out):
+def _interpolate_rows(above, below, part, offset, factor, out):
     """Chroma between two lines of samples, -0.5..0.5."""
     for i in range(out.shape[0]):
         a, b = np.float32(above[i]), np.float32(below[i])
@@ -112,12 +106,12 @@ def _between(above, below, part, offset, factor, out):
 
 
 @line_kernel(fastmath=FAST)
-def _widen(few, c0, columns, step, cosited, x0, out):
-    """Chroma at the luma columns x0 ... of one line, linear between samples. few : those of the chroma columns from c0 on"""
+def _upsample(samples, c0, columns, step, cosited, x0, out):
+    """Chroma at the luma columns x0 ... of one line, linear between samples. samples : of the chroma columns from c0 on"""
     n = out.shape[0]
     if step == 0:
         for k in range(n):
-            out[k] = few[np.uintp(x0 - c0 + k)]
+            out[k] = samples[np.uintp(x0 - c0 + k)]
         return
     last = columns - 1
     if step == 1:
@@ -126,7 +120,7 @@ def _widen(few, c0, columns, step, cosited, x0, out):
         inner, stop = max(x0 + x0 % 2, 2), min(x0 + n, 2 * last)
         stop = inner + max(stop - inner, 0) // 2 * 2  # in pairs where both neighbours exist
         if stop > inner:
-            own, earlier, pairs = few[inner // 2 - c0 :], few[inner // 2 - c0 - 1 :], out[inner - x0 : stop - x0]
+            own, earlier, pairs = samples[inner // 2 - c0 :], samples[inner // 2 - c0 - 1 :], out[inner - x0 : stop - x0]
             for i in range((stop - inner) // 2):
                 a, b, c = earlier[i], own[i], own[i + 1]
                 pairs[2 * i] = b + before * (a - b)
@@ -135,7 +129,7 @@ def _widen(few, c0, columns, step, cosited, x0, out):
             k = q if stop == inner or x0 + q < inner else q + stop - inner
             i = (x0 + k) >> 1
             m, part = (min(i + 1, last), after) if (x0 + k) & 1 else (max(i - 1, 0), before)
-            out[k] = few[i - c0] + part * (few[m - c0] - few[i - c0])
+            out[k] = samples[i - c0] + part * (samples[m - c0] - samples[i - c0])
         return
     scale = np.float32(1.0 / (1 << step))
     shift = np.float32(0) if cosited else np.float32(0.5) * scale - np.float32(0.5)
@@ -143,7 +137,7 @@ def _widen(few, c0, columns, step, cosited, x0, out):
         c = min(max(np.float32(x0 + k) * scale + shift, np.float32(0)), np.float32(last))
         i = np.int32(c)
         m = min(i + 1, last)
-        out[k] = few[i - c0] + (c - np.float32(i)) * (few[m - c0] - few[i - c0])
+        out[k] = samples[i - c0] + (c - np.float32(i)) * (samples[m - c0] - samples[i - c0])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -221,15 +215,13 @@ def encode_curve(transfer: Transfer) -> np.ndarray:
 
 @line_kernel(fastmath=FAST, error_model="numpy")
 def apply_curve(values, curve, base, mantissa, out):
-    """out[k] = the curve of values[k] (n,) float32, odd in the value; base, mantissa (n,) float32 : room to work in.
-
-    curve : toe, factor of the line up to it, then what is added, factor, power, factor and what is taken off above it
-    """
+    """out[k] = the curve of values[k] (n,) float32, odd in the value; base, mantissa (n,) float32 : scratch.
+    curve : toe, factor of the line up to it, then what is added, factor, power, factor and what is taken off above it"""
     n = values.shape[0]
     toe, line, add, scale, power, gain, minus = curve[0], curve[1], curve[2], curve[3], curve[4], curve[5], curve[6]
     for k in range(n):
         base[k] = max((abs(values[k]) + add) * scale, np.float32(1e-30))
-    _raise(base[:n], power, mantissa[:n], out)
+    _power(base[:n], power, mantissa[:n], out)
     for k in range(n):
         v = values[k]
         a = abs(v)
@@ -239,15 +231,15 @@ def apply_curve(values, curve, base, mantissa, out):
 
 @line_kernel(fastmath=FAST, error_model="numpy")
 def power_of(values, power, base, mantissa, out):
-    """out[k] = values[k]^power (n,) float32 of values >= 0; base, mantissa (n,) float32 : room to work in."""
+    """out[k] = values[k]^power (n,) float32 of values >= 0; base, mantissa (n,) float32 : scratch."""
     n = values.shape[0]
     for k in range(n):
         base[k] = max(values[k], np.float32(1e-30))
-    _raise(base[:n], power, mantissa[:n], out)
+    _power(base[:n], power, mantissa[:n], out)
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")
-def _raise(base, power, mantissa, out):
+def _power(base, power, mantissa, out):
     """out = base^power (n,) of positive normal float32; `base` and `mantissa` are used up."""
     one, middle, shift = np.float32(1), np.int32(0x3F3504F3), np.int32(23)  # the bits of sqrt(1/2)
     bits, inner = base.view(np.int32), mantissa.view(np.int32)

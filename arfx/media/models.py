@@ -19,7 +19,7 @@ from arfx.core.numerics import normalise
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import MAX_FACES, check_gltf, gltf_header
-from arfx.media.model_files import ModelFolder, known_pictures
+from arfx.media.model_files import ModelFolder, restrict_pillow
 from arfx.media.model_materials import Textures, material_of, precise_factors, vertex_colours
 from arfx.media.model_normals import smooth_by_angle
 
@@ -31,7 +31,7 @@ _BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}  # told from th
 _TWO_SIDED = ("ply", "stl", "obj", "off", "dae")
 # Beyond this float32 coordinates, which both renderers use, step by more than a thousandth of a unit times extent.
 MAX_EXTENT = 1e9
-# Squared double area below which a triangle has no plane, as a share of the model's extent to the fourth power:
+# Squared double area below which a triangle has no plane, as a fraction of the model's extent to the fourth power:
 # float32 coordinates are exact to 6e-8 of the extent, so a height below that is rounding.
 _DEGENERATE = (6e-8) ** 4
 
@@ -78,10 +78,8 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     low, high = model.bounds
     extent = float((high - low).max())
     if not extent > 0 or extent > MAX_EXTENT or np.abs(model.bounds).max() > MAX_EXTENT:
-        raise InputError(
-            f"model {path} spans {extent:g} units up to coordinate {np.abs(model.bounds).max():g}",
-            f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray vertices",
-        )
+        hint = f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray vertices"
+        raise InputError(f"model {path} spans {extent:g} units up to coordinate {np.abs(model.bounds).max():g}", hint)
     return model
 
 
@@ -101,7 +99,7 @@ def _read(data: bytes, kind: str, folder: ModelFolder, header: dict[str, Any], n
     import trimesh
 
     refused: list[str] = []
-    with known_pictures(refused), np.errstate(all="ignore"):
+    with restrict_pillow(refused), np.errstate(all="ignore"):
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=folder, process=False)  # type: ignore[arg-type]
         parts = _parts(scene, folder.path, kind, header, notices)
     for why in folder.left_out.values():

@@ -7,7 +7,6 @@ A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -71,9 +70,7 @@ def layout_named(name: str) -> PixelLayout | None:
 @cache
 def working_layout(name: str) -> tuple[PixelLayout, str]:
     """The working format for a decoded format, and a notice ("" when the planes are used as they are).
-
-    The choice keeps bit depth (8, 10, 12 or 16) and subsampling.
-    """
+    The choice keeps bit depth (8, 10, 12 or 16) and subsampling."""
     if layout := layout_named(name):
         return layout, ""
     f = av.VideoFormat(name, 16, 16)
@@ -188,10 +185,8 @@ class Orientation:
 
 def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
     """Orientation of an FFmpeg display matrix (9 integers), and whether it is one exactly.
-
     x' = a x + c y, y' = b x + d y with a, b, c, d at 0, 1, 3, 4 (FFmpeg libavutil/display.h). A turn that is no
-    multiple of 90 degrees is taken to the nearest one.
-    """
+    multiple of 90 degrees is taken to the nearest one."""
     if matrix is None:
         return Orientation(), True
     a, b, c, d = (float(matrix[i]) for i in (0, 1, 3, 4))
@@ -201,11 +196,6 @@ def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
     if straight >= turned:
         return Orientation(False, a < 0, d < 0), turned < 1e-3 * straight
     return Orientation(True, c < 0, b < 0), straight < 1e-3 * turned
-
-
-def matrix_from_side_data(data: bytes) -> tuple[int, ...]:
-    """Nine int32 in the machine's byte order, as FFmpeg stores a display matrix."""
-    return struct.unpack("=9i", data[:36])
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ import numpy as np
 from arfx.core.guard import TIMES
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
-from arfx.media.codecs import CODECS, open_encoder
-from arfx.media.containers import create
+from arfx.media.codecs import CODECS, create_container, open_encoder
 from arfx.media.frame import SWS_MATRIX, Frame
 from arfx.media.images import write_exr, write_failed, write_png
 from arfx.media.output import OutputPlan
@@ -27,18 +26,14 @@ _DEEPEST_REORDER = 16  # H.264 and H.265 allow at most 16 frames of reordering
 
 def chunk_suffix(plan: OutputPlan) -> str:
     """The extension of a chunk's file; "" for an image sequence, whose chunks are folders.
-
     NUT keeps every time exactly; codecs that it cannot hold with their tags (FFV1, ProRes) go into Matroska, whose
-    rounded times do no harm: both are intra-only, and joining takes the times from the clip.
-    """
+    rounded times do no harm: both are intra-only, and joining takes the times from the clip."""
     return "" if plan.is_sequence else CODECS[plan.codec].chunk
 
 
 class ChunkWriter:
     """Context manager: frames in, a file (or a folder of images) out under `path`, or nothing after an error.
-
-    Raises RenderError: the file cannot be written, the encoder fails, frames out of order, no frame at all.
-    """
+    Raises RenderError: the file cannot be written, the encoder fails, frames out of order, no frame at all."""
 
     def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
         self.plan, self.info, self.path = plan, info, Path(path)
@@ -67,7 +62,7 @@ class ChunkWriter:
         plan, info = self.plan, self.info
         kind = {".nut": "nut", ".mkv": "matroska"}[chunk_suffix(plan)]
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}  # no random identifiers: same frames, same bytes
-        self._container = create(self.part, kind, container_options=options)
+        self._container = create_container(self.part, kind, container_options=options)
         rate = Fraction(info.fps or 25).limit_denominator(1001)
         s = self._container.add_stream(CODECS[plan.codec].encoder, rate=rate, options=dict(plan.options))
         ctx = s.codec_context
@@ -164,7 +159,7 @@ class ChunkWriter:
             container.close()
 
     def _abandon(self) -> None:
-        with contextlib.suppress(av.error.FFmpegError, OSError):  # thrown away; the user is told what went wrong first
+        with contextlib.suppress(av.error.FFmpegError, OSError):  # thrown away; the first error is reported
             self._close()
         remove_output(self.part)
 

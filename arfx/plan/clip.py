@@ -7,19 +7,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from arfx.core.cost import Prediction, Prices, exactly
+from arfx.core.cost import Prediction, Prices, measured
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage, level_named
 from arfx.plan.errors import Errors
-from arfx.plan.levels import Chosen, Option, Place, alike, keep_budget, keep_error, named
+from arfx.plan.levels import Chosen, Option, Place, keep_budget, keep_error, named, sum_correlated
 from arfx.plan.planner import plan_frame
 from arfx.plan.work import terms_of, what_is_new
 
 SecondsOf = Callable[[Sequence[FramePlan], Prediction], float]
 Once = Callable[[str, str], Prediction | None]
-NOTHING = exactly(0.0)
+NOTHING = measured(0.0)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def _options(
             made = once(name, level)
             costs.append(None if made is None else made.times(1 / shots[name]))
             known = [c for c in costs if c is not None]
-            cost = alike(known) if len(known) == len(costs) else Prediction(float("inf"), 0.0, float("inf"))
+            cost = sum_correlated(known) if len(known) == len(costs) else Prediction(float("inf"), 0.0, float("inf"))
             error = errors.of(name, level, stage.levels[-1])
             out.setdefault((shot, name), []).append(Option(level, cost, error, len(runs)))
     return out

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from arfx.core.cost import Prediction, exactly, together
+from arfx.core.cost import Prediction, measured, sum_independent
 
 Place = tuple[int, str]  # shot, stage
 Choice = dict[Place, str]
@@ -135,12 +135,12 @@ def total(state: Mapping[Place, Option]) -> Prediction:
     by_stage: dict[str, list[Prediction]] = {}
     for (_, stage), option in state.items():
         by_stage.setdefault(stage, []).append(option.cost)
-    return together(alike(costs) for costs in by_stage.values())
+    return sum_independent(sum_correlated(costs) for costs in by_stage.values())
 
 
-def alike(parts: Iterable[Prediction]) -> Prediction:
+def sum_correlated(parts: Iterable[Prediction]) -> Prediction:
     """The sum of predictions that are all wrong by the same factor."""
-    out = exactly(0.0)
+    out = measured(0.0)
     for p in parts:
         out = Prediction(out.seconds + p.seconds, out.low_s + p.low_s, out.high_s + p.high_s)
     return out

@@ -35,7 +35,7 @@ class Ahead(Generic[T]):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None) -> None:
-        with interrupt.held():  # what it reads from is closed behind this
+        with interrupt.deferred():  # what it reads from is closed behind this
             self._pool.shutdown(cancel_futures=True)
 
     def __iter__(self) -> Ahead[T]:
@@ -76,7 +76,7 @@ class Behind(Generic[T]):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None) -> None:
         self._over |= kind is not None
-        with interrupt.held():
+        with interrupt.deferred():
             self._pool.shutdown()
         if kind is None:
             self._wait(0)

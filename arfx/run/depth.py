@@ -9,7 +9,7 @@ from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.errors import InputError
-from arfx.media.depth_maps import DepthMaps, filled, open_depth
+from arfx.media.depth_maps import DepthMaps, fill_holes, open_depth
 from arfx.media.frame import Frame
 
 
@@ -33,5 +33,5 @@ def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: C
     depth = maps.load(told.map, camera.width, camera.height)
     if not depth.any():
         raise InputError(f"depth map {maps.name(told.map)} has changed since the analysis", "start the job again")
-    whole = filled(depth, np.ascontiguousarray(frame.luma()))
+    whole = fill_holes(depth, np.ascontiguousarray(frame.luma()))
     return np.ascontiguousarray(whole[rect.slices]) * np.float32(told.scale)

@@ -116,11 +116,11 @@ def compiling(
 
     Yields how many functions are missing. progress, notice : as of `compile_ahead`
     """
-    with interrupt.held():  # what is looked at is imported
+    with interrupt.deferred():  # what is looked at is imported
         needed = [kernel for kernel in first if not kernel.kept]
         missing = needed + [kernel for kernel in then if not kernel.kept]
     if missing:
-        if not compiled.lasting():
+        if not compiled.cache_persists():
             notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")
         progress(COMPILE, 0, len(missing))
     groups = _by_module(missing, needed)
@@ -141,7 +141,7 @@ def compiling(
 def _here(groups: deque[list[Kernel]]) -> Generator[Kernel]:
     for group in groups:
         for kernel in group:
-            with interrupt.held():
+            with interrupt.deferred():
                 kernel.load()
             yield kernel
 
@@ -175,7 +175,7 @@ def _by_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
                     ticks.put(kernel)
 
     try:
-        with interrupt.held():
+        with interrupt.deferred():
             for _ in range(count):
                 pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
                 helpers.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, text=True, env=here))

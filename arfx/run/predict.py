@@ -11,9 +11,9 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from arfx.core.cost import Prediction, Prices, exactly, together, with_spread
+from arfx.core.cost import Prediction, Prices, measured, sum_independent, with_spread
 from arfx.core.plan import FramePlan, levels_of
-from arfx.plan.levels import alike
+from arfx.plan.levels import sum_correlated
 from arfx.run.chunks import borders
 from arfx.run.schedule import Load, elapsed
 
@@ -56,7 +56,7 @@ class JobPrediction:
         """Of the whole job; None where a phase is not known. The phases err alike: a machine that is slower today is so for all,
         and what the calibration's scenes do not show of one phase was not seen to be made good by another."""
         known = [p if name in ALONE else p.times(self.share) for name, p in self.phases.items() if p is not None]
-        return alike(known) if len(known) == len(self.phases) else None
+        return sum_correlated(known) if len(known) == len(self.phases) else None
 
 
 ALONE = ("before", "prepare", "join", "report")
@@ -68,13 +68,13 @@ def predict(
     """work : of all stages;  prepared : what they prepare is in it"""
     changed = [p for p in plans if p.steps]
     edited = {"frames": float(len(changed)), "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6}
-    edit = prices.predict("edit", edited) if changed else exactly(0.0)
+    edit = prices.predict("edit", edited) if changed else measured(0.0)
     whole = {"frames": float(terms.frames), "mpx": terms.frames * terms.frame_mpx}
     encode = prices.predict(f"encode {terms.codec}", whole)
     share, lead = _shared(plans, work, terms, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
     phases = {
-        "before": exactly(terms.before_s),
-        "prepare": exactly(0.0) if prepared else prepare(levels_of(plans), terms, prices),
+        "before": measured(terms.before_s),
+        "prepare": measured(0.0) if prepared else prepare(levels_of(plans), terms, prices),
         "decode": with_spread(terms.decode_s + lead, DECODE_SPREAD),
         "stages": work,
         "edit": edit,
@@ -111,7 +111,7 @@ def prepare(wanted: Collection[tuple[str, str]], terms: Terms, prices: Prices) -
     """What is made once: threads share it, every further process makes it anew, beside the others."""
     found = [prepare_one(stage, level, terms, prices) for stage, level in wanted]
     known = [p for p in found if p is not None]
-    return together(known) if len(known) == len(found) else None
+    return sum_independent(known) if len(known) == len(found) else None
 
 
 def prepare_one(stage: str, level: str, terms: Terms, prices: Prices) -> Prediction | None:
@@ -132,7 +132,7 @@ def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:
             if s.seconds is None or s.between is None:
                 return None
             by_stage.setdefault(s.stage, []).append(Prediction(s.seconds, *s.between))
-    return together(alike(every) for every in by_stage.values())
+    return sum_independent(sum_correlated(every) for every in by_stage.values())
 
 
 def to_json(job: JobPrediction, prices: Prices) -> dict[str, Any]:

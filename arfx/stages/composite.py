@@ -36,7 +36,7 @@ class Composite(Stage):
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         """The object's box; beside it nothing is mixed: the light alone is less, and worked out where somebody asks for it."""
         now, facts = view.layers, view.facts
-        box = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.drawn_box))
+        box = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.raster_box))
         dark, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
         opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
         made = np.empty((box.rect.height, box.rect.width, 3), np.float32)

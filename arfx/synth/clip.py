@@ -18,15 +18,15 @@ import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.guard import fits, part_name
+from arfx.core.guard import check_file_name, part_name
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, DepthFile
-from arfx.synth.picture import Picture, develop, gain_at
+from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.shapes import write_model
-from arfx.synth.tracer import unhidden
+from arfx.synth.tracer import unoccluded
 from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, FrameTruth, MarkerTruth, Truth, write_depth, write_flow, write_truth
 from arfx.synth.world import World, marker_points
 
@@ -50,23 +50,23 @@ def make_clip(
     truth_pictures : False leaves out depth, masks and flow
     Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written.
     """
-    fits(folder)
+    check_file_name(folder)
     check_replaceable(folder, overwrite)
-    aside = part_name(folder.absolute())
+    part = part_name(folder.absolute())
     try:
-        aside.mkdir(parents=True)
+        part.mkdir(parents=True)
     except OSError as e:
         raise RenderError(f"cannot write into {folder.parent}: {e.strerror}", "name another place with -o") from None
     try:
-        truth = _fill(scene, aside, scene_folder, progress or (lambda *_: None), truth_pictures)
+        truth = _fill(scene, part, scene_folder, progress or (lambda *_: None), truth_pictures)
         if os.path.lexists(folder):
             check_replaceable(folder, overwrite)  # again: all the time since the first look
             shutil.rmtree(folder)
-        aside.rename(folder)
+        part.rename(folder)
     except OSError as e:
         raise RenderError(f"cannot write {folder}: {e.strerror or e}", "name another place with -o") from None
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
     return truth
 
 
@@ -80,8 +80,8 @@ def check_replaceable(folder: Path, overwrite: bool = True) -> None:
     if folder.is_symlink() or not folder.is_dir():
         raise ConfigError(f"{folder} is not a folder", "name another with -o")
     try:
-        told = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
-        own = {told["clip"], told.get("depth")} if (folder / "truth.jsonl").is_file() else set()
+        job = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
+        own = {job["clip"], job.get("depth")} if (folder / "truth.jsonl").is_file() else set()
     except (OSError, ValueError, KeyError, TypeError):
         own = set()
     for path in folder.rglob("*"):
@@ -101,7 +101,7 @@ def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: P
         maps = files.enter_context(DepthFile(folder / scene.depth.file, scene)) if scene.depth.file else None
         for n in range(scene.frames):
             time_s = float(world.frame_times_s[n])
-            clip.write(develop(scene, picture.radiance(n), n, time_s), time_s)
+            clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
             depth, owner = picture.surfaces(n) if maps is not None or kinds else (np.zeros(0), np.zeros(0))
             if maps is not None:
                 maps.write(depth, n, time_s)
@@ -143,7 +143,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         facing = float(camera_from_marker.rotation[:, 2] @ towards)
         seen = np.zeros(len(points), bool)
         if facing > 0:
-            unhidden(np.ascontiguousarray(points), room_from_camera.translation_m, moment.rects, moment.spheres, seen)
+            unoccluded(np.ascontiguousarray(points), room_from_camera.translation_m, moment.rects, moment.spheres, seen)
             seen &= inside
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
         room_from_marker[placed.spec.key] = pose
@@ -154,7 +154,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             "marker": {k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()},
             "rgb": row[3:6].tolist(), "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
         }
-        for row in ([] if scene.light.environment else moment.lamps)
+        for row in ([] if scene.light.environment else moment.lights)
     ]  # fmt: skip
     return FrameTruth(
         n, time_s + scene.clip.start_s, int(world.shots[n]), camera_from_room, room_from_marker, markers, gain_at(scene, time_s),
@@ -163,7 +163,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
 
 
 def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
-    """The camera that the job is told of."""
+    """The camera that camera.yaml states."""
     matrix = camera.matrix.copy()
     matrix[0, 0] *= 1 + scene.hidden.focal_error_percent / 100
     matrix[1, 1] *= 1 + scene.hidden.focal_error_percent / 100

@@ -71,7 +71,7 @@ class Picture:
         def one(band: tuple[int, int]) -> None:
             when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
             moment, pose = shared or (world.at(when), world.camera_at(frame, when).inverse())
-            room = Room(moment.rects, moment.spheres, moment.lamps, world.ambient, world.textures, world.table, world.sky)
+            room = Room(moment.rects, moment.spheres, moment.lights, world.ambient, world.textures, world.table, world.sky)
             seen = Lens(rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m, lens.focus_m or 1.0)
             render_rows(*band, seen, footprint, room, seed, weight, out)
 
@@ -88,9 +88,7 @@ class Picture:
 
     def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
-
-        NaN where there is nothing, at the last frame, across a cut, and where the point leaves the lens's field.
-        """
+        NaN where there is nothing, at the last frame, across a cut, and where the point leaves the lens's field."""
         out = np.full((*depth.shape, 2), np.nan)
         world = self.world
         if frame + 1 >= world.scene.frames or world.shots[frame + 1] != world.shots[frame]:
@@ -114,12 +112,10 @@ def gain_at(scene: SceneFile, time_s: float) -> float:
     return float(scene.exposure.gain * 2.0**stops)
 
 
-def develop(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) -> np.ndarray:
+def expose(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) -> np.ndarray:
     """Coded colours (h, w, 3) float32 in 0..1 of a frame's radiance (h, w, 3).
-
     Sensor value = gain * radiance + bias + noise, clipped; noise has variance read² + shot * value, as read after the
-    gain, correlated over a Gaussian of the stated sigma without changing its variance.
-    """
+    gain, correlated over a Gaussian of the stated sigma without changing its variance."""
     signal = gain_at(scene, time_s) * radiance + scene.exposure.bias
     noise = scene.noise
     if noise.read > 0 or noise.shot > 0:

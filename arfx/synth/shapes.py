@@ -104,9 +104,7 @@ SHAPES: dict[str, Callable[[], list[Any]]] = {
 
 def write_model(name: str, path: Path) -> int:
     """Write a shape as GLB; returns its number of faces. icosphereN has 20·4^N.
-
-    Raises ConfigError for an unknown name.
-    """
+    Raises ConfigError for an unknown name."""
     if name not in SHAPES:
         raise ConfigError(f"there is no shape {name!r}", f"one of {', '.join(SHAPES)}")
     import trimesh

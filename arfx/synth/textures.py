@@ -21,9 +21,7 @@ from arfx.synth.description import Texture
 
 def texture_albedo(texture: Texture, size_m: tuple[float, float], seed: int, folder: Path | None = None) -> np.ndarray:
     """(rows, columns, 3) float32 linear albedo 0..1 that covers size_m = (width, height), metres; row 0 is y's upper end.
-
-    Raises InputError if a picture file cannot be read.
-    """
+    Raises InputError if a picture file cannot be read."""
     if texture.kind == "plain":
         return np.full((1, 1, 3), texture.colour, np.float32)
     if texture.kind == "image":
@@ -124,11 +122,9 @@ def sheet_albedo(
     spec: MarkerSpec, margin_cells: float, ink: float, paper: float, inverted: bool = False, right_ink: float | None = None
 ) -> tuple[np.ndarray, float]:
     """Albedo picture of the whole sheet and the sheet's side in metres.
-
     The margin is made exact by cutting every cell into a whole number of texels. right_ink : ink albedo at the right
     edge, growing linearly from `ink` at the left (worn print); None = even.
-    Returns (rows, columns, 1) float64.
-    """
+    Returns (rows, columns, 1) float64."""
     cells = marker_cells(spec) ^ inverted
     per_cell = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
     big = np.kron(cells, np.ones((per_cell, per_cell), bool))
@@ -139,9 +135,7 @@ def sheet_albedo(
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
     """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file beside the scene.
-
-    Raises InputError if the file cannot be read or holds values that are not finite and >= 0.
-    """
+    Raises InputError if the file cannot be read or holds values that are not finite and >= 0."""
     if str(source) in ("studio", "sunset"):
         return _made(str(source))
     path = (folder or Path()) / source
@@ -181,11 +175,9 @@ def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
     return towards[..., 2], towards
 
 
-def environment_lamps(picture: np.ndarray, count: int) -> np.ndarray:
-    """(count, 7) tracer lamps that together light a surface as the panorama does.
-
-    A region's radiance times its solid angle / pi is the rgb of its lamp (arfx.core.light folds pi in).
-    """
+def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
+    """(count, 7) tracer lights that together light a surface as the panorama does.
+    A region's radiance times its solid angle / pi is the rgb of its light (arfx.core.light folds pi in)."""
     h, w = picture.shape[:2]
     _, towards = _directions(h, w)
     solid = np.repeat((np.cos(np.pi * (0.5 - (np.arange(h) + 0.5) / h)) * (np.pi / h) * (2 * np.pi / w))[:, None], w, 1)

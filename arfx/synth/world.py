@@ -13,26 +13,24 @@ from scipy.interpolate import CubicHermiteSpline
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.synth.description import Box, CameraPath, Key, Marker, Motion, Placed, Plane, SceneFile, Sphere
-from arfx.synth.textures import environment_lamps, environment_picture, sheet_albedo, texture_albedo
+from arfx.synth.description import Box, CameraPath, Key, Marker, Motion, Plane, SceneFile, SceneObject, Sphere
+from arfx.synth.textures import environment_lights, environment_picture, sheet_albedo, texture_albedo
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class SceneState:
     """The scene at one time: tracer rows, room_from_object by object number - 1."""
 
     rects: np.ndarray
     spheres: np.ndarray
-    lamps: np.ndarray
+    lights: np.ndarray
     room_from_object: tuple[Pose, ...]
 
 
 class World:
     """Everything of a scene that does not depend on time, made once.
-
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots : (frames,) shot of each frame
-    textures, table : tracer's summed-area tables;  ambient, sky : tracer's light beside the lamps (`lamps_at`)
-    """
+    textures, table : tracer's summed-area tables;  ambient, sky : tracer's ambient light beside `lights_at`"""
 
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
         self.scene = scene
@@ -47,17 +45,17 @@ class World:
         self.sky = np.zeros((0, 0, 3))
         if scene.light.environment:
             self.sky = environment_picture(scene.light.environment, folder) * scene.light.environment_scale
-            self._sky_lamps = environment_lamps(self.sky, scene.light.environment_lights)
+            self._sky_lights = environment_lights(self.sky, scene.light.environment_lights)
             self.ambient = np.zeros(3)
 
     @property
     def duration_s(self) -> float:
         return float(self.frame_times_s[-1])
 
-    def lamps_at(self, time_s: float) -> np.ndarray:
-        """(n, 7) tracer lamps at a time."""
+    def lights_at(self, time_s: float) -> np.ndarray:
+        """(n, 7) tracer lights at a time."""
         if self.scene.light.environment:
-            return self._sky_lamps
+            return self._sky_lights
         rows = []
         for li in self.scene.light.lamps:
             phase = np.sin(2 * np.pi * time_s / li.period_s)
@@ -104,7 +102,7 @@ class World:
             by_name[n] = by_name[p.spec.key if isinstance(p, Marker) else n] = pose
         return tuple(by_name[p.attached_to] @ pose if p.attached_to else pose for p, pose in zip(placed, own, strict=True))
 
-    def at(self, time_s: float) -> Moment:
+    def at(self, time_s: float) -> SceneState:
         poses = self.poses(time_s)
         rects, spheres = [], []
         for p, faces, pose in zip(self.scene.placed, self._faces, poses, strict=True):
@@ -117,7 +115,7 @@ class World:
                 for k in (3, 6, 9):
                     new[k : k + 3] = pose.rotation @ row[k : k + 3]
                 rects.append(new)
-        return Moment(np.array(rects).reshape(-1, 18), np.array(spheres).reshape(-1, 8), self.lamps_at(time_s), poses)
+        return SceneState(np.array(rects).reshape(-1, 18), np.array(spheres).reshape(-1, 8), self.lights_at(time_s), poses)
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
         """camera_from_room at a time during (or next to) a frame, on the path of the frame's shot."""
@@ -181,9 +179,7 @@ def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float, channels: 
 
 def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
     """camera_from_room of a camera that looks from one point at another, the room's z up in its picture.
-
-    Straight up or down, the room's y is up instead.
-    """
+    Straight up or down, the room's y is up instead."""
     forward = normalise(np.asarray(target_m, float) - position_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < 1e-6:  # looking along z to within a microradian: `up` gives no direction
@@ -219,7 +215,7 @@ def camera_from_room(path: CameraPath, time_s: float, duration_s: float, seed: i
     return pose
 
 
-def room_from_object(placed: Placed, time_s: float, duration_s: float, seed: int, name: str) -> Pose:
+def room_from_object(placed: SceneObject, time_s: float, duration_s: float, seed: int, name: str) -> Pose:
     """Pose of an object in its parent's axes (the room's, if it is attached to nothing)."""
     rest = Pose(rotation_from_euler_deg(*placed.rotate_deg), np.asarray(placed.position_m, float))
     motion = placed.motion

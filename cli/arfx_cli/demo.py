@@ -73,9 +73,9 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
 def _save(preview: tuple, path: Path) -> None:
     import numpy as np
 
-    from arfx.core.guard import aside
+    from arfx.core.guard import atomic_write
     from arfx.media.images import write_png
 
     _, before, after = preview
-    with aside(path) as part:
+    with atomic_write(path) as part:
         write_png(part, np.hstack([before, after]))

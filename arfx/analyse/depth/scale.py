@@ -20,7 +20,7 @@ from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.machine import usable_cores
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.real_depth import USUAL_NOISE, RealDepth, tile_ranges
+from arfx.core.real_depth import TYPICAL_NOISE, RealDepth, tile_ranges
 from arfx.core.stage import Check
 from arfx.errors import InputError
 
@@ -50,7 +50,7 @@ class DepthScale(Document):
     @property
     def noise(self) -> float:
         """Standard deviation of a pixel, share of its distance."""
-        return USUAL_NOISE if self.residual is None else _SIGMA * self.residual
+        return TYPICAL_NOISE if self.residual is None else _SIGMA * self.residual
 
 
 class Depth(Fold):

@@ -21,7 +21,7 @@ import numpy as np
 
 from arfx.analyse.light.given import STANDS_OUT
 from arfx.analyse.light.icosphere import icosphere
-from arfx.core.codec import stored
+from arfx.core.codec import serialisable
 from arfx.core.cube import CubeMap, face_directions, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, Light, harmonics
@@ -137,7 +137,7 @@ def _basis(size: int, rotation: bytes) -> np.ndarray:
     return harmonics(directions) * np.tile(solid_angles(size).ravel(), 6)[:, None]
 
 
-@stored
+@serialisable
 @dataclass(frozen=True, eq=False)
 class Look:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA axes (`fold`)

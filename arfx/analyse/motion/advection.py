@@ -16,7 +16,7 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_places
-from arfx.core.advection import AdvectionField, packed_detail, packed_places
+from arfx.core.advection import AdvectionField, pack_detail, pack_positions
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide
@@ -99,7 +99,7 @@ def with_anchors(
                     key = (*_at((u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None)
             origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
             made.append(
-                AdvectionField(number, GRID_PX, origin, shape, packed_places(u, v), packed_detail(detail), f.camera_from_world)
+                AdvectionField(number, GRID_PX, origin, shape, pack_positions(u, v), pack_detail(detail), f.camera_from_world)
             )
             begins = back is None
             kept = back if back is not None else None if step is None or step.back is None else step.back.astype(float)
@@ -107,7 +107,7 @@ def with_anchors(
         last = f
         of_frame.append(len(sets) - 1)
     made = [
-        replace(m, share=round(share, 4), forward=packed_places(*forward), backward=packed_places(*backward))
+        replace(m, share=round(share, 4), forward=pack_positions(*forward), backward=pack_positions(*backward))
         for m, (forward, backward, share) in zip(made, both_ways(sets, gx, gy), strict=True)
     ]
     return tuple(f.with_(advection=made[k]) for f, k in zip(facts, of_frame, strict=True))

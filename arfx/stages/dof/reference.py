@@ -222,7 +222,7 @@ def _object(
     near, far = depth_range(facts)
     reach = float(at.radius_px(np.array([1 / near, 1 / far])).max())
     corner = 1.0 if params.blades < 3 else 1.3
-    box = facts.drawn_box.pad(int(np.ceil(corner * reach)) + 1).clip(now.rect)
+    box = facts.raster_box.pad(int(np.ceil(corner * reach)) + 1).clip(now.rect)
     if facts.model_box.empty or box.empty:
         return share, colour
     radius_m = at.px_per_dioptre / scene.camera.fx

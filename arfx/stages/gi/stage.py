@@ -97,7 +97,7 @@ class Gi(Stage):
     overrides: ClassVar = {"lightmap": {"ambient": False}}  # gi gives all light without a direction
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        model = facts.drawn_box.clip(frame)
+        model = facts.raster_box.clip(frame)
         if size_px := self._unseen_px(facts, scene):
             return Demand(model, f"no cones: the model is matt and grey, and what it changes is {size_px} px wide; even light")
         disc, why = self._disc(facts, scene, frame)
@@ -196,7 +196,7 @@ class Gi(Stage):
     def _virtual(self, view: View, prepared: Prepared, at: LevelSettings, back: Around) -> np.ndarray:
         now, out = view.layers, view[Layer.VIRTUAL].copy()
         block = at.block
-        box = view.facts.drawn_box.align(block, block).clip(now.rect)
+        box = view.facts.raster_box.align(block, block).clip(now.rect)
         if box.empty:
             return out
         part = now.crop(box)

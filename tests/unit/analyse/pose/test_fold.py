@@ -16,8 +16,7 @@ from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.presence import CutSignal, find_cuts, lasting, opacities, stretches, unlikeness
 from arfx.analyse.pose.visibility import trembling_px, with_model
-from arfx.core.facts import FrameFacts
-from arfx.core.facts_file import read_facts, write_facts
+from arfx.core.facts import FrameFacts, read_facts, write_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
 from arfx.core.rect import EMPTY
