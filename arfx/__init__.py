@@ -3,4 +3,4 @@
 from arfx.core import compiled as _compiled
 
 __version__ = "0.1.0"
-_compiled.prepare()
+_compiled.configure_numba()

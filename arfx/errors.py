@@ -5,11 +5,9 @@ from __future__ import annotations
 
 class ArfxError(Exception):
     """A failure with one clear message.
-
     message : what is wrong and where (file, frame, key)
     hint : what would be right; printed on a line of its own, may be empty
-    exit_code : the process's exit status (documented in CLI help)
-    """
+    exit_code : the process's exit status (documented in CLI help)"""
 
     exit_code = 5
 

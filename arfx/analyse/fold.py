@@ -14,12 +14,12 @@ import numpy as np
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.health import Check
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.stage import Check
 
 MARKER, PLANE = "marker", "plane"  # what the object stands on
 PLANE_MARKER = MarkerSpec(PLANE, 0, 0.1)  # in place of a marker; its square is that beside which the plane's radiance is read

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from arfx.calibrate.advice import GRID, TILTED_DEG, grid_pixels
 from arfx.calibrate.calibration import Calibration
-from arfx.core.guard import aside
+from arfx.core.guard import atomic_write
 
 RESIDUALS, COVERAGE = "residuals.png", "coverage.png"
 DPI = 110
@@ -22,7 +22,7 @@ def write_plots(result: Calibration, folder: Path, stem: str = "") -> list[Path]
     out = []
     for name, figure in ((RESIDUALS, _residuals(result)), (COVERAGE, _coverage(result))):
         path = folder / f"{stem}{name}"
-        with aside(path) as part:
+        with atomic_write(path) as part:
             FigureCanvasAgg(figure).print_figure(part, format="png", dpi=DPI)
         out.append(path)
     return out

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec, charuco_board, opencv_dictionary
-from arfx.core.guard import aside
+from arfx.core.guard import atomic_write
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
@@ -201,7 +201,7 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
     ending = path.suffix.lower()
     if ending not in (".pdf", ".svg", ".png"):
         raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")
-    with aside(path) as part:
+    with atomic_write(path) as part:
         if ending == ".png":
             _png(sheet, part, dpi)
         else:

@@ -19,24 +19,20 @@ _MOST_PARTS = 8  # of a --set key: settings have two
 
 def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     """All of it as one tree. texts : of --set
-
-    Raises ConfigError naming the words, also for an option and a --set that give one key different values.
-    """
+    Raises ConfigError naming the words, also for an option and a --set that give one key different values."""
     tree: dict[str, Any] = {}
     others: list[Given] = [(*parse_setting(text), f"--set {text}") for text in texts]
     for path, value, words in others:
-        _put(tree, path, value, words)
+        _set_value(tree, path, value, words)
     for path, value, words in options:
-        _agree(path, value, words, others)
-        _put(tree, path, value, words)
+        _check_conflicts(path, value, words, others)
+        _set_value(tree, path, value, words)
     return tree
 
 
-def of_sections(given: Mapping[str, Any]) -> Iterator[Given]:
+def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
     """The settings of a job's sections that have an option. given : by the option's name; None, False and () are not given.
-
-    Raises ConfigError.
-    """
+    Raises ConfigError."""
     for s in settings():
         value = given[s.name] if s.flags else None
         if value is None or value is False or value == ():
@@ -59,21 +55,17 @@ def _read(s: Setting, value: Any) -> Any:
     three = [p.strip() for p in value.split(",")]
     if len(three) != 3:
         raise ConfigError(f"{s.flags[0]} {value!r} is not three values", "X,Y,Z with commas")
-    return [_degrees(part, s.flags[0]) for part in three] if Turn in s.kinds else three
-
-
-def _degrees(text: str, flag: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError(f"{flag}: {text!r} is not a number of degrees") from None
+    for part in three if Turn in s.kinds else ():
+        try:
+            float(part)
+        except ValueError:
+            raise ConfigError(f"{s.flags[0]}: {part!r} is not a number of degrees") from None
+    return [float(part) for part in three] if Turn in s.kinds else three
 
 
 def parse_setting(text: str) -> tuple[list[str], Any]:
     """`--set raster.backend=rays` to (["raster", "backend"], "rays"). Values are TOML where they parse as it, else text.
-
-    Raises ConfigError.
-    """
+    Raises ConfigError."""
     key, equals, value = text.partition("=")
     parts = [p.strip() for p in key.split(".")]
     if not equals or len(parts) < 2 or not all(parts):
@@ -92,7 +84,7 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _put(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> None:
+def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> None:
     """Put a value into nested tables. Raises ConfigError where the way is barred."""
     at = tree
     for part in path[:-1]:
@@ -104,18 +96,18 @@ def _put(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> N
     at[path[-1]] = value
 
 
-def _agree(path: Sequence[str], value: Any, words: str, others: Sequence[Given]) -> None:
+def _check_conflicts(path: Sequence[str], value: Any, words: str, others: Sequence[Given]) -> None:
     """Refuse a --set that gives another value to the key that an option gives: one of them would be lost unsaid."""
     for other_path, other, other_words in reversed(others):  # of several --set the last one counts
         common = min(len(path), len(other_path))
         if tuple(other_path[:common]) != tuple(path[:common]):
             continue
-        if len(other_path) != len(path) or not _same(path, value, other):
+        if len(other_path) != len(path) or not _equivalent(path, value, other):
             raise ConfigError(f"{words} and {other_words} give different values to {'.'.join(path)}", "give one of them")
         return
 
 
-def _same(path: Sequence[str], a: Any, b: Any) -> bool:
+def _equivalent(path: Sequence[str], a: Any, b: Any) -> bool:
     """Whether two ways to write a value of a job's key mean the same: 15cm and 0.15m, [0, 0, 90] and [0.0, 0.0, 90.0]."""
     section, *keys = path
     if len(keys) != 1:
@@ -123,5 +115,5 @@ def _same(path: Sequence[str], a: Any, b: Any) -> bool:
     try:
         read = [getattr(getattr(JobConfig.model_validate({section: {keys[0]: v}}), section), keys[0]) for v in (a, b)]
     except (ValidationError, AttributeError):
-        return str(a) == str(b)  # what is wrong with them is said when the whole job is read
+        return str(a) == str(b)  # errors in them are reported when the whole job is read
     return bool(read[0] == read[1])

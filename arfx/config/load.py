@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,12 +15,13 @@ from typing import Any, NamedTuple, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from arfx.config.locate import KeyPath, pointed
 from arfx.config.sections import JobConfig, kinds, settings
 from arfx.core.opener import parse_toml, read_text
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, InputError
 
+KeyPath = tuple[str | int, ...]
 Parameters = Mapping[str, Mapping[str, type]]
+_PRESETS = (Path(__file__).parent / "presets", Path(__file__).parents[2] / "configs")  # in a wheel, in the source tree
 _TYPE_TAGS = ("constrained-str", "function-before")  # parts of pydantic's places that are no keys
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
@@ -32,12 +34,9 @@ class _JobFile(NamedTuple):
 
 def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], parameters: Parameters) -> JobConfig:
     """Read a job.
-
     files : job file or several; key by key the later wins;  overrides : nested mapping from the command line, which wins over all
     parameters : section name -> formula -> frozen dataclass, for every stage and for "analyse"; the usual formula first
-
-    Raises ConfigError holding every problem found; InputError if a file cannot be read.
-    """
+    Raises ConfigError holding every problem found; InputError if a file cannot be read."""
     paths = [files] if isinstance(files, Path) else files or ()
     read = [_read(path, parameters) for path in paths]
     merged: dict[str, Any] = {}
@@ -46,18 +45,19 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
     problems: list[str] = []
 
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
-        if _reaches(overrides, path) or not read:
+        if _contains(overrides, path) or not read:
             dotted = ".".join(map(str, path))
             problems.append(f"{message}\n  --> command line: {dotted}" + (f"\nhelp: {hint}" if hint else ""))
         else:
-            file = _origin(read, path)
-            problems.append(pointed(message, str(file.path), file.text, path, hint))
+            # the last file that holds the key, or else its nearest parent
+            file = next(f for n in range(len(path), -1, -1) for f in reversed(read) if _contains(f.document, path[:n]))
+            problems.append(with_location(message, str(file.path), file.text, path, hint))
 
     sections = {s.section for s in settings()}
     params: dict[str, Any] = {}
     for name in merged:
         if name not in sections and name not in parameters:
-            problem((name,), f"there is no section or stage {name!r}", near(name, [*sections, *parameters]))
+            problem((name,), f"there is no section or stage {name!r}", suggestion(name, [*sections, *parameters]))
     for name, formulas in parameters.items():
         table = merged.get(name, {})
         if not isinstance(table, dict):
@@ -73,9 +73,9 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
             path = tuple(p for p in error["loc"] if not (isinstance(p, str) and ("[" in p or p in _TYPE_TAGS)))
             known = [s.key for s in settings() if s.section == path[0]]
             if error["type"] == "extra_forbidden" and known:
-                problem(path, f"section {path[0]!r} has no setting {path[-1]!r}", near(str(path[-1]), known))
+                problem(path, f"section {path[0]!r} has no setting {path[-1]!r}", suggestion(str(path[-1]), known))
             else:
-                problem(path, f"{'.'.join(map(str, path))}: {_plain(error['msg'])}")
+                problem(path, f"{'.'.join(map(str, path))}: {error['msg'].removeprefix('Value error, ')}")
     if problems:
         raise ConfigError("\n\n".join(dict.fromkeys(problems)))
     assert job is not None
@@ -96,17 +96,13 @@ def _read(file: Path, parameters: Parameters) -> _JobFile:
     return _JobFile(file, text, document)
 
 
-def _origin(files: Sequence[_JobFile], path: KeyPath) -> _JobFile:
-    """The file from which a key was taken: the last that holds it, or else its nearest parent."""
-    return next(f for n in range(len(path), -1, -1) for f in reversed(files) if _reaches(f.document, path[:n]))
-
-
 def _paths(parameters: Parameters) -> set[tuple[str, str]]:
     """(section, key) of the settings that are paths: in a job file they are relative to it."""
-    made = ((name, kind) for name, formulas in parameters.items() for kind in formulas.values())
-    hints = ((name, key, hint) for name, kind in made for key, hint in get_type_hints(kind).items())
-    typed = [*((s.section, s.key, s.kinds) for s in settings()), *((name, key, kinds(hint)) for name, key, hint in hints)]
-    return {(section, key) for section, key, made_of in typed if Path in made_of}
+    out = {(s.section, s.key) for s in settings() if Path in s.kinds}
+    for name, formulas in parameters.items():
+        for kind in formulas.values():
+            out |= {(name, key) for key, hint in get_type_hints(kind).items() if Path in kinds(hint)}
+    return out
 
 
 def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], problem: Any) -> Any:
@@ -122,10 +118,10 @@ def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], prob
             other = next((f for f, k in formulas.items() if key in _fields(k)), None)
             if other is None:
                 owner = "section 'analyse'" if name == "analyse" else f"stage {name!r}"
-                problem((name, key), f"{owner} has no setting {key!r}", near(key, fields))
+                problem((name, key), f"{owner} has no setting {key!r}", suggestion(key, fields))
             else:
                 problem((name, key), f'{name}.{key} belongs to formula = "{other}"', f'{name}.formula is "{formula}"')
-        elif (bad := _absurd(value)) is not None:
+        elif (bad := _out_of_range(value)) is not None:
             problem((name, key), f"{name}.{key}: {bad:g} is out of range", f"between -{_LARGEST:g} and {_LARGEST:g}")
         else:
             good[key] = value
@@ -135,7 +131,7 @@ def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], prob
     except ValidationError as e:
         for error in e.errors(include_url=False):
             key = str(error["loc"][0]) if error["loc"] else ""
-            problem((name, key), f"{name}.{key}: {_plain(error['msg'])}")
+            problem((name, key), f"{name}.{key}: {error['msg'].removeprefix('Value error, ')}")
     except ConfigError as e:
         named = next((k for k in good if re.search(rf"\b{re.escape(k)}\b", e.message)), None)
         problem((name,) if named is None else (name, named), str(e))
@@ -147,20 +143,16 @@ def _fields(kind: type) -> set[str]:
     return {f.name for f in dataclasses.fields(kind) if f.init}
 
 
-def _absurd(value: Any) -> float | None:
+def _out_of_range(value: Any) -> float | None:
     """The first number of a value that is not finite or too large for any setting."""
     if isinstance(value, (list, tuple)):
-        return next((bad for bad in map(_absurd, value) if bad is not None), None)
+        return next((bad for bad in map(_out_of_range, value) if bad is not None), None)
     if isinstance(value, (int, float)) and not abs(value) <= _LARGEST:
         return float(value)
     return None
 
 
-def _plain(message: str) -> str:
-    return message.removeprefix("Value error, ")
-
-
-def near(name: str, known: Any) -> str:
+def suggestion(name: str, known: Any) -> str:
     """'did you mean …?' or the list of what is known."""
     hit = difflib.get_close_matches(str(name), list(known), 1)
     return f"did you mean {hit[0]!r}?" if hit else "known: " + ", ".join(sorted(known))
@@ -175,10 +167,66 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _reaches(tree: Any, path: KeyPath) -> bool:
+def _contains(tree: Any, path: KeyPath) -> bool:
     for key in path:
         if isinstance(tree, Mapping) and key in tree:
             tree = tree[key]
         else:
             return isinstance(tree, (list, tuple))
     return True
+
+
+def line_of(text: str, path: KeyPath) -> int:
+    """1-based line of a key path such as ("marker", 1, "spec"); its nearest written parent, or 0 if none.
+    Knows tables, arrays of tables and dotted keys, which is what job files hold; a key inside an inline
+    table is found at the line of that table."""
+    prefix: KeyPath = ()
+    seen: dict[KeyPath, int] = {}
+    best_depth, best_line = 0, 0
+    for number, raw in enumerate(text.splitlines(), 1):
+        m = re.match(r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=", raw.strip())
+        if not m:
+            continue
+        name = tuple(p.strip(" \"'") for p in (m[3] or m[4]).split("."))
+        if m["array"]:
+            seen[name] = seen.get(name, -1) + 1
+            prefix = here = (*name, seen[name])
+        elif m["table"]:
+            prefix = here = name
+        else:
+            here = (*prefix, *name)
+        if here == path[: len(here)] and len(here) > best_depth:
+            best_depth, best_line = len(here), number
+    return best_line
+
+
+def with_location(message: str, file: str, text: str, path: KeyPath, hint: str = "") -> str:
+    """The message with file:line, the line itself and carets under its key."""
+    number = line_of(text, path)
+    shown = [message, f"  --> {file}"]
+    if number:
+        source = text.splitlines()[number - 1]
+        start, length = len(source) - len(source.lstrip()), max(len(source.strip()), 1)
+        for key in path:
+            if isinstance(key, str) and (m := re.search(rf"(?<![\w-]){re.escape(key)}(?![\w-])", source)):
+                start, length = m.start(), m.end() - m.start()
+        gutter = " " * len(str(number))
+        caret = f"{gutter} | {' ' * start}{'^' * length}"
+        shown = [message, f"{gutter} --> {file}:{number}", f"{gutter} |", f"{number} | {source}", caret]
+    return "\n".join([*shown, f"help: {hint}"] if hint else shown)
+
+
+def presets() -> dict[str, Path]:
+    """Name -> file of the job presets that come with arfx."""
+    place = next((p for p in _PRESETS if p.is_dir()), None)
+    return {} if place is None else {p.stem: p for p in sorted(place.glob("*.toml"))}
+
+
+def find_job_file(name_or_file: Path) -> Path:
+    """A job file, or a preset by its bare name. Raises InputError naming the presets."""
+    if os.path.exists(name_or_file) or name_or_file.suffix or len(name_or_file.parts) > 1:  # noqa: PTH110 - False for a name too long
+        return name_or_file
+    known = presets()
+    if str(name_or_file) not in known:
+        raise InputError(f"there is no job file or preset {str(name_or_file)!r}", suggestion(str(name_or_file), known))
+    return known[str(name_or_file)]

@@ -1,11 +1,14 @@
-"""The sections of a job file, as typed, frozen models: all there is to say of a setting stands on its field.
+"""The sections of a job file, as typed, frozen models: everything about a setting is stated on its field. And a job as plain
+data and TOML, which the job folder keeps and chunk keys are made of.
 
 Options of the commands, and which settings are paths, follow from `settings`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
@@ -16,33 +19,19 @@ from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError
 
 
-def _via(parse: Any, kind: type) -> BeforeValidator:
+def _parsed_by(parse: Any) -> BeforeValidator:
     def read(value: Any) -> Any:
-        if value is None or isinstance(value, kind):
-            return value
         try:
-            return parse(value if isinstance(value, str) else f"{value}")
+            return None if value is None else parse(f"{value}")
         except ConfigError as e:
             raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
 
     return BeforeValidator(read)
 
 
-class _LengthValue(float):
-    """A length that was read with its unit, so that a second validation keeps it."""
-
-
-def _length(text: str) -> _LengthValue:
-    return _LengthValue(length_m(text))
-
-
-class _TimeValue(float):
-    """A time that was read already."""
-
-
-Length = Annotated[float, _via(_length, _LengthValue)]
+Length = Annotated[float, _parsed_by(length_m)]
 Turn = Annotated[float, Field(ge=-1e6, le=1e6)]
-Time = Annotated[float, _via(lambda t: _TimeValue(time_s(t)), _TimeValue)]
+Time = Annotated[float, _parsed_by(time_s)]
 
 
 def _transfer(value: Any) -> str:
@@ -57,10 +46,8 @@ class Section(BaseModel):
 
 def _field(default: Any, text: str, option: str = "", help: str = "", **limits: Any) -> Any:
     """A setting and what it does.
-
     option : its option as in help, "-o --output PATH"; FILE is no folder, PATH may be one; CLIP alone is an argument.
-    What a bool's option gives is not the default;  help : where the option says something else than `text`
-    """
+    What a bool's option gives is not the default;  help : where the option says something else than `text`"""
     return Field(default=default, description=text, json_schema_extra={"option": option, "help": help or text}, **limits)
 
 
@@ -91,7 +78,7 @@ class InputSection(Section):
 
 
 class MarkerSection(Section):
-    spec: Annotated[MarkerSpec, _via(MarkerSpec.parse, MarkerSpec)] = _field(
+    spec: Annotated[MarkerSpec, _parsed_by(MarkerSpec.parse)] = _field(
         ..., "FAMILY:ID:SIZE, such as 36h11:3:165mm.", "--marker FAMILY:ID:SIZE", "Repeatable: 36h11:3:165mm."
     )
 
@@ -196,3 +183,42 @@ def settings() -> Iterator[Setting]:
 def kinds(annotation: Any) -> tuple[Any, ...]:
     """A type and what it is made of: of Path | None itself, Path and None."""
     return (annotation, *get_args(annotation))
+
+
+def plain(value: Any) -> Any:
+    """Nested dicts, lists, strings and numbers only; None left out; paths absolute."""
+    if isinstance(value, MarkerSpec):
+        return str(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return plain({f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items() if v is not None}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, Path):
+        return str(value.absolute())
+    return value
+
+
+def frozen(config: JobConfig) -> dict[str, Any]:
+    """The job as plain data that `load` reads back to the same job (paths absolute)."""
+    tree = {name: getattr(config, name).model_dump() for name in ("input", "model", "pipeline", "output")}
+    tree["marker"] = [{"spec": str(m)} for m in config.markers]
+    if tree["model"]["fit"] is not None:
+        tree["model"]["fit"] = f"{float(tree['model']['fit'])!r}m"
+    tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]
+    return {**plain(tree), **plain(config.params)}
+
+
+def to_toml(tree: Mapping[str, Any], prefix: str = "") -> str:
+    """TOML text of nested plain data (strings, numbers, booleans, lists of those, tables, lists of tables)."""
+    lines, tables = [], []
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            body = to_toml(value, f"{prefix}{key}.")
+            tables.append(f"\n[{prefix}{key}]\n{body}")
+        elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
+            tables += [f"\n[[{prefix}{key}]]\n{to_toml(v, f'{prefix}{key}.')}" for v in value]
+        else:
+            lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
+    return "\n".join([*lines, *tables])

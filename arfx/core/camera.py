@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from arfx.core.codec import Document, stored
+from arfx.core.codec import Document, serialisable
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.errors import InputError
@@ -19,15 +19,13 @@ BROWN = "brown"  # OpenCV k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]: Bro
 FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant")
 
 
-@stored
+@serialisable
 @dataclass(frozen=True, eq=False)
 class Camera(Document):
     """Intrinsics of one picture size.
-
     width, height : px;  matrix : (3, 3) float64, zero skew;  source : where it came from, for messages
     distortion : (n,) float64, n in 0, 4, 5, 8, 12, 14 for `brown`, 4 for `fisheye`
-    Raises InputError for non-finite values, a focal length <= 0 or a wrong number of coefficients.
-    """
+    Raises InputError for non-finite values, a focal length <= 0 or a wrong number of coefficients."""
 
     width: int
     height: int
@@ -52,10 +50,8 @@ class Camera(Document):
             raise InputError(f"camera calibration{where}: picture size {self.width}x{self.height}")
         allowed = (0, 4) if self.model == FISHEYE else (0, 4, 5, 8, 12, 14)
         if self.model not in (BROWN, FISHEYE) or d.size not in allowed:
-            raise InputError(
-                f"camera calibration{where}: {d.size} distortion coefficients for model {self.model!r}",
-                f"one of {', '.join(map(str, allowed))}",
-            )
+            hint = f"one of {', '.join(map(str, allowed))}"
+            raise InputError(f"camera calibration{where}: {d.size} distortion coefficients for model {self.model!r}", hint)
 
     fx = property(lambda self: float(self.matrix[0, 0]))
     fy = property(lambda self: float(self.matrix[1, 1]))
@@ -78,9 +74,7 @@ class Camera(Document):
     @cached_property
     def max_radius(self) -> float:
         """Largest normalised radius r = |(x, y)/z| up to which the distortion is one-to-one; inf if everywhere.
-
-        Beyond it the polynomial folds back, and points that are out of the picture would reappear inside it.
-        """
+        Beyond it the polynomial folds back, and points that are out of the picture would reappear inside it."""
         if self.model == FISHEYE:
             theta = np.linspace(1e-4, np.pi / 2 - 1e-3, 2000)
             d = self._coefficients()
@@ -119,9 +113,7 @@ class Camera(Document):
 
     def undistort(self, xy: np.ndarray, iterations: int = 12) -> np.ndarray:
         """Distorted normalised coordinates (..., 2) to ideal ones: Newton with a numerical Jacobian.
-
-        Points that no direction maps to (beyond the fold) give NaN.
-        """
+        Points that no direction maps to (beyond the fold) give NaN."""
         target = np.asarray(xy, float)
         if not self.distorted:
             return target.copy()
@@ -148,10 +140,8 @@ class Camera(Document):
 
     def project(self, points_camera: np.ndarray) -> np.ndarray:
         """Points (..., 3) in camera coordinates, metres, to pixels (..., 2).
-
         NaN for points closer than EPS_DEPTH_M in front of the camera, or beyond the distortion's fold.
-        Agrees with cv2.projectPoints to 1e-9 px inside.
-        """
+        Agrees with cv2.projectPoints to 1e-9 px inside."""
         p = np.asarray(points_camera, float)
         z = p[..., 2]
         ok = z > EPS_DEPTH_M
@@ -173,9 +163,7 @@ class Camera(Document):
 
     def scaled_to(self, width: int, height: int) -> Camera:
         """The same lens for another picture size.
-
-        Raises InputError if the aspect ratio differs by more than 0.5 %.
-        """
+        Raises InputError if the aspect ratio differs by more than 0.5 %."""
         if (width, height) == (self.width, self.height):
             return self
         if abs(width * self.height / (height * self.width) - 1) > 0.005:

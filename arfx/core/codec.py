@@ -1,9 +1,9 @@
 """What is written down and read again: state as bytes, exactly (`dumps`), and dataclasses as JSON (`Document`).
 
 State, from one process to the next, keeps type, bits and order. Taken: None, bool, int, float, str, list, tuple, dict, Counter,
-numpy arrays and scalars of numbers, dataclasses marked `stored`. Anything else is refused when it is written, subclasses too.
-What is read can only be of these types: no file names code to run. A file begins with its format and a digest of the rest: one
-of another version, or a damaged one, is refused as a whole.
+numeric numpy arrays and scalars, dataclasses marked `serialisable`. Anything else is refused when it is written, subclasses
+too. What is read can only be of these types: no file names code to run. A file begins with its format and a digest of the
+rest: one of another version, or a damaged one, is refused as a whole.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ import numpy as np
 
 FORMAT = b"arfx state 1\n"
 _DIGEST_BYTES = 16
-_STORED: dict[str, type] = {}
+_CLASSES: dict[str, type] = {}
 T = TypeVar("T")
 
 
-def stored(kind: type[T]) -> type[T]:
+def serialisable(kind: type[T]) -> type[T]:
     """Decorator of a dataclass whose objects may be written. They are made anew from their fields, in order."""
-    if kind.__name__ in _STORED or not all(f.init and not f.kw_only for f in fields(kind)):  # type: ignore[arg-type]
-        raise TypeError(f"{kind.__name__}: another class of this name is stored, or not every field is a plain argument")
-    _STORED[kind.__name__] = kind
+    if kind.__name__ in _CLASSES or not all(f.init and not f.kw_only for f in fields(kind)):  # type: ignore[arg-type]
+        raise TypeError(f"{kind.__name__}: another class of this name is serialisable, or not every field is a plain argument")
+    _CLASSES[kind.__name__] = kind
     return kind
 
 
 def dumps(value: Any) -> bytes:
     """Raises TypeError for a value of a type that is not taken."""
     raw = bytearray()
-    tree = json.dumps(_written(value, raw), separators=(",", ":")).encode()
+    tree = json.dumps(_encode(value, raw), separators=(",", ":")).encode()
     body = zlib.compress(struct.pack("<Q", len(tree)) + tree + raw, 1)
     return FORMAT + _digest(body) + body
 
@@ -63,7 +63,7 @@ def loads(data: bytes) -> Any:
         return plain[at - count : at]
 
     try:
-        return _read(json.loads(plain[8:at]), take)
+        return _decode(json.loads(plain[8:at]), take)
     except Exception as e:  # whole, but of classes that are no longer what they were
         raise ValueError(f"not a state of these classes: {e}") from e
 
@@ -72,17 +72,17 @@ def _digest(body: bytes) -> bytes:
     return hashlib.blake2b(body, digest_size=_DIGEST_BYTES).digest()
 
 
-def _written(v: Any, raw: bytearray) -> Any:
+def _encode(v: Any, raw: bytearray) -> Any:
     """As JSON; what is not text or a finite number goes into raw, in the order in which it will be read."""
     kind = type(v)
     if v is None or kind in (bool, int, str) or (kind is float and math.isfinite(v)):
         return v  # JSON's decimals are the shortest that are read back as the same float
     if kind in (list, tuple):
-        return [kind.__name__, *[_written(x, raw) for x in v]]
+        return [kind.__name__, *[_encode(x, raw) for x in v]]
     if kind in (dict, Counter):
-        return [kind.__name__, *[_written(x, raw) for pair in v.items() for x in pair]]
-    if _STORED.get(kind.__name__) is kind:
-        return [kind.__name__, *[_written(getattr(v, f.name), raw) for f in fields(kind)]]
+        return [kind.__name__, *[_encode(x, raw) for pair in v.items() for x in pair]]
+    if _CLASSES.get(kind.__name__) is kind:
+        return [kind.__name__, *[_encode(getattr(v, f.name), raw) for f in fields(kind)]]
     if kind is float:
         raw += struct.pack("<d", v)
         return ["float"]
@@ -96,7 +96,7 @@ def _written(v: Any, raw: bytearray) -> Any:
     raise TypeError(f"{kind.__qualname__} cannot be stored")
 
 
-def _read(node: Any, take: Callable[[int], bytes]) -> Any:
+def _decode(node: Any, take: Callable[[int], bytes]) -> Any:
     if type(node) is not list:
         return node
     tag, rest = node[0], node[1:]
@@ -108,7 +108,7 @@ def _read(node: Any, take: Callable[[int], bytes]) -> Any:
         return np.frombuffer(take(dtype.itemsize), dtype)[0]
     if tag == "float":
         return struct.unpack("<d", take(8))[0]
-    values = [_read(x, take) for x in rest]
+    values = [_decode(x, take) for x in rest]
     if tag == "list":
         return values
     if tag == "tuple":
@@ -116,8 +116,8 @@ def _read(node: Any, take: Callable[[int], bytes]) -> Any:
     if tag in ("dict", "Counter"):
         pairs = dict(zip(values[::2], values[1::2], strict=True))
         return Counter(pairs) if tag == "Counter" else pairs
-    if tag in _STORED:
-        return _STORED[tag](*values)
+    if tag in _CLASSES:
+        return _CLASSES[tag](*values)
     raise ValueError(f"unknown type {tag!r}")
 
 
@@ -148,20 +148,20 @@ class Document:
 
 @dataclass(frozen=True)
 class Packed:
-    """Annotation of an array that is written as text. dtype : for instance "<f2";  held : of what is read, None = the same"""
+    """Annotation of an array that is written as text. dtype : such as "<f2";  dtype_read : when read, None = the same"""
 
     dtype: str
-    held: str | None = None
+    dtype_read: str | None = None
 
     def write(self, a: np.ndarray) -> dict[str, Any]:
         return {"shape": list(a.shape), "data": base64.b64encode(a.astype(self.dtype).tobytes()).decode()}
 
     def read(self, v: Mapping[str, Any]) -> np.ndarray:
         a = np.frombuffer(base64.b64decode(v["data"]), self.dtype).reshape(v["shape"])
-        return a if self.held is None else a.astype(self.held)
+        return a if self.dtype_read is None else a.astype(self.dtype_read)
 
 
-class _Infinite:
+class _InfinityAsNull:
     write = staticmethod(lambda v: v if math.isfinite(v) else None)
     read = staticmethod(lambda v: math.inf if v is None else v)
 
@@ -180,26 +180,28 @@ class Gaps:
         return np.array(v, float)[()]
 
 
-Unbounded = Annotated[float, _Infinite]  # a float that may be infinite, which JSON cannot say: null
+Unbounded = Annotated[float, _InfinityAsNull]  # a float that may be infinite, which JSON cannot say: null
 
 
 @cache
 def _of_type(hint: Any) -> tuple[Convert | None, Convert | None]:
     """(writes, reads) a value of this type; None = it is JSON already."""
+    write: Any
+    read: Any
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return parts[1].write, parts[1].read
     if origin in (Union, UnionType):
         every = [_of_type(p) for p in parts if p is not type(None)]
         write, read = every[0] if len(every) == 1 else (None, None)
-        return write and _unless_none(write), read and _unless_none(read)
+        return write and (lambda v: None if v is None else write(v)), read and (lambda v: None if v is None else read(v))
     if origin in (tuple, Sequence):
         write, read = _of_type(parts[0])
-        made: Convert = tuple if origin is tuple else list
-        return write and _each(write, list), _each(read, made) if read else made
+        container: Convert = tuple if origin is tuple else list
+        return write and (lambda v: list(map(write, v))), (lambda v: container(map(read, v))) if read else container
     if origin in (dict, Mapping):
         write, read = _of_type(parts[1])
-        return write and _each_value(write), read and _each_value(read)
+        return write and (lambda v: {k: write(x) for k, x in v.items()}), read and (lambda v: {k: read(x) for k, x in v.items()})
     if hint is np.ndarray:
         return (lambda a: np.asarray(a).tolist()), (lambda v: np.array(v, float))
     if hint in (Path, Fraction):
@@ -210,28 +212,15 @@ def _of_type(hint: Any) -> tuple[Convert | None, Convert | None]:
     return (hint.to_json, hint.from_json) if own else _of_class(hint)  # type: ignore[attr-defined]
 
 
-def _unless_none(f: Convert) -> Convert:
-    return lambda v: None if v is None else f(v)
-
-
-def _each(f: Convert, made: Convert) -> Convert:
-    return lambda v: made(map(f, v))
-
-
-def _each_value(f: Convert) -> Convert:
-    return lambda v: {k: f(x) for k, x in v.items()}
-
-
 @cache
 def _of_class(kind: type) -> tuple[Convert, Convert]:
     """(writes, reads) an object of this dataclass."""
     hints = get_type_hints(kind, include_extras=True)
-    names = [f.name for f in fields(kind)]
-    of = {name: _of_type(hints[name]) for name in names}
+    of = {f.name: _of_type(hints[f.name]) for f in fields(kind)}
     writers, readers = ([(name, pair[k]) for name, pair in of.items() if pair[k] is not None] for k in (0, 1))
 
     def write(v: Any) -> dict[str, Any]:
-        out = {name: getattr(v, name) for name in names}
+        out = {name: getattr(v, name) for name in of}
         for name, convert in writers:
             out[name] = convert(out[name])  # type: ignore[misc]
         return out

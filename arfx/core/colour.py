@@ -5,6 +5,7 @@ Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6, BT.1886, BT.601-7, BT.2020-2 (mat
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,14 +31,10 @@ class Transfer:
     name: str = "srgb"
 
     def __post_init__(self) -> None:
-        if self.name in ("srgb", "bt709", "bt1886"):
-            return
         kind, _, value = self.name.partition(":")
-        try:
-            if kind == "gamma" and 0.1 <= float(value) <= 10:
+        with contextlib.suppress(ValueError):
+            if self.name in ("srgb", "bt709", "bt1886") or (kind == "gamma" and 0.1 <= float(value) <= 10):
                 return
-        except ValueError:
-            pass
         raise ConfigError(f"unknown transfer {self.name!r}", "one of srgb, bt709, bt1886, gamma:2.2")
 
     def to_json(self) -> str:
@@ -78,9 +75,7 @@ SRGB = Transfer("srgb")
 
 def yuv_from_rgb(matrix: str) -> np.ndarray:
     """(3, 3) float64 from coded R'G'B' to Y'CbCr with Y' in 0..1 and Cb, Cr in -0.5..0.5 (full scale).
-
-    Raises ConfigError for an unknown matrix name.
-    """
+    Raises ConfigError for an unknown matrix name."""
     if matrix not in LUMA_COEFFICIENTS:
         raise ConfigError(f"unknown colour matrix {matrix!r}", "one of " + ", ".join(LUMA_COEFFICIENTS))
     kr, kb = LUMA_COEFFICIENTS[matrix]

@@ -2,7 +2,8 @@
 
 numba alone compiles for the very processor that it runs on, fails where neither the package nor the home can be written, passes
 over compiled code that came with a package that cannot be written, and does not see that a function of another module, which
-is compiled in, has changed. `prepare`, called before numba is imported, tells it a target and gives it `Place`.
+is compiled in, has changed. `configure_numba`, called before
+numba is imported, sets the target and `CacheLocator`.
 """
 
 from __future__ import annotations
@@ -22,27 +23,26 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from arfx.core.machine import instructions
-from arfx.core.places import cache_folder
+from arfx.core.machine import cache_folder, instructions
 
-_OURS = ("arfx", "arfx_cli")
+_PACKAGES = ("arfx", "arfx_cli")
 _NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
-_NEEDS = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
-# Four channels of a pixel, said one by one, become one vector. numba leaves this off, and its index of kept code does not tell.
+_REQUIRED = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
+# Four channels of a pixel, written one by one, become one vector. Off by default, and not part of the index of cached code.
 _SLP = "NUMBA_SLP_VECTORIZE"
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
 
-def prepare() -> None:
+def configure_numba() -> None:
     """Set numba's environment, for this process and those that it starts."""
-    ours = f"{__name__}.{Place.__name__}"
+    ours = f"{__name__}.{CacheLocator.__name__}"
     others = os.environ.get(_LOCATORS) or _NUMBAS
     if ours not in others.split(","):
         os.environ[_LOCATORS] = f"{ours},{others}"
     os.environ.setdefault(_SLP, "1")
-    if target():
+    if target_cpu():
         os.environ.setdefault("NUMBA_CPU_NAME", TARGET)
         os.environ.setdefault("NUMBA_CPU_FEATURES", "")  # those of TARGET
     if "numba" in sys.modules:  # imported before arfx
@@ -50,36 +50,34 @@ def prepare() -> None:
 
 
 @functools.cache
-def target() -> str:
-    """The processor to compile for: TARGET; "" = this very one, where TARGET's instructions are lacking or cannot be told."""
+def target_cpu() -> str:
+    """The processor to compile for: TARGET; "" = this very one, where TARGET's instructions are lacking or not known."""
     if platform.machine() not in ("x86_64", "AMD64"):
         return ""
-    return TARGET if instructions() >= _NEEDS else ""
+    return TARGET if instructions() >= _REQUIRED else ""
 
 
 def line_kernel(**options: Any) -> Any:
     """`numba.njit` for a function that goes by lines and counts no references to arrays. options : further ones of njit
-
     Each part of an array that is made or handed on costs two locked additions otherwise: a fifth of such a kernel's time, and
-    more where two threads count the same array's. It makes no arrays: a function that counts makes the room to work in, holds
-    what it is given, and calls it.
-    """
+    more where two threads count the same array's. It allocates no arrays: a counting function allocates scratch, owns
+    the arguments, and calls it."""
     return import_module("numba").njit(cache=True, nogil=True, _nrt=False, **options)
 
 
-class Place:
+class CacheLocator:
     """numba's "cache locator" of one function of arfx."""
 
     def __init__(self, function: FunctionType, file: str) -> None:
         self._function, self._file = function, file
 
     @classmethod
-    def from_function(cls, py_func: FunctionType, py_file: str) -> Place | None:
-        ours = py_func.__module__.partition(".")[0] in _OURS and os.path.exists(py_file)  # noqa: PTH110
+    def from_function(cls, py_func: FunctionType, py_file: str) -> CacheLocator | None:
+        ours = py_func.__module__.partition(".")[0] in _PACKAGES and os.path.exists(py_file)  # noqa: PTH110
         return cls(py_func, py_file) if ours else None
 
     def get_cache_path(self) -> str:
-        return str(kept_in(Path(self._file).parent))
+        return str(code_folder(Path(self._file).parent))
 
     def ensure_cache_path(self) -> None:
         Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
@@ -126,13 +124,13 @@ def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
         if file := getattr(sys.modules.get(function.__globals__[name].__module__), "__file__", None):
             yield _file_digest(file)
     names = sorted(_names(function.__code__) & function.__globals__.keys())
-    for value in _held(function) + [function.__globals__[name] for name in names]:
+    for value in _closure_values(function) + [function.__globals__[name] for name in names]:
         called = getattr(value, "py_func", None)
         if called is not None:
-            if called.__module__.partition(".")[0] in _OURS:
+            if called.__module__.partition(".")[0] in _PACKAGES:
                 yield from _sources(called, seen)
         elif isinstance(value, ModuleType):
-            if value.__name__.partition(".")[0] in _OURS and value.__file__:
+            if value.__name__.partition(".")[0] in _PACKAGES and value.__file__:
                 yield _file_digest(value.__file__)
         elif isinstance(value, type):
             yield repr(value).encode()
@@ -142,7 +140,7 @@ def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
             yield repr(value).encode()
 
 
-def _held(function: FunctionType) -> list[Any]:
+def _closure_values(function: FunctionType) -> list[Any]:
     cells = []
     for cell in function.__closure__ or ():
         with contextlib.suppress(ValueError):  # empty: nothing is compiled in
@@ -160,32 +158,32 @@ def _file_digest(file: str) -> bytes:
 
 
 @functools.cache
-def kept_in(folder: Path) -> Path:
+def code_folder(folder: Path) -> Path:
     """Where the compiled code of the modules in this folder is kept: the first place that can be written of NUMBA_CACHE_DIR,
-    beside the modules, the user's cache folder, and one for this run. Code that came with the package is taken along."""
+    beside the modules, the user's cache folder, and one for this run. Code that was shipped with the package is copied."""
     beside = folder / "__pycache__"
-    came = sorted(beside.glob("*.nb[ic]"))
-    state = [str(folder), *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in came)]
+    shipped = sorted(beside.glob("*.nb[ic]"))
+    state = [str(folder), *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in shipped)]
     name = f"{folder.name}-{hashlib.sha256(repr(state).encode()).hexdigest()[:16]}"
     given = os.environ.get(_FOLDER)
-    if given and _filled(Path(given) / name, came):
+    if given and _prepare_folder(Path(given) / name, shipped):
         return Path(given) / name
-    if _filled(beside, []):
+    if _prepare_folder(beside, []):
         return beside
     with contextlib.suppress(RuntimeError):  # no home
-        if _filled(cache_folder() / name, came):
+        if _prepare_folder(cache_folder() / name, shipped):
             return cache_folder() / name
     try:
         place = _folder_of_this_run() / name
     except OSError:  # then nothing else can be written either
         return beside
-    _filled(place, came)
+    _prepare_folder(place, shipped)
     return place
 
 
-def lasting() -> bool:
+def cache_persists() -> bool:
     """Whether the next run finds the code that this one compiles."""
-    kept_in(Path(__file__).parent)
+    code_folder(Path(__file__).parent)
     return not _folder_of_this_run.cache_info().currsize
 
 
@@ -198,13 +196,13 @@ def _folder_of_this_run() -> Path:
     return Path(folder)
 
 
-def _filled(place: Path, came: list[Path]) -> bool:
+def _prepare_folder(place: Path, shipped: list[Path]) -> bool:
     """Make the folder, with copies of these files if it is new. False if it cannot be written."""
     try:
-        if came and not place.exists():
+        if shipped and not place.exists():
             aside = place.with_name(f"{place.name}.{os.getpid()}")
             aside.mkdir(parents=True, exist_ok=True)
-            for file in came:
+            for file in shipped:
                 shutil.copy2(file, aside / file.name)
             try:
                 aside.rename(place)

@@ -9,6 +9,7 @@ new_directions, new_lights 1 where the frame's light is not one that was met bef
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import platform
@@ -18,12 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from arfx.core.codec import Document
-from arfx.core.machine import processor_name, usable_cores
-from arfx.core.places import cache_folder
+from arfx.core.machine import cache_folder, processor_name, usable_cores
 
 TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
 # An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
-_REACH = 1.645
+_Z_90 = 1.645
 UNCALIBRATED = 0.7  # spread of a price from another machine: a factor of 3 either way
 FORMAT = 1
 
@@ -43,21 +43,21 @@ class Prediction:
         return Prediction(self.seconds * factor, self.low_s * factor, self.high_s * factor)
 
 
-def exactly(seconds: float) -> Prediction:
+def measured(seconds: float) -> Prediction:
     """What is known because it was measured."""
     return Prediction(seconds, seconds, seconds)
 
 
 def with_spread(seconds: float, spread: float) -> Prediction:
-    return Prediction(seconds, seconds * math.exp(-_REACH * spread), seconds * math.exp(_REACH * spread))
+    return Prediction(seconds, seconds * math.exp(-_Z_90 * spread), seconds * math.exp(_Z_90 * spread))
 
 
-def together(parts: Iterable[Prediction]) -> Prediction:
+def sum_independent(parts: Iterable[Prediction]) -> Prediction:
     """The sum of predictions whose errors have nothing to do with each other: their widths add in quadrature."""
-    every = list(parts)
-    total = sum(p.seconds for p in every)
-    below = math.sqrt(sum((p.seconds - p.low_s) ** 2 for p in every))
-    above = math.sqrt(sum((p.high_s - p.seconds) ** 2 for p in every))
+    predictions = list(parts)
+    total = sum(p.seconds for p in predictions)
+    below = math.sqrt(sum((p.seconds - p.low_s) ** 2 for p in predictions))
+    above = math.sqrt(sum((p.high_s - p.seconds) ** 2 for p in predictions))
     return Prediction(total, max(total - below, 0.0), total + above)
 
 
@@ -76,11 +76,9 @@ class Price(Document):
 @dataclass(frozen=True)
 class Prices:
     """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
-
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
     calibrated : all of it measured on this machine
-    alone : time of one that works alone, as a share of its time among `threads`
-    """
+    alone : time of one that works alone, as a fraction of its time among `threads`"""
 
     prices: Mapping[str, Price] = field(default_factory=dict)
     threads: int = 1
@@ -90,8 +88,7 @@ class Prices:
 
     def predict(self, key: str, terms: Mapping[str, float]) -> Prediction | None:
         """None = not known."""
-        price = self.prices.get(key)
-        if price is None:
+        if (price := self.prices.get(key)) is None:
             return None
         return with_spread(price.seconds(terms), price.spread if self.calibrated else max(price.spread, UNCALIBRATED))
 
@@ -129,12 +126,8 @@ def prices_file() -> Path:
 
 def load_prices(file: Path | None = None) -> Prices:
     """This machine's price list where `arfx bench --calibrate` left one, else the shipped one."""
-    try:
-        return Prices.from_json(json.loads((file or prices_file()).read_text(encoding="utf-8")), calibrated=True)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
-        pass
-    shipped = Path(__file__).with_name("default_costs.json")
-    try:
-        return Prices.from_json(json.loads(shipped.read_text(encoding="utf-8")), calibrated=False)
-    except (OSError, ValueError, KeyError, TypeError):
-        return Prices()
+    for own in (True, False):
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
+            path = (file or prices_file()) if own else Path(__file__).with_name("default_costs.json")
+            return Prices.from_json(json.loads(path.read_text(encoding="utf-8")), calibrated=own)
+    return Prices()

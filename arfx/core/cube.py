@@ -11,16 +11,12 @@ import numpy as np
 from arfx.core.codec import Document
 from arfx.core.numerics import divide, normalise
 
-_MOST = 6e4  # float16 ends at 65504
-
 
 @lru_cache(maxsize=4)
 def face_directions(size: int) -> np.ndarray:
     """(6, size, size, 3) unit directions of the texels' centres.
-
     A face's rows and columns run along the other two axes, the last of them towards -z on the sides: with camera axes
-    (x right, y down, z forward) a picture lies upright on +z.
-    """
+    (x right, y down, z forward) a picture lies upright on +z."""
     t = (np.arange(size) + 0.5) / size * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     one = np.ones_like(u)
@@ -65,10 +61,8 @@ def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class CubeMap(Document):
     """A cube of radiance, as facts hold one. size : texels along a face's side;  data : text of float16, see `faces`
-
     axes : nine numbers, row by row, of the rotation to the cube's axes from the world's; None = they are the world's
-    plane_rgb : radiance of the anchor's plane as seen, where the cube is a guess: what is next to its horizon agrees with it
-    """
+    plane_rgb : radiance of the anchor's plane as seen, where the cube is a guess: what is next to its horizon agrees with it"""
 
     size: int
     data: str
@@ -77,8 +71,8 @@ class CubeMap(Document):
 
     @staticmethod
     def of(faces: np.ndarray, axes: np.ndarray | None = None, plane_rgb: np.ndarray | None = None) -> CubeMap:
-        """faces : (6, n, n, 3), cut to +-_MOST;  axes : (3, 3);  plane_rgb : (3,)"""
-        data = base64.b64encode(np.clip(faces, -_MOST, _MOST).astype("<f2").tobytes()).decode()
+        """faces : (6, n, n, 3), clipped to +-6e4;  axes : (3, 3);  plane_rgb : (3,)"""
+        data = base64.b64encode(np.clip(faces, -6e4, 6e4).astype("<f2").tobytes()).decode()  # float16 ends at 65504
         rows = (None if a is None else tuple(np.asarray(a, float).ravel().tolist()) for a in (axes, plane_rgb))
         return CubeMap(faces.shape[1], data, *rows)
 

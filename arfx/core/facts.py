@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,15 +13,16 @@ import numpy as np
 from arfx.core.advection import AdvectionField
 from arfx.core.codec import Document
 from arfx.core.cube import CubeMap
+from arfx.core.guard import atomic_write
 from arfx.core.lens_fit import LensFit
 from arfx.core.light import Light
-from arfx.core.pose import Pose
+from arfx.core.pose import Pose, compute_rotvecs
 from arfx.core.real_depth import RealDepth
 from arfx.core.rect import EMPTY, Rect
+from arfx.errors import InputError
 
 MEASURED, INTERPOLATED, ABSENT = "measured", "interpolated", "absent"
-
-_AROUND_PX = 2
+_FORMAT, _VERSION = "arfx-facts", 3  # of a facts file: JSON lines, a header and then one line per frame
 
 
 @dataclass(frozen=True)
@@ -33,11 +36,9 @@ class Hypothesis(Document):
 @dataclass(frozen=True)
 class MarkerSighting(Document):
     """One configured marker seen in one frame.
-
     key : "36h11:3";  corners_px : (4, 2) refined, order of MarkerSpec.corners_m
     sigma_px : standard deviation of a corner coordinate;  hypotheses : best first, one or two (IPPE)
-    chosen : index of the hypothesis that the whole clip supports;  inverted : white on black print
-    """
+    chosen : index of the hypothesis that the whole clip supports;  inverted : white on black print"""
 
     key: str
     corners_px: np.ndarray
@@ -58,11 +59,9 @@ class MarkerSighting(Document):
 @dataclass(frozen=True)
 class PlaneShadow(Document):
     """Where a real shadow lies on the anchor's plane already, as seen where the surface is known (the white of the marker).
-
     box_m : (x0, y0, x1, y1), anchor axes;  ratio : rows from y0 up, columns from x0: plate over what the frame's light gives
-    the same surface without anything in the way, both without the camera's bias. 1 = lit; the ambient share of the light = all
-    directional light blocked. Outside the box nothing is known: lit.
-    """
+    the same surface without anything in the way, both without the camera's bias. 1 = lit; the ambient fraction of the light = all
+    directional light blocked. Outside the box nothing is known: lit."""
 
     box_m: tuple[float, float, float, float]
     ratio: tuple[tuple[float, ...], ...]
@@ -109,9 +108,9 @@ class FrameFacts(Document):
     advection: AdvectionField | None = None
 
     @property
-    def drawn_box(self) -> Rect:
+    def raster_box(self) -> Rect:
         """model_box and the pixels around it that a raster may write; not clipped to the frame."""
-        return self.model_box.pad(_AROUND_PX)
+        return self.model_box.pad(2)
 
     @property
     def pose(self) -> Pose:
@@ -139,3 +138,32 @@ class FrameFacts(Document):
 
     def with_(self, **changes: Any) -> FrameFacts:
         return replace(self, **changes)
+
+
+def write_facts(path: Path | str, facts: Sequence[FrameFacts]) -> None:
+    """Write atomically."""
+    path = Path(path)
+    header = {"format": _FORMAT, "version": _VERSION, "frames": len(facts)}
+    compute_rotvecs(p for f in facts for p in f.poses)
+    with atomic_write(path) as part, part.open("w", encoding="utf-8") as f:
+        for line in (header, *(x.to_json() for x in facts)):
+            f.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
+
+
+def read_facts(path: Path | str) -> tuple[FrameFacts, ...]:
+    """All frames of a facts file. Raises InputError for a file of another kind or one that is cut short."""
+    path = Path(path)
+    line = 0
+    try:
+        rows = path.read_text(encoding="utf-8").splitlines()
+        header = json.loads(rows[0]) if rows else {}
+        if not isinstance(header, dict) or header.get("format") != _FORMAT or header.get("version") != _VERSION:
+            raise InputError(f"{path} is no facts file of version {_VERSION}", "analyse the clip again")
+        facts = []
+        for line, row in enumerate(rows[1:], 2):  # noqa: B007 - named in the message below
+            facts.append(FrameFacts.from_json(json.loads(row)))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as e:
+        raise InputError(f"{path}:{line}: not a frame's facts ({e})", "analyse the clip again") from e
+    if len(facts) != header["frames"]:
+        raise InputError(f"{path} holds {len(facts)} frames of {header['frames']}", "it was cut short: analyse the clip again")
+    return tuple(facts)

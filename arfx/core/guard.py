@@ -1,4 +1,4 @@
-"""What a command may write: never a file that it reads, nothing unasked over what stands there, and all of a file or none."""
+"""What a command may write: never a file that it reads, nothing over an existing file unasked, and all of a file or none."""
 
 from __future__ import annotations
 
@@ -17,24 +17,20 @@ TIMES = "times.txt"  # beside the images of a sequence
 
 
 class Guard:
-    """Checks on the places that a command is going to write to. Each raises ConfigError and touches nothing.
-
+    """Checks on paths that a command is going to write to. Each raises ConfigError and touches nothing.
     reads : (what it is, path) of every file and folder that the command reads;  overwrite : outputs may be replaced
-    own : fingerprints of outputs that the same job wrote before it was killed: they may be replaced unasked
-    """
+    own : fingerprints of outputs that the same job wrote before it was killed: they may be replaced unasked"""
 
     def __init__(self, reads: Iterable[tuple[str, Path]], overwrite: bool = False) -> None:
         self.overwrite = overwrite
         self.own: frozenset[Fingerprint] = frozenset()
         self._reads = {_real(path): what for what, path in reads}
-        self._same: dict[tuple[int, int], str] = {}
-        for path, what in self._reads.items():
-            if (key := _identity(Path(path))) is not None:
-                self._same[key] = what
+        self._by_identity = {_identity(Path(path)): what for path, what in self._reads.items()}
+        self._by_identity.pop(None, None)
 
     def file(self, path: Path, start: bytes = b"", option: str = "-o", folder_made: bool = False) -> None:
         """A file to write. start : how those of arfx begin; one that begins otherwise is not replaced at all."""
-        self.apart(path, option)
+        self.check_not_read(path, option)
         if not (folder_made or path.absolute().parent.is_dir()):
             raise ConfigError(f"output folder {path.parent} does not exist", f"make it first, or name another with {option}")
         if not os.path.lexists(path):
@@ -43,7 +39,7 @@ class Guard:
             raise ConfigError(f"output {path} is not a file", f"name another with {option}")
         if not (self._may_replace(path) or (start and self.own)):  # a report that was begun behind the output is the job's too
             raise ConfigError(f"output {path} exists", f"--overwrite replaces it; or name another with {option}")
-        if start and not _starts(path, start):
+        if start and not _begins_with(path, start):
             raise ConfigError(f"{path} was not written by arfx: it is not replaced", f"name another place with {option}")
 
     def files(self, folder: Path, starts: Mapping[str, bytes], option: str = "-o") -> None:
@@ -73,7 +69,7 @@ class Guard:
 
     def folder(self, path: Path, option: str) -> None:
         """A folder that the command keeps for itself: no input is in it."""
-        fits(path / ("0" * 60) / ("0" * 120), option)
+        check_file_name(path / ("0" * 60) / ("0" * 120), option)
         if os.path.lexists(path) and not path.is_dir():
             raise ConfigError(f"{path} is a file, not a folder", f"name another with {option}")
         inside = _real(path) + os.sep
@@ -81,22 +77,20 @@ class Guard:
             if (real + os.sep).startswith(inside):
                 raise ConfigError(f"{what} {real} lies in {path}: it could be lost", f"name another with {option}")
 
-    def apart(self, path: Path, option: str = "-o") -> None:
+    def check_not_read(self, path: Path, option: str = "-o") -> None:
         """A file that is no input, under whatever name, and whose own name can be written."""
-        fits(path, option)
+        check_file_name(path, option)
         self._refuse_if_read(path, option)
 
     def _may_replace(self, path: Path) -> bool:
-        return self.overwrite or (bool(self.own) and fingerprint(path) in self.own)
+        return self.overwrite or fingerprint(path) in self.own
 
     def _refuse_if_read(self, path: Path, option: str) -> None:
-        key = _identity(path)
-        what = self._reads.get(_real(path)) or (None if key is None else self._same.get(key))
-        if what is not None:
+        if what := self._reads.get(_real(path)) or self._by_identity.get(_identity(path)):
             raise ConfigError(f"output {path} is also an input ({what}): it would be lost", f"name another with {option}")
 
 
-def fits(path: Path, option: str = "-o") -> None:
+def check_file_name(path: Path, option: str = "-o") -> None:
     """Raises ConfigError where the system takes no such name: too long, or with a character that names cannot hold."""
     try:
         os.lstat(path.absolute())
@@ -114,7 +108,7 @@ def part_name(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def aside(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """A name to write to instead of `path`: renamed to it after the body, removed after an error."""
     part = part_name(path)
     try:
@@ -146,7 +140,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
     return (s.st_dev, s.st_ino) if s.st_ino else None
 
 
-def _starts(path: Path, start: bytes) -> bool:
+def _begins_with(path: Path, start: bytes) -> bool:
     try:
         with path.open("rb") as f:
             return f.read(len(start)) == start

@@ -1,8 +1,8 @@
-"""Ctrl-C, SIGTERM and SIGHUP: noted the moment they come, so that none is lost where a library swallows what they raise.
+"""Ctrl-C, SIGTERM and SIGHUP: recorded when they arrive, so that none is lost where a library swallows what they raise.
 
 A signal raises KeyboardInterrupt in the main thread, and `check`, called often, raises it again. Where work must not be cut
-in two, it is held until the end. Once an output is in place under its final name, signals no longer change the outcome.
-A second signal ends the process at once: whatever arfx writes is whole or absent at any moment.
+in two, it is deferred until the end. Once an output is in place under its final name, signals no longer change the outcome.
+A second signal ends the process at once: whatever arfx writes is complete or absent at all times.
 """
 
 from __future__ import annotations
@@ -22,21 +22,19 @@ if TYPE_CHECKING:
 STOPPING: tuple[signal.Signals, ...] = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
-_SAME_S = 0.3  # `timeout`, a container's init or a wrapper send what the terminal has sent already
+_SAME_SIGNAL_S = 0.3  # `timeout`, a container's init or a wrapper send what the terminal has sent already
 
 
 class _State:
-    """number : of the first signal that came, 0 = none;  at : when;  held : note it only
-    settled : the outcome stands;  code : the exit code that it has
-    before : the handlers that were there, by signal; empty = none is caught"""
+    """number : of the first signal received, 0 = none;  at : when;  deferred : only record it
+    committed : the outcome is final;  code : its exit code
+    previous : the handlers that were there, by signal; empty = none is caught"""
+
+    number, at, code = 0, 0.0, 0
+    deferred = committed = False
 
     def __init__(self) -> None:
-        self.number = 0
-        self.at = 0.0
-        self.held = False
-        self.settled = False
-        self.code = 0
-        self.before: dict[int, Any] = {}
+        self.previous: dict[int, Any] = {}
 
 
 _now = _State()
@@ -45,9 +43,9 @@ _now = _State()
 def _handle(number: int, _: object) -> None:
     if not _now.number:
         _now.number, _now.at = number, time.monotonic()
-        if not (_now.held or _now.settled):
+        if not (_now.deferred or _now.committed):
             raise KeyboardInterrupt
-    elif time.monotonic() - _now.at > _SAME_S:
+    elif time.monotonic() - _now.at > _SAME_SIGNAL_S:
         with contextlib.suppress(OSError):
             if os.isatty(2):
                 os.write(2, b"\x1b[?25h")  # a progress bar hides the cursor
@@ -55,24 +53,24 @@ def _handle(number: int, _: object) -> None:
 
 
 def catch(signals: Sequence[signal.Signals] = STOPPING) -> None:
-    """Catch `signals` from here on, and forget those that came. One that is ignored (nohup, a job in a script's background)
+    """Catch `signals` from here on, and forget those received. One that is ignored (nohup, a job in a script's background)
     stays so, and one that the program handles itself is left to it. Elsewhere than in the main thread nothing is caught."""
     global _now
     _now = _State()
     if not _in_main_thread():
         return
     for number in signals:
-        before = signal.getsignal(number)
-        if before in (signal.SIG_DFL, signal.default_int_handler):
-            _now.before[number] = signal.signal(number, _handle)
+        previous = signal.getsignal(number)
+        if previous in (signal.SIG_DFL, signal.default_int_handler):
+            _now.previous[number] = signal.signal(number, _handle)
 
 
 @contextlib.contextmanager
-def caught(signals: Sequence[signal.Signals] = STOPPING) -> Iterator[None]:
-    """Catch `signals` in the body, unless they are caught already. One that came when the outcome was settled is passed on
-    behind it."""
+def catching(signals: Sequence[signal.Signals] = STOPPING) -> Iterator[None]:
+    """Catch `signals` in the body, unless they are caught already. One received after the outcome was final is passed on
+    afterwards."""
     global _now
-    if _now.before:
+    if _now.previous:
         yield
         return
     catch(signals)
@@ -81,27 +79,27 @@ def caught(signals: Sequence[signal.Signals] = STOPPING) -> Iterator[None]:
         yield
         late = _now.number
     finally:
-        for number, before in _now.before.items():
-            signal.signal(number, before)
+        for number, previous in _now.previous.items():
+            signal.signal(number, previous)
         _now = _State()
     if late:
         signal.raise_signal(late)
 
 
-def came() -> bool:
-    """Whether a signal came before the outcome was settled."""
-    return bool(_now.number) and not _now.settled
+def pending() -> bool:
+    """Whether a signal was received before the outcome was final."""
+    return bool(_now.number) and not _now.committed
 
 
 def check() -> None:
-    """Raise KeyboardInterrupt if a signal came, where it is not held: what it raised may have been swallowed."""
-    if came() and not _now.held:
+    """Raise KeyboardInterrupt if a signal was received and is not deferred: what it raised may have been swallowed."""
+    if pending() and not _now.deferred:
         raise KeyboardInterrupt
 
 
 def exit_code() -> int:
     """0 = none came in time; 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
-    return 128 + (_now.number if _now.number != getattr(signal, "SIGBREAK", 0) else signal.SIGINT) if came() else 0
+    return 128 + (_now.number if _now.number != getattr(signal, "SIGBREAK", 0) else signal.SIGINT) if pending() else 0
 
 
 def cause() -> str:
@@ -114,53 +112,53 @@ def _in_main_thread() -> bool:
 
 
 @contextlib.contextmanager
-def held() -> Iterator[None]:
-    """Signals are noted in the body, and raised behind it. Other threads than the main one never see them anyway."""
+def deferred() -> Iterator[None]:
+    """Signals are recorded in the body, and raised after it. Other threads than the main one never see them anyway."""
     if not _in_main_thread():
         yield
         return
-    before, _now.held = _now.held, True
+    previous, _now.deferred = _now.deferred, True
     try:
         yield
     finally:
-        _now.held = before
+        _now.deferred = previous
     check()
 
 
 @contextlib.contextmanager
-def completing() -> Iterator[None]:
-    """The body puts the output in place. Raises KeyboardInterrupt in front of it if a signal came; behind it none counts."""
+def committing() -> Iterator[None]:
+    """The body puts the output in place. Raises KeyboardInterrupt before it if a signal was received; after it none counts."""
     if not _in_main_thread():
         yield
         return
-    with held():
-        if came():
+    with deferred():
+        if pending():
             raise KeyboardInterrupt
         yield
-        _now.settled = True
+        _now.committed = True
 
 
-def settle(code: int = 0) -> None:
+def commit(code: int = 0) -> None:
     """From here on no signal changes the outcome, whatever it is. code : the exit code"""
-    _now.settled, _now.code = True, code
+    _now.committed, _now.code = True, code
 
 
-def go_on() -> None:
-    """More is to be done after an output was completed: signals count again, those too that came meanwhile."""
-    _now.settled = False
+def resume() -> None:
+    """More is to be done after an output was completed: signals count again, including those received meanwhile."""
+    _now.committed = False
     check()
 
 
 @contextlib.contextmanager
 def starting_workers() -> Iterator[None]:
-    """No process started in the body is left half started, nor sees Ctrl-C before `in_worker` says that it never shall."""
-    with held():
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
+    """No process started in the body is left half started, nor sees Ctrl-C before `in_worker` turns that off."""
+    with deferred():
+        previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
         try:
             yield
         finally:
-            if before is not None:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            if previous is not None:
+                signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
 def in_worker() -> None:
@@ -182,7 +180,7 @@ def _end_with(sentinel: int) -> None:
     os._exit(1)
 
 
-def leave(code: int) -> None:
+def exit_process(code: int) -> None:
     """End the process with `code`. Nothing can change it any more: no signal, no thread that is still at work."""
     import atexit
 

@@ -27,25 +27,21 @@ class Layer(StrEnum):
     EMISSIVE = "emissive"  # (h, w, 3) emitted radiance
     OBJECT_ID = "object_id"  # (h, w) int32, 0 = none, else 1 + part index
     MOTION = "motion"  # (h, w, 2) px, from the previous frame
-    SHADOW = "shadow"  # (h, w, 3) ratio of light left on the real surface, 1 = none taken
+    SHADOW = "shadow"  # (h, w, 3) transmittance: ratio of light that still reaches the real surface, 1 = all
     IRRADIANCE = "irradiance"  # (h, w, 3) on the virtual surface
     REAL_DEPTH = "real_depth"  # (h, w) metres along the axis of the real surface, measured; inf = the job has no depth
 
 
 # (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing virtual, no shadow.
 _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
-    Layer.VIRTUAL: (3, np.float32, 0.0),
+    **{name: (3, np.float32, 0.0) for name in (Layer.VIRTUAL, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.EMISSIVE)},
+    Layer.IRRADIANCE: (3, np.float32, 0.0),
     Layer.COVERAGE: (0, np.float32, 0.0),
     Layer.DEPTH: (0, np.float32, np.inf),
-    Layer.NORMAL: (3, np.float32, 0.0),
-    Layer.POSITION: (3, np.float32, 0.0),
-    Layer.ALBEDO: (3, np.float32, 0.0),
     Layer.MATERIAL: (4, np.float32, 0.0),
-    Layer.EMISSIVE: (3, np.float32, 0.0),
     Layer.OBJECT_ID: (0, np.int32, 0),
     Layer.MOTION: (2, np.float32, 0.0),
     Layer.SHADOW: (3, np.float32, 1.0),
-    Layer.IRRADIANCE: (3, np.float32, 0.0),
     Layer.REAL_DEPTH: (0, np.float32, np.inf),
 }
 
@@ -57,7 +53,7 @@ def neutral(name: Layer, rect: Rect) -> np.ndarray:
     return np.full(shape, value, dtype) if value else np.zeros(shape, dtype)  # zeros are several times as fast
 
 
-def unset(name: Layer, rect: Rect) -> np.ndarray:
+def uninitialised(name: Layer, rect: Rect) -> np.ndarray:
     """A new array of the layer's shape and type whose values are not set yet."""
     channels, dtype, _ = _NEUTRAL[name]
     return np.empty((rect.height, rect.width, channels)[: 3 if channels else 2], dtype)
@@ -69,10 +65,8 @@ UNWRITTEN = Pixels(EMPTY)
 @dataclass(frozen=True)
 class Layers:
     """Layers seen over one rectangle, read-only: each as it was written, neutral where nothing has written it.
-
     written : every name that may be read -> what was written of it
-    A layer's neutral pixels are made when it is asked for, so cropping first costs nothing for what is cut off.
-    """
+    A layer's neutral pixels are made when it is asked for, so cropping first costs nothing for what is cut off."""
 
     rect: Rect
     written: Mapping[Layer, Pixels] = field(default_factory=dict)

@@ -14,7 +14,7 @@ import numpy as np
 from arfx.core.numerics import divide
 from arfx.errors import InputError
 
-# A surface nearer to the lens than this share of the focal length is treated as if it stood there: the blur circle of
+# A surface nearer to the lens than this fraction of the focal length is treated as if it were there: the blur circle of
 # Equation 3 grows without bound as the distance goes to 0. At the bound it is about 100 apertures wide.
 NEAREST_SHARE = 1e-2
 
@@ -22,9 +22,7 @@ NEAREST_SHARE = 1e-2
 @dataclass(frozen=True, slots=True)
 class Lens:
     """focal_mm, fnumber > 0;  focus_mm : distance that is sharp, > focal_mm, inf allowed.
-
-    Raises InputError otherwise. fnumber = inf is a pinhole: no blur anywhere.
-    """
+    Raises InputError otherwise. fnumber = inf is a pinhole: no blur anywhere."""
 
     focal_mm: float
     fnumber: float
@@ -36,10 +34,8 @@ class Lens:
         if not self.fnumber > 0:
             raise InputError(f"f-number must be above 0, is {self.fnumber:g}", "for example 2.8")
         if not self.focus_mm > self.focal_mm:
-            raise InputError(
-                f"a lens of {self.focal_mm:g} mm cannot be focused at {self.focus_mm:g} mm",
-                "the focus distance must be beyond the focal length",
-            )
+            hint = "the focus distance must be beyond the focal length"
+            raise InputError(f"a lens of {self.focal_mm:g} mm cannot be focused at {self.focus_mm:g} mm", hint)
 
     @property
     def coc_at_infinity_mm(self) -> float:
@@ -49,15 +45,13 @@ class Lens:
     @property
     def coc_mm_per_dioptre(self) -> float:
         """Growth of the blur circle's diameter, mm, with |1/U - 1/L| in 1/mm: F^2 U / (N (U - F))."""
-        share = 1.0 if math.isinf(self.focus_mm) else self.focus_mm / (self.focus_mm - self.focal_mm)
-        return self.focal_mm / self.fnumber * self.focal_mm * share
+        ratio = 1.0 if math.isinf(self.focus_mm) else self.focus_mm / (self.focus_mm - self.focal_mm)
+        return self.focal_mm / self.fnumber * self.focal_mm * ratio
 
 
 def circle_of_confusion_mm(distance_mm: np.ndarray | float, lens: Lens) -> np.ndarray:
     """Diameter of the blur circle of a thin lens, on the sensor.
-
-    distance_mm : (...) > 0, inf allowed; a NaN or a distance <= 0 gives 0 (no surface). Finite for every input.
-    """
+    distance_mm : (...) > 0, inf allowed; a NaN or a distance <= 0 gives 0 (no surface). Finite for every input."""
     d = np.asarray(distance_mm, float)
     known = d > 0
     dioptre = 1.0 / np.maximum(np.where(known, d, 1.0), NEAREST_SHARE * lens.focal_mm)
@@ -86,16 +80,14 @@ def checked(lens: Lens, coc_mm: float) -> None:
 def depth_of_field(lens: Lens, coc_mm: float) -> Limits:
     """Depth of field around the focus distance for the largest blur circle `coc_mm`, a diameter, that passes as sharp: its
     limits stand where the blur circle is exactly that. Back and total are inf from the hyperfocal distance on.
-
-    Raises InputError as `checked`.
-    """
+    Raises InputError as `checked`."""
     checked(lens, coc_mm)
     u = lens.focus_mm
     far = hyperfocal_mm(lens.focal_mm, lens.fnumber, coc_mm)
-    # share = N c (U - F) / F^2: 1 at the hyperfocal distance. The limits stand at dioptres (1 + share) / U, (1 - share) / U
-    share = float(divide(coc_mm, lens.coc_at_infinity_mm, where_zero=math.inf))
-    front = u * (1.0 if math.isinf(share) else share / (1.0 + share))
-    back = u * share / (1.0 - share) if share < 1.0 else math.inf
+    # ratio = N c (U - F) / F^2: 1 at the hyperfocal distance. The limits are at dioptres (1 + ratio) / U, (1 - ratio) / U
+    ratio = float(divide(coc_mm, lens.coc_at_infinity_mm, where_zero=math.inf))
+    front = u * (1.0 if math.isinf(ratio) else ratio / (1.0 + ratio))
+    back = u * ratio / (1.0 - ratio) if ratio < 1.0 else math.inf
     return Limits(front, back, front + back, far, lens.coc_at_infinity_mm)
 
 

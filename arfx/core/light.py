@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 
 from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
 
-# Share of each degree of a radiance distribution that is left in the radiance of a white diffuse surface over its normal
+# Fraction of each degree of a radiance distribution that remains in the radiance of a white diffuse surface over its normal
 # (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the nine `harmonics`.
 DIFFUSE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
 
@@ -34,11 +33,9 @@ class DirectionalLight(Document):
 @dataclass(frozen=True)
 class Light(Document):
     """ambient_rgb : radiance of a white diffuse surface without any directional light, mean over its normals
-
     soft : (9, 3) real spherical harmonics, WORLD frame, of that radiance over the normal (`soft_radiance`); empty = the
     same for every normal. source : what it was taken from ("default", "given", "marker", "environment", ...)
-    Radiance is scene referred linear RGB as the camera codes it: gain and exposure are in it, its bias is not.
-    """
+    Radiance is scene referred linear RGB as the camera codes it: gain and exposure are in it, its bias is not."""
 
     ambient_rgb: tuple[float, float, float] = (0.45, 0.45, 0.45)
     lights: tuple[DirectionalLight, ...] = field(
@@ -85,9 +82,7 @@ class Light(Document):
 
 def harmonics(n: np.ndarray) -> np.ndarray:
     """(..., 9) real spherical harmonics up to degree 2 of unit vectors (..., 3), orthonormal on the sphere.
-
-    Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3).
-    """
+    Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3)."""
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     return np.stack(
         [
@@ -101,18 +96,11 @@ def harmonics(n: np.ndarray) -> np.ndarray:
 
 def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree. rotation : as in Light.turned"""
-    at, inverse = _evenly()
-    return inverse @ (harmonics(at @ np.asarray(rotation)) @ coefficients)
-
-
-@lru_cache(maxsize=1)
-def _evenly() -> tuple[np.ndarray, np.ndarray]:
-    """(24, 3) unit directions that tell all nine harmonics apart (a spiral of even height), and (9, 24) what does so."""
-    k = np.arange(24) + 0.5
+    k = np.arange(24) + 0.5  # a spiral of even height, by which all nine harmonics can be separated
     z, phi = 1 - 2 * k / 24, k * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
-    at = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
-    return at, np.linalg.pinv(harmonics(at))
+    directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
+    return np.linalg.pinv(harmonics(directions)) @ (harmonics(directions @ np.asarray(rotation)) @ coefficients)
 
 
 def triple(v: np.ndarray) -> tuple[float, float, float]:

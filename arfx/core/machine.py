@@ -1,10 +1,11 @@
-"""The processor that this runs on, on every system: how many cores may be used, its name, and who gets it."""
+"""The machine that this runs on: usable cores, the processor's name and scheduling, and the user's cache folder."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import platform
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -44,7 +45,7 @@ def _cpuinfo(name: str) -> str:
 
 
 @contextlib.contextmanager
-def scheduling_kept() -> Iterator[None]:
+def preserve_scheduling() -> Iterator[None]:
     """Threads that the body starts, and its own, get no more of the processor afterwards than this one had before."""
     if not hasattr(os, "sched_setscheduler"):  # POSIX has it, macOS and Windows do not
         yield
@@ -55,15 +56,15 @@ def scheduling_kept() -> Iterator[None]:
     finally:
         raised = os.sched_getscheduler(0)
         if raised != policy:
-            for thread in _threads():
+            tasks = Path("/proc/self/task")
+            for thread in (0, *(int(task.name) for task in (tasks.iterdir() if tasks.is_dir() else ()))):  # 0 = this one
                 with contextlib.suppress(OSError):  # it has ended
                     if os.sched_getscheduler(thread) == raised:
                         os.sched_setscheduler(thread, policy, priority)
 
 
-def _threads() -> list[int]:
-    """Of this process, as the scheduler numbers them; 0 = the one that asks."""
-    try:
-        return [0, *(int(name) for name in os.listdir("/proc/self/task"))]  # noqa: PTH208 - names alone
-    except OSError:
-        return [0]
+def cache_folder() -> Path:
+    """arfx's own folder in the user's cache folder; it may not exist yet. Raises RuntimeError where the user has no home."""
+    home = Path.home()
+    by_system = {"win32": home / "AppData" / "Local", "darwin": home / "Library" / "Caches"}
+    return Path(os.environ.get("XDG_CACHE_HOME") or by_system.get(sys.platform, home / ".cache")) / "arfx"

@@ -13,7 +13,7 @@ from arfx.errors import ConfigError
 if TYPE_CHECKING:
     import numpy as np
 
-SMALLEST_M, LARGEST_M = 1e-4, 1e3  # of a marker: a tenth of a millimetre is the nearest that anything is projected
+MIN_MARKER_M, MAX_MARKER_M = 1e-4, 1e3  # of a marker: a tenth of a millimetre is the nearest that anything is projected
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +48,10 @@ class MarkerSpec:
             raise ConfigError(f"marker {text!r} is not FAMILY:ID:SIZE", "for example 36h11:3:165mm or 4X4_50:0:50mm")
         family = canonical_family(m[1])
         size = length_m(m[3], what=f"size of marker {text!r}")
-        if not SMALLEST_M <= size <= LARGEST_M:
-            raise ConfigError(
-                f"marker {text!r}: the size must be between {SMALLEST_M:g} m and {LARGEST_M:g} m, is {size:g} m"
-                if size > 0
-                else f"marker {text!r}: the size must be above 0",
-                "the length of the black square's side: 165mm",
-            )
+        if not MIN_MARKER_M <= size <= MAX_MARKER_M:
+            between = f"between {MIN_MARKER_M:g} m and {MAX_MARKER_M:g} m, is {size:g} m"
+            limits = between if size > 0 else "above 0"
+            raise ConfigError(f"marker {text!r}: the size must be {limits}", "the length of the black square's side: 165mm")
         if int(m[2]) >= FAMILIES[family]:
             raise ConfigError(f"marker {text!r}: {family} has ids 0 to {FAMILIES[family] - 1}")
         return MarkerSpec(family, int(m[2]), size)
@@ -75,9 +72,7 @@ def opencv_name(family: str) -> str:
 
 def canonical_family(name: str) -> str:
     """The FAMILIES key for any usual spelling (DICT_4X4_50, 4x4_50, tag36h11, AprilTag_36h11, ARUCO_ORIGINAL …).
-
-    Raises ConfigError, naming the known ones.
-    """
+    Raises ConfigError, naming the known ones."""
     s = name.strip().upper()
     for prefix in ("DICT_", "ARUCO_", "APRILTAG_", "APRILTAG", "TAG", "_"):
         s = s.removeprefix(prefix)
@@ -88,5 +83,5 @@ def canonical_family(name: str) -> str:
 
 
 def anchor_marker(markers: Sequence[MarkerSpec], placed: Container[str]) -> MarkerSpec:
-    """The marker that the model stands on: the first of `markers` whose key has a place in the map, else the first."""
+    """The marker that the model stands on: the first of `markers` whose key is in the map, else the first."""
     return next((m for m in markers if m.key in placed), markers[0])

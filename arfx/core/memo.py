@@ -1,4 +1,4 @@
-"""What need not be made anew in the next frame: the last few things of each kind, by key."""
+"""Results that are used again in later frames: the most recent of each kind, by key."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from typing import Any
 
 
 class Memo:
-    """Making is pure: two threads that make a thing make the same.
-
-    made : how many things were
-    """
+    """`make` is pure: two threads that call it for one key get equal results. made : how many calls there were"""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -21,7 +18,7 @@ class Memo:
         self.made = 0
 
     def get(self, key: Hashable, make: Callable[[], Any], kind: str = "", most: int = 8) -> Any:
-        """most : things that are kept of the kind; the one used longest ago is dropped first"""
+        """most : results kept of this kind; the least recently used is dropped first"""
         with self._lock:
             things = self._kinds[kind]
             if key in things:
@@ -37,16 +34,13 @@ class Memo:
 
     def clear(self) -> None:
         with self._lock:
-            for things in self._kinds.values():
-                things.clear()
+            self._kinds.clear()
 
 
 @dataclass(frozen=True, eq=False)
 class Memos:
     """What a stage keeps from frame to frame, at one level, in one process.
-
-    of_light : made for a light, found again while the light stays;  of_frame : made of a frame's pixels: empty before timing
-    """
+    of_light : made for a light, found again while the light stays;  of_frame : made of a frame's pixels: empty before timing"""
 
     of_light: Memo = field(default_factory=Memo)
     of_frame: Memo = field(default_factory=Memo)

@@ -40,10 +40,8 @@ class Material:
 @dataclass(frozen=True, eq=False)
 class Part:
     """Triangles that share a material, in the model's own axes after its scene graph is applied.
-
     vertices (n, 3) float64, file units;  faces (m, 3) int32;  normals (n, 3) unit;
-    uv (n, 2) with v = 0 at the top row of the texture, or None;  colours (n, 4) linear RGBA, or None
-    """
+    uv (n, 2) with v = 0 at the top row of the texture, or None;  colours (n, 4) linear RGBA, or None"""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -56,10 +54,8 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class Model:
     """All parts of a model. up : "x", "y" or "z", which file axis points up; source : path, for messages.
-
     notices : what was left out or repaired while reading, for the user
-    files : all files that it was read from, the model's own first
-    """
+    files : all files that it was read from, the model's own first"""
 
     parts: tuple[Part, ...]
     up: str = "y"

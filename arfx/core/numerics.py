@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
-# Smallest length that is told apart from zero when a direction is taken: float64 rounding (2.2e-16) of
-# coordinates up to 1e4 m leaves 2e-12 m of noise; a direction from less than that is noise.
+# Shortest vector with a direction: float64 rounding (2.2e-16) of coordinates up to 1e4 m leaves 2e-12 m of noise.
 EPS_LENGTH = 1e-12
 # Below this angle sin(x)/x and friends use their series: the dropped term x^4/120 is then under 1e-18.
 EPS_ANGLE = 1e-4
-# Smallest distance in front of the camera at which a point is projected: closer than a tenth of a
-# millimetre nothing physical stands, and focal lengths up to 1e5 px stay finite in float32.
+# Nearest projected point: nothing physical is closer, and focal lengths up to 1e5 px stay finite in float32.
 EPS_DEPTH_M = 1e-4
 # Half of one 8-bit step: a change below it cannot alter a stored pixel by more than rounding does.
 HALF_GREY = 0.5 / 255.0

@@ -11,12 +11,13 @@ import math
 import os
 import re
 import stat
+import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from arfx.core.places import check_name
-from arfx.errors import InputError
+from arfx.errors import ConfigError, InputError
 
 MIB = 1 << 20
 # kind of file, as messages call it -> (largest size in MiB, why this much)
@@ -37,27 +38,34 @@ LIMITS: dict[str, tuple[float, str]] = {
     "report": (4096, "facts of hours of video, about 2 kB a frame"),
     "tradeoff": (64, "every level of every stage on thousands of frames"),
 }
-DEEPEST = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse
-LARGEST_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
+MAX_NESTING = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse
+MAX_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
 _DOTTED = re.compile(r"(?<![^\s.=])(?:[^\s.=]++[ \t]*+\.[ \t]*+){64}")  # tomllib takes the square of a dotted key's parts
+
+
+def check_name(name: str | Path) -> None:
+    """Raises ConfigError for a name that is not text in the system's encoding: job files cannot hold it, and OpenCV crashes."""
+    try:
+        str(name).encode()
+    except UnicodeEncodeError:
+        encoding = sys.getfilesystemencoding()
+        raise ConfigError(f"the name {str(os.fsencode(name))[1:]} is not {encoding} text", "rename it") from None
 
 
 def regular(path: Path | str, kind: str) -> Path:
     """The path, if it names a regular file no larger than LIMITS[kind].
-
-    Raises InputError: missing, a folder, a device or pipe, too large, not permitted; ConfigError: its name is no text.
-    """
+    Raises InputError: missing, a folder, a device or pipe, too large, not permitted; ConfigError: its name is no text."""
     path = Path(path)
     check_name(path)
     try:
-        _checked(path.stat(), path, kind)
+        _check_status(path.stat(), path, kind)
     except (OSError, ValueError) as e:  # ValueError: a NUL in the name
         raise _unreadable(path, kind, e) from None
     return path
 
 
 def is_folder(path: Path, kind: str) -> bool:
-    """Raises InputError where nothing is there, or where it cannot be told."""
+    """Raises InputError where nothing is there, or it cannot be examined."""
     try:
         return stat.S_ISDIR(path.stat().st_mode)
     except (OSError, ValueError) as e:
@@ -71,7 +79,7 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
         # not blocking: what was a file a moment ago may be a pipe now
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(handle, "rb") as f:
-            _checked(os.fstat(handle), path, kind)
+            _check_status(os.fstat(handle), path, kind)
             data = f.read(int(LIMITS[kind][0] * MIB) + 1)  # files of /proc say that they hold nothing
     except OSError as e:
         raise _unreadable(path, kind, e) from None
@@ -89,8 +97,8 @@ def read_text(path: Path | str, kind: str) -> str:
         raise InputError(f"{kind} {path} is not text (byte {e.start} is not UTF-8)", "save it as UTF-8") from None
 
 
-def av_name(path: Path | str) -> str:
-    """How FFmpeg is told a file: `12:30.mp4` and `http:x.mkv` are names."""
+def ffmpeg_url(path: Path | str) -> str:
+    """A file as a URL for FFmpeg: `12:30.mp4` and `http:x.mkv` are names."""
     return f"file:{os.fspath(path)}"
 
 
@@ -98,46 +106,41 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Raises ValueError that says what is wrong: no TOML, nested too deep, a number out of range."""
     if _DOTTED.search(text):
         raise ValueError("a key of more than 64 parts")
-    try:
-        tree = tomllib.loads(text)
-    except RecursionError:
-        raise ValueError(f"nested deeper than {DEEPEST}") from None
-    except tomllib.TOMLDecodeError:
-        raise
-    except ValueError as e:  # Python's own limit of digits, or a date that does not exist
-        raise ValueError(_digits(e)) from None
-    return bounded(tree)
+    return _parse(lambda: tomllib.loads(text))
 
 
 def parse_json(text: str | bytes) -> Any:
     """Raises ValueError that says what is wrong: no JSON, nested too deep, a number out of range, NaN."""
+    return _parse(lambda: json.loads(text, parse_constant=_no_constant, parse_float=_finite))
+
+
+def _parse(parse: Callable[[], Any]) -> Any:
     try:
-        tree = json.loads(text, parse_constant=_no_constant, parse_float=_finite)
+        return bounded(parse())
     except RecursionError:
-        raise ValueError(f"nested deeper than {DEEPEST}") from None
-    except json.JSONDecodeError:
-        raise
+        raise ValueError(f"nested deeper than {MAX_NESTING}") from None
     except ValueError as e:
-        raise ValueError(_digits(e)) from None
-    return bounded(tree)
+        if "integer string conversion" in str(e):  # Python's own limit of digits
+            raise ValueError("an integer of more than 64 bits") from None
+        raise
 
 
 def bounded(tree: Any) -> Any:
     """The same tree, if it is at most DEEPEST deep and its integers are below LARGEST_INTEGER. Raises ValueError."""
     level = [tree]
-    for _ in range(DEEPEST + 1):
+    for _ in range(MAX_NESTING + 1):
         inner: list[Any] = []
         for value in level:
             if isinstance(value, dict):
                 inner += value.values()
             elif isinstance(value, list):
                 inner += value
-            elif isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+            elif isinstance(value, int) and abs(value) > MAX_INTEGER:
                 raise ValueError("an integer of more than 64 bits")
         level = inner
         if not level:
             return tree
-    raise ValueError(f"nested deeper than {DEEPEST}")
+    raise ValueError(f"nested deeper than {MAX_NESTING}")
 
 
 def _no_constant(name: str) -> Any:
@@ -151,17 +154,13 @@ def _finite(text: str) -> float:
     return value
 
 
-def _digits(e: ValueError) -> str:
-    return "an integer of more than 64 bits" if "integer string conversion" in str(e) else str(e)
-
-
-def _checked(told: os.stat_result, path: Path, kind: str) -> None:
-    if not stat.S_ISREG(told.st_mode):
-        is_folder = stat.S_ISDIR(told.st_mode)
+def _check_status(status: os.stat_result, path: Path, kind: str) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        is_folder = stat.S_ISDIR(status.st_mode)
         what = "is a folder" if is_folder else "is not a regular file (a device, pipe or socket)"
         raise InputError(f"{kind} {path} {what}", "give a file")
-    if told.st_size > LIMITS[kind][0] * MIB:
-        raise _too_large(path, kind, told.st_size)
+    if status.st_size > LIMITS[kind][0] * MIB:
+        raise _too_large(path, kind, status.st_size)
 
 
 def _too_large(path: Path, kind: str, size: int) -> InputError:

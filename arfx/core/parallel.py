@@ -37,29 +37,27 @@ def _threads() -> int:
 
 def parallel_map(work: Callable[[S], T], items: Iterable[S]) -> list[T]:
     """work(item) of each, in their order.
-
-    The caller works too and waits for no thread that has not begun: where cores are busy it does all the work itself.
-    """
+    The caller works too and waits for no thread that has not begun: where cores are busy it does all the work itself."""
     every = list(items)
     others = min(_threads(), len(every)) - 1
     if others < 1:
         return [work(item) for item in every]
     shared = [(work, every, iter(range(len(every))))]
     out: dict[int, T] = {}
-    begun = [_pool(os.getpid()).submit(_take, shared, out) for _ in range(others)]
+    begun = [_pool(os.getpid()).submit(_do_pending, shared, out) for _ in range(others)]
     try:
-        _take(shared, out)
+        _do_pending(shared, out)
     finally:
         for other in begun:
             if not other.cancel():
                 other.result()
         shared.clear()  # one that never began may stay in the queue for a while: it holds no picture
-    made = [out[k] for k in range(len(every))]
+    results = [out[k] for k in range(len(every))]
     out.clear()
-    return made
+    return results
 
 
-def _take(shared: list[Any], out: dict[int, Any]) -> None:
+def _do_pending(shared: list[Any], out: dict[int, Any]) -> None:
     """Do the items that nobody has begun."""
     for work, items, todo in tuple(shared):
         for k in todo:
@@ -68,9 +66,7 @@ def _take(shared: list[Any], out: dict[int, Any]) -> None:
 
 def parallel_rows(work: Callable[[int, int], T], height: int, unit: int = 1, least: int = _SMALL) -> list[T]:
     """work(first row, row behind the last) of each band, in order of rows.
-
-    unit : bands begin at multiples of it;  least : fewer rows are done one band after the other
-    """
+    unit : bands begin at multiples of it;  least : fewer rows are done one band after the other"""
     step = -(-height // (BANDS * unit)) * unit
     spans = [(y, min(y + step, height)) for y in range(0, height, step)] if height else []
     return [work(*span) for span in spans] if height < least else parallel_map(lambda span: work(*span), spans)

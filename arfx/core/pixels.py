@@ -64,11 +64,9 @@ def _joined(rects: Iterable[Rect]) -> list[Rect]:
 
 class Pixels:
     """A layer over `rect`, set in `written`, elsewhere made by `rest` where it is asked for, and kept.
-
     array : (h, w, ...) over `part` of the rectangle, None = nothing is set;  written : rectangles of `part`, None = all of it
     rest : makes any other part; None = the layer's neutral value (`Layers` makes it), and `written` is all of `part`
-    seconds : spent in `rest`
-    """
+    seconds : spent in `rest`"""
 
     def __init__(
         self, rect: Rect, array: np.ndarray | None = None, rest: Callable[[Rect], np.ndarray] | None = None,
@@ -127,16 +125,14 @@ class Pixels:
 
 @dataclass(frozen=True, eq=False)
 class Attenuated:
-    """The plate with less light, made where it is asked for: bias + (1 + opacity (left - 1)) (plate - bias).
-
-    left : (h, w, 3) or (h, w, 1) over `rect`, share of the plate's light that is left; all of it elsewhere
+    """The plate with less light, made where it is asked for: bias + (1 + opacity (transmittance - 1)) (plate - bias).
+    transmittance : (h, w, 3) or (h, w, 1) over `rect`; 1 elsewhere
     opacity : how much of that change is shown;  bias : (3,) what of the plate is no light and stays
-    make : writes that into its last argument; arguments plate, left, opacity, bias, out
-    """
+    make : writes that into its last argument; arguments plate, transmittance, opacity, bias, out"""
 
     plate: Pixels
     rect: Rect
-    left: np.ndarray
+    transmittance: np.ndarray
     opacity: np.float32
     bias: np.ndarray
     make: Callable[..., object]
@@ -150,5 +146,5 @@ class Attenuated:
         out = np.empty_like(plate) if both == rect else plate.copy()
         if not both.empty:
             at = both.slices_in(rect)
-            self.make(plate[at], self.left[both.slices_in(self.rect)], self.opacity, self.bias, out[at])
+            self.make(plate[at], self.transmittance[both.slices_in(self.rect)], self.opacity, self.bias, out[at])
         return out

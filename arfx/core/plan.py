@@ -12,9 +12,7 @@ from arfx.core.rect import Rect
 @dataclass(frozen=True, slots=True)
 class Step(Document):
     """One stage run.
-
-    out : pixels it must deliver; need : pixels it is given; seconds : predicted, None = unknown; between : its interval
-    """
+    out : pixels it must deliver; need : pixels it is given; seconds : predicted, None = unknown; between : its interval"""
 
     stage: str
     level: str

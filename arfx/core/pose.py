@@ -25,7 +25,7 @@ def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
     """Rodrigues: rotation vector (..., 3), radians, to matrix (..., 3, 3); series near zero."""
     r = np.asarray(rotvec, float)
     if r.shape == (3,):
-        return _one_rotation(*r.tolist())
+        return _single_rotation(*r.tolist())
     t2 = (r * r).sum(-1)[..., None, None]
     t = np.sqrt(t2)
     small = t < EPS_ANGLE
@@ -36,7 +36,7 @@ def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
     return np.eye(3) + a * k + b * (k @ k)
 
 
-def _one_rotation(x: float, y: float, z: float) -> np.ndarray:
+def _single_rotation(x: float, y: float, z: float) -> np.ndarray:
     """The same for one vector: a tenth of the time that arrays of one take."""
     t2 = x * x + y * y + z * z
     t = math.sqrt(t2)
@@ -98,10 +98,8 @@ def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
 @dataclass(frozen=True)
 class Pose:
     """A rigid transform: p_dest = rotation @ p_source + translation_m.
-
     rotation : (3, 3) float64, orthonormal, det +1
-    translation_m : (3,) float64, metres
-    """
+    translation_m : (3,) float64, metres"""
 
     rotation: np.ndarray
     translation_m: np.ndarray
@@ -140,7 +138,7 @@ class Pose:
 
     @staticmethod
     def from_json(v: list[float]) -> Pose:
-        return Pose(_one_rotation(*v[:3]), np.array(v[3:6], float))
+        return Pose(_single_rotation(*v[:3]), np.array(v[3:6], float))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pose) and bool(
@@ -150,7 +148,7 @@ class Pose:
     __hash__ = None  # type: ignore[assignment]  # arrays inside; compare by value only
 
 
-def find_rotvecs(poses: Iterable[Pose]) -> None:
+def compute_rotvecs(poses: Iterable[Pose]) -> None:
     """Work out `rotvec` of many poses at once, which takes little longer than of one."""
     missing = [p for p in poses if "rotvec" not in p.__dict__]
     if missing:

@@ -69,19 +69,13 @@ class Rect:
         """Grown outwards to multiples of a grid (chroma subsampling, tiles)."""
         if self.empty:
             return EMPTY
-        return Rect(
-            self.x0 // step_x * step_x,
-            self.y0 // step_y * step_y,
-            -(-self.x1 // step_x) * step_x,
-            -(-self.y1 // step_y) * step_y,
-        )
+        x1, y1 = -(-self.x1 // step_x) * step_x, -(-self.y1 // step_y) * step_y
+        return Rect(self.x0 // step_x * step_x, self.y0 // step_y * step_y, x1, y1)
 
     @staticmethod
     def around(points_px: np.ndarray, pad_px: float = 0.0) -> Rect:
         """Smallest rectangle of whole pixels that holds the points, grown by `pad_px`.
-
-        points_px : (n, 2) float, pixel centres at integers. No finite point gives EMPTY.
-        """
+        points_px : (n, 2) float, pixel centres at integers. No finite point gives EMPTY."""
         p = np.asarray(points_px, float).reshape(-1, 2)
         finite = np.isfinite(p)
         if not finite.all():

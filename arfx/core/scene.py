@@ -1,4 +1,4 @@
-"""What stands where: camera, markers, the virtual object and the default light. Fixed for a whole clip."""
+"""What is where: camera, markers, the virtual object and the default light. Fixed for a whole clip."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from arfx.core.light import Light
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.errors import ConfigError, InputError
 
 # Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up file's y goes out of the print.
@@ -38,9 +38,7 @@ class Placement:
 
     def world_from_model(self, model: Model, up: str | None = None) -> np.ndarray:
         """(4, 4) from the model file's coordinates to metres in marker axes; the middle of the base is the origin.
-
-        Raises ConfigError for a scale that is not above 0, InputError for a model without extent.
-        """
+        Raises ConfigError for a scale that is not above 0, InputError for a model without extent."""
         axes = _UPRIGHT[up or model.up]
         box = np.array([[model.bounds[i][k] for k, i in enumerate(idx)] for idx in np.ndindex(2, 2, 2)]) @ axes.T
         low, high = box.min(0), box.max(0)
@@ -93,10 +91,9 @@ class Scene:
         """Raises InputError where the model is larger than MAX_EXTENT_M."""
         extent = float(np.ptp(self.model_corners_m, axis=0).max())
         if not extent <= MAX_EXTENT_M:
-            raise InputError(
-                f"model {self.model.source} is {extent:.6g} m large in the scene, more than {MAX_EXTENT_M:g} m",
-                "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit",
-            )
+            size = f"{extent:.6g} m large in the scene, more than {MAX_EXTENT_M:g} m"
+            hint = "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit"
+            raise InputError(f"model {self.model.source} is {size}", hint)
 
     @cached_property
     def model_corners_m(self) -> np.ndarray:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import Light
 from arfx.core.memo import Memos
@@ -25,10 +24,8 @@ LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 @dataclass(frozen=True, slots=True)
 class Demand:
     """What a stage would change in a frame.
-
     rect : pixels it may change, empty = it does not run;  reason : in units
-    within_earlier : it can only change pixels in which an earlier stage of the frame writes (the composite)
-    """
+    within_earlier : it can only change pixels in which an earlier stage of the frame writes (the composite)"""
 
     rect: Rect
     reason: str
@@ -38,11 +35,9 @@ class Demand:
 @dataclass(frozen=True, eq=False)
 class View:
     """One frame as `run` sees it. view[LAYER] is what the layer holds over `rect`, read-only.
-
     out : the pixels that are kept of what it makes: a slow stage may leave the others as they are
     key : of its random numbers, from seed, frame and stage;  memo : what it keeps from frame to frame
-    before : earlier frames, oldest first, at most `history`; those have no earlier ones themselves
-    """
+    before : earlier frames, oldest first, at most `history`; those have no earlier ones themselves"""
 
     layers: Layers
     facts: FrameFacts
@@ -76,15 +71,40 @@ class View:
 
 
 @dataclass(frozen=True)
+class Check:
+    """An estimate beside its limit. action : what was done about it where it is not ok"""
+
+    name: str
+    value: Any
+    limit: Any
+    ok: bool
+    action: str
+
+    def to_json(self) -> dict[str, Any]:
+        verdict, action = ("ok", "none") if self.ok else ("warn", self.action)
+        return {"check": self.name, "value": self.value, "limit": self.limit, "verdict": verdict, "action": action}
+
+
+@dataclass(frozen=True)
+class JobView:
+    """A job whose frames are rendered.
+    levels : those at which each stage ran;  picture : renders one frame of a scene by the stages named, at these levels, over a
+    plate of ones; None where nothing of the model is in view"""
+
+    facts: Sequence[FrameFacts]
+    scene: Scene
+    levels: Mapping[str, frozenset[str]]
+    picture: Callable[[Scene, FrameFacts, Mapping[str, str]], Layers | None]
+
+
+@dataclass(frozen=True)
 class NoParams:
     """No settings."""
 
 
 class Stage:
     """One effect. Required: name, reads, writes, run. The rest has a default that fits an effect on the object's own pixels.
-
-    One instance per job, made from `params` (what the user meant). `prepare` once per clip, worker and level; `run` is pure.
-    """
+    One instance per job, made from `params` (what the user meant). `prepare` once per clip, worker and level; `run` is pure."""
 
     name: ClassVar[str]
     reads: ClassVar[frozenset[Layer]]
@@ -95,10 +115,7 @@ class Stage:
 
     always: ClassVar[bool] = False  # part of every job; else of those that name it, or set something of it
     requires: ClassVar[frozenset[str]] = frozenset()  # inputs ("depth") without which it is left out
-    overrides: ClassVar[
-        Mapping[str, Mapping[str, Any]]
-    ] = {}  # settings of other stages that it takes over: stage, setting, value
-
+    overrides: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # settings of other stages that it sets: stage, setting, value
     after: ClassVar[str] = ""  # of a plug-in: the stage that it runs behind; "" = the last one that writes what it reads
 
     facts: frozenset[str] = frozenset({"pose"})  # parts of the analysis that it reads, by name
@@ -122,10 +139,8 @@ class Stage:
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         """Pixels that it may change in this frame, and why; an empty rectangle: why it does not run.
-
-        The planner does not ask where the object is not visible, unless `without_object`.
-        """
-        rect = facts.drawn_box.clip(frame)
+        The planner does not ask where the object is not visible, unless `without_object`."""
+        rect = facts.raster_box.clip(frame)
         return Demand(rect, "model out of view" if rect.empty else "model in view")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numba.core.event import install_timer
 
-from arfx.config.load import near
+from arfx.config.load import suggestion
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
@@ -95,14 +95,15 @@ def bench(
 
 def check(stages: Mapping[str, type[Stage]], stage: str | None, level: str | None, sizes: Sequence[tuple[int, int]]) -> None:
     if stage is not None and stage not in stages:
-        raise ConfigError(f"there is no stage {stage!r}", near(stage, list(stages)))
+        raise ConfigError(f"there is no stage {stage!r}", suggestion(stage, list(stages)))
     for width, height in sizes:
         if min(width, height) < 64 or max(width, height) > 8192:
             raise ConfigError(f"size {width}x{height} cannot be benchmarked", "from 64 to 8192 px a side: 1280x720")
     chosen = [stages[stage]] if stage is not None else list(stages.values())
     levels = {level for s in chosen for level in s.levels}
     if level is not None and level not in levels:
-        raise ConfigError(f"no such level {level!r}" + (f" of stage {stage!r}" if stage else ""), near(level, sorted(levels)))
+        where = f" of stage {stage!r}" if stage else ""
+        raise ConfigError(f"no such level {level!r}{where}", suggestion(level, sorted(levels)))
 
 
 def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type[Stage]]) -> list[Cell]:

@@ -18,9 +18,9 @@ from arfx.core.rect import Rect
 from arfx.errors import ArfxError
 from arfx.measure.bench import Runs, Stopwatch
 from arfx.media.clip import ClipInfo, probe
-from arfx.media.codecs import CODECS
-from arfx.media.containers import create
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.codecs import CODECS, create_container
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputSettings, plan_output
 from arfx.media.planes import copy_picture
@@ -103,7 +103,7 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
     g = np.random.default_rng(5)
     table = g.integers(70, 180, (height // 8, width // 8, 3)).astype(np.uint8)
     noise = g.normal(0, 2, (4, height, width, 3)).astype(np.float32)
-    with create(path) as out:
+    with create_container(path) as out:
         stream: Any = out.add_stream("libx264", rate=30, options={"crf": "18", "preset": "veryfast"})
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for i in range(frames):

@@ -26,7 +26,7 @@ from arfx.core.colour import SRGB
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.numerics import angle_between, divide
 from arfx.media.clip import ClipInfo
-from arfx.media.containers import open_video
+from arfx.media.codecs import open_video
 from arfx.media.frames import ClipReader
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture

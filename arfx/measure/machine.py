@@ -86,7 +86,7 @@ def _codecs() -> Iterator[Check]:
         if codec.sequence:
             yield _picture_format(name)
             continue
-        why = _encode_fails(codec.encoder, codec.formats()[0], codec.chunk, dict(codec.options))
+        why = _encode_fails(codec.encoder, codec.formats[0], codec.chunk, dict(codec.options))
         fix = "" if not why else "pip install --force-reinstall av (its wheels hold this encoder)"
         yield Check("codec", name, not why, why or f"{codec.encoder}, wrote and read back", fix, essential=name == "h264")
 
@@ -152,7 +152,7 @@ def _resources(folder: Path) -> Iterator[Check]:
 
 
 def _compiled() -> Check:
-    lasting, folder = compiled.lasting(), compiled.kept_in(Path(arfx.__file__).parent / "media")
+    lasting, folder = compiled.cache_persists(), compiled.code_folder(Path(arfx.__file__).parent / "media")
     where = f"in {folder}" if lasting else "for one run: the next compiles again what did not come with the package"
     fix = "" if lasting else "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Check("machine", "compiled code", lasting, f"for {compiled.target() or 'this very processor'}, kept {where}", fix)
+    return Check("machine", "compiled code", lasting, f"for {compiled.target_cpu() or 'this very processor'}, kept {where}", fix)

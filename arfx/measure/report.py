@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.facts import FrameFacts
-from arfx.core.facts_file import read_facts
+from arfx.core.facts import FrameFacts, read_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular

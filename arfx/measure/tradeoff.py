@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.core.cost import Prediction, Prices, exactly, together
+from arfx.core.cost import Prediction, Prices, measured, sum_independent
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
@@ -49,7 +49,7 @@ class Row:
     name: str
     level: str
     formula: str
-    time: Prediction = field(default_factory=lambda: exactly(0.0))
+    time: Prediction = field(default_factory=lambda: measured(0.0))
     by_frame: dict[int, Difference] = field(default_factory=dict)
     flicker: tuple[float, float] | None = None
     pictures: dict[int, np.ndarray] = field(default_factory=dict)
@@ -211,7 +211,7 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
     stage, usual, renderers, found = work.stages[name], work.usual, work.renderers, work.found
     best, formula = work.best[name], getattr(stage.params, "formula", "")
     rows = [
-        Row(name, level, formula, work.times.of((name, level)) or exactly(0.0), levels={**usual, name: level})
+        Row(name, level, formula, work.times.of((name, level)) or measured(0.0), levels={**usual, name: level})
         for level in stage.levels
     ]
     chosen = {**usual, name: best}
@@ -274,7 +274,7 @@ def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
     for i in row.by_frame:
         whole = replace(work.renderers[i], prepared=prepared, window=work.job.inputs.camera.rect)
         time_frame(times, whole, _levels(prepared, work.base), {(name, usual[name])}, work.new)
-    work.other_s[name] = row.time = times.of((name, usual[name])) or exactly(0.0)
+    work.other_s[name] = row.time = times.of((name, usual[name])) or measured(0.0)
     return [row] if row.by_frame else []
 
 
@@ -298,7 +298,7 @@ def _mixed_levels(work: _Work) -> list[dict[str, str]]:
     state, moves = dict(work.usual), []
     for name in work.usual:
         own = [r for r in work.found.effects if r.name == name and r.formula == getattr(work.stages[name].params, "formula", "")]
-        options = [Option(r.level, exactly(r.seconds), r.average("mean"), 1) for r in own if r.level != work.best[name]]
+        options = [Option(r.level, measured(r.seconds), r.average("mean"), 1) for r in own if r.level != work.best[name]]
         hull = convex_hull(options)
         if hull:
             state[name] = hull[0].level
@@ -320,5 +320,5 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     row = Row("pipeline", "usual", next(s.params.formula for s in other.values()), levels=usual, prepared=there)
     _compare(work, [row], work.best)
     timed = [work.other_s.get(name) or work.times.of((name, level)) for name, level in work.usual.items()]
-    row.time = together(p for p in timed if p is not None)
+    row.time = sum_independent(p for p in timed if p is not None)
     return [row]

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
-from arfx.core.cost import Prediction, exactly, together, with_spread
+from arfx.core.cost import Prediction, measured, sum_independent, with_spread
 from arfx.core.rect import Rect
 from arfx.measure.steps import FrameRenderer, StageRun, chain_of
 
@@ -94,11 +94,11 @@ class Times:
         else:
             return None
         added = float(np.mean(self.new_s.get(at, [0.0])))
-        return together([mean, with_spread(added, LEAST_SPREAD)]) if added > 0 else mean
+        return sum_independent([mean, with_spread(added, LEAST_SPREAD)]) if added > 0 else mean
 
     def of_chain(self, chain: Iterable[At]) -> Prediction:
         """Of all steps of a frame; what was not timed counts as nothing."""
-        return together([self.of(at) or exactly(0.0) for at in chain])
+        return sum_independent([self.of(at) or measured(0.0) for at in chain])
 
     def run(self, run: StageRun, out: Rect) -> float:
         start = self.clock()

@@ -15,7 +15,7 @@ from arfx.analyse.markers.detect import dictionary
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.camera import Camera
-from arfx.core.facts_file import read_facts
+from arfx.core.facts import read_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose
@@ -67,7 +67,7 @@ def verify(
     output = work / "out.mkv"  # lossless, so that what is judged does not depend on an encoder's settings
     config = load(made / "job.toml", {"output": {"path": str(output), "codec": "ffv1"}}, parameters())
     report = process(config, Options(work / "job", overwrite=True, workers=workers, progress=progress, notice=notice))
-    interrupt.go_on()
+    interrupt.resume()
     job = JobFolder(work / "job")
     facts = list(read_facts(job.facts))
     if len(facts) != len(truth.frames):

@@ -17,10 +17,9 @@ import numpy as np
 import yaml
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
-from arfx.core.guard import aside
-from arfx.core.opener import DEEPEST, bounded, parse_json, read_text
+from arfx.core.guard import atomic_write
+from arfx.core.opener import MAX_NESTING, bounded, parse_json, read_text
 from arfx.errors import InputError
-from arfx.media.camera_checks import check_camera, check_matrix, wrong
 
 SUPPORTED = (
     "OpenCV YAML or JSON (camera_matrix, distortion_coefficients, image_width, image_height), ROS camera_info YAML, "
@@ -49,22 +48,32 @@ COLMAP_MODELS: dict[str, tuple[str, str]] = {
     "RADIAL_FISHEYE": ("f cx cy k1 k2", FISHEYE),
     "OPENCV_FISHEYE": ("fx fy cx cy k1 k2 k3 k4", FISHEYE),
 }
+# Limits of calibrations: what is surely wrong is refused, what is unusual is reported.
+_SHAPE = "fx 0 cx / 0 fy cy / 0 0 1, row by row"
+_LARGEST_PX = 65536
+_FOCAL = (0.02, 2000.0)  # focal length as a fraction of the longer side: 175 degrees of view, a hundredth of a degree
+_USUAL_FOCAL = (0.15, 100.0)
+_ASPECT, _USUAL_ASPECT = 10.0, 1.5  # of the pixels: anamorphic video reaches 2
+_CENTRE = 5.0  # picture sides by which a crop of a picture may lie off its principal point
+_COEFFICIENT = 1e6
+_USUAL_VISIBLE, _MIN_VISIBLE = (
+    0.5,
+    0.05,
+)  # share of the picture with a viewing direction: a full circle of a fisheye lens has 0.55
 COLMAP_CENTRE_PX = 0.5  # the middle of the top left pixel is (0.5, 0.5) there and (0, 0) here
 
 
 class _Loader(yaml.SafeLoader):
     """Plain YAML, with OpenCV's `!!opencv-matrix` read as the mapping that it is.
-
-    No aliases, of which a few lines unfold to gigabytes, and no deep nesting, on which the library recurses.
-    """
+    No aliases, of which a few lines unfold to gigabytes, and no deep nesting, on which the library recurses."""
 
     depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("aliases (*name) are not read: write the value out")
-        if self.depth > DEEPEST:
-            raise yaml.YAMLError(f"nested deeper than {DEEPEST}")
+        if self.depth > MAX_NESTING:
+            raise yaml.YAMLError(f"nested deeper than {MAX_NESTING}")
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -76,13 +85,10 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):
 
 
 def load_camera(path: str | Path) -> Camera:
-    """The camera in a calibration file; the format is told from the content.
-
+    """The camera in a calibration file; the format is detected from the content.
     path : the file; where it holds several cameras, `FILE#NAME` (camchain.yaml#cam1, cameras.txt#2) chooses one
-
     Raises InputError if the file cannot be read, is of no known format, does not state the picture size, holds several
-    cameras, has skew, or a lens model that OpenCV's polynomials cannot express.
-    """
+    cameras, has skew, or a lens model that OpenCV's polynomials cannot express."""
     file, chosen = Path(path), ""
     if "#" in file.name and not os.path.exists(file):  # noqa: PTH110 - False where it cannot be told, too
         name, _, chosen = file.name.rpartition("#")
@@ -124,14 +130,14 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         keys = ", ".join(map(str, list(document)[:8])) or "nothing"
         raise InputError(f"camera file {where} holds no camera matrix (its keys: {keys})", f"supported: {SUPPORTED}")
     if matrix.size != 9:
-        raise wrong(where, f"the camera matrix has {matrix.size} numbers", "9, row by row")
+        raise _error(where, f"the camera matrix has {matrix.size} numbers", "9, row by row")
     found = _numbers(_first(flat, DISTORTION_NAMES), where, "the distortion coefficients")
     distortion = np.zeros(0) if found is None else found
     word = str(_first(flat, MODEL_NAMES) or "").lower()
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
     fisheye = word in FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
     if not fisheye and word not in BROWN_WORDS:
-        raise wrong(where, f"lens model {word!r} is not supported", "plumb_bob, rational_polynomial, equidistant")
+        raise _error(where, f"lens model {word!r} is not supported", "plumb_bob, rational_polynomial, equidistant")
     return _camera(matrix.reshape(3, 3), distortion, _size(flat, where), FISHEYE if fisheye else BROWN, where)
 
 
@@ -140,11 +146,11 @@ def _from_kalibr(entry: Mapping[str, Any], where: str) -> Camera:
     projection, lens = str(entry.get("camera_model", "pinhole")), str(entry.get("distortion_model", "none"))
     models = {"radtan": BROWN, "none": BROWN, "equidistant": FISHEYE}
     if projection != "pinhole" or lens not in models:
-        raise wrong(where, f"Kalibr model {projection}-{lens} is not supported", "pinhole with radtan, equidistant or none")
+        raise _error(where, f"Kalibr model {projection}-{lens} is not supported", "pinhole with radtan, equidistant or none")
     k = _numbers(entry["intrinsics"], where, "intrinsics")
     d = _numbers(entry.get("distortion_coeffs", []), where, "distortion_coeffs")
     if k is None or k.size != 4:
-        raise wrong(where, "pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
+        raise _error(where, "pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
     flat = {"resolution": entry.get("resolution")}
     return _camera(_matrix(*k), np.zeros(0) if d is None else d, _size(flat, where), models[lens], where)
 
@@ -160,11 +166,11 @@ def _colmap_rows(text: str) -> list[list[str]] | None:
 def _from_colmap(rows: list[list[str]], chosen: str, where: str) -> Camera:
     row = _choose({r[0]: r for r in rows}, chosen, where)
     if row[1] not in COLMAP_MODELS:
-        raise wrong(where, f"COLMAP model {row[1]} has no OpenCV equivalent", ", ".join(COLMAP_MODELS))
+        raise _error(where, f"COLMAP model {row[1]} has no OpenCV equivalent", ", ".join(COLMAP_MODELS))
     names, model = COLMAP_MODELS[row[1]][0].split(), COLMAP_MODELS[row[1]][1]
     values = _numbers(row[2:], where, f"camera {row[0]}")
     if values is None or values.size != 2 + len(names):
-        raise wrong(where, f"{row[1]} has {len(row) - 4} parameters", f"{len(names)}: {' '.join(names)}")
+        raise _error(where, f"{row[1]} has {len(row) - 4} parameters", f"{len(names)}: {' '.join(names)}")
     p = dict(zip(names, values[2:], strict=True))
     matrix = _matrix(p.get("fx", p.get("f")), p.get("fy", p.get("f")), p["cx"] - COLMAP_CENTRE_PX, p["cy"] - COLMAP_CENTRE_PX)
     order = ("k1", "k2", "k3", "k4") if model == FISHEYE else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -178,15 +184,15 @@ def _camera(matrix: np.ndarray, distortion: np.ndarray, size: tuple[int, int], m
         distortion = np.concatenate([distortion, np.zeros(4 - distortion.size)])
     if model == FISHEYE and distortion.size > 4 and not np.any(distortion[4:]):
         distortion = distortion[:4]
-    check_matrix(matrix, where)
+    _check_matrix(matrix, where)
     camera = Camera(*size, matrix, distortion, model, where)
-    check_camera(camera)
+    _check_camera(camera)
     return camera
 
 
 def _choose(cameras: Mapping[str, Any], chosen: str, where: str) -> Any:
     if chosen and chosen not in cameras:
-        raise wrong(where, f"no camera {chosen!r}", "it holds " + ", ".join(cameras))
+        raise _error(where, f"no camera {chosen!r}", "it holds " + ", ".join(cameras))
     if not chosen and len(cameras) > 1:
         first = next(iter(cameras))
         raise InputError(
@@ -203,13 +209,11 @@ def _size(flat: Mapping[str, Any], where: str) -> tuple[int, int]:
     elif isinstance(stated, Sequence) and not isinstance(stated, str) and len(stated) == 2:
         width, height = stated
     if width is None or height is None:
-        raise InputError(
-            f"camera file {where} does not state the picture size that it was made for",
-            'add it: "image_width": 1920, "image_height": 1080 (YAML: without the quotation marks)',
-        )
+        hint = 'add it: "image_width": 1920, "image_height": 1080 (YAML: without the quotation marks)'
+        raise InputError(f"camera file {where} does not state the picture size that it was made for", hint)
     values = _numbers([width, height], where, "the picture size")
     if values is None or not np.isfinite(values).all() or np.any(values != np.round(values)):
-        raise wrong(where, f"picture size {width} x {height}", "two whole numbers of pixels")
+        raise _error(where, f"picture size {width} x {height}", "two whole numbers of pixels")
     return int(values[0]), int(values[1])
 
 
@@ -226,7 +230,7 @@ def _numbers(value: Any, where: str, what: str) -> np.ndarray | None:
     try:
         flat = [_number(v) for v in np.asarray(value, object).ravel()]
     except (TypeError, ValueError, OverflowError):
-        raise wrong(where, f"{what} is not a list of numbers", "numbers, row by row") from None
+        raise _error(where, f"{what} is not a list of numbers", "numbers, row by row") from None
     return np.array(flat, float)
 
 
@@ -265,9 +269,75 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
         **extras,
     }  # fmt: skip
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=1 << 30, allow_unicode=True)
-    with aside(path) as part:
+    with atomic_write(path) as part:
         part.write_text(f"%YAML 1.0\n---\n{text}", encoding="utf-8")
 
 
 def _stored_matrix(m: np.ndarray) -> dict[str, Any]:
     return {"rows": m.shape[0], "cols": m.shape[1], "dt": "d", "data": m.ravel().tolist()}
+
+
+def _error(where: str, what: str, hint: str) -> InputError:
+    return InputError(f"camera file {where}: {what}", hint)
+
+
+def _check_matrix(m: np.ndarray, where: str) -> None:
+    """m : (3, 3). Raises InputError where its zeros and ones are misplaced; other values are not checked."""
+    if not np.isfinite(m).all():
+        return  # Camera says so
+    size = max(abs(m[0, 0]), abs(m[1, 1]), 1e-300)
+    last = m[2]
+    if abs(last[2] - 1) > 1e-6 or np.abs(last[:2]).max() > 1e-6:
+        if np.abs(m[:2, 2]).max() <= 1e-6 and abs(last[2] - 1) <= 1e-6:
+            raise _error(where, f"the camera matrix is transposed, its last row is {_row(last)}", f"as rows: {_SHAPE}")
+        raise _error(where, f"the camera matrix's last row is {_row(last)}, not 0 0 1", _SHAPE)
+    if abs(m[0, 1]) > 1e-6 * size:
+        raise _error(where, f"the camera matrix has skew {m[0, 1]:g}", "calibrate without skew")
+    if abs(m[1, 0]) > 1e-6 * size:
+        raise _error(where, f"the camera matrix holds {m[1, 0]:g} where 0 belongs", _SHAPE)
+
+
+def _check_camera(camera: Camera) -> None:
+    """Raises InputError: numbers that no camera has."""
+    where, side = camera.source, max(camera.width, camera.height)
+    if side > _LARGEST_PX:
+        raise _error(where, f"a picture of {camera.width}x{camera.height}", f"at most {_LARGEST_PX} px a side")
+    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
+        if not _FOCAL[0] * side <= focal <= _FOCAL[1] * side:
+            hint = f"a focal length in pixels, {_FOCAL[0] * side:g} to {_FOCAL[1] * side:g} here; often about {side}"
+            raise _error(where, f"{name} is {focal:g} px for a picture of {camera.width}x{camera.height}", hint)
+    if not 1 / _ASPECT <= camera.fx / camera.fy <= _ASPECT:
+        raise _error(where, f"fx {camera.fx:g} and fy {camera.fy:g} are far apart", "pixels are nearly square")
+    for name, at, length in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
+        if not -_CENTRE * length <= at <= (1 + _CENTRE) * length:
+            what = f"the principal point's {name} is {at:g} px, far outside the picture"
+            raise _error(where, what, f"near the middle: {length / 2:g}")
+    if camera.distortion.size and np.abs(camera.distortion).max() > _COEFFICIENT:
+        raise _error(where, f"a distortion coefficient is {np.abs(camera.distortion).max():g}", "calibrate again")
+    if _visible_fraction(camera) < _MIN_VISIBLE:
+        raise _error(where, "with its distortion almost no pixel has a viewing direction", "calibrate again")
+
+
+def camera_warnings(camera: Camera) -> list[str]:
+    """Notices of what is unusual and may be meant."""
+    out, side = [], max(camera.width, camera.height)
+    if not 1 / _USUAL_ASPECT <= camera.fx / camera.fy <= _USUAL_ASPECT:
+        out.append(f"fx {camera.fx:g} and fy {camera.fy:g} px differ much: are the pixels that oblong?")
+    if not all(_USUAL_FOCAL[0] * side <= f <= _USUAL_FOCAL[1] * side for f in (camera.fx, camera.fy)):
+        out.append(f"a focal length of {camera.fx:g} px is unusual for {camera.width}x{camera.height}")
+    if not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
+        out.append(f"the principal point {camera.cx:g}, {camera.cy:g} lies outside the picture: is it a crop?")
+    if (seen := _visible_fraction(camera)) < _USUAL_VISIBLE:
+        out.append(f"the distortion holds for {seen:.0%} of the picture only")
+    return [f"camera calibration {camera.source}: {text}" for text in out]
+
+
+def _visible_fraction(camera: Camera) -> float:
+    """Share of the picture's pixels that have a viewing direction."""
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, 17), np.linspace(0, camera.height - 1, 17))
+    with np.errstate(all="ignore"):
+        return float(np.isfinite(camera.normalised(np.stack([x, y], -1))).all(-1).mean())
+
+
+def _row(values: np.ndarray) -> str:
+    return " ".join(f"{v:g}" for v in values)

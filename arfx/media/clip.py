@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import re
+import struct
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
+import numpy as np
 
 from arfx.core.codec import Document
 from arfx.core.colour import SRGB, Transfer
 from arfx.errors import InputError
-from arfx.media.containers import check_size, open_video
-from arfx.media.frame import FrameFormat
-from arfx.media.orient import Orientation, matrix_from_side_data, orientation_of
-from arfx.media.planes import PixelLayout, working_layout
+from arfx.media.codecs import check_size, open_video
+from arfx.media.planes import FrameFormat, Orientation, PixelLayout, orientation_of, working_layout
 
 UNSPECIFIED = 2
 _MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
@@ -27,9 +27,7 @@ _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 @dataclass(frozen=True)
 class StreamInfo(Document):
     """One stream of the file. used : the video stream that is processed;  picture : a cover, not a video
-
-    broken : its header does not say how it is to be played
-    """
+    broken : its header does not say how it is to be played"""
 
     index: int
     kind: str
@@ -104,15 +102,6 @@ class ClipInfo(Document):
         )  # fmt: skip
 
 
-def video_stream(container: Any, path: Path) -> Any:
-    """The first video stream that is not a cover picture. Raises InputError if there is none."""
-    for s in container.streams.video:
-        if not _is_cover(s):
-            return s
-    held = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-    raise InputError(f"{path} has no video stream (it holds: {held})", "give a clip with pictures")
-
-
 def _is_cover(stream: Any) -> bool:
     return bool(stream.disposition & av.stream.Disposition.attached_pic)
 
@@ -126,18 +115,18 @@ def _describe(stream: Any, used: bool) -> StreamInfo:
 
 def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
     """Reads a clip's properties and decodes its first frame.
-
     transfer : how coded values become light; the stream's own tag is not used for SDR (see ARCHITECTURE.md, Numbers)
-    Raises InputError: missing, not a video, no video stream, HDR transfer, nothing decodable.
-    """
+    Raises InputError: missing, not a video, no video stream, HDR transfer, nothing decodable."""
     path = Path(path)
     with open_video(path) as container:
-        stream = video_stream(container, path)
+        stream = next((s for s in container.streams.video if not _is_cover(s)), None)
+        if stream is None:
+            held = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
+            raise InputError(f"{path} has no video stream (it holds: {held})", "give a clip with pictures")
         if stream.codec_context is None:
             raise InputError(f"{path}: no decoder for its video", "convert it to H.264 first")
         check_size(stream.codec_context.width, stream.codec_context.height, path)
-        first = _first_picture(container, stream, path)
-        return _info(container, stream, first, path, transfer)
+        return _info(container, stream, _first_picture(container, stream, path), path, transfer)
 
 
 def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
@@ -146,8 +135,7 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
     packets = container.demux(stream)
     while True:
         try:
-            packet = next(packets, None)
-            if packet is None:
+            if (packet := next(packets, None)) is None:
                 break
             for picture in packet.decode():
                 return picture
@@ -159,32 +147,27 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
 
 
 def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer) -> ClipInfo:
-    ctx, notices = stream.codec_context, []
+    ctx = stream.codec_context
     trc = first.color_trc if first.color_trc not in (0, UNSPECIFIED) else ctx.color_trc
     if int(trc) in _HDR:
-        raise InputError(
-            f"{path} is HDR video with transfer {_HDR[int(trc)]}; only SDR video is processed",
-            "convert it to SDR first, for example with FFmpeg's zscale and tonemap filters",
-        )
+        hint = "convert it to SDR first, for example with FFmpeg's zscale and tonemap filters"
+        raise InputError(f"{path} is HDR video with transfer {_HDR[int(trc)]}; only SDR video is processed", hint)
     layout, notice = working_layout(first.format.name)
-    if notice:
-        notices.append(notice)
+    notices = [notice] if notice else []
     space = int(first.colorspace) if int(first.colorspace) not in (0, UNSPECIFIED) else int(ctx.colorspace)
     matrix = _MATRIX.get(space)
     stated = matrix is not None
     if matrix is None:
         matrix = "bt709" if first.height >= 720 else "bt601"
         if layout.kind == "yuv":
-            said = "names no colour matrix" if space in (0, UNSPECIFIED) else f"has the unsupported colour matrix {space}"
-            notices.append(f"the stream {said}: {matrix} is used ({first.height} lines)")
+            why = "names no colour matrix" if space in (0, UNSPECIFIED) else f"has the unsupported colour matrix {space}"
+            notices.append(f"the stream {why}: {matrix} is used ({first.height} lines)")
     range_tag = int(first.color_range) or int(ctx.color_range)
     full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
-    if layout.kind == "gray" and range_tag == 0:
-        full = True
-    if layout.kind == "rgb" and space not in (0, UNSPECIFIED):
-        stated = False
+    full = full or (layout.kind == "gray" and range_tag == 0)
+    stated = stated and (layout.kind != "rgb" or space in (0, UNSPECIFIED))
     sides: dict[str, Any] = {s.type.name: s for s in list(first.side_data)}  # type: ignore[attr-defined]
-    turn = matrix_from_side_data(bytes(sides["DISPLAYMATRIX"])) if "DISPLAYMATRIX" in sides else None
+    turn = struct.unpack("=9i", bytes(sides["DISPLAYMATRIX"])[:36]) if "DISPLAYMATRIX" in sides else None
     orientation, exact = orientation_of(turn)
     if not exact:
         notices.append("the display matrix is no multiple of 90 degrees; the nearest is used")
@@ -213,3 +196,23 @@ def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
     """Matroska's per-stream DURATION tag, "00:00:05.005000000"."""
     m = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", metadata.get("DURATION", ""))
     return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
+
+
+def match_by_time(taken_s: np.ndarray, times_s: list[float]) -> list[int | None]:
+    """Number of what was recorded nearest to each frame (a depth map, a pose), None where nothing is near. taken_s : rising"""
+    if len(taken_s) == 1:
+        return [0] * len(times_s)
+    most_s = 0.75 * float(np.median(np.diff(taken_s)))
+    times = np.asarray(times_s, float)
+    after = np.clip(np.searchsorted(taken_s, times), 1, len(taken_s) - 1)
+    nearest = after - (times - taken_s[after - 1] <= taken_s[after] - times)
+    return [int(k) if abs(taken_s[k] - t) <= most_s else None for k, t in zip(nearest, times, strict=True)]
+
+
+def match_in_order(what: str, held: int, frames: int, before: int, whole: bool, hint: str) -> list[int | None]:
+    """One thing for each frame of the clip. before : frames of the clip before these;  whole : these reach to its end
+    Raises InputError where their number is not the clip's. what : the message's start ("depth X holds 4 maps")"""
+    wanted = before + frames
+    if held < wanted or (whole and held > wanted):
+        raise InputError(f"{what}, the clip has {'' if whole else 'at least '}{wanted} frames", hint)
+    return list(range(before, wanted))

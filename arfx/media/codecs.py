@@ -1,20 +1,34 @@
-"""What the supported codecs and containers can hold."""
+"""Video files opened by FFmpeg: ours for writing, others' only as the containers listed here, and never anything they name;
+and what the supported codecs and containers can hold."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Any
 
 import av
 
-from arfx.core.machine import scheduling_kept
+from arfx.core.machine import preserve_scheduling
+from arfx.core.opener import ffmpeg_url, regular
+from arfx.errors import InputError
 from arfx.media.planes import PixelLayout, layout_named
 
 os.environ.setdefault("SVT_LOG", "1")  # errors only: the AV1 encoder prints its settings otherwise
 
+# FFmpeg detects the format from the content. Its playlists, scripts and image patterns (concat, hls, dash, sdp, image2, …) open
+# other files and addresses, so that formats are listed which hold their streams themselves.
+CONTAINERS = (
+    "mov", "matroska", "webm", "avi", "mpegts", "mpeg", "flv", "ogg", "asf", "nut", "ivf", "mxf", "gxf", "dv", "wtv",
+    "yuv4mpegpipe", "gif", "apng", "wav", "h264", "hevc", "vvc", "av1", "obu", "mpegvideo", "m4v", "mjpeg",
+)  # fmt: skip
+_OPTIONS = {"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"}
+MAX_SIDE = 8192  # of a frame: a picture of this square in linear light takes 800 MB
+_PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"BM", b"v/1\x01", b"#?RADIANCE",
+             b"\0\0\0\x0cjP  ", b"P5\n", b"P6\n", b"8BPS", b"%!PS")  # fmt: skip
 SUFFIX_CONTAINER = {".mp4": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".mov": "mov", ".webm": "webm"}
 CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".webm"}
 
@@ -22,10 +36,8 @@ CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".
 @dataclass(frozen=True)
 class Codec:
     """One output codec. encoder : FFmpeg's name;  containers : best first;  chunk : container of its chunks
-
     options : fixed ones;  crf, preset : defaults, None where there is no such setting;  threads : given to the encoder
-    full_range : whether full-range samples can be told from limited ones in its files
-    """
+    full_range : whether full-range samples can be distinguished from limited ones in its files"""
 
     name: str
     encoder: str
@@ -39,9 +51,14 @@ class Codec:
     lossless: bool = False
     sequence: bool = False
 
+    @cached_property
     def formats(self) -> tuple[str, ...]:
         """Working pixel formats that its encoder takes (planar YUV, grey, RGB; without transparency)."""
-        return _formats(self.encoder)
+        if self.encoder == "prores_ks":
+            return ("yuv444p10le",)  # profile 4 is ProRes 4444
+        known = [(f.name, layout_named(f.name)) for f in av.Codec(self.encoder, "w").video_formats or []]
+        names = [n for n, lay in known if lay is not None and not lay.alpha and not n.startswith("yuvj")]
+        return (*names, "gbrp") if self.encoder == "ffv1" else tuple(names)  # its 8-bit RGB is bgr0: the same, interleaved
 
 
 # Threads are fixed: 1, 2 and 4 give three different streams, and bytes must not depend on the machine. Chunks are encoded side
@@ -71,29 +88,15 @@ CODECS = {
 }  # fmt: skip
 
 
-@cache
-def _formats(encoder: str) -> tuple[str, ...]:
-    formats = av.Codec(encoder, "w").video_formats or []
-    known = [(f.name, layout_named(f.name)) for f in formats]
-    if encoder == "prores_ks":
-        return ("yuv444p10le",)  # profile 4 is ProRes 4444
-    names = [n for n, lay in known if lay is not None and not lay.alpha and not n.startswith("yuvj")]
-    if encoder == "ffv1":
-        names.append("gbrp")  # its 8-bit RGB is bgr0: the same samples, interleaved
-    return tuple(names)
-
-
 def open_encoder(context: Any) -> None:
     """Open an encoder whose settings are complete. Raises av.error.FFmpegError, ValueError.
-
-    As root, the AV1 encoder makes its threads and its caller real-time when it opens: the rest of the machine waits for them.
-    """
-    with scheduling_kept():
+    As root, the AV1 encoder makes its threads and its caller real-time when it opens: the rest of the machine waits for them."""
+    with preserve_scheduling():
         context.open()
 
 
 @cache
-def holdable(container: str) -> frozenset[str]:
+def supported_codecs(container: str) -> frozenset[str]:
     """Names of the codecs that a container can hold, decoders' and encoders' names alike."""
     with av.open(os.devnull, "w", format=container) as out:
         return frozenset(out.supported_codecs)
@@ -101,10 +104,8 @@ def holdable(container: str) -> frozenset[str]:
 
 def nearest_format(layout: PixelLayout, formats: tuple[str, ...], odd: tuple[bool, bool], refuses_odd: bool) -> str | None:
     """The encoder's format that loses least of a source layout; None if none holds the picture's size.
-
     odd : the coded width, height are odd;  refuses_odd : the codec cannot hold odd sizes with subsampled chroma
-    Least loss first: colour kept, chroma resolution kept, depth kept, then nothing added.
-    """
+    Least loss first: colour kept, chroma resolution kept, depth kept, then nothing added."""
 
     def price(name: str) -> tuple[int, ...] | None:
         f = layout_named(name)
@@ -118,3 +119,43 @@ def nearest_format(layout: PixelLayout, formats: tuple[str, ...], odd: tuple[boo
 
     priced = [(p, n) for n in formats if (p := price(n)) is not None]
     return min(priced)[1] if priced else None
+
+
+def open_video(path: Path, kind: str = "clip") -> Any:
+    """A container for reading. kind : as in opener.LIMITS
+    Raises InputError: not a regular file, not a video, or a list of other files (playlist, concat script)."""
+    regular(path, kind)
+    try:
+        return av.open(ffmpeg_url(path), metadata_errors="replace", container_options=_OPTIONS)
+    except (av.error.FFmpegError, OSError, ValueError) as e:
+        why, hint = _diagnose(path)
+        if not why and isinstance(e, av.error.ArgumentError):  # the list of formats said no
+            why, hint = "it is of a format that is not read", "convert it to .mp4 or .mkv"
+        raise InputError(
+            f"{kind} {path} cannot be read as a video: {why or getattr(e, 'strerror', None) or e}",
+            hint or "a file that FFmpeg can decode; a recording that was cut off before its index was written may be repairable",
+        ) from e
+
+
+def check_size(width: int, height: int, path: Path, kind: str = "clip") -> None:
+    """Raises InputError for pictures too large to work on."""
+    if max(width, height) > MAX_SIDE:
+        raise InputError(f"{kind} {path} has pictures of {width}x{height}", f"at most {MAX_SIDE} px a side: scale it down")
+
+
+def create_container(path: Path, container: str | None = None, **options: Any) -> Any:
+    """A container for writing. container : FFmpeg's name, None = by the suffix;  options : of av.open"""
+    return av.open(ffmpeg_url(path), "w", format=container, **options)
+
+
+def _diagnose(path: Path) -> tuple[str, str]:
+    """What a file is that is no video, and what would be right; empty where its first bytes do not tell."""
+    with path.open("rb") as f:
+        head = f.read(1024)
+    if not head:
+        return "it is empty", "is the recording complete?"
+    if head.startswith(_PICTURES) or head[8:12] == b"WEBP":
+        return "it is a picture, not a video", "a clip of several frames; make one of pictures with FFmpeg"
+    if all(b >= 32 or b in b"\t\r\n\f" for b in head.removeprefix(b"\xef\xbb\xbf")):
+        return "it is text, not a video", "a playlist or script is not followed: join what it names into one file"
+    return "", ""

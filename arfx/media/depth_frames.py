@@ -16,7 +16,7 @@ import numpy as np
 
 from arfx.core.opener import regular
 from arfx.errors import InputError
-from arfx.media.containers import check_size, open_video
+from arfx.media.codecs import check_size, open_video
 from arfx.media.images import check_tiff
 
 TIFF = (".tif", ".tiff")
@@ -53,8 +53,12 @@ class DepthVideo:
         if at.last is not None and at.next == number + 1:
             return at.last
         try:
-            if at.container is None or not at.next <= number < at.next + _FORWARD:
-                self._seek(number)
+            if at.container is None:
+                at.container, at.next = open_video(self.path, "depth"), -_FORWARD
+            if not at.next <= number < at.next + _FORWARD:
+                stream = at.container.streams.video[0]
+                at.container.seek(self.pts[number], stream=stream, backward=True)
+                at.frames, at.last = at.container.decode(stream), None
             for frame in at.frames:
                 if frame.pts is None or frame.pts < self.pts[number]:
                     continue
@@ -66,14 +70,6 @@ class DepthVideo:
         except av.FFmpegError as e:
             raise InputError(f"depth {self.path}: map {number} cannot be decoded: {e}") from None
         raise InputError(f"depth {self.path}: map {number} cannot be decoded where it was listed", "the file is damaged")
-
-    def _seek(self, number: int) -> None:
-        at = self.reading
-        if at.container is None:
-            at.container = open_video(self.path, "depth")
-        stream = at.container.streams.video[0]
-        at.container.seek(self.pts[number], stream=stream, backward=True)
-        at.frames, at.last = at.container.decode(stream), None
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +103,8 @@ def open_frames(path: Path) -> DepthVideo | DepthPages:
             stream = container.streams.video[0]
             kind = stream.codec_context.pix_fmt
             if kind not in _GREY:
-                raise InputError(
-                    f"depth {path} holds {kind} pictures, not depth", "grey of 16 bits or float: FFV1 gray16 in .mkv"
-                )
+                hint = "grey of 16 bits or float: FFV1 gray16 in .mkv"
+                raise InputError(f"depth {path} holds {kind} pictures, not depth", hint)
             check_size(stream.codec_context.width, stream.codec_context.height, path, "depth")
             base = stream.time_base
             listed = sorted({p.pts for p in container.demux(stream) if p.pts is not None})

@@ -9,20 +9,16 @@ import av
 
 from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
-from arfx.media.containers import open_video
-from arfx.media.frame import Frame, FrameFormat
+from arfx.media.codecs import open_video
+from arfx.media.frame import Frame
 from arfx.media.planes import repacked
-
-__all__ = ["ClipReader", "Frame", "FrameFormat"]
 
 _SHORT_S = 0.5  # a file that ends this much before its stated end was cut off; container durations are rounded, not this far
 
 
 class ClipReader:
     """Context manager over one clip.
-
-    truncated : after iterating to the end, a message when the file ends in damage, else None
-    """
+    truncated : after iterating to the end, a message when the file ends in damage, else None"""
 
     def __init__(self, info: ClipInfo, threads: int = 0) -> None:
         self.info = info
@@ -57,9 +53,7 @@ class ClipReader:
 
     def frames(self, first_pts: int | None = None, last_pts: int | None = None, first_index: int = 0) -> Iterator[Frame]:
         """Frames with first_pts <= pts <= last_pts; `index` counts from first_index.
-
-        Seeks to the key frame at or before first_pts; where seeking is not exact, decodes from the start.
-        """
+        Seeks to the key frame at or before first_pts; where seeking is not exact, decodes from the start."""
         index = first_index
         for picture, pts in self._pictures(first_pts, last_pts):
             yield Frame(repacked(picture, self._format.layout), self._format, index, pts, bool(picture.key_frame))

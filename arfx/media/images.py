@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import av
 import numpy as np
@@ -24,14 +24,14 @@ from arfx.core.opener import read_bytes
 from arfx.errors import InputError, RenderError
 
 # kind of picture, as in opener.LIMITS -> (largest number of pixels, why this many)
-MOST_PIXELS: dict[str, tuple[int, str]] = {
+MAX_PIXELS: dict[str, tuple[int, str]] = {
     "image": (1 << 25, "8192 x 4096, 400 MB in linear light"),
     "depth map": (1 << 25, "8192 x 4096, four times the largest video"),
     "picture": (1 << 28, "a telephone's 200 megapixels, decoded grey"),
 }
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_looking = threading.Lock()
+_pillow_lock = threading.Lock()
 _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
 
@@ -60,9 +60,7 @@ def write_exr(path: Path, linear: np.ndarray) -> None:
 
 def load_image(path: Path) -> np.ndarray:
     """Linear float32 RGB (h, w, 3) of an image: EXR and Radiance HDR as stored, others as sRGB.
-
-    Raises InputError: missing, or not an image.
-    """
+    Raises InputError: missing, or not an image."""
     import cv2
 
     path = Path(path)
@@ -88,11 +86,17 @@ def read_exr(path: Path, kind: str) -> np.ndarray:
         raise InputError(f"{kind} {path} cannot be read as an EXR image: {e}") from e
 
 
+def write_failed(path: Path, error: BaseException) -> RenderError:
+    """One clear message for a write that failed: full disk, read-only folder, file limit."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return RenderError(f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?")
+
+
 def _write(path: Path, data: bytes) -> None:
     try:
         path.write_bytes(data)
     except OSError as e:
-        raise RenderError(f"{path} cannot be written: {e.strerror or e}", "is the disk full, or the folder read-only?") from e
+        raise write_failed(path, e) from e
 
 
 def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
@@ -112,37 +116,34 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
 
 def check_pixels(data: bytes, path: Path, kind: str) -> None:
     """Raises InputError: of no known format, or with more pixels than MOST_PIXELS[kind]."""
-    _within(lambda: _sizes(data), path, kind)
+    _check_size(lambda: _sizes(data), path, kind)
 
 
 def check_tiff(path: Path, kind: str) -> None:
     """The same of every page of a TIFF that is too large to be read whole."""
+    _check_size(lambda: _tiff_sizes(path), path, kind)
+
+
+def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
     import tifffile
 
-    def sizes() -> list[tuple[int, int]]:
-        with tifffile.TiffFile(path) as file:  # its pages alone: what its metadata names is not opened
-            return _pages(file)
-
-    _within(sizes, path, kind)
-
-
-def _pages(file: Any) -> list[tuple[int, int]]:
     sizes: dict[int, tuple[int, int]] = {}
-    for page in file.pages:
-        if page.offset in sizes:
-            raise ValueError("a page comes after itself")  # tifffile would go round for ever
-        sizes[page.offset] = (page.imagewidth, page.imagelength)
+    with tifffile.TiffFile(source) as file:  # its pages alone: what its metadata names is not opened
+        for page in cast(list[Any], file.pages):
+            if page.offset in sizes:
+                raise ValueError("a page comes after itself")  # tifffile would go round for ever
+            sizes[page.offset] = (page.imagewidth, page.imagelength)
     return list(sizes.values())
 
 
-def _within(sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str) -> None:
+def _check_size(sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str) -> None:
     try:
         pages = sizes()
     except Exception as e:  # whatever the readers of headers stumble over
         raise InputError(f"{kind} {path} cannot be read: {str(e)[:200] or type(e).__name__}", "is it damaged?") from e
     if not pages:
         raise InputError(f"{kind} {path} is not a picture that can be read", f"{', '.join(_PILLOW)}, TIFF, HDR or EXR")
-    most, _ = MOST_PIXELS[kind]
+    most, _ = MAX_PIXELS[kind]
     for width, height in pages:
         if not 0 < width * height <= most:
             raise InputError(f"{kind} {path} is {width}x{height}", f"at most {most / 1e6:.0f} megapixels: scale it down")
@@ -151,10 +152,7 @@ def _within(sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: st
 def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
     """(width, height) of every page as the header states it; none where the format is not known."""
     if data.startswith(_TIFF):
-        import tifffile
-
-        with tifffile.TiffFile(io.BytesIO(data)) as file:
-            return _pages(file)
+        return _tiff_sizes(io.BytesIO(data))
     if data.startswith(b"#?"):
         found = _HDR.search(data[:65536])
         return [(int(found[2]), int(found[1]))] if found else []
@@ -164,7 +162,7 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
         return [(right - left + 1, bottom - top + 1)]
     from PIL import Image
 
-    with _looking:
+    with _pillow_lock:
         given, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # it would warn of what is allowed here
         try:
             with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:

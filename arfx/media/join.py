@@ -8,12 +8,12 @@ decode times are given anew as S[i - d] (before that, S[0] minus small steps), s
 from __future__ import annotations
 
 import contextlib
+import heapq
 import itertools
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -22,24 +22,16 @@ import av
 
 from arfx.core import interrupt
 from arfx.core.guard import TIMES, part_name
-from arfx.core.opener import av_name
+from arfx.core.opener import ffmpeg_url
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
-from arfx.media.containers import create, open_video
-from arfx.media.copy_streams import add_copied_stream, copied_packets, plain_metadata
+from arfx.media.codecs import create_container, open_video
+from arfx.media.images import write_failed
 from arfx.media.output import OutputPlan
-from arfx.media.writer import remove_output, write_failed
+from arfx.media.writer import remove_output
 
 _MAX_TIMESCALE = (1 << 31) - 1
-
-
-@dataclass(frozen=True)
-class _Order:
-    """ranks : for each packet in decoding order, the number of its frame in the clip;  depth : reorder depth d."""
-
-    ranks: list[int]
-    depth: int
-    extradata: bytes
+_MUXER_OWN = {"encoder", "duration", "rotate", "major_brand", "minor_version", "compatible_brands", "number_of_frames"}
 
 
 def join_chunks(
@@ -65,18 +57,17 @@ def join_chunks(
         _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent), made)
         return 0
     part = part or part_name(out)
-    with _made_aside(part, out):
-        order = _order_of(chunks, len(pts))
-        left_out = _remux(chunks, pts, order, plan, info, part, start_s, end_s)
+    with _temporary_output(part, out):
+        left_out = _remux(chunks, pts, _ranks_of(chunks, len(pts)), plan, info, part, start_s, end_s)
         if made is not None:
             made()
-        with interrupt.completing():
+        with interrupt.committing():
             part.replace(out)
     return left_out
 
 
 @contextlib.contextmanager
-def _made_aside(part: Path, out: Path) -> Iterator[None]:
+def _temporary_output(part: Path, out: Path) -> Iterator[None]:
     """Nothing is at `part` before the body, nor after it has failed. Raises RenderError where `out` cannot be written."""
     try:
         remove_output(part)
@@ -91,10 +82,11 @@ def _made_aside(part: Path, out: Path) -> Iterator[None]:
 
 def _packets_of(chunk: Path) -> Any:
     """The opened file for reading packets only: FFmpeg would else decode a picture of each to tell its format (14 ms)."""
-    return av.open(av_name(chunk), options={"skip_frame": "all"})
+    return av.open(ffmpeg_url(chunk), options={"skip_frame": "all"})
 
 
-def _order_of(chunks: Sequence[Path], count: int) -> _Order:
+def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
+    """For each packet in decoding order, the number of its frame in the clip."""
     ranks: list[int] = []
     extradata: bytes | None = None
     for chunk in chunks:
@@ -105,25 +97,24 @@ def _order_of(chunks: Sequence[Path], count: int) -> _Order:
                 raise RenderError(f"{chunk}: encoded with other settings than the chunks before", "render the job again")
             extradata = own
             shown = [p.pts for p in c.demux(stream) if p.size]
-            first = len(ranks)
-            at = {k: r for r, k in enumerate(sorted(range(len(shown)), key=lambda k: (shown[k], k)))}
-            ranks += [first + at[k] for k in range(len(shown))]
+            order = sorted(range(len(shown)), key=shown.__getitem__)
+            ranks += [len(ranks) + order.index(k) for k in range(len(shown))]
     if len(ranks) != count:
         raise RenderError(f"the chunks hold {len(ranks)} frames, the clip has {count}", "render the job again")
-    return _Order(ranks, max(i - r for i, r in enumerate(ranks)), extradata or b"")
+    return ranks
 
 
 def _video_packets(
-    chunks: Sequence[Path], pts: Sequence[int], order: _Order, time_base: Fraction, stream: Any
+    chunks: Sequence[Path], pts: Sequence[int], ranks: Sequence[int], time_base: Fraction, stream: Any
 ) -> Iterator[tuple[Fraction, Any]]:
-    i, d = 0, order.depth
+    i, d = 0, max(i - r for i, r in enumerate(ranks))
     last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
         with _packets_of(chunk) as c:
             for p in c.demux(c.streams.video[0]):
                 if not p.size:
                     continue
-                shown = order.ranks[i]
+                shown = ranks[i]
                 decoded = pts[i - d] if i >= d else pts[0] - (d - i)
                 p.time_base = time_base
                 p.pts, p.dts = pts[shown], decoded
@@ -134,30 +125,33 @@ def _video_packets(
 
 
 def _remux(
-    chunks: Sequence[Path], pts: Sequence[int], order: _Order, plan: OutputPlan, info: ClipInfo, part: Path,
+    chunks: Sequence[Path], pts: Sequence[int], ranks: Sequence[int], plan: OutputPlan, info: ClipInfo, part: Path,
     start_s: float | None, end_s: float | None,
 ) -> int:  # fmt: skip
     left_out = 0
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(open_video(info.path))
-        first = stack.enter_context(av.open(av_name(chunks[0])))
+        first = stack.enter_context(av.open(ffmpeg_url(chunks[0])))
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
         if plan.container in ("mp4", "mov"):
             options |= {"movflags": "faststart", "movie_timescale": str(_timescale(info, source, plan))}
-        out = create(part, plan.container, container_options=options)
+        out = create_container(part, plan.container, container_options=options)
         try:
-            out.metadata.update(plain_metadata(source.metadata))
+            out.metadata.update(_plain_metadata(source.metadata))
             streams: dict[int, Any] = {}
             for s in source.streams:  # the source's order of streams
                 if s.index == info.stream_index:
                     streams[s.index] = _add_video(out, first.streams.video[0], s, plan, info)
                 elif s.index in plan.streams:
-                    streams[s.index] = add_copied_stream(out, s)
+                    streams[s.index] = _add_stream(out, s, s, s.time_base)
+                    if s.type == "video":
+                        streams[s.index].codec_context.framerate = s.average_rate or s.guessed_rate or Fraction(25)
             if start_s is None and end_s is None and source.chapters():
                 out.set_chapters(source.chapters())
-            video = _video_packets(chunks, pts, order, info.time_base, streams[info.stream_index])
-            further = copied_packets(source, info, plan, start_s, end_s) if plan.streams else iter(())
-            for packet in _merged(video, further, streams):
+            video = _video_packets(chunks, pts, ranks, info.time_base, streams[info.stream_index])
+            further = _copied_packets(source, info, plan, streams, start_s, end_s) if plan.streams else iter(())
+            # by decode time, so that the muxer never holds more than a moment of either
+            for _, packet in heapq.merge(video, further, key=lambda timed: timed[0]):
                 try:
                     out.mux(packet)
                 except (av.error.InvalidDataError, av.error.ArgumentError):  # damaged, and the clip did not say so
@@ -172,27 +166,22 @@ def _remux(
     return left_out
 
 
-def _merged(
-    video: Iterator[tuple[Fraction, Any]], further: Iterator[tuple[Fraction, Any]], streams: dict[int, Any]
-) -> Iterator[Any]:
-    """Both by decode time, so that the muxer never holds more than a moment of either."""
-    v, f = next(video, None), next(further, None)
-    while v is not None or f is not None:
-        if f is None or (v is not None and v[0] <= f[0]):
-            assert v is not None
-            yield v[1]
-            v = next(video, None)
-        else:
-            f[1].stream = streams[f[1].stream_index]
-            yield f[1]
-            f = next(further, None)
+def _plain_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
+    """Tags that belong to the recording, not to the file that held it."""
+    return {k: v for k, v in metadata.items() if k.lower() not in _MUXER_OWN and not k.startswith(("_STATISTICS", "NUMBER_OF"))}
+
+
+def _add_stream(out: Any, template: Any, source: Any, time_base: Fraction) -> Any:
+    """A stream in `out` with the parameters of `template`, and the language and disposition of a source stream."""
+    stream = out.add_stream_from_template(template, opaque=True)
+    stream.time_base = time_base
+    stream.metadata.update(_plain_metadata(source.metadata))
+    stream.disposition = source.disposition
+    return stream
 
 
 def _add_video(out: Any, template: Any, source: Any, plan: OutputPlan, info: ClipInfo) -> Any:
-    stream = out.add_stream_from_template(template, opaque=True)
-    stream.time_base = info.time_base
-    stream.metadata.update(plain_metadata(source.metadata))
-    stream.disposition = source.disposition
+    stream = _add_stream(out, template, source, info.time_base)
     ctx = stream.codec_context
     ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
     ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
@@ -205,6 +194,42 @@ def _add_video(out: Any, template: Any, source: Any, plan: OutputPlan, info: Cli
     if info.display_matrix is not None:
         stream.set_display_matrix(info.display_matrix)
     return stream
+
+
+def _copied_packets(
+    container: Any, info: ClipInfo, plan: OutputPlan, streams: Mapping[int, Any], start_s: float | None, end_s: float | None
+) -> Iterator[tuple[Fraction, Any]]:
+    """(decode time in seconds, packet) of the streams that the plan copies, in file order, for those of the output.
+    start_s, end_s : seconds after the clip's first frame; a packet that ends before or begins after them is left out.
+    A further video stream begins at its last key frame before start_s, so that it can be decoded.
+    A file that breaks off ends the copy where it breaks, like the frames."""
+    zero = info.start_pts * info.time_base
+    low = -math.inf if start_s is None else zero + Fraction(start_s)
+    high = math.inf if end_s is None else zero + Fraction(end_s)
+    waiting: dict[int, list[Any]] = {}
+    packets = container.demux([container.streams[i] for i in plan.streams])
+    while True:
+        try:
+            packet = next(packets, None)
+        except (av.error.FFmpegError, OSError):
+            return
+        if packet is None:
+            return
+        if packet.size == 0 or packet.is_corrupt or (packet.pts is None and packet.dts is None):
+            continue
+        at = (packet.pts if packet.pts is not None else packet.dts) * packet.time_base
+        if at >= high:
+            continue
+        if at + (packet.duration or 0) * packet.time_base <= low:
+            if packet.stream.type == "video":
+                if packet.is_keyframe:
+                    waiting[packet.stream_index] = []
+                waiting.setdefault(packet.stream_index, []).append(packet)
+            continue
+        for p in [*waiting.pop(packet.stream_index, []), packet]:
+            decoded = (p.dts if p.dts is not None else p.pts) * p.time_base
+            p.stream = streams[p.stream_index]
+            yield decoded, p
 
 
 def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
@@ -224,7 +249,7 @@ def _join_folders(
 ) -> None:  # fmt: skip
     """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
     folder = out.absolute().parent
-    with _made_aside(part, out):
+    with _temporary_output(part, out):
         part.mkdir(parents=True)
         times = []
         for chunk in chunks:
@@ -242,7 +267,7 @@ def _join_folders(
         (part / TIMES).write_text("".join(times))
         if made is not None:
             made()
-        with interrupt.completing():
+        with interrupt.committing():
             if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
                 folder.rmdir()
             if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step

@@ -20,7 +20,7 @@ from arfx.errors import InputError
 
 # What Pillow may open: left to itself it also takes formats for which it starts other programs (EPS: Ghostscript).
 PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
-_one_at_a_time = threading.RLock()
+_pillow_lock = threading.RLock()
 
 
 class ModelFolder:
@@ -68,11 +68,9 @@ class ModelFolder:
 
 
 @contextlib.contextmanager
-def known_pictures(refused: list[str]) -> Iterator[None]:
-    """While it lasts Pillow opens PICTURES alone, for whoever calls it; trimesh has no way to be told.
-
-    refused : gets the reason of each picture that could not be opened
-    """
+def restrict_pillow(refused: list[str]) -> Iterator[None]:
+    """While it lasts Pillow opens PICTURES alone, for whoever calls it; trimesh has no option for it.
+    refused : gets the reason of each picture that could not be opened"""
     from PIL import Image
 
     def only_known(source: Any, mode: Any = "r", formats: Any = None) -> Any:
@@ -85,7 +83,7 @@ def known_pictures(refused: list[str]) -> Iterator[None]:
             refused.append(str(e))
             raise
 
-    with _one_at_a_time:
+    with _pillow_lock:
         given = Image.open
         Image.open = functools.wraps(given)(only_known)  # type: ignore[assignment]
         try:

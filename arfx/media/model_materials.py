@@ -122,9 +122,7 @@ def _from_simple(given: Any, textures: Textures, two_sided: bool) -> Material:
 
 def vertex_colours(mesh: Any, keep: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Linear RGBA (n, 4) by vertex, or (m, 4) by kept face, or neither. keep : (faces,) bool
-
-    glTF colours are linear; PLY, OBJ and STL ones are display colours (sRGB).
-    """
+    glTF colours are linear; PLY, OBJ and STL ones are display colours (sRGB)."""
     visual = mesh.visual
     if visual.kind == "vertex":
         raw, linear = np.asarray(visual.vertex_colors), mesh.metadata.get("from_gltf_primitive") is not None
@@ -152,9 +150,7 @@ def _linear(raw: np.ndarray, already: bool) -> np.ndarray:
 
 def precise_factors(header: dict[str, Any]) -> dict[str, Any]:
     """By material name, what trimesh rounds to 8 bits or leaves out of a glTF file: base colour, emissive strength.
-
-    header : JSON of a glTF file, {} of other files. Left out: names that are not unique.
-    """
+    header : JSON of a glTF file, {} of other files. Left out: names that are not unique."""
     try:
         materials = header.get("materials", [])
         names = [m.get("name") for m in materials]

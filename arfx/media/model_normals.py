@@ -15,12 +15,9 @@ CREASE_DEG = 40.0
 
 def smooth_by_angle(vertices: np.ndarray, faces: np.ndarray, split: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals by smoothing groups.
-
     vertices : (n, 3); faces : (m, 3) int, none without area; vertices at the same place count as one
     split : keep vertices apart that the file keeps apart (their texture coordinates or colours differ)
-
-    Returns faces (m, 3) over new vertices, source (k,) the old vertex of each new one, normals (k, 3) unit.
-    """
+    Returns faces (m, 3) over new vertices, source (k,) the old vertex of each new one, normals (k, 3) unit."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -19,7 +19,7 @@ from arfx.core.numerics import normalise
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import MAX_FACES, check_gltf, gltf_header
-from arfx.media.model_files import ModelFolder, known_pictures
+from arfx.media.model_files import ModelFolder, restrict_pillow
 from arfx.media.model_materials import Textures, material_of, precise_factors, vertex_colours
 from arfx.media.model_normals import smooth_by_angle
 
@@ -31,7 +31,7 @@ _BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}  # told from th
 _TWO_SIDED = ("ply", "stl", "obj", "off", "dae")
 # Beyond this float32 coordinates, which both renderers use, step by more than a thousandth of a unit times extent.
 MAX_EXTENT = 1e9
-# Squared double area below which a triangle has no plane, as a share of the model's extent to the fourth power:
+# Squared double area below which a triangle has no plane, as a fraction of the model's extent to the fourth power:
 # float32 coordinates are exact to 6e-8 of the extent, so a height below that is rounding.
 _DEGENERATE = (6e-8) ** 4
 
@@ -78,10 +78,8 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     low, high = model.bounds
     extent = float((high - low).max())
     if not extent > 0 or extent > MAX_EXTENT or np.abs(model.bounds).max() > MAX_EXTENT:
-        raise InputError(
-            f"model {path} spans {extent:g} units up to coordinate {np.abs(model.bounds).max():g}",
-            f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray vertices",
-        )
+        hint = f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray vertices"
+        raise InputError(f"model {path} spans {extent:g} units up to coordinate {np.abs(model.bounds).max():g}", hint)
     return model
 
 
@@ -101,7 +99,7 @@ def _read(data: bytes, kind: str, folder: ModelFolder, header: dict[str, Any], n
     import trimesh
 
     refused: list[str] = []
-    with known_pictures(refused), np.errstate(all="ignore"):
+    with restrict_pillow(refused), np.errstate(all="ignore"):
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=folder, process=False)  # type: ignore[arg-type]
         parts = _parts(scene, folder.path, kind, header, notices)
     for why in folder.left_out.values():
@@ -150,16 +148,20 @@ def _part(
         raise InputError(f"model {path}: faces refer to vertex {faces.max()}, there are {len(given)}", "the file is damaged")
     if not np.isfinite(transform).all():
         raise InputError(f"model {path}: a node's transform is not finite")
-    bad = int((~np.isfinite(given)).any(1).sum())
-    if bad:
-        raise InputError(
-            f"model {path}: {bad} of {len(given)} vertices are not finite numbers", "export it again; look for NaN or inf"
-        )
-    normals = _file_normals(mesh, len(given))
-    vertices = given @ transform[:3, :3].T + transform[:3, 3]
-    if np.linalg.det(transform[:3, :3]) < 0:  # a mirror turns every triangle inside out
+    if bad := int((~np.isfinite(given)).any(1).sum()):
+        hint = "export it again; look for NaN or inf"
+        raise InputError(f"model {path}: {bad} of {len(given)} vertices are not finite numbers", hint)
+    # trimesh would make normals up on access; only the file's own are wanted
+    normals = np.array(mesh.vertex_normals, float) if "vertex_normals" in mesh._cache else None
+    if normals is not None and not (normals.shape == given.shape and np.isfinite(normals).all()):
+        normals = None
+    linear = transform[:3, :3]
+    vertices = given @ linear.T + transform[:3, 3]
+    if np.linalg.det(linear) < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
-    keep = _has_area(vertices, faces)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
+    keep = (np.cross(b - a, c - a) ** 2).sum(1) > _DEGENERATE * extent**4
     lost = int((~keep).sum())
     faces = faces[keep]
     if not len(faces):
@@ -170,7 +172,10 @@ def _part(
         normals = None if normals is None else normals[faces].reshape(-1, 3)
         colours, faces = np.repeat(corner_colours, 3, 0), np.arange(3 * len(faces)).reshape(-1, 3)
     if normals is not None:
-        normals = normalise(normals @ _cofactor(transform[:3, :3]).T)
+        # cofactors (the inverse transpose times the determinant) turn normals rightly under any matrix, singular ones
+        # included; a mirror's sign is taken out again: normals keep to the outside while the winding is turned
+        cofactors = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+        normals = normalise(normals @ (cofactors * (np.sign(np.linalg.det(linear)) or 1.0)).T)
     if normals is None or not (np.abs(normals[faces]).sum(-1) > 0).all():
         faces, source, normals = smooth_by_angle(vertices, faces, split=uv is not None or colours is not None)
         vertices = vertices[source]
@@ -183,13 +188,6 @@ def _part(
     return Part(vertices[used], faces.reshape(-1, 3).astype(np.int32), normals[used], materials[key], uv, colours), lost
 
 
-def _file_normals(mesh: Any, n: int) -> np.ndarray | None:
-    if "vertex_normals" not in mesh._cache:  # trimesh would make them up on access; only the file's own are wanted
-        return None
-    normals = np.array(mesh.vertex_normals, float)
-    return normals if normals.shape == (n, 3) and np.isfinite(normals).all() else None
-
-
 def _uv(mesh: Any, n: int) -> np.ndarray | None:
     uv = getattr(mesh.visual, "uv", None)
     if uv is None or np.shape(uv)[:1] != (n,):
@@ -197,19 +195,3 @@ def _uv(mesh: Any, n: int) -> np.ndarray | None:
     uv = np.array(uv, float)[:, :2]
     uv[~np.isfinite(uv).all(1)] = 0.0
     return np.stack([uv[:, 0], 1.0 - uv[:, 1]], 1)  # trimesh counts v from the bottom
-
-
-def _has_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    cross = np.cross(b - a, c - a)
-    extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
-    return (cross**2).sum(1) > _DEGENERATE * extent**4
-
-
-def _cofactor(m: np.ndarray) -> np.ndarray:
-    """Inverse transpose times determinant: turns normals rightly under any matrix, singular ones included.
-
-    A mirror's sign is taken out again: normals keep to the outside while the winding is turned.
-    """
-    c = np.stack([np.cross(m[1], m[2]), np.cross(m[2], m[0]), np.cross(m[0], m[1])])
-    return c * (np.sign(np.linalg.det(m)) or 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,10 @@ import av
 from arfx.core.codec import Document
 from arfx.errors import ConfigError
 from arfx.media.clip import UNSPECIFIED, ClipInfo
-from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, holdable, nearest_format, open_encoder
+from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, nearest_format, open_encoder, supported_codecs
 from arfx.media.planes import layout_named
 
-MOST_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
+MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
 _DEFAULT_CODEC = {"mp4": "h264", "mov": "h264", "matroska": "h264", "webm": "av1"}
 _PATTERN = re.compile(r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)")  # one number of at most 99 digits
 _ALIASES = {"hevc": "h265", "avc": "h264", "x264": "h264", "x265": "h265", "prores4444": "prores"}
@@ -37,10 +37,8 @@ class OutputSettings:
 @dataclass(frozen=True)
 class OutputPlan(Document):
     """What will be written. container : FFmpeg's muxer, "" for an image sequence;  options : the encoder's, in order
-
     matrix, full_range : of the written samples;  *_tag : as written into the file (ITU-T H.273)
-    streams : indices of the source's further streams that are copied
-    """
+    streams : indices of the source's further streams that are copied"""
 
     path: Path
     codec: str
@@ -55,7 +53,7 @@ class OutputPlan(Document):
     transfer_tag: int = UNSPECIFIED
     primaries_tag: int = UNSPECIFIED
     streams: tuple[int, ...] = ()
-    notices: tuple[str, ...] = field(default_factory=tuple)
+    notices: tuple[str, ...] = ()
 
     @property
     def is_sequence(self) -> bool:
@@ -65,19 +63,15 @@ class OutputPlan(Document):
 
 def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = None) -> OutputPlan:
     """Decides how a clip is written to `path`.
-
     Raises ConfigError: unknown extension, codec or pixel format; a container that cannot hold the codec, or the clip's
-    audio (the message names the ones that can); a picture size that the codec has no pixel format for.
-    """
+    audio (the message names the ones that can); a picture size that the codec has no pixel format for."""
     path, settings = Path(path), settings or OutputSettings()
     container, codec = _choose(path, settings)
     if codec.sequence:
         return _plan_sequence(info, path, codec, settings)
     if container not in codec.containers:
-        raise ConfigError(
-            f"{path}: a {path.suffix} file cannot hold {codec.name}",
-            "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers),
-        )
+        hint = "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers)
+        raise ConfigError(f"{path}: a {path.suffix} file cannot hold {codec.name}", hint)
     notices: list[str] = []
     streams = _further_streams(info, container, codec, path, notices)
     fmt = _pixel_format(info, codec, settings, notices)
@@ -118,10 +112,8 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
             raise ConfigError(f"{path}: an image sequence needs one number in its name", f"for example frames/%06d{suffix}")
         return "", CODECS[kind]
     if suffix not in SUFFIX_CONTAINER:
-        raise ConfigError(
-            f"{path}: unknown output format {suffix or '(no extension)'!r}",
-            "one of .mp4, .mkv, .mov, .webm, or images as frames/%06d.png or frames/%06d.exr",
-        )
+        hint = "one of .mp4, .mkv, .mov, .webm, or images as frames/%06d.png or frames/%06d.exr"
+        raise ConfigError(f"{path}: unknown output format {suffix or '(no extension)'!r}", hint)
     container = SUFFIX_CONTAINER[suffix]
     return container, CODECS[name or _DEFAULT_CODEC[container]]
 
@@ -156,34 +148,29 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
             options[what] = f"{value:g}" if what == "crf" else str(value)
     if crf is not None and not 0 <= crf <= 63:
         raise ConfigError(f"crf must be within 0 and 63, is {crf:g}", "18 is nearly transparent, 28 is small")
-    if preset is not None:
-        _try(codec, options, preset)
+    if preset is not None:  # the encoder alone knows its presets
+        ctx: Any = av.CodecContext.create(codec.encoder, "w")
+        ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats[0], Fraction(1, 25)
+        ctx.options = dict(options)
+        try:
+            open_encoder(ctx)
+        except (av.error.FFmpegError, ValueError):
+            usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` lists them"
+            raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None
     return tuple(sorted(options.items()))
 
 
-def _try(codec: Codec, options: dict[str, str], preset: str) -> None:
-    """Open the encoder for a small picture: it alone knows its presets. Raises ConfigError."""
-    ctx: Any = av.CodecContext.create(codec.encoder, "w")
-    ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats()[0], Fraction(1, 25)
-    ctx.options = dict(options)
-    try:
-        open_encoder(ctx)
-    except (av.error.FFmpegError, ValueError):
-        usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` lists them"
-        raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None
-
-
 def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> None:
-    """Raises ConfigError where the clip stands still for longer than the output's container can say."""
+    """Raises ConfigError where a frame is shown for longer than the output's container can hold."""
     longest = max((b - a for a, b in itertools.pairwise(pts)), default=0)
-    if plan.container in ("mp4", "mov") and longest > MOST_TICKS:
+    if plan.container in ("mp4", "mov") and longest > MAX_TICKS:
         days = float(longest * time_base) / 86400
-        told = f"{plan.path}: a frame of the clip is shown for {days:.3g} days, longer than {plan.path.suffix} files can say"
-        raise ConfigError(told, "-o out.mkv, or only a part with --start and --end")
+        message = f"{plan.path}: a frame of the clip is shown for {days:.3g} days, longer than {plan.path.suffix} files can say"
+        raise ConfigError(message, "-o out.mkv, or only a part with --start and --end")
 
 
 def _pixel_format(info: ClipInfo, codec: Codec, settings: OutputSettings, notices: list[str]) -> str:
-    formats, source = codec.formats(), info.layout
+    formats, source = codec.formats, info.layout
     odd = (info.coded_width % 2 == 1, info.coded_height % 2 == 1)
     refuses_odd = not codec.lossless
     if asked := settings.pixel_format:
@@ -198,19 +185,15 @@ def _pixel_format(info: ClipInfo, codec: Codec, settings: OutputSettings, notice
     if source.alpha:
         notices.append("the clip's transparency is not written")
     fmt = nearest_format(source, formats, odd, refuses_odd)
+    size = f"{info.coded_width}x{info.coded_height}"
     if fmt is None:
-        able = ", ".join(
-            n for n, c in CODECS.items() if c.containers and nearest_format(source, c.formats(), odd, not c.lossless)
-        )
-        raise ConfigError(
-            f"codec {codec.name} cannot write the odd picture size {info.coded_width}x{info.coded_height}", f"one of {able}"
-        )
+        able = [n for n, c in CODECS.items() if c.containers and nearest_format(source, c.formats, odd, not c.lossless)]
+        raise ConfigError(f"codec {codec.name} cannot write the odd picture size {size}", f"one of {', '.join(able)}")
     target = layout_named(fmt)
     assert target is not None
     if target.kind == "yuv" and source.kind == "yuv" and (target.sub_x, target.sub_y) != (source.sub_x, source.sub_y):
-        why = (
-            "the picture size is odd" if any(odd) and target.subsampling == "444" else f"{codec.name} has no {source.subsampling}"
-        )
+        too_odd = any(odd) and target.subsampling == "444"
+        why = "the picture size is odd" if too_odd else f"{codec.name} has no {source.subsampling}"
         notices.append(f"chroma is written as 4:{target.subsampling[1]}:{target.subsampling[2]}: {why}")
     if target.depth < source.depth:
         notices.append(f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name} has no more")
@@ -224,15 +207,13 @@ def _further_streams(info: ClipInfo, container: str, codec: Codec, path: Path, n
             continue
         if s.broken:
             notices.append(f"stream {s} is left out: it is damaged, its sample rate is not known")
-        elif s.codec in holdable(container) and s.kind in ("audio", "video", "subtitle") and not s.picture:
+        elif s.codec in supported_codecs(container) and s.kind in ("audio", "video", "subtitle") and not s.picture:
             kept.append(s.index)
         elif s.kind == "audio":
             sound = {a.codec for a in info.audio if not a.broken}
-            able = [CONTAINER_SUFFIX[c] for c in codec.containers if sound <= holdable(c)]
-            raise ConfigError(
-                f"{path}: a {path.suffix} file cannot hold the clip's audio ({s.codec})",
-                f"use {' or '.join(able)}" if able else f"no container of {codec.name} can; use another codec, or .mkv",
-            )
+            able = [CONTAINER_SUFFIX[c] for c in codec.containers if sound <= supported_codecs(c)]
+            hint = f"use {' or '.join(able)}" if able else f"no container of {codec.name} can; use another codec, or .mkv"
+            raise ConfigError(f"{path}: a {path.suffix} file cannot hold the clip's audio ({s.codec})", hint)
         else:
             notices.append(f"stream {s} is left out: {'a cover picture' if s.picture else path.suffix + ' files cannot hold it'}")
     return tuple(kept)

@@ -1,4 +1,4 @@
-"""Pixel formats as planes: which formats are worked on directly, and views of a picture's planes.
+"""Stored pixels: which formats are worked on directly, views of a picture's planes, and how they lie when shown upright.
 
 A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with 8 to 16 bits. Everything else
 (nv12, yuyv, packed RGB, palettes) is repacked into one once per picture, without loss where such a format exists.
@@ -7,11 +7,16 @@ A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cache, cached_property
 
 import av
 import numpy as np
+
+from arfx.core.colour import SRGB, Transfer
+from arfx.core.rect import Rect
 
 _YUV = re.compile(r"yuv(?P<kind>[ja]?)(?P<sub>420|422|444|440|411|410)p(?P<bits>9|10|12|14|16)?(le)?$")
 _GRAY = re.compile(r"gray(?P<bits>9|10|12|14|16)?(le)?$")
@@ -65,9 +70,7 @@ def layout_named(name: str) -> PixelLayout | None:
 @cache
 def working_layout(name: str) -> tuple[PixelLayout, str]:
     """The working format for a decoded format, and a notice ("" when the planes are used as they are).
-
-    The choice keeps bit depth (8, 10, 12 or 16) and subsampling.
-    """
+    The choice keeps bit depth (8, 10, 12 or 16) and subsampling."""
     if layout := layout_named(name):
         return layout, ""
     f = av.VideoFormat(name, 16, 16)
@@ -139,3 +142,95 @@ def repacked(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
     )
     _keep_time(picture, out)
     return out
+
+
+# (transpose, flip_x, flip_y) by degrees counter-clockwise, without a mirror
+_DEGREES = {(False, False, False): 0, (True, False, True): 90, (False, True, True): 180, (True, True, False): 270}
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """upright = flips of (the transpose of) coded. All eight orientations of a rectangle."""
+
+    transpose: bool = False
+    flip_x: bool = False
+    flip_y: bool = False
+
+    @property
+    def rotation_deg(self) -> int:
+        """Counter-clockwise rotation from coded to upright, 0, 90, 180 or 270; of a mirrored one, that before the mirror."""
+        key = (self.transpose, self.flip_x, self.flip_y)
+        return _DEGREES.get(key, _DEGREES.get((self.transpose, not self.flip_x, self.flip_y), 0))
+
+    @property
+    def mirrored(self) -> bool:
+        return (self.transpose, self.flip_x, self.flip_y) not in _DEGREES
+
+    def upright(self, coded: np.ndarray) -> np.ndarray:
+        """View of coded (h, w, ...) as it is shown."""
+        v = coded.swapaxes(0, 1) if self.transpose else coded
+        return v[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1]
+
+    def coded(self, upright: np.ndarray) -> np.ndarray:
+        """The inverse of `upright`, also a view."""
+        v = upright[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1]
+        return v.swapaxes(0, 1) if self.transpose else v
+
+    def coded_rect(self, rect: Rect, width: int, height: int) -> Rect:
+        """Where an upright rectangle lies among the coded pixels. width, height : of the upright picture, px."""
+        x0, x1 = (width - rect.x1, width - rect.x0) if self.flip_x else (rect.x0, rect.x1)
+        y0, y1 = (height - rect.y1, height - rect.y0) if self.flip_y else (rect.y0, rect.y1)
+        return Rect(y0, x0, y1, x1) if self.transpose else Rect(x0, y0, x1, y1)
+
+
+def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
+    """Orientation of an FFmpeg display matrix (9 integers), and whether it is one exactly.
+    x' = a x + c y, y' = b x + d y with a, b, c, d at 0, 1, 3, 4 (FFmpeg libavutil/display.h). A turn that is no
+    multiple of 90 degrees is taken to the nearest one."""
+    if matrix is None:
+        return Orientation(), True
+    a, b, c, d = (float(matrix[i]) for i in (0, 1, 3, 4))
+    straight, turned = abs(a) + abs(d), abs(b) + abs(c)
+    if straight == 0 and turned == 0:
+        return Orientation(), False
+    if straight >= turned:
+        return Orientation(False, a < 0, d < 0), turned < 1e-3 * straight
+    return Orientation(True, c < 0, b < 0), straight < 1e-3 * turned
+
+
+@dataclass(frozen=True)
+class FrameFormat:
+    """What all frames of a clip share. width, height : coded px; chroma_location : left | center | topleft."""
+
+    layout: PixelLayout
+    width: int
+    height: int
+    time_base: Fraction
+    matrix: str = "bt709"
+    full_range: bool = False
+    transfer: Transfer = SRGB
+    chroma_location: str = "left"
+    orientation: Orientation = field(default_factory=Orientation)
+
+    @property
+    def cosited(self) -> tuple[bool, bool]:
+        """Whether chroma lies on the left, and on the top, luma sample of its group (else in the middle)."""
+        return self.chroma_location in ("left", "topleft"), self.chroma_location == "topleft"
+
+    @property
+    def luma_steps(self) -> tuple[float, float]:
+        """(offset, steps from black to white) of stored luma, grey or RGB samples. Source: ITU-R BT.601/709/2020."""
+        up = 1 << (self.layout.depth - 8)
+        return (0.0, float(self.layout.peak)) if self.full_range else (16.0 * up, 219.0 * up)
+
+    @property
+    def chroma_steps(self) -> tuple[float, float]:
+        """(value of no chroma, steps from -0.5 to 0.5)."""
+        up = 1 << (self.layout.depth - 8)
+        return 128.0 * up, float(self.layout.peak) if self.full_range else 224.0 * up
+
+    @property
+    def legal(self) -> tuple[int, int, int, int]:
+        """Lowest and highest legal luma, lowest and highest legal chroma."""
+        up, peak = 1 << (self.layout.depth - 8), self.layout.peak
+        return (0, peak, 0, peak) if self.full_range else (16 * up, 235 * up, 16 * up, 240 * up)

@@ -15,10 +15,9 @@ import numpy as np
 from arfx.core.guard import TIMES
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
-from arfx.media.codecs import CODECS, open_encoder
-from arfx.media.containers import create
+from arfx.media.codecs import CODECS, create_container, open_encoder
 from arfx.media.frame import SWS_MATRIX, Frame
-from arfx.media.images import write_exr, write_png
+from arfx.media.images import write_exr, write_failed, write_png
 from arfx.media.output import OutputPlan
 from arfx.media.planes import copy_picture, layout_named
 
@@ -27,24 +26,14 @@ _DEEPEST_REORDER = 16  # H.264 and H.265 allow at most 16 frames of reordering
 
 def chunk_suffix(plan: OutputPlan) -> str:
     """The extension of a chunk's file; "" for an image sequence, whose chunks are folders.
-
     NUT keeps every time exactly; codecs that it cannot hold with their tags (FFV1, ProRes) go into Matroska, whose
-    rounded times do no harm: both are intra-only, and joining takes the times from the clip.
-    """
+    rounded times do no harm: both are intra-only, and joining takes the times from the clip."""
     return "" if plan.is_sequence else CODECS[plan.codec].chunk
-
-
-def write_failed(path: Path, error: BaseException) -> RenderError:
-    """One clear message for a write that failed: full disk, read-only folder, file limit."""
-    reason = getattr(error, "strerror", None) or str(error)
-    return RenderError(f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?")
 
 
 class ChunkWriter:
     """Context manager: frames in, a file (or a folder of images) out under `path`, or nothing after an error.
-
-    Raises RenderError: the file cannot be written, the encoder fails, frames out of order, no frame at all.
-    """
+    Raises RenderError: the file cannot be written, the encoder fails, frames out of order, no frame at all."""
 
     def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
         self.plan, self.info, self.path = plan, info, Path(path)
@@ -73,7 +62,7 @@ class ChunkWriter:
         plan, info = self.plan, self.info
         kind = {".nut": "nut", ".mkv": "matroska"}[chunk_suffix(plan)]
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}  # no random identifiers: same frames, same bytes
-        self._container = create(self.part, kind, container_options=options)
+        self._container = create_container(self.part, kind, container_options=options)
         rate = Fraction(info.fps or 25).limit_denominator(1001)
         s = self._container.add_stream(CODECS[plan.codec].encoder, rate=rate, options=dict(plan.options))
         ctx = s.codec_context
@@ -134,18 +123,13 @@ class ChunkWriter:
         )
 
     def _write_image(self, frame: Frame) -> None:
-        path = self.part / (Path(self.plan.path).name % frame.index)
+        path, linear = self.part / (Path(self.plan.path).name % frame.index), frame.linear(frame.rect)
         if self.plan.codec == "exr":
-            write_exr(path, frame.linear(frame.rect))
-        elif self.plan.pixel_format == "rgb24":
-            write_png(path, np.rint(self._coded(frame) * 255).astype(np.uint8))
+            write_exr(path, linear)
         else:
-            write_png(path, np.rint(self._coded(frame) * 65535).astype(np.uint16))
+            kind = np.uint8 if self.plan.pixel_format == "rgb24" else np.uint16
+            write_png(path, np.rint(np.clip(frame.format.transfer.encode(linear), 0, 1) * np.iinfo(kind).max).astype(kind))
         self._times.append((frame.index, frame.time_s))
-
-    @staticmethod
-    def _coded(frame: Frame) -> np.ndarray:
-        return np.clip(frame.format.transfer.encode(frame.linear(frame.rect)), 0, 1)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None:
@@ -175,7 +159,7 @@ class ChunkWriter:
             container.close()
 
     def _abandon(self) -> None:
-        with contextlib.suppress(av.error.FFmpegError, OSError):  # thrown away; the user is told what went wrong first
+        with contextlib.suppress(av.error.FFmpegError, OSError):  # thrown away; the first error is reported
             self._close()
         remove_output(self.part)
 

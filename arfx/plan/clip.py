@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from arfx.core.cost import Prediction, Prices, exactly
+from arfx.core.cost import Prediction, Prices, measured
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
@@ -53,7 +53,7 @@ class ClipPlan:
 def plan_clip(
     stages: Sequence[Stage], facts: Sequence[FrameFacts], scene: Scene, policy: LevelPolicy, errors: Errors, prices: Prices,
     seconds_of: Callable[[Sequence[FramePlan], Prediction], float], skip: bool = True,
-    prepare_cost: PrepareCost = lambda stage, level: exactly(0.0),
+    prepare_cost: PrepareCost = lambda stage, level: measured(0.0),
 ) -> ClipPlan:  # fmt: skip
     """seconds_of : upper end of the whole job's time, from plans (for what is not the stages') and the stages' prediction
     prepare_cost : of a stage at a level, in the same seconds as its work; None = not known

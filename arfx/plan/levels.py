@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from arfx.core.cost import Prediction, together
+from arfx.core.cost import Prediction, sum_independent
 
 ShotStage = tuple[int, str]  # shot, stage
 
@@ -118,7 +118,7 @@ def total(state: Mapping[ShotStage, Option]) -> Prediction:
     by_stage: dict[str, list[Prediction]] = {}
     for (_, stage), option in state.items():
         by_stage.setdefault(stage, []).append(option.cost)
-    return together(sum_correlated(costs) for costs in by_stage.values())
+    return sum_independent(sum_correlated(costs) for costs in by_stage.values())
 
 
 def sum_correlated(parts: Iterable[Prediction]) -> Prediction:

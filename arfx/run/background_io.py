@@ -30,7 +30,7 @@ class Prefetch(Generic[T]):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        with interrupt.held():  # the caller closes what `items` read from next
+        with interrupt.deferred():  # the caller closes what `items` read from next
             self._pool.shutdown(cancel_futures=True)
 
     def __iter__(self) -> Prefetch[T]:
@@ -66,7 +66,7 @@ class WriteBehind(Generic[T]):
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._failed |= kind is not None
-        with interrupt.held():
+        with interrupt.deferred():
             self._pool.shutdown()
         if kind is None:
             self._wait(0)

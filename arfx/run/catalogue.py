@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from arfx.config.load import near
+from arfx.config.load import suggestion
 from arfx.config.sections import Length, Time, settings
 from arfx.core.cost import load_prices
 from arfx.core.marker import MarkerSpec
@@ -48,7 +48,7 @@ def describe(name: str) -> dict[str, Any]:
         return {"name": name, "about": about, "settings": _of_formulas(kinds)}
     found = [s for s in settings() if s.section == name]
     if not found:
-        raise ConfigError(f"there is no stage or section {name!r}", near(name, [*STAGES, *sections()]))
+        raise ConfigError(f"there is no stage or section {name!r}", suggestion(name, [*STAGES, *sections()]))
     rows = [
         {"name": s.key, "type": _words(s.kinds[0]), "default": _plain(s.default), "text": s.text, "option": " ".join(s.flags)}
         for s in found

@@ -22,7 +22,7 @@ import numpy as np
 
 import arfx
 from arfx.core.facts import FrameFacts
-from arfx.core.guard import PART, TIMES, Fingerprint, aside, fingerprint
+from arfx.core.guard import PART, TIMES, Fingerprint, atomic_write, fingerprint
 from arfx.errors import ConfigError, RenderError
 from arfx.media.frames import Frame
 from arfx.run.lock import HOLDER, LOCK, MARKER
@@ -158,7 +158,7 @@ class JobFolder:
 def write(path: Path, data: str | bytes) -> None:
     """Write aside, then rename: the file is whole or absent. Raises RenderError."""
     try:
-        with aside(path) as part:
+        with atomic_write(path) as part:
             part.write_bytes(data.encode() if isinstance(data, str) else data)
     except OSError as e:
         raise disk_error(e, path) from None

@@ -83,8 +83,8 @@ class FrameResult:
         region, light = image.written.clip(self.rect), image.rest
         if isinstance(light, Attenuated):
             if not (where := light.rect.clip(self.rect)).empty:
-                left, hole = light.left[where.slices_in(light.rect)], region.bounds.clip(where)
-                out = frame.dimmed(where, left, float(light.opacity), light.bias, hole)
+                transmittance, hole = light.transmittance[where.slices_in(light.rect)], region.bounds.clip(where)
+                out = frame.dimmed(where, transmittance, float(light.opacity), light.bias, hole)
         elif frame.row_by_row:
             region.grow(image.painted.clip(self.rect))
         else:

@@ -17,12 +17,11 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.model import Model
 from arfx.core.opener import parse_json, parse_toml, read_text, regular
 from arfx.core.pose import Pose, rotation_from_euler_deg, rotation_from_quaternion
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.core.scene import Placement, Scene
-from arfx.core.units import LONGEST_M, length_m
+from arfx.core.units import MAX_LENGTH_M, length_m
 from arfx.errors import ConfigError, InputError
-from arfx.media.camera_checks import camera_doubts
-from arfx.media.cameras import load_camera
+from arfx.media.cameras import camera_warnings, load_camera
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps, open_depth
 from arfx.media.images import load_image
@@ -125,7 +124,7 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
         )
     else:
         loaded = load_camera(config.input.camera)
-        notices += camera_doubts(loaded)
+        notices += camera_warnings(loaded)
         camera = loaded.scaled_to(info.width, info.height)
         if camera is not loaded:
             notices.append(f"camera calibration scaled from {loaded.width}x{loaded.height} to {info.width}x{info.height}")
@@ -176,7 +175,7 @@ def marker_map(config: JobConfig) -> dict[str, Pose] | None:
             '[[marker]] with spec = "36h11:3:165mm", position = ["0m", "0m", "0m"], rotate_deg = [0, 0, 0]; or WPILib JSON',
         ) from None
     for key, pose in poses.items():
-        if not (np.abs(pose.matrix) <= LONGEST_M).all() or np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max() > 1e-3:
+        if not (np.abs(pose.matrix) <= MAX_LENGTH_M).all() or np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max() > 1e-3:
             raise InputError(f"marker map {path}: the pose of {key} is not a valid pose", "a unit quaternion, metres")
     missing = [m.key for m in config.markers if m.key not in poses]
     if missing:

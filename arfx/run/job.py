@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from arfx.analyse.fold import MARKER, AnalysisJob
-from arfx.config.freeze import frozen, to_toml
-from arfx.config.sections import JobConfig
+from arfx.config.sections import JobConfig, frozen, to_toml
 from arfx.core import interrupt
 from arfx.core.cost import load_prices
-from arfx.core.facts_file import read_facts, write_facts
+from arfx.core.facts import read_facts, write_facts
 from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.stage import Stage
@@ -262,12 +261,12 @@ def _join(job: Job, files: Sequence[Path], places: Places) -> int:
 @contextlib.contextmanager
 def _interruptible(folder: JobFolder) -> Iterator[Callable[[], None]]:
     """Signals and disk errors in the body become one message. Yields a check to be called often."""
-    with interrupt.caught((signal.SIGINT,)):
+    with interrupt.catching((signal.SIGINT,)):
         try:
-            interrupt.go_on()
+            interrupt.resume()
             yield interrupt.check
         except (KeyboardInterrupt, Exception) as e:
-            if interrupt.came() or isinstance(e, KeyboardInterrupt):  # whatever a library has made of it
+            if interrupt.pending() or isinstance(e, KeyboardInterrupt):  # whatever a library has made of it
                 error = JobInterruptedError(
                     f"{interrupt.cause()}; what is done is kept in {folder.path}", "the same command with --resume goes on"
                 )

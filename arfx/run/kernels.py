@@ -111,11 +111,11 @@ def compiling(first: Sequence[Kernel], then: Sequence[Kernel], progress: Progres
     Yields how many functions are missing. progress : phase "compile", functions done, of how many
     notice : called where compiled code cannot be cached
     """
-    with interrupt.held():  # to look at a kernel imports its module
+    with interrupt.deferred():  # to look at a kernel imports its module
         needed = [kernel for kernel in first if not kernel.is_cached]
         missing = needed + [kernel for kernel in then if not kernel.is_cached]
     if missing:
-        if not compiled.lasting():
+        if not compiled.cache_persists():
             notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")
         progress(COMPILE, 0, len(missing))
     groups = _by_module(missing, needed)
@@ -135,7 +135,7 @@ def compiling(first: Sequence[Kernel], then: Sequence[Kernel], progress: Progres
 
 def _in_this_process(groups: deque[list[Kernel]]) -> Generator[Kernel]:
     for kernel in itertools.chain.from_iterable(groups):
-        with interrupt.held():
+        with interrupt.deferred():
             kernel.load()
         yield kernel
 
@@ -170,7 +170,7 @@ def _in_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
 
     try:
         pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
-        with interrupt.held():
+        with interrupt.deferred():
             for _ in range(count):
                 helpers.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=nowhere, text=True, env=environment))
         threads = [threading.Thread(target=feed, args=(helper,), daemon=True) for helper in helpers]

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from arfx.core.guard import aside
+from arfx.core.guard import atomic_write
 from arfx.errors import ConfigError, RenderError
 
 if TYPE_CHECKING:
@@ -35,7 +35,10 @@ def locked(folder: Path, option: str, temporary: bool = False) -> Iterator[None]
     created = not folder.is_dir()
     lock = _acquire(folder, option)
     try:
-        with contextlib.suppress(OSError), aside(folder / HOLDER) as part:  # without it, on a full disk, others cannot see who
+        with (
+            contextlib.suppress(OSError),
+            atomic_write(folder / HOLDER) as part,
+        ):  # without it, on a full disk, others cannot see who
             command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
             since = time.strftime("%Y-%m-%d %H:%M:%S")
             me = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "command": command}

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from arfx.analyse.params import AnalyseParams, LightParams
-from arfx.config.load import near
+from arfx.config.load import suggestion
 from arfx.config.sections import JobConfig
 from arfx.core.layers import Layer
 from arfx.core.stage import Stage
@@ -55,7 +55,7 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
         if name not in STAGES:
             effects = [n for n in STAGES if not STAGES[n].always]
             raise ConfigError(
-                f"there is no effect {name!r}; effects in this version: {', '.join(effects)}", near(name, list(STAGES))
+                f"there is no effect {name!r}; effects in this version: {', '.join(effects)}", suggestion(name, list(STAGES))
             )
         if lacking := STAGES[name].requires - inputs:
             raise ConfigError(f"{name} needs {', '.join(lacking)}", f"give --{next(iter(lacking))}, or leave {name} out")

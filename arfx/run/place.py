@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from arfx.core.guard import Guard, fits
+from arfx.core.guard import Guard, check_file_name
 from arfx.errors import ConfigError, JobInterruptedError, NothingToDoError
 from arfx.media.output import image_names, names_sequence
 from arfx.run.folder import JobFolder
@@ -76,13 +76,13 @@ class Places:
             _outside(self.folder.path, self._home.path)
         for place in {self._home, self.folder}:
             self._guard.folder(place.path, "--job" if self._named else "-o")
-            self._guard.apart(place.timings)  # the one file that is added to, not replaced
+            self._guard.check_not_read(place.timings)  # the one file that is added to, not replaced
             place.check_foreign_files()
 
     def check_output(self) -> None:
         path = self._output.path
         if self._output.is_sequence:
-            fits(path.with_name(path.name % 10**9))
+            check_file_name(path.with_name(path.name % 10**9))
             self._guard.images(path.absolute().parent, path.suffix, image_names(path.name))
         else:
             self._guard.file(path)

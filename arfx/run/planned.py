@@ -15,7 +15,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.model import Model
 from arfx.core.plan import FramePlan
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.run.folder import JobFolder, write

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from arfx.config.sections import JobConfig
-from arfx.core.cost import Prediction, Prices, exactly, together, with_spread
+from arfx.core.cost import Prediction, Prices, measured, sum_independent, with_spread
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
@@ -81,13 +81,13 @@ def predict(
     """work : of all stages;  prepared : it includes what they prepare"""
     changed = [p for p in plans if p.steps]
     edited = {"frames": float(len(changed)), "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6}
-    edit = prices.predict("edit", edited) if changed else exactly(0.0)
+    edit = prices.predict("edit", edited) if changed else measured(0.0)
     whole = {"frames": float(size.frames), "mpx": size.frames * size.frame_mpx}
     encode = prices.predict(f"encode {size.codec}", whole)
     share, lead_s = _shared(plans, work, size, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
     phases = {
-        "before": exactly(size.before_s),
-        "prepare": exactly(0.0) if prepared else prepare(levels_of(plans), size, prices),
+        "before": measured(size.before_s),
+        "prepare": measured(0.0) if prepared else prepare(levels_of(plans), size, prices),
         "decode": with_spread(size.decode_s + lead_s, DECODE_SPREAD),
         "stages": work,
         "edit": edit,
@@ -123,7 +123,7 @@ def prepare(wanted: Collection[tuple[str, str]], size: JobSize, prices: Prices) 
     """What is made once: threads share it, every further process makes its own, beside the others."""
     found = [prepare_one(stage, level, size, prices) for stage, level in wanted]
     known = [p for p in found if p is not None]
-    return together(known) if len(known) == len(found) else None
+    return sum_independent(known) if len(known) == len(found) else None
 
 
 def prepare_one(stage: str, level: str, size: JobSize, prices: Prices) -> Prediction | None:
@@ -141,7 +141,7 @@ def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:
         if step.seconds is None or step.between is None:
             return None
         by_stage.setdefault(step.stage, []).append(Prediction(step.seconds, *step.between))
-    return together(sum_correlated(parts) for parts in by_stage.values())
+    return sum_independent(sum_correlated(parts) for parts in by_stage.values())
 
 
 def level_policy(config: JobConfig, stages: Mapping[str, Stage], prices: Prices) -> LevelPolicy:

@@ -16,8 +16,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
-from arfx.media.depth_fill import filled
-from arfx.media.depth_maps import DepthMaps
+from arfx.media.depth_maps import DepthMaps, fill_holes
 from arfx.media.frames import ClipReader, Frame
 
 
@@ -79,5 +78,5 @@ def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: C
     depth = maps.load(real.map, camera.width, camera.height)
     if not depth.any():
         raise InputError(f"depth map {maps.name(real.map)} has changed since the analysis", "start the job again")
-    whole = filled(depth, np.ascontiguousarray(frame.luma()))
+    whole = fill_holes(depth, np.ascontiguousarray(frame.luma()))
     return np.ascontiguousarray(whole[rect.slices]) * np.float32(real.scale)

@@ -16,11 +16,11 @@ import numpy as np
 from arfx.analyse.folds import FOLDS
 from arfx.analyse.pose.visibility import jitter_px, with_model
 from arfx.core.facts import ABSENT, FrameFacts
-from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer, Layers
 from arfx.core.opener import read_text
 from arfx.core.plan import levels_of
 from arfx.core.scene import Scene
+from arfx.core.stage import Check, JobView
 from arfx.errors import InputError
 from arfx.plan.explain import summarise
 from arfx.plan.planner import plan_frame

@@ -26,7 +26,7 @@ from arfx.core.stage import ReadyStage, Stage
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps
-from arfx.media.frames import Frame
+from arfx.media.frame import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
 from arfx.run.background_io import WriteBehind

@@ -36,7 +36,7 @@ class Composite(Stage):
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         """The object's box; the shadow beside it is worked out only where a later stage asks for it."""
         now, facts = view.layers, view.facts
-        box = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.drawn_box))
+        box = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.raster_box))
         shaded, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
         opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
         mixed = np.empty((box.rect.height, box.rect.width, 3), np.float32)

@@ -51,7 +51,7 @@ class Hide(Stage):
             return Demand(EMPTY, "the real scene's depth is not known")
         if facts.model_box.empty:
             return Demand(EMPTY, "model out of view")
-        box = facts.drawn_box.clip(frame)
+        box = facts.raster_box.clip(frame)
         farthest = facts.depth_range_m[1]
         nearer = depth.tiles[1] * farthest > 1 + self.params.margin
         rect = EMPTY

@@ -18,14 +18,15 @@ import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.guard import fits, part_name
+from arfx.core.guard import check_file_name, part_name
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, DepthFile
-from arfx.synth.picture import Picture, develop, gain_at
+from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.shapes import write_model
+from arfx.synth.tracer import unoccluded
 from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, FrameTruth, MarkerTruth, Truth, write_depth, write_flow, write_truth
 from arfx.synth.world import World, marker_points
 
@@ -49,41 +50,38 @@ def make_clip(
     truth_pictures : False leaves out depth, masks and flow
     Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written.
     """
-    fits(folder)
-    _refuse(folder, overwrite)
-    aside = part_name(folder.absolute())
+    check_file_name(folder)
+    check_replaceable(folder, overwrite)
+    part = part_name(folder.absolute())
     try:
-        aside.mkdir(parents=True)
+        part.mkdir(parents=True)
     except OSError as e:
         raise RenderError(f"cannot write into {folder.parent}: {e.strerror}", "name another place with -o") from None
     try:
-        truth = _fill(scene, aside, scene_folder, progress or (lambda *_: None), truth_pictures)
+        truth = _fill(scene, part, scene_folder, progress or (lambda *_: None), truth_pictures)
         if os.path.lexists(folder):
-            _refuse(folder, overwrite)  # again: all the time since the first look
+            check_replaceable(folder, overwrite)  # again: all the time since the first look
             shutil.rmtree(folder)
-        aside.rename(folder)
+        part.rename(folder)
     except OSError as e:
         raise RenderError(f"cannot write {folder}: {e.strerror or e}", "name another place with -o") from None
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
     return truth
 
 
-def _refuse(folder: Path, overwrite: bool) -> None:
-    if os.path.lexists(folder) and not overwrite:
-        raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
-    refuse_strangers(folder)
-
-
-def refuse_strangers(folder: Path) -> None:
-    """Raises ConfigError if `folder` is there and holds anything that `make_clip` does not write: it would be lost."""
+def check_replaceable(folder: Path, overwrite: bool = True) -> None:
+    """Raises ConfigError if `folder` is there, and `overwrite` is not set or it holds anything that `make_clip` does not write:
+    that would be lost."""
     if not os.path.lexists(folder):
         return
+    if not overwrite:
+        raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
     if folder.is_symlink() or not folder.is_dir():
         raise ConfigError(f"{folder} is not a folder", "name another with -o")
     try:
-        told = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
-        own = {told["clip"], told.get("depth")} if (folder / "truth.jsonl").is_file() else set()
+        job = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
+        own = {job["clip"], job.get("depth")} if (folder / "truth.jsonl").is_file() else set()
     except (OSError, ValueError, KeyError, TypeError):
         own = set()
     for path in folder.rglob("*"):
@@ -94,23 +92,29 @@ def refuse_strangers(folder: Path) -> None:
 
 def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: Progress, truth_pictures: bool) -> Truth:
     world = World(scene, scene_folder)
-    picture = Picture(world)
+    picture, frames = Picture(world), []
     kinds = scene.truth if truth_pictures else ()
     for kind in kinds:
         (folder / "truth" / kind).mkdir(parents=True)
-    frames = []
-    total = scene.frames
     with ExitStack() as files:
         clip = files.enter_context(ClipFile(folder / scene.clip.file, scene))
         maps = files.enter_context(DepthFile(folder / scene.depth.file, scene)) if scene.depth.file else None
-        for n in range(total):
+        for n in range(scene.frames):
             time_s = float(world.frame_times_s[n])
-            clip.write(develop(scene, picture.radiance(n), n, time_s), time_s)
+            clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
+            depth, owner = picture.surfaces(n) if maps is not None or kinds else (np.zeros(0), np.zeros(0))
             if maps is not None:
-                maps.write(picture.surfaces(n)[0], n, time_s)
-            frames.append(frame_truth(world, picture, n))
-            _write_pictures(folder / "truth", kinds, picture, n)
-            progress("synth", n + 1, total)
+                maps.write(depth, n, time_s)
+            frames.append(frame_truth(world, n))
+            for kind in kinds:
+                path = folder / "truth" / kind / f"{n:06d}.png"
+                if kind == "flow":
+                    write_flow(path, picture.flow(n, depth, owner))
+                elif kind == "depth":
+                    write_depth(path, depth)
+                else:
+                    cv2.imwrite(str(path), owner)
+            progress("synth", n + 1, scene.frames)
     stated = stated_camera(scene, world.camera)
     save_camera(folder / "camera.yaml", stated)
     write_model(scene.model.shape, folder / "model.glb")
@@ -120,19 +124,7 @@ def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: P
     return truth
 
 
-def _write_pictures(folder: Path, kinds: tuple[str, ...], picture: Picture, n: int) -> None:
-    if not kinds:
-        return
-    depth, owner = picture.surfaces(n)
-    if "depth" in kinds:
-        write_depth(folder / "depth" / f"{n:06d}.png", depth)
-    if "mask" in kinds:
-        cv2.imwrite(str(folder / "mask" / f"{n:06d}.png"), owner)
-    if "flow" in kinds:
-        write_flow(folder / "flow" / f"{n:06d}.png", picture.flow(n, depth, owner))
-
-
-def frame_truth(world: World, picture: Picture, n: int) -> FrameTruth:
+def frame_truth(world: World, n: int) -> FrameTruth:
     """Everything that is known of a frame beside its pixels."""
     scene, time_s = world.scene, float(world.frame_times_s[n])
     moment, camera_from_room = world.at(time_s), world.camera_at(n, time_s)
@@ -140,7 +132,7 @@ def frame_truth(world: World, picture: Picture, n: int) -> FrameTruth:
     room_from_marker: dict[str, Pose] = {}
     markers: dict[str, MarkerTruth] = {}
     for placed, pose in zip(scene.placed, moment.room_from_object, strict=True):
-        if not isinstance(placed, Marker):
+        if not isinstance(placed, Marker) or placed.spec.key in markers:  # of two prints of one marker the first
             continue
         camera_from_marker = camera_from_room @ pose
         corners = world.camera.project(camera_from_marker.apply(placed.spec.corners_m))
@@ -149,33 +141,29 @@ def frame_truth(world: World, picture: Picture, n: int) -> FrameTruth:
         inside = (pixels >= -0.5).all(-1) & (pixels < [world.camera.width - 0.5, world.camera.height - 0.5]).all(-1)
         towards = -camera_from_marker.translation_m / max(float(np.linalg.norm(camera_from_marker.translation_m)), 1e-9)
         facing = float(camera_from_marker.rotation[:, 2] @ towards)
-        seen = inside & picture.unhidden(points, moment, room_from_camera) if facing > 0 else np.zeros(len(points), bool)
+        seen = np.zeros(len(points), bool)
+        if facing > 0:
+            unoccluded(np.ascontiguousarray(points), room_from_camera.translation_m, moment.rects, moment.spheres, seen)
+            seen &= inside
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
-        key = placed.spec.key
-        if key in markers:  # two prints of one marker: the truth is the first one's
-            continue
-        room_from_marker[key] = pose
-        markers[key] = MarkerTruth(camera_from_marker, corners, float(seen.mean()), side, facing)
+        room_from_marker[placed.spec.key] = pose
+        markers[placed.spec.key] = MarkerTruth(camera_from_marker, corners, float(seen.mean()), side, facing)
+    lights = [
+        {
+            "room": row[:3].tolist(), "camera": (camera_from_room.rotation @ row[:3]).tolist(),
+            "marker": {k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()},
+            "rgb": row[3:6].tolist(), "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
+        }
+        for row in ([] if scene.light.environment else moment.lights)
+    ]  # fmt: skip
     return FrameTruth(
         n, time_s + scene.clip.start_s, int(world.shots[n]), camera_from_room, room_from_marker, markers, gain_at(scene, time_s),
-        scene.exposure.bias, *_lights(world, moment.lamps, camera_from_room, room_from_marker),
+        scene.exposure.bias, world.ambient.tolist(), lights,
     )  # fmt: skip
 
 
-def _lights(world: World, lamps: np.ndarray, camera_from_room: Pose, room_from_marker: dict[str, Pose]) -> tuple[list, list]:
-    lights = []
-    if not world.scene.light.environment:
-        for row in lamps:
-            by_marker = {k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()}
-            lights.append({
-                "room": row[:3].tolist(), "camera": (camera_from_room.rotation @ row[:3]).tolist(), "marker": by_marker,
-                "rgb": row[3:6].tolist(), "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
-            })  # fmt: skip
-    return world.ambient.tolist(), lights
-
-
 def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
-    """The camera that the job is told of."""
+    """The camera that camera.yaml states."""
     matrix = camera.matrix.copy()
     matrix[0, 0] *= 1 + scene.hidden.focal_error_percent / 100
     matrix[1, 1] *= 1 + scene.hidden.focal_error_percent / 100

@@ -135,7 +135,7 @@ class Texture(Part):
     file: Path | None = Field(default=None, description="image: an sRGB picture, beside the scene file")
 
 
-class Placed(Part):
+class SceneObject(Part):
     name: str = ""
     position_m: Vector = (0.0, 0.0, 0.0)
     rotate_deg: Angles = Field(default=(0.0, 0.0, 0.0), description="about x, then y, then z (fixed axes)")
@@ -143,26 +143,26 @@ class Placed(Part):
     attached_to: str = Field(default="", description="marker spec key or name whose axes and motion it follows")
 
 
-class Plane(Placed):
+class Plane(SceneObject):
     size_m: tuple[Length, Length] = (2.0, 2.0)
     texture: Texture = Texture()
 
 
-class Box(Placed):
+class Box(SceneObject):
     """A box; its pose is the middle of its base."""
 
     size_m: Vector = (0.1, 0.1, 0.1)
     texture: Texture = Texture()
 
 
-class Sphere(Placed):
+class Sphere(SceneObject):
     """A sphere; its pose is its centre."""
 
     radius_m: Length = Field(default=0.05, gt=0)
     colour: Colour = (0.5, 0.5, 0.5)
 
 
-class Marker(Placed):
+class Marker(SceneObject):
     """A printed marker on a sheet of paper: exact cells, one ink, one paper."""
 
     spec: Annotated[MarkerSpec, _read(MarkerSpec.parse)]
@@ -215,7 +215,7 @@ class Noise(Part):
 
 
 class Hidden(Part):
-    """What the job is not told: each entry breaks an assumption of the models that are tested."""
+    """What the job does not know: each entry breaks an assumption of the models that are tested."""
 
     transfer: TransferName = Field(default="srgb", description="curve that the camera really applies")
     noise_correlation_px: float = Field(default=0.0, ge=0, le=8)
@@ -285,7 +285,7 @@ class SceneFile(Part):
         return self
 
     @property
-    def placed(self) -> tuple[Placed, ...]:
+    def placed(self) -> tuple[SceneObject, ...]:
         """Every object, in the order of its number in the masks (1, 2, …)."""
         return (*self.plane, *self.box, *self.sphere, *self.marker)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import av
@@ -17,7 +16,7 @@ import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
 from arfx.errors import RenderError
-from arfx.media.containers import create
+from arfx.media.codecs import create_container
 from arfx.synth.description import SceneFile
 from arfx.synth.truth import DEPTH_UNIT_M
 
@@ -32,7 +31,7 @@ class _Video:
     def __init__(self, path: Path, scene: SceneFile, codec: str, size: tuple[int, int], pix_fmt: str) -> None:
         self._scene = scene
         try:
-            self._out = create(path, options={"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {})
+            self._out = create_container(path, options={"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {})
         except OSError as e:
             raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
         stream = self._out.add_stream(codec, rate=Fraction(scene.clip.fps).limit_denominator(1001))
@@ -51,7 +50,7 @@ class _Video:
     def _end(self) -> None:
         self._out.mux(self._stream.encode(None))
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self._end()
         self._out.close()
@@ -124,9 +123,7 @@ class ClipFile(_Video):
 
 def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndarray:
     """(h, w) uint16, in DEPTH_UNIT_M, 0 = not measured.
-
-    depth_m : (h, w) true metres, 0 = nothing;  frame : gives, with the scene's seed, the noise
-    """
+    depth_m : (h, w) true metres, 0 = nothing;  frame : gives, with the scene's seed, the noise"""
     asked = scene.depth
     rng = np.random.default_rng([scene.seed, 16, frame])
     steps = np.rint(depth_m * (1 + asked.noise * rng.standard_normal(depth_m.shape)) / DEPTH_UNIT_M)

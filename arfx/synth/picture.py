@@ -12,10 +12,9 @@ import numpy as np
 
 from arfx.core.colour import Transfer
 from arfx.core.machine import usable_cores
-from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
-from arfx.synth.tracer import Lens, Room, probe, render_rows, unhidden
-from arfx.synth.world import Moment, World
+from arfx.synth.tracer import Lens, Room, probe, render_rows
+from arfx.synth.world import World
 
 _BAND_ROWS = 24  # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _KEEP_BYTES = 400e6  # rays kept from frame to frame
@@ -35,14 +34,13 @@ class Picture:
 
     def rays(self, dx: float, dy: float) -> np.ndarray:
         """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where the lens maps nothing."""
-        key = (dx, dy)
-        if key in self._rays:
-            return self._rays[key]
+        if (dx, dy) in self._rays:
+            return self._rays[dx, dy]
         camera = self.world.camera
         y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
         made = camera.normalised(np.stack([x + dx, y + dy], -1))
         if made.nbytes * (len(self._rays) + 1) < _KEEP_BYTES:
-            self._rays[key] = made
+            self._rays[dx, dy] = made
         return made
 
     def radiance(self, frame: int) -> np.ndarray:
@@ -56,8 +54,7 @@ class Picture:
             dx, dy = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
             moment = time_s + scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
             self._sample(frame, moment, self.rays(dx, dy), 1 / n, frame * 4096 + k, 1 / (n * n), out)
-        if scene.lens.softness_px > 0:
-            sigma = scene.lens.softness_px
+        if (sigma := scene.lens.softness_px) > 0:
             kernel = cv2.getGaussianKernel(2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F)
             return np.asarray(cv2.sepFilter2D(out, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float64)
         return out
@@ -72,12 +69,9 @@ class Picture:
         shared = None if roll else (world.at(time_s), world.camera_at(frame, time_s).inverse())
 
         def one(band: tuple[int, int]) -> None:
-            if shared:
-                moment, pose = shared
-            else:
-                when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
-                moment, pose = world.at(when), world.camera_at(frame, when).inverse()
-            room = Room(moment.rects, moment.spheres, moment.lamps, world.ambient, world.textures, world.table, world.sky)
+            when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
+            moment, pose = shared or (world.at(when), world.camera_at(frame, when).inverse())
+            room = Room(moment.rects, moment.spheres, moment.lights, world.ambient, world.textures, world.table, world.sky)
             seen = Lens(rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m, lens.focus_m or 1.0)
             render_rows(*band, seen, footprint, room, seed, weight, out)
 
@@ -94,9 +88,7 @@ class Picture:
 
     def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
-
-        NaN where there is nothing, at the last frame, across a cut, and where the point leaves the lens's field.
-        """
+        NaN where there is nothing, at the last frame, across a cut, and where the point leaves the lens's field."""
         out = np.full((*depth.shape, 2), np.nan)
         world = self.world
         if frame + 1 >= world.scene.frames or world.shots[frame + 1] != world.shots[frame]:
@@ -113,12 +105,6 @@ class Picture:
             out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
 
-    def unhidden(self, points_room: np.ndarray, moment: Moment, room_from_camera: Pose) -> np.ndarray:
-        """(n,) bool: nothing stands between the camera and each room point."""
-        out = np.zeros(len(points_room), bool)
-        unhidden(np.ascontiguousarray(points_room), room_from_camera.translation_m, moment.rects, moment.spheres, out)
-        return out
-
 
 def gain_at(scene: SceneFile, time_s: float) -> float:
     """The exposure's gain at a time: the stated one, wandering as automatic exposure does."""
@@ -126,12 +112,10 @@ def gain_at(scene: SceneFile, time_s: float) -> float:
     return float(scene.exposure.gain * 2.0**stops)
 
 
-def develop(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) -> np.ndarray:
+def expose(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) -> np.ndarray:
     """Coded colours (h, w, 3) float32 in 0..1 of a frame's radiance (h, w, 3).
-
     Sensor value = gain * radiance + bias + noise, clipped; noise has variance read² + shot * value, as read after the
-    gain, correlated over a Gaussian of the stated sigma without changing its variance.
-    """
+    gain, correlated over a Gaussian of the stated sigma without changing its variance."""
     signal = gain_at(scene, time_s) * radiance + scene.exposure.bias
     noise = scene.noise
     if noise.read > 0 or noise.shot > 0:

@@ -1,7 +1,7 @@
-"""Compiled shadows: what of a lamp's disc a point sees. Row layouts are those of arfx.synth.tracer.
+"""Compiled shadows: what of a light's disc a point sees. Row layouts are those of arfx.synth.tracer.
 
-`blockers` sorts out once per moment what can stand before each lamp at all, so that a point is held against little.
-Row of a blocker (float64), for one lamp l and one rectangle, its normal turned to the lamp's side:
+`occluders` finds once per time what can occlude each light at all, so that few are tested for a point.
+Row of an occluder (float64), for one light l and one rectangle, its normal turned to the light's side:
 0-3 normal n and n·centre, 4-7 u and u·centre, 8-11 v and v·centre, 12 half width, 13 half height, 14-15 u·l / n·l and
 v·l / n·l, 16 growth of the disc's shadow per m along n, 17 radius if some rays to the disc run along the plane, else 0
 """
@@ -18,17 +18,15 @@ _GOLDEN_ANGLE = 2.399963229728653
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blockers(rects, spheres, lamps):
-    """rows (lamps, n, 18) and how many of each lamp's rows are in use.
-
+def occluders(rects, spheres, lights):
+    """rows (lights, n, 18) and how many of each light's rows are in use.
     Left out are the faces by which light enters a closed box, since it leaves by another, and a rectangle that has
-    nothing behind it.
-    """
-    rows, used = np.zeros((lamps.shape[0], rects.shape[0], 18)), np.zeros(lamps.shape[0], np.int64)
-    for k in range(lamps.shape[0]):
-        disc = lamps[k, 6]
+    nothing behind it."""
+    rows, used = np.zeros((lights.shape[0], rects.shape[0], 18)), np.zeros(lights.shape[0], np.int64)
+    for k in range(lights.shape[0]):
+        disc = lights[k, 6]
         for i in range(rects.shape[0]):
-            rise = lamps[k, 0] * rects[i, 9] + lamps[k, 1] * rects[i, 10] + lamps[k, 2] * rects[i, 11]
+            rise = lights[k, 0] * rects[i, 9] + lights[k, 1] * rects[i, 10] + lights[k, 2] * rects[i, 11]
             along = abs(rise) <= disc + 1e-9
             if not along and ((rects[i, 17] > 0.0 and rise < 0.0) or not _something_behind(rects, spheres, i, rise > 0.0)):
                 continue
@@ -44,8 +42,8 @@ def blockers(rects, spheres, lamps):
             if along:
                 row[17] = math.sqrt(row[12] * row[12] + row[13] * row[13])
                 continue
-            row[14] = (row[4] * lamps[k, 0] + row[5] * lamps[k, 1] + row[6] * lamps[k, 2]) / rise
-            row[15] = (row[8] * lamps[k, 0] + row[9] * lamps[k, 1] + row[10] * lamps[k, 2]) / rise
+            row[14] = (row[4] * lights[k, 0] + row[5] * lights[k, 1] + row[6] * lights[k, 2]) / rise
+            row[15] = (row[8] * lights[k, 0] + row[9] * lights[k, 1] + row[10] * lights[k, 2]) / rise
             row[16] = 1.0001 * ((1 + disc) / (rise - disc) - 1 / rise)
     return rows, used
 
@@ -69,8 +67,8 @@ def _something_behind(rects, spheres, i, above):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first_in_the_way(point, towards, disc, rows, k, used, spheres):
-    """First rectangle that may meet a ray from a point to lamp k's disc; `used` if only spheres may, -1 if nothing."""
+def _first_occluder(point, towards, disc, rows, k, used, spheres):
+    """First rectangle that may meet a ray from a point to light k's disc; `used` if only spheres may, -1 if nothing."""
     (px, py, pz), (lx, ly, lz) = point, towards
     for i in range(used):
         away = rows[k, i, 3] - (px * rows[k, i, 0] + py * rows[k, i, 1] + pz * rows[k, i, 2])
@@ -113,7 +111,7 @@ def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _blocked(point, towards, rows, k, first, used, spheres):
-    """Whether a ray meets a rectangle of lamp k's rows first..used, or a sphere."""
+    """Whether a ray meets a rectangle of light k's rows first..used, or a sphere."""
     (px, py, pz), (lx, ly, lz) = point, towards
     for i in range(first, used):
         rise = lx * rows[k, i, 0] + ly * rows[k, i, 1] + lz * rows[k, i, 2]
@@ -148,11 +146,11 @@ def _meets_a_sphere(ox, oy, oz, dx, dy, dz, spheres):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def visible(px, py, pz, lamps, k, rows, used, spheres, turn):
-    """Fraction 0..1 of lamp k's disc that a point sees: five rays, and sixteen more where these disagree."""
-    lx, ly, lz, disc = lamps[k, 0], lamps[k, 1], lamps[k, 2], lamps[k, 6]
+def visible(px, py, pz, lights, k, rows, used, spheres, turn):
+    """Fraction 0..1 of light k's disc that a point sees: five rays, and sixteen more where these disagree."""
+    lx, ly, lz, disc = lights[k, 0], lights[k, 1], lights[k, 2], lights[k, 6]
     point = px, py, pz
-    first = _first_in_the_way(point, (lx, ly, lz), disc, rows, k, used, spheres)
+    first = _first_occluder(point, (lx, ly, lz), disc, rows, k, used, spheres)
     if first < 0:
         return 1.0
     if disc == 0.0:
@@ -164,12 +162,12 @@ def visible(px, py, pz, lamps, k, rows, used, spheres, turn):
     n = math.sqrt(ax * ax + ay * ay + az * az)
     ax, ay, az = ax / n, ay / n, az / n
     bx, by, bz = ly * az - lz * ay, lz * ax - lx * az, lx * ay - ly * ax
-    seen = 0
+    visible_rays = 0
     for j in range(5 + _DISC_SAMPLES):
         if j == 5:
-            if seen == 0 or seen == 5:
-                return seen / 5.0
-            seen = 0
+            if visible_rays == 0 or visible_rays == 5:
+                return visible_rays / 5.0
+            visible_rays = 0
         if j < 5:
             radius, angle = 0.0 if j == 4 else disc, j * math.pi / 2
         else:
@@ -177,5 +175,5 @@ def visible(px, py, pz, lamps, k, rows, used, spheres, turn):
         c, s = math.cos(angle) * radius, math.sin(angle) * radius
         towards = lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz
         if not _blocked(point, towards, rows, k, first, used, spheres):
-            seen += 1
-    return seen / _DISC_SAMPLES
+            visible_rays += 1
+    return visible_rays / _DISC_SAMPLES

@@ -104,16 +104,11 @@ SHAPES: dict[str, Callable[[], list[Any]]] = {
 
 def write_model(name: str, path: Path) -> int:
     """Write a shape as GLB; returns its number of faces. icosphereN has 20·4^N.
-
-    Raises ConfigError for an unknown name.
-    """
+    Raises ConfigError for an unknown name."""
     if name not in SHAPES:
         raise ConfigError(f"there is no shape {name!r}", f"one of {', '.join(SHAPES)}")
     import trimesh
 
-    scene = trimesh.Scene()
-    for part in SHAPES[name]():
-        scene.add_geometry(part)
-    data = scene.export(file_type="glb")
-    path.write_bytes(data)
+    scene = trimesh.Scene(SHAPES[name]())
+    path.write_bytes(scene.export(file_type="glb"))
     return sum(len(g.faces) for g in scene.geometry.values())

@@ -1,4 +1,8 @@
-"""Procedural surfaces: albedo pictures that depend on a seed only. Detail enough for corners and optical flow."""
+"""Surfaces and surroundings: albedo pictures that depend on a seed only, with detail enough for corners and optical flow; and
+panoramas as sets of directional lights, by median cut (Debevec 2005).
+
+Panoramas are equirectangular with the room's z up: the middle column looks along x, the left half holds +y.
+"""
 
 from __future__ import annotations
 
@@ -14,21 +18,19 @@ from arfx.errors import InputError
 from arfx.media.images import decode_picture
 from arfx.synth.description import Texture
 
-_LIMIT = 1024  # texels along the longer side
-
 
 def texture_albedo(texture: Texture, size_m: tuple[float, float], seed: int, folder: Path | None = None) -> np.ndarray:
     """(rows, columns, 3) float32 linear albedo 0..1 that covers size_m = (width, height), metres; row 0 is y's upper end.
-
-    Raises InputError if a picture file cannot be read.
-    """
+    Raises InputError if a picture file cannot be read."""
     if texture.kind == "plain":
         return np.full((1, 1, 3), texture.colour, np.float32)
     if texture.kind == "image":
-        return _picture(texture, folder)
+        if texture.file is None:
+            raise InputError("texture of kind 'image' names no file", 'file = "picture.png", beside the scene file')
+        picture = decode_picture((folder or Path()) / texture.file, "image", cv2.IMREAD_COLOR)
+        return SRGB.decode(picture[..., ::-1].astype(np.float32) / np.float32(255))
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
-    long_m = max(size_m)
-    texel = max(long_m / _LIMIT, texture.feature_m / 6)
+    texel = max(max(size_m) / 1024, texture.feature_m / 6)
     w, h = max(round(size_m[0] / texel), 2), max(round(size_m[1] / texel), 2)
     a, b = np.array(texture.colour, np.float32), np.array(texture.second, np.float32)
     cell = texture.feature_m / texel
@@ -37,14 +39,6 @@ def texture_albedo(texture: Texture, size_m: tuple[float, float], seed: int, fol
     if mix.ndim == 3:
         return np.clip(mix, 0.01, 0.95).astype(np.float32)
     return np.clip(a + (b - a) * mix[..., None], 0.01, 0.95).astype(np.float32)
-
-
-def _picture(texture: Texture, folder: Path | None) -> np.ndarray:
-    if texture.file is None:
-        raise InputError("texture of kind 'image' names no file", 'file = "picture.png", beside the scene file')
-    path = (folder or Path()) / texture.file
-    picture = decode_picture(path, "image", cv2.IMREAD_COLOR)
-    return SRGB.decode(picture[..., ::-1].astype(np.float32) / np.float32(255))
 
 
 def _smooth(rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float) -> np.ndarray:
@@ -128,19 +122,86 @@ def sheet_albedo(
     spec: MarkerSpec, margin_cells: float, ink: float, paper: float, inverted: bool = False, right_ink: float | None = None
 ) -> tuple[np.ndarray, float]:
     """Albedo picture of the whole sheet and the sheet's side in metres.
-
     The margin is made exact by cutting every cell into a whole number of texels. right_ink : ink albedo at the right
     edge, growing linearly from `ink` at the left (worn print); None = even.
-    Returns (rows, columns, 1) float64.
-    """
-    cells = marker_cells(spec)
-    if inverted:
-        cells = ~cells
-    n = cells.shape[0]
+    Returns (rows, columns, 1) float64."""
+    cells = marker_cells(spec) ^ inverted
     per_cell = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
-    margin = round(margin_cells * per_cell)
     big = np.kron(cells, np.ones((per_cell, per_cell), bool))
-    whole = np.pad(big, margin, constant_values=not inverted)
+    whole = np.pad(big, round(margin_cells * per_cell), constant_values=not inverted)
     ramp = np.linspace(ink, ink if right_ink is None else right_ink, whole.shape[1])
-    albedo = np.where(whole, paper, ramp[None, :])
-    return albedo[..., None], spec.size_m * whole.shape[0] / (n * per_cell)
+    return np.where(whole, paper, ramp[None, :])[..., None], spec.size_m * whole.shape[0] / (len(cells) * per_cell)
+
+
+def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
+    """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file beside the scene.
+    Raises InputError if the file cannot be read or holds values that are not finite and >= 0."""
+    if str(source) in ("studio", "sunset"):
+        return _made(str(source))
+    path = (folder or Path()) / source
+    picture = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    rgb = picture[..., ::-1].astype(float)
+    if not np.isfinite(rgb).all() or rgb.min() < 0:
+        raise InputError(f"environment {path} holds values that are not finite and >= 0")
+    return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
+
+
+def _made(name: str) -> np.ndarray:
+    h, w = 128, 256
+    z, towards = _directions(h, w)
+    boxes: tuple[tuple[tuple[float, float, float], int, tuple[float, float, float]], ...]
+    if name == "studio":  # grey room, two soft boxes and a warm strip
+        base = np.repeat((0.25 + 0.1 * z)[..., None], 3, axis=2)
+        boxes = (
+            ((0.5, -0.6, 0.62), 14, (5.5, 5.6, 6.0)),
+            ((-0.7, 0.3, 0.65), 10, (2.6, 2.5, 2.3)),
+            ((-0.1, 0.9, 0.4), 8, (2.0, 1.4, 0.8)),
+        )
+    else:
+        sky = np.stack([0.25 + 0.5 * (1 - np.abs(z)) ** 3, 0.3 + 0.25 * (1 - np.abs(z)) ** 3, 0.5 - 0.1 * np.abs(z)], -1)
+        base = np.where((z > 0)[..., None], sky, [0.12, 0.11, 0.1])
+        boxes = (((0.85, 0.35, 0.4), 4, (70.0, 52.0, 30.0)),)
+    for centre, radius_deg, rgb in boxes:
+        unit = np.asarray(centre) / np.linalg.norm(centre)
+        base = np.where((towards @ unit > np.cos(np.radians(radius_deg)))[..., None], rgb, base)
+    return base
+
+
+def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+    elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
+    azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
+    e, a = np.meshgrid(elevation, azimuth, indexing="ij")
+    towards = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
+    return towards[..., 2], towards
+
+
+def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
+    """(count, 7) tracer lights that together light a surface as the panorama does.
+    A region's radiance times its solid angle / pi is the rgb of its light (arfx.core.light folds pi in)."""
+    h, w = picture.shape[:2]
+    _, towards = _directions(h, w)
+    solid = np.repeat((np.cos(np.pi * (0.5 - (np.arange(h) + 0.5) / h)) * (np.pi / h) * (2 * np.pi / w))[:, None], w, 1)
+    power = picture.mean(-1) * solid
+    regions = [(0, h, 0, w)]
+    while len(regions) < count:
+        sizes = [power[a:b, c:d].sum() if (b - a) * (d - c) > 1 else -1.0 for a, b, c, d in regions]
+        pick = int(np.argmax(sizes))
+        if sizes[pick] <= 0:
+            break
+        a, b, c, d = regions.pop(pick)
+        part = power[a:b, c:d]
+        middle = np.cos(np.pi * (0.5 - (a + b) / 2 / h))
+        down = (b - a) > (d - c) * 2 * h / w * middle if d - c > 1 else True
+        sums = part.sum(1 if down else 0).cumsum()
+        cut = int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1))
+        regions += [(a, a + cut, c, d), (a + cut, b, c, d)] if down else [(a, b, c, c + cut), (a, b, c + cut, d)]
+    rows = []
+    for a, b, c, d in regions:
+        weight = power[a:b, c:d]
+        mean = (towards[a:b, c:d] * weight[..., None]).sum((0, 1))
+        size = float(np.linalg.norm(mean))
+        if size <= 0:
+            continue
+        rgb = (picture[a:b, c:d] * solid[a:b, c:d, None]).sum((0, 1)) / np.pi
+        rows.append([*(mean / size), *rgb, 0.0])
+    return np.array(rows, float).reshape(-1, 7)

@@ -8,7 +8,7 @@ Row layouts (float64):
 rectangle  0-2 centre, 3-5 u, 6-8 v, 9-11 normal, 12 half width, 13 half height, 14 texture, 15 object, 16 gloss,
            17 whether it is a face of a closed box
 sphere     0-2 centre, 3 radius, 4-6 albedo, 7 object
-lamp       0-2 unit vector towards it, 3-5 rgb, 6 tangent of half its angular size
+light      0-2 unit vector towards it, 3-5 rgb, 6 tangent of half its angular size
 texture    0 offset into the table, 1 columns, 2 rows, 3 smallest box in texels (0: cells stay hard-edged)
 """
 
@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from arfx.synth.shadows import blockers, visible
+from arfx.synth.shadows import occluders, visible
 
 _FAR = 1e30
 _LIFT_M = 2e-5  # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie 2e-4 m apart
@@ -43,7 +43,7 @@ class Room(NamedTuple):
 
     rects: np.ndarray
     spheres: np.ndarray
-    lamps: np.ndarray
+    lights: np.ndarray
     ambient: np.ndarray
     textures: np.ndarray
     table: np.ndarray
@@ -68,9 +68,7 @@ def _views(origin, rects, textures):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(origin, ex, ey, ez, dx, dy, dz, rects, views, spheres):
     """(distance in units of d, kind 0 none 1 rectangle 2 sphere, index) of the first surface along a ray from origin + e.
-
-    Rectangles are tested without a division: their offsets from the origin are known, and both sides are times |d·n|.
-    """
+    Rectangles are tested without a division: their offsets from the origin are known, and both sides are times |d·n|."""
     best, kind, index = _FAR, 0, -1
     for i in range(rects.shape[0]):
         dn = dx * rects[i, 9] + dy * rects[i, 10] + dz * rects[i, 11]
@@ -145,8 +143,8 @@ def _mean(table, offset, columns, left, right, top, bottom):
     r1, g1, b1 = _corner(table, offset, columns, left, bottom)
     r2, g2, b2 = _corner(table, offset, columns, left, top)
     r3, g3, b3 = _corner(table, offset, columns, right, top)
-    share = 1.0 / ((right - left) * (bottom - top))
-    return (r0 - r1 + (r2 - r3)) * share, (g0 - g1 + (g2 - g3)) * share, (b0 - b1 + (b2 - b3)) * share
+    scale = 1.0 / ((right - left) * (bottom - top))
+    return (r0 - r1 + (r2 - r3)) * scale, (g0 - g1 + (g2 - g3)) * scale, (b0 - b1 + (b2 - b3)) * scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -162,14 +160,12 @@ def _span(centre, half, size):
 @njit(cache=True, nogil=True, error_model="numpy")
 def render_rows(y0, y1, lens: Lens, footprint, room: Room, seed, weight, out):
     """Add `weight` times one sample per pixel of rows y0..y1 to `out` (h, w, 3).
-
-    footprint: width in pixels that a sample stands for
-    """
+    footprint: width in pixels that a sample stands for"""
     rays, rotation, origin, lens_m, focus_m = lens
-    rects, spheres, lamps, ambient, textures, table, sky = room
+    rects, spheres, lights, ambient, textures, table, sky = room
     width = rays.shape[1]
     views = _views(origin, rects, textures)
-    rows_of_lamp, used = blockers(rects, spheres, lamps)
+    occluder_rows, used = occluders(rects, spheres, lights)
     for y in range(y0, y1):
         for x in range(width):
             cx, cy = rays[y, x, 0], rays[y, x, 1]
@@ -250,22 +246,26 @@ def render_rows(y0, y1, lens: Lens, footprint, room: Room, seed, weight, out):
             shine0, shine1, shine2 = 0.0, 0.0, 0.0
             px, py, pz = hx + _LIFT_M * nx, hy + _LIFT_M * ny, hz + _LIFT_M * nz
             turn = 2 * math.pi * _noise(seed + 7, number)
-            for k in range(lamps.shape[0]):
-                facing = nx * lamps[k, 0] + ny * lamps[k, 1] + nz * lamps[k, 2]
+            for k in range(lights.shape[0]):
+                facing = nx * lights[k, 0] + ny * lights[k, 1] + nz * lights[k, 2]
                 if facing <= 0.0:
                     continue
-                seen = visible(px, py, pz, lamps, k, rows_of_lamp, used[k], spheres, turn)
+                seen = visible(px, py, pz, lights, k, occluder_rows, used[k], spheres, turn)
                 if seen == 0.0:
                     continue
-                light0 += seen * facing * lamps[k, 3]
-                light1 += seen * facing * lamps[k, 4]
-                light2 += seen * facing * lamps[k, 5]
+                light0 += seen * facing * lights[k, 3]
+                light1 += seen * facing * lights[k, 4]
+                light2 += seen * facing * lights[k, 5]
                 if gloss > 0.0:
                     size = math.sqrt(dx * dx + dy * dy + dz * dz)
-                    bx, by, bz = lamps[k, 0] - dx / size, lamps[k, 1] - dy / size, lamps[k, 2] - dz / size
+                    bx, by, bz = lights[k, 0] - dx / size, lights[k, 1] - dy / size, lights[k, 2] - dz / size
                     half = (nx * bx + ny * by + nz * bz) / math.sqrt(bx * bx + by * by + bz * bz)
                     peak = seen * gloss * max(half, 0.0) ** 40
-                    shine0, shine1, shine2 = shine0 + peak * lamps[k, 3], shine1 + peak * lamps[k, 4], shine2 + peak * lamps[k, 5]
+                    shine0, shine1, shine2 = (
+                        shine0 + peak * lights[k, 3],
+                        shine1 + peak * lights[k, 4],
+                        shine2 + peak * lights[k, 5],
+                    )
             out[y, x, 0] += weight * (colour[0] * light0 + shine0)
             out[y, x, 1] += weight * (colour[1] * light1 + shine1)
             out[y, x, 2] += weight * (colour[2] * light2 + shine2)
@@ -292,7 +292,7 @@ def probe(rays, rotation, origin, rects, spheres, depth, owner):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def unhidden(points, origin, rects, spheres, out):
+def unoccluded(points, origin, rects, spheres, out):
     """out[i] = nothing stands between the origin and room point i (n, 3)."""
     views = _views(origin, rects, np.zeros((0, 4)))
     for i in range(points.shape[0]):

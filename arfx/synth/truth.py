@@ -28,10 +28,8 @@ FLOW_UNIT_PX = 1 / 64
 @dataclass(frozen=True)
 class MarkerTruth(Document):
     """One marker in one frame.
-
     corners_px : (4, 2) projected with the true camera, NaN behind it;  visible : fraction 0..1 of its black square that is
-    in the picture and not hidden;  side_px : mean length of its sides;  facing : cosine of the angle at which it is seen
-    """
+    in the picture and not hidden;  side_px : mean length of its sides;  facing : cosine of the angle at which it is seen"""
 
     camera_from_marker: Pose
     corners_px: Annotated[np.ndarray, Gaps]
@@ -43,9 +41,7 @@ class MarkerTruth(Document):
 @dataclass(frozen=True)
 class FrameTruth(Document):
     """One frame. camera_from_room, room_from_marker and markers are exact; gain and bias act on linear light.
-
-    lights : [{"room", "camera", "marker": unit vectors towards it, "rgb", "angular_size_deg"}]
-    """
+    lights : [{"room", "camera", "marker": unit vectors towards it, "rgb", "angular_size_deg"}]"""
 
     index: int
     time_s: float

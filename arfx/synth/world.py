@@ -1,38 +1,36 @@
-"""The scene as rows for the tracer: what stands where at a moment, with which texture, under which light."""
+"""The scene as rows for the tracer: what stands where at a moment, with which texture, under which light; exact poses by time."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from arfx.core.camera import Camera
-from arfx.core.pose import Pose
-from arfx.synth.description import Box, Marker, Plane, SceneFile, Sphere
-from arfx.synth.environment import environment_lamps, environment_picture
-from arfx.synth.motion import camera_from_room, room_from_object
-from arfx.synth.textures import sheet_albedo, texture_albedo
+from arfx.core.numerics import divide, normalise
+from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.synth.description import Box, CameraPath, Key, Marker, Motion, Plane, SceneFile, SceneObject, Sphere
+from arfx.synth.textures import environment_lights, environment_picture, sheet_albedo, texture_albedo
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class SceneState:
     """The scene at one time: tracer rows, room_from_object by object number - 1."""
 
     rects: np.ndarray
     spheres: np.ndarray
-    lamps: np.ndarray
+    lights: np.ndarray
     room_from_object: tuple[Pose, ...]
 
 
 class World:
     """Everything of a scene that does not depend on time, made once.
-
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots : (frames,) shot of each frame
-    textures, table : tracer's summed-area tables;  ambient, sky : tracer's light beside the lamps (`lamps_at`)
-    """
+    textures, table : tracer's summed-area tables;  ambient, sky : tracer's ambient light beside `lights_at`"""
 
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
         self.scene = scene
@@ -47,25 +45,25 @@ class World:
         self.sky = np.zeros((0, 0, 3))
         if scene.light.environment:
             self.sky = environment_picture(scene.light.environment, folder) * scene.light.environment_scale
-            self._sky_lamps = environment_lamps(self.sky, scene.light.environment_lights)
+            self._sky_lights = environment_lights(self.sky, scene.light.environment_lights)
             self.ambient = np.zeros(3)
 
     @property
     def duration_s(self) -> float:
         return float(self.frame_times_s[-1])
 
-    def lamps_at(self, time_s: float) -> np.ndarray:
-        """(n, 7) tracer lamps at a time."""
+    def lights_at(self, time_s: float) -> np.ndarray:
+        """(n, 7) tracer lights at a time."""
         if self.scene.light.environment:
-            return self._sky_lamps
+            return self._sky_lights
         rows = []
         for li in self.scene.light.lamps:
             phase = np.sin(2 * np.pi * time_s / li.period_s)
-            row = lamp_row(li.azimuth_deg + li.swing_deg[0] * phase, li.elevation_deg + li.swing_deg[1] * phase, li.rgb,
-                           li.angular_size_deg)  # fmt: skip
-            if li.brightness:  # of two keys at one time the later holds from then on
-                row[3:6] *= np.interp(time_s, *np.array(li.brightness).T)
-            rows.append(row)
+            a, e = np.radians(li.azimuth_deg + li.swing_deg[0] * phase), np.radians(li.elevation_deg + li.swing_deg[1] * phase)
+            # of two keys at one time the later holds from then on
+            factor = np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
+            direction = np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)
+            rows.append([*direction, *np.multiply(li.rgb, factor), np.tan(np.radians(li.angular_size_deg) / 2)])
         return np.array(rows).reshape(-1, 7)
 
     def _add(self, picture: np.ndarray, smooth: bool) -> int:
@@ -101,12 +99,10 @@ class World:
         own = [room_from_object(p, time_s, self.duration_s, self.scene.seed, n) for p, n in zip(placed, self._names, strict=True)]
         by_name = {}
         for p, n, pose in zip(placed, self._names, own, strict=True):
-            by_name[n] = pose
-            if isinstance(p, Marker):
-                by_name[p.spec.key] = pose
+            by_name[n] = by_name[p.spec.key if isinstance(p, Marker) else n] = pose
         return tuple(by_name[p.attached_to] @ pose if p.attached_to else pose for p, pose in zip(placed, own, strict=True))
 
-    def at(self, time_s: float) -> Moment:
+    def at(self, time_s: float) -> SceneState:
         poses = self.poses(time_s)
         rects, spheres = [], []
         for p, faces, pose in zip(self.scene.placed, self._faces, poses, strict=True):
@@ -119,7 +115,7 @@ class World:
                 for k in (3, 6, 9):
                     new[k : k + 3] = pose.rotation @ row[k : k + 3]
                 rects.append(new)
-        return Moment(np.array(rects).reshape(-1, 18), np.array(spheres).reshape(-1, 8), self.lamps_at(time_s), poses)
+        return SceneState(np.array(rects).reshape(-1, 18), np.array(spheres).reshape(-1, 8), self.lights_at(time_s), poses)
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
         """camera_from_room at a time during (or next to) a frame, on the path of the frame's shot."""
@@ -138,12 +134,6 @@ def true_camera(scene: SceneFile) -> Camera:
     f = w / 2 / np.tan(np.radians(lens.fov_deg) / 2)
     cx, cy = (w - 1) / 2 + lens.centre_offset_px[0], (h - 1) / 2 + lens.centre_offset_px[1]
     return Camera(w, h, np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]]), np.array(lens.distortion), lens.model, "scene")
-
-
-def lamp_row(azimuth_deg: float, elevation_deg: float, rgb: Iterable[float], angular_size_deg: float) -> np.ndarray:
-    a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
-    towards = [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]
-    return np.array([*towards, *rgb, np.tan(np.radians(angular_size_deg) / 2)])
 
 
 def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:
@@ -177,3 +167,88 @@ def marker_points(marker: Marker, count: int = 12) -> np.ndarray:
     h = marker.spec.size_m / 2
     grid = (np.arange(count) + 0.5) / count * 2 * h - h
     return np.array([(x, y, 0.0) for x, y in itertools.product(grid, grid)])
+
+
+def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float, channels: int) -> np.ndarray:
+    """(channels,) band-limited noise with unit rms over time: six sinusoids around `rate_hz`, phases from the seed."""
+    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    hz = rate_hz * rng.uniform(0.4, 1.6, (channels, 6))
+    phase = rng.uniform(0, 2 * np.pi, (channels, 6))
+    return np.sin(2 * np.pi * hz * time_s + phase).sum(1) / np.sqrt(3.0)
+
+
+def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
+    """camera_from_room of a camera that looks from one point at another, the room's z up in its picture.
+    Straight up or down, the room's y is up instead."""
+    forward = normalise(np.asarray(target_m, float) - position_m)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-6:  # looking along z to within a microradian: `up` gives no direction
+        right = np.cross(forward, [0.0, 1.0, 0.0])
+    right = normalise(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Pose(rotation, -rotation @ np.asarray(position_m, float))
+
+
+def camera_from_room(path: CameraPath, time_s: float, duration_s: float, seed: int, name: str) -> Pose:
+    """Pose of the camera, `time_s` after its shot began."""
+    at = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
+    target = np.asarray(path.target_m, float)
+    if path.kind == "orbit":
+        azimuth = np.radians(path.azimuth_deg[0] + (path.azimuth_deg[1] - path.azimuth_deg[0]) * at)
+        elevation = np.radians(path.elevation_deg[0] + (path.elevation_deg[1] - path.elevation_deg[0]) * at)
+        flat = np.cos(elevation)
+        position = target + path.radius_m * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    elif path.kind == "dolly":
+        ease = at * at * (3 - 2 * at)
+        position = (1 - ease) * np.asarray(path.position_m) + ease * np.asarray(path.end_m)
+    elif path.kind == "keys":
+        position = _between(path.keys, "position_m", time_s)
+        target = _between(path.keys, "target_m", time_s)
+    else:
+        position = np.asarray(path.position_m, float)
+    pose = look_at(position, target)
+    if path.hand_deg or path.hand_m:
+        shake = smooth_noise(seed, f"hand {name}", time_s, 4.0, 6)
+        slow = smooth_noise(seed, f"drift {name}", time_s, 0.7, 6)
+        both = (shake + 2 * slow) / np.sqrt(5.0)
+        pose = Pose.from_rotvec(np.radians(path.hand_deg) * both[:3], path.hand_m * both[3:]) @ pose
+    return pose
+
+
+def room_from_object(placed: SceneObject, time_s: float, duration_s: float, seed: int, name: str) -> Pose:
+    """Pose of an object in its parent's axes (the room's, if it is attached to nothing)."""
+    rest = Pose(rotation_from_euler_deg(*placed.rotate_deg), np.asarray(placed.position_m, float))
+    motion = placed.motion
+    if motion.kind == "still":
+        return rest
+    if motion.kind == "keys":
+        rotation = rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s))
+        return Pose(rotation, _between(motion.keys, "position_m", time_s)) @ _tremor(motion, time_s, seed, name)
+    if motion.kind == "turn":
+        at = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
+        angle = np.radians(motion.angle_deg[0] + (motion.angle_deg[1] - motion.angle_deg[0]) * at)
+        own = Pose.from_rotvec(normalise(np.asarray(motion.axis, float)) * angle, np.zeros(3))
+    else:
+        a, golden = 2 * np.pi * time_s / motion.period_s, 0.6180339887498949  # incommensurate: the tilts never repeat together
+        about_x = rotation_from_euler_deg(motion.tilt_deg * np.sin(a), 0.0, 0.0)
+        rotation = about_x @ rotation_from_euler_deg(0.0, motion.tilt_deg * np.sin(golden * a + 1), 0.0)
+        own = Pose(rotation, motion.travel_m * np.array([np.sin(golden * a), np.sin(a + 2), 0.5 * np.sin(1.3 * a)]))
+    return rest @ own @ _tremor(motion, time_s, seed, name)
+
+
+def _tremor(motion: Motion, time_s: float, seed: int, name: str) -> Pose:
+    if not (motion.tremor_deg or motion.tremor_m):
+        return Pose.identity()
+    n = smooth_noise(seed, f"tremor {name}", time_s, 6.0, 6)
+    return Pose.from_rotvec(np.radians(motion.tremor_deg) * n[:3], motion.tremor_m * n[3:])
+
+
+def _between(keys: tuple[Key, ...], name: str, time_s: float) -> np.ndarray:
+    """Catmull-Rom through the keys' values, at rest in the first and the last, constant beyond them."""
+    if len(keys) < 2:
+        return np.array(getattr(keys[0], name), float) if keys else np.zeros(3)
+    times = np.array([k.time_s for k in keys], float)
+    values = np.array([getattr(k, name) for k in keys], float)
+    slopes = np.zeros_like(values)
+    slopes[1:-1] = (values[2:] - values[:-2]) / (times[2:] - times[:-2])[:, None]
+    return np.asarray(CubicHermiteSpline(times, values, slopes)(np.clip(time_s, times[0], times[-1])))

@@ -19,7 +19,7 @@ def start() -> None:
     code: Any = 1
     try:
         interrupt.catch()
-        with interrupt.held():  # a half-done import may fail later, with another message
+        with interrupt.deferred():  # a half-done import may fail later, with another message
             streams.make_safe()
             from arfx_cli.main import main
         main()
@@ -30,7 +30,7 @@ def start() -> None:
         code = interrupt.exit_code() or 130
     except BaseException:  # ARFX_DEBUG
         sys.excepthook(*sys.exc_info())
-    interrupt.leave(streams.closing_code(code if isinstance(code, int) else int(code is not None)))
+    interrupt.exit_process(streams.closing_code(code if isinstance(code, int) else int(code is not None)))
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     import numpy as np
 
     from arfx.config.load import load
-    from arfx.core.guard import Guard, aside
+    from arfx.core.guard import Guard, atomic_write
     from arfx.errors import ConfigError
     from arfx.measure.report import report_of_job
     from arfx.media.images import write_png
@@ -54,7 +54,7 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     def finish(job: Path) -> None:
         report_of_job(job, report_dir)
         previews = load_previews(JobFolder(job).previews)
-        with aside(picture) as part:
+        with atomic_write(picture) as part:
             write_png(part, np.hstack(previews[len(previews) // 2][1:]))
 
     with locked(folder, "-o"), Progress() as progress:

@@ -67,15 +67,14 @@ def _parameter(s: Setting) -> click.Parameter:
 
 def job_config(given: dict[str, Any]) -> Any:
     """The typed job from the parsed options. Raises ConfigError."""
-    from arfx.config.given import of_sections, overrides
-    from arfx.config.load import load
-    from arfx.config.presets import find
+    from arfx.config.given import overrides, section_overrides
+    from arfx.config.load import find_job_file, load
     from arfx.run.parameters import parameters, pipeline
 
     kinds = parameters()
     formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
-    tree = overrides(itertools.chain(of_sections(given), _of_stages(given, formulas)), given["set"])
-    config = load([find(file) for file in given["config"]], tree, kinds)
+    tree = overrides(itertools.chain(section_overrides(given), _of_stages(given, formulas)), given["set"])
+    config = load([find_job_file(file) for file in given["config"]], tree, kinds)
     pipeline(config)
     return config
 

@@ -14,7 +14,7 @@ import click
 
 from arfx import __version__
 from arfx.core import interrupt
-from arfx.core.places import check_name
+from arfx.core.opener import check_name
 from arfx.errors import ArfxError, JobInterruptedError
 
 # A tenth of a short command went into looking for garbage among the libraries' own objects, while they are imported.
@@ -53,7 +53,7 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        with interrupt.held():
+        with interrupt.deferred():
             command: click.Command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), "command")  # noqa: B009
         return command
 
@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS, 10, 100)
     arguments = list(sys.argv[1:] if argv is None else argv)
-    with interrupt.caught():
+    with interrupt.catching():
         try:
             for name in arguments:
                 check_name(name)
@@ -97,18 +97,18 @@ def main(argv: Sequence[str] | None = None) -> None:
                 with contextlib.suppress(OSError):  # a folder that is no more
                     check_name(Path.cwd())
             code = cli.main(args=arguments, prog_name="arfx", standalone_mode=False)
-            with interrupt.completing():  # a signal that came before counts, also one that a library swallowed
+            with interrupt.committing():  # a signal that came before counts, also one that a library swallowed
                 pass
         except (Exception, KeyboardInterrupt) as e:
             code = _report_error(e)
         code = code if isinstance(code, int) else 0
-        interrupt.settle(code)
+        interrupt.commit(code)
         sys.exit(code)
 
 
 def _report_error(e: BaseException) -> int:
     """Say what went wrong in one message. Returns the exit code; raises `e` again where tracebacks are wanted."""
-    if interrupt.came() and not isinstance(e, JobInterruptedError):  # whatever a library has made of it
+    if interrupt.pending() and not isinstance(e, JobInterruptedError):  # whatever a library has made of it
         e = KeyboardInterrupt()
     if isinstance(e, (KeyboardInterrupt, click.Abort)):
         code = interrupt.exit_code() or 130

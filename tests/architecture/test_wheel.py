@@ -77,12 +77,12 @@ def test_installed_it_has_no_package_cli_and_finds_its_presets(wheel: Path, tmp_
 
     got = python("import cli")
     assert got.returncode != 0 and "No module named 'cli'" in got.stderr, got.stderr
-    got = python("import arfx; from arfx.config.presets import presets; print(arfx.__file__); print(sorted(presets()))")
+    got = python("import arfx; from arfx.config.load import presets; print(arfx.__file__); print(sorted(presets()))")
     assert got.returncode == 0 and str(tmp_path) in got.stdout and "preview" in got.stdout, got.stderr
 
 
 @pytest.mark.process
-@pytest.mark.skipif(not compiled.target(), reason=f"a processor without {compiled.TARGET}")
+@pytest.mark.skipif(not compiled.target_cpu(), reason=f"a processor without {compiled.TARGET}")
 def test_a_wheel_with_compiled_code_compiles_nothing_when_installed(wheel: Path, tmp_path: Path) -> None:
     """Of one module alone: `make wheel` takes a minute or two."""
     made = with_compiled_code(wheel, tmp_path / "dist", "arfx.stages.hide")

@@ -11,7 +11,7 @@ import pytest
 from arfx.analyse.fold import PLANE, AnalysisJob
 from arfx.config.load import load
 from arfx.core import codec
-from arfx.core.facts_file import write_facts
+from arfx.core.facts import write_facts
 from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg
 from arfx.run import analysis
 from arfx.run.folder import JobFolder

@@ -111,8 +111,8 @@ def test_what_appears_while_the_output_is_joined_is_not_replaced(
         out.write_bytes(b"somebody else's")
         return order_of(*given)
 
-    order_of = join._order_of
-    monkeypatch.setattr(join, "_order_of", order)
+    order_of = join._ranks_of
+    monkeypatch.setattr(join, "_ranks_of", order)
     with pytest.raises(ConfigError, match="exists"):
         process(config, Options(notice=quiet))
     assert out.read_bytes() == b"somebody else's" and [p.name for p in tmp_path.iterdir() if "part" in p.name] == []

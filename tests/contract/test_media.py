@@ -18,9 +18,10 @@ from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError, RenderError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.codecs import CODECS
-from arfx.media.frames import ClipReader, Frame
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
-from arfx.media.output import MOST_TICKS, OutputPlan, OutputSettings, check_times, plan_output
+from arfx.media.output import MAX_TICKS, OutputPlan, OutputSettings, check_times, plan_output
 from arfx.media.planes import planes_of
 from arfx.media.writer import ChunkWriter, chunk_suffix
 from tests.clips import write_clip
@@ -366,7 +367,7 @@ def test_a_preset_is_tried_before_any_work(tmp_path: Path, codec: str, name: str
 def test_a_frame_that_lasts_longer_than_mp4_can_say_is_told_before_rendering(tmp_path: Path) -> None:
     info = probe(write_clip(tmp_path / "clip.mp4", 1))
     mp4, mkv = (plan_output(info, tmp_path / name) for name in ("out.mp4", "out.mkv"))
-    for plan, pts in ((mp4, [0, MOST_TICKS, 2 * MOST_TICKS]), (mp4, [0]), (mkv, [0, 10**12])):
+    for plan, pts in ((mp4, [0, MAX_TICKS, 2 * MAX_TICKS]), (mp4, [0]), (mkv, [0, 10**12])):
         check_times(plan, pts, Fraction(1, 1000))
     with pytest.raises(ConfigError, match=r"24\.9 days.*\.mp4"):
-        check_times(mp4, [0, MOST_TICKS + 1], Fraction(1, 1000))
+        check_times(mp4, [0, MAX_TICKS + 1], Fraction(1, 1000))

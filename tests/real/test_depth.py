@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.media.depth_fill import filled
-from arfx.media.depth_maps import open_depth
+from arfx.media.depth_maps import fill_holes, open_depth
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "gaoxiang12-slambook2"
 pytestmark = [pytest.mark.real, pytest.mark.skipif(not DATA.is_dir(), reason=f"real depth maps are absent ({DATA})")]
@@ -26,7 +25,7 @@ def test_maps_are_read_and_holes_filled_from_beside(name: str, scale: float, hol
         guide = cv2.imread(str(DATA / name / "color" / f"{number + 1}.png"), cv2.IMREAD_GRAYSCALE)
         g = np.random.default_rng(number)
         away = cv2.resize((g.random((24, 32)) < 0.15).astype(np.uint8), (640, 480), interpolation=cv2.INTER_NEAREST) > 0
-        out = filled(np.where(away, 0, depth).astype(np.float32), guide)
+        out = fill_holes(np.where(away, 0, depth).astype(np.float32), guide)
         assert np.isfinite(out).all() and (out > 0).all()
         np.testing.assert_array_equal(out[known & ~away], depth[known & ~away])
         missed = np.abs(out / np.where(known, depth, 1) - 1)[known & away]  # 20 px holes put into what was measured

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 
 NEIGHBOURS = 24
 MOST_POINTS = 14000  # about so many are taken, evenly over the picture

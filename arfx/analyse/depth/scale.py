@@ -17,11 +17,11 @@ from arfx.analyse.fold import Analysis, Fold, Maps
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.facts import MEASURED, FrameFacts
-from arfx.core.health import Check
 from arfx.core.machine import usable_cores
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.real_depth import USUAL_NOISE, RealDepth, tile_ranges
+from arfx.core.real_depth import TYPICAL_NOISE, RealDepth, tile_ranges
+from arfx.core.stage import Check
 from arfx.errors import InputError
 
 FEWEST_PX = 24  # measured pixels on a print
@@ -49,7 +49,7 @@ class DepthScale(Document):
     @property
     def noise(self) -> float:
         """Standard deviation of a pixel, share of its distance."""
-        return USUAL_NOISE if self.residual is None else _SIGMA * self.residual
+        return TYPICAL_NOISE if self.residual is None else _SIGMA * self.residual
 
 
 class Depth(Fold):

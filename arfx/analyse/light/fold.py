@@ -23,9 +23,9 @@ from arfx.analyse.light.surroundings import EnvironmentSample, Folded, environme
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
-from arfx.core.health import Check
 from arfx.core.light import Light, triple
 from arfx.core.rect import Rect
+from arfx.core.stage import Check
 
 Reading = tuple[int, str, patches.Patches]
 Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, LightReading | None]]

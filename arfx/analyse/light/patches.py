@@ -19,7 +19,7 @@ from scipy.special import ndtri
 from arfx.analyse.light import patch_kernels as kernels
 from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.markers.detect import cells_per_side, dictionary
-from arfx.core.codec import stored
+from arfx.core.codec import serialisable
 from arfx.core.facts import PlaneShadow
 from arfx.core.numerics import HALF_GREY, divide
 
@@ -32,7 +32,7 @@ _OUT = 2.5  # deviations from the median of a reading's ink patches, beyond whic
 LEAST_LEFT = 0.7  # of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the reason
 
 
-@stored
+@serialisable
 @dataclass(frozen=True, eq=False)
 class Patches:
     """One marker in one frame. mean : (8, 3) linear RGB, 0 where count is 0

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from arfx.analyse.fold import Stateful
-from arfx.core.codec import stored
+from arfx.core.codec import serialisable
 from arfx.core.marker import opencv_name
 from arfx.core.rect import Rect
 
@@ -46,7 +46,7 @@ class Candidate:
         return float(np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).mean())
 
 
-@stored
+@serialisable
 @dataclass(frozen=True)
 class Detection:
     """One marker print in one frame, refined. corners_px : (4, 2);  sigma_px : predicted;  blur_px : nan where unknown."""
@@ -62,7 +62,7 @@ class Detection:
         return float(np.linalg.norm(self.corners_px - np.roll(self.corners_px, -1, 0), axis=1).mean())
 
 
-@stored
+@serialisable
 @dataclass(frozen=True)
 class Record:
     """One frame. unlike : ShotDetector's two numbers;  rivals : further prints with a key that is in `detections` too."""

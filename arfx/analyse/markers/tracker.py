@@ -18,14 +18,14 @@ import numpy as np
 from arfx.analyse.fold import Stateful
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.params import AnalyseParams
-from arfx.core.codec import stored
+from arfx.core.codec import serialisable
 from arfx.core.rect import Rect
 
 SHRINK = 0.4  # a tracked marker is no smaller than this share of what it was in the last frame
 SURE_PX = 32.0  # with smaller sides it is a matter of luck, and of what else is in the picture, which contour OpenCV takes
 
 
-@stored
+@serialisable
 @dataclass
 class Track:
     """Where a marker was last: quad_px (4, 2), its speed px/s, when, and for how many frames it has been missing."""

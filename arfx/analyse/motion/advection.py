@@ -16,7 +16,7 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_positions
-from arfx.core.advection import AdvectionField, packed_detail, packed_places
+from arfx.core.advection import AdvectionField, pack_detail, pack_positions
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide
@@ -99,14 +99,14 @@ def with_advection(
                     key = (*_at((u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None)
             origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
             fields.append(
-                AdvectionField(number, GRID_PX, origin, shape, packed_places(u, v), packed_detail(detail), f.camera_from_world)
+                AdvectionField(number, GRID_PX, origin, shape, pack_positions(u, v), pack_detail(detail), f.camera_from_world)
             )
             kept = back if back is not None or step is None or step.back is None else step.back.astype(float)
             epochs.append(EpochStep(kept, (step is not None and step.key) or kept is None, back is None))
         last = f
         of_frame.append(len(epochs) - 1)
     fields = [
-        replace(m, share=round(share, 4), forward=packed_places(*forward), backward=packed_places(*backward))
+        replace(m, share=round(share, 4), forward=pack_positions(*forward), backward=pack_positions(*backward))
         for m, (forward, backward, share) in zip(fields, forward_and_backward(epochs, gx, gy), strict=True)
     ]
     return tuple(f.with_(advection=fields[k]) for f, k in zip(facts, of_frame, strict=True))

@@ -15,8 +15,8 @@ import numba
 import numpy as np
 
 from arfx.analyse.fold import Stateful
-from arfx.core.advection import STEPS
-from arfx.core.codec import stored
+from arfx.core.advection import STEPS_PER_PX
+from arfx.core.codec import serialisable
 from arfx.core.numerics import divide
 
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
@@ -43,7 +43,7 @@ _MOST_PX = 0.3  # of the small picture
 _RIM_PX = 3  # the interpolation and the band need that much around a pixel
 
 
-@stored
+@serialisable
 @dataclass(frozen=True, eq=False)
 class MotionStep:
     """A frame at which a new epoch of advection begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
@@ -87,7 +87,7 @@ class BackgroundMotion(Stateful):
             self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))
             return
         back, agreed = found
-        back = np.round(back * STEPS) / STEPS
+        back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
         inside = (slice(BORDER, -BORDER),) * 2
         moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
         if float(np.quantile(moved, 0.9)) <= HOLD_PX:

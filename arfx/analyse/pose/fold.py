@@ -23,11 +23,11 @@ from arfx.analyse.pose.smooth import smooth_poses
 from arfx.analyse.pose.visibility import find_cuts, frame_statuses, opacities, visible_intervals, without_flickers
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
-from arfx.core.health import Check
 from arfx.core.marker import MarkerSpec, anchor_marker
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
 from arfx.core.rect import Rect
+from arfx.core.stage import Check
 from arfx.errors import NothingToDoError
 
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better

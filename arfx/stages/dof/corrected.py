@@ -82,7 +82,7 @@ def depth_range(facts: FrameFacts) -> tuple[float, float]:
 
 def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
     """Pixels that the object's blur may change."""
-    return facts.drawn_box.pad(int(np.ceil(reach_px)) + 1).clip(frame)
+    return facts.raster_box.pad(int(np.ceil(reach_px)) + 1).clip(frame)
 
 
 def render(
@@ -211,7 +211,7 @@ def _object(
     now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, pyramid: Pyramid, params: DofParams
 ) -> OccluderLayer | None:
     """The virtual object; None where nothing of it is here or nothing of it is blurred."""
-    box = facts.drawn_box.clip(now.rect)
+    box = facts.raster_box.clip(now.rect)
     if box.empty:
         return None
     part = now.crop(box)
@@ -236,7 +236,7 @@ def _object(
 
 def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:
     """What surrounds the object in `rect`; beyond the picture's edge too, except where the object may go on there."""
-    box, n = facts.drawn_box, int(np.ceil(min(reach_px, max(frame.width, frame.height) / 4))) + 1
+    box, n = facts.raster_box, int(np.ceil(min(reach_px, max(frame.width, frame.height) / 4))) + 1
     grown = Rect(
         rect.x0 - n if box.x0 > frame.x0 == rect.x0 else rect.x0, rect.y0 - n if box.y0 > frame.y0 == rect.y0 else rect.y0,
         rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1, rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,

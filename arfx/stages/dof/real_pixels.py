@@ -28,7 +28,7 @@ class RealPixels(NamedTuple):
     @staticmethod
     def of(now: Layers, facts: FrameFacts, parts: Sequence[Rect]) -> RealPixels:
         """Of a frame with a pose, where only `parts` of it are looked at. Within the object's box what is behind is made anew."""
-        box = facts.drawn_box.align(TILE_PX, TILE_PX).clip(now.rect)
+        box = facts.raster_box.align(TILE_PX, TILE_PX).clip(now.rect)
         part, bias = now.crop(box), np.array(facts.bias_rgb, np.float32)
         patch = np.empty((0, 0, 3), np.float32)
         if not box.empty:

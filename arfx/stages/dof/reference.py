@@ -199,7 +199,7 @@ def _object(
     near, far = depth_range(facts)
     reach = coc.largest_px((1 / near, 1 / far))
     corner = 1.0 if params.blades < 3 else 1.3
-    box = facts.drawn_box.pad(int(np.ceil(corner * reach)) + 1).clip(now.rect)
+    box = facts.raster_box.pad(int(np.ceil(corner * reach)) + 1).clip(now.rect)
     if facts.model_box.empty or box.empty:
         return fraction, colour
     radius_m = coc.px_per_dioptre / scene.camera.fx

@@ -15,13 +15,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer
 from arfx.core.numerics import divide
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, View
+from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.stages.dof import demand as called
 from arfx.stages.dof.corrected import render
 from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion, unknown_lens

@@ -10,12 +10,12 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.cube import face_directions
 from arfx.core.facts import MEASURED, FrameFacts
-from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material
 from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.stage import Check, JobView
 from arfx.stages.gi.frame_light import checked
 
 SIZE = (96, 72)

@@ -14,7 +14,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.numerics import HALF_GREY, divide, normalise
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.surroundings import ENDLESS, Planes, unwarped

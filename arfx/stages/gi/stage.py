@@ -20,13 +20,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.health import Check, JobView
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.numerics import divide
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage, View
+from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.errors import require_within
 from arfx.stages.gi.cones import DiffuseCones, Lobes, diffuse_cones, lobes, mirror_tangent
 from arfx.stages.gi.field import Field, VoxelModel, make_voxel_model
@@ -95,7 +94,7 @@ class Gi(Stage):
     overrides: ClassVar = {"lightmap": {"ambient": False}}  # gi gives all light without a direction
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        model = facts.drawn_box.clip(frame)
+        model = facts.raster_box.clip(frame)
         if size_px := self._imperceptible_px(facts, scene):
             return Demand(model, f"no cones: the model is matt and grey, and what it changes is {size_px} px wide; even light")
         disc, why = self._disc(facts, scene, frame)
@@ -193,7 +192,7 @@ class Gi(Stage):
         """soft : least channel of the light without a direction, of a white surface on the plane"""
         now, out, at = view.layers, view[Layer.VIRTUAL].copy(), self.settings[view.level]
         block = at.block
-        box = view.facts.drawn_box.align(block, block).clip(now.rect)
+        box = view.facts.raster_box.align(block, block).clip(now.rect)
         if box.empty:
             return out
         part = now.crop(box)

@@ -75,7 +75,7 @@ class Lightmap(Stage):
     terms = ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        model = facts.drawn_box.clip(frame)
+        model = facts.raster_box.clip(frame)
         light = self._light(facts, scene)
         shadow, why = self._shadow_rect(facts, scene, frame, light)
         if model.empty and shadow.empty:
@@ -99,7 +99,7 @@ class Lightmap(Stage):
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         light = self._light(view.facts, view.scene)
-        lit = view.layers.crop(view.facts.drawn_box.clip(view.rect))
+        lit = view.layers.crop(view.facts.raster_box.clip(view.rect))
         return {
             Layer.VIRTUAL: Pixels(lit.rect, self._virtual(lit, view, prepared, light)),
             Layer.SHADOW: self._shadow(view, prepared, light),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.layers import Layer, neutral, unset
+from arfx.core.layers import Layer, neutral, uninitialised
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
@@ -59,7 +59,7 @@ class RayRenderer:
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame."""
         clear = rect.empty or self.mesh.layered  # else each pixel is written; EMISSIVE only where something glows
-        out = {n: neutral(n, rect) if clear or n is Layer.EMISSIVE else unset(n, rect) for n in OUTPUTS}
+        out = {n: neutral(n, rect) if clear or n is Layer.EMISSIVE else uninitialised(n, rect) for n in OUTPUTS}
         if rect.empty:
             return out
         height = max(_TILE_RAYS // rect.width, 1)

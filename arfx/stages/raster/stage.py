@@ -66,7 +66,7 @@ class Raster(Stage):
         return replace(params, backend=choose_backend(params.backend).name)
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        rect = facts.drawn_box.clip(frame)
+        rect = facts.raster_box.clip(frame)
         return Demand(rect, f"model covers up to {rect.area} px" if not rect.empty else "model out of view")
 
     def prepare(self, scene: Scene, level: str) -> Renderer:
@@ -82,7 +82,7 @@ class Raster(Stage):
         return backend.renderer(mesh, scene.camera, self.params.samples or backend.samples[level])
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
-        rect, box = view.rect, view.facts.drawn_box.clip(view.scene.camera.rect)
+        rect, box = view.rect, view.facts.raster_box.clip(view.scene.camera.rect)
         shown = box.clip(rect)
         if shown.empty:
             return {name: neutral(name, rect) for name in OUTPUTS}

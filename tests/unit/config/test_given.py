@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from arfx.config.given import of_sections, overrides, parse_setting
+from arfx.config.given import overrides, parse_setting, section_overrides
 from arfx.config.load import load
 from arfx.config.sections import settings
 from arfx.errors import ConfigError
@@ -14,13 +14,13 @@ NOTHING: dict[str, Any] = {s.name: None for s in settings() if s.flags}
 
 
 def given(**options: Any) -> dict[str, Any]:
-    return overrides(of_sections({**NOTHING, **options}), ())
+    return overrides(section_overrides({**NOTHING, **options}), ())
 
 
 def test_no_two_settings_have_the_same_option() -> None:
     flags = [flag for s in settings() for flag in s.flags]
     assert len(set(flags)) == len(flags) and len(NOTHING) >= 25
-    assert not overrides(of_sections({**NOTHING, "marker": (), "no_skip": False}), ())
+    assert not overrides(section_overrides({**NOTHING, "marker": (), "no_skip": False}), ())
 
 
 @pytest.mark.parametrize(

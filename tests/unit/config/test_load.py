@@ -8,11 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from arfx.config.freeze import frozen, to_toml
 from arfx.config.given import parse_setting
-from arfx.config.load import load
-from arfx.config.locate import line_of
-from arfx.config.sections import settings
+from arfx.config.load import line_of, load
+from arfx.config.sections import frozen, settings, to_toml
 from arfx.errors import ConfigError, InputError
 
 

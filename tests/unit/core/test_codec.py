@@ -87,7 +87,7 @@ def test_what_is_whole_but_no_state_is_refused(tree: str) -> None:
 
 def test_stored_classes_are_told_apart_by_their_names() -> None:
     with pytest.raises(TypeError, match="Camera"):
-        codec.stored(dataclass(type("Camera", (), {})))
+        codec.serialisable(dataclass(type("Camera", (), {})))
 
 
 @dataclass(frozen=True, eq=False)

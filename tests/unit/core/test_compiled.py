@@ -29,33 +29,33 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     beside.mkdir(parents=True)
     (beside / "a.f-1.py311.nbi").write_bytes(b"index")
     (beside / "a.f-1.py311.1.nbc").write_bytes(b"code")
-    for cached in (compiled.kept_in, compiled._folder_of_this_run):
+    for cached in (compiled.code_folder, compiled._folder_of_this_run):
         cached.cache_clear()
     yield beside.parent
-    for cached in (compiled.kept_in, compiled._folder_of_this_run):
+    for cached in (compiled.code_folder, compiled._folder_of_this_run):
         cached.cache_clear()
 
 
 def unwritable(monkeypatch: pytest.MonkeyPatch, *folders: Path) -> None:
     """The root user may write anywhere: permissions alone would test nothing for it."""
-    filled = compiled._filled
+    filled = compiled._prepare_folder
 
     def refuses(place: Path, came: list[Path]) -> bool:
         return not any(place.is_relative_to(folder) for folder in folders) and filled(place, came)
 
-    monkeypatch.setattr(compiled, "_filled", refuses)
+    monkeypatch.setattr(compiled, "_prepare_folder", refuses)
 
 
 def test_compiled_code_lies_beside_the_modules(tree: Path) -> None:
-    assert compiled.kept_in(tree) == tree / "__pycache__"
-    assert compiled.lasting()
+    assert compiled.code_folder(tree) == tree / "__pycache__"
+    assert compiled.cache_persists()
 
 
 def test_a_named_folder_comes_first_and_holds_what_came_with_the_package(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "named"))
-    kept = compiled.kept_in(tree)
+    kept = compiled.code_folder(tree)
     assert kept.is_relative_to(tmp_path / "named")
     assert {p.name: p.read_bytes() for p in kept.iterdir()} == {"a.f-1.py311.nbi": b"index", "a.f-1.py311.1.nbc": b"code"}
 
@@ -64,14 +64,14 @@ def test_a_read_only_package_uses_the_users_folder_and_what_was_compiled_since_s
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unwritable(monkeypatch, tree)
-    kept = compiled.kept_in(tree)
+    kept = compiled.code_folder(tree)
     assert kept.is_relative_to(tmp_path / "home")
     (kept / "a.f-1.py311.nbi").write_bytes(b"index of more")
-    compiled.kept_in.cache_clear()
-    assert compiled.kept_in(tree) == kept and (kept / "a.f-1.py311.nbi").read_bytes() == b"index of more"
+    compiled.code_folder.cache_clear()
+    assert compiled.code_folder(tree) == kept and (kept / "a.f-1.py311.nbi").read_bytes() == b"index of more"
     (tree / "__pycache__" / "a.f-1.py311.1.nbc").write_bytes(b"code of another release")
-    compiled.kept_in.cache_clear()
-    assert (compiled.kept_in(tree) / "a.f-1.py311.1.nbc").read_bytes() == b"code of another release"
+    compiled.code_folder.cache_clear()
+    assert (compiled.code_folder(tree) / "a.f-1.py311.1.nbc").read_bytes() == b"code of another release"
 
 
 def test_where_nothing_can_be_written_a_folder_of_this_run_is_used_and_passed_on(
@@ -79,9 +79,9 @@ def test_where_nothing_can_be_written_a_folder_of_this_run_is_used_and_passed_on
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "home" / "named"))
     unwritable(monkeypatch, tree, tmp_path / "home", Path(compiled.__file__).parent)
-    kept = compiled.kept_in(tree)
+    kept = compiled.code_folder(tree)
     assert (kept / "a.f-1.py311.1.nbc").read_bytes() == b"code"
-    assert not compiled.lasting()
+    assert not compiled.cache_persists()
     assert kept.is_relative_to(os.environ["NUMBA_CACHE_DIR"])
 
 
@@ -127,7 +127,7 @@ def stamp(
     called = function(tmp_path / "callee.py", callee)
     made = function(tmp_path / "caller.py", caller, SIZE=size, TABLE=np.full(2, size), KIND=kind)
     made.__globals__["g"] = called  # after it: what it calls may stand further down
-    stamp = compiled.Place(made, str(tmp_path / "caller.py")).get_source_stamp()
+    stamp = compiled.CacheLocator(made, str(tmp_path / "caller.py")).get_source_stamp()
     assert stamp == stamp.digest and stamp.__reduce__() == (str, (stamp.digest,))
     return stamp.digest
 
@@ -150,7 +150,9 @@ def test_code_is_stale_when_a_named_tuple_that_it_takes_has_changed(tmp_path: Pa
     stamps = []
     for _ in range(2):
         compiled._file_digest.cache_clear()
-        stamps.append(compiled.Place(function(tmp_path / "takes.py", source, Pair=pair), "takes.py").get_source_stamp().digest)
+        stamps.append(
+            compiled.CacheLocator(function(tmp_path / "takes.py", source, Pair=pair), "takes.py").get_source_stamp().digest
+        )
         (tmp_path / f"{name}.py").write_text("from typing import NamedTuple\nclass Pair(NamedTuple):\n    b: int\n    a: int\n")
     assert stamps[0] != stamps[1]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from arfx.core.cost import UNCALIBRATED, Price, Prices, exactly, load_prices, together, with_spread
+from arfx.core.cost import UNCALIBRATED, Price, Prices, load_prices, measured, sum_independent, with_spread
 
 PRICES = Prices({"dof/draft": Price({"frames": 0.002, "mpx": 0.03}, 0.2, 9)}, 2, "a test", calibrated=True)
 
@@ -25,10 +25,10 @@ def test_prices_of_another_machine_are_wide() -> None:
 
 def test_independent_errors_add_in_quadrature_and_what_was_measured_adds_none() -> None:
     a, b = with_spread(3.0, 0.1), with_spread(4.0, 0.1)
-    s = together([a, b, exactly(2.0)])
+    s = sum_independent([a, b, measured(2.0)])
     assert s.seconds == pytest.approx(9.0)
     assert s.high_s - 9 == pytest.approx(math.hypot(a.high_s - 3, b.high_s - 4))
-    assert s.high_s < 2 + a.high_s + b.high_s and together([]).seconds == 0
+    assert s.high_s < 2 + a.high_s + b.high_s and sum_independent([]).seconds == 0
 
 
 def test_the_file_holds_the_list_and_a_damaged_one_is_not_believed(tmp_path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from arfx.core.guard import Guard, aside, fits
+from arfx.core.guard import Guard, atomic_write, check_file_name
 from arfx.errors import ConfigError
 from arfx.media.output import image_names
 
@@ -120,15 +120,15 @@ def test_a_folder_of_our_own_holds_no_input(clip: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["x" * 300 + ".mp4", "é" * 140 + ".mp4", "a\0b.mp4", "/".join(["d" * 200] * 30) + "/o.mp4"])
 def test_a_name_that_the_system_does_not_take_is_said(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError, match=r"too long|cannot be a file's name") as e:
-        fits(tmp_path / name)
+        check_file_name(tmp_path / name)
     assert len(str(e.value)) < 400
 
 
 def test_aside_leaves_all_of_a_file_or_nothing(tmp_path: Path) -> None:
     out = tmp_path / ("n" * 250)
-    with aside(out) as part:
+    with atomic_write(out) as part:
         part.write_text("whole")
-    with pytest.raises(ZeroDivisionError), aside(out) as part:
+    with pytest.raises(ZeroDivisionError), atomic_write(out) as part:
         part.write_text("half")
         1 / 0  # noqa: B018
     assert out.read_text() == "whole" and len(list(tmp_path.iterdir())) == 1

@@ -20,7 +20,7 @@ def press(number: int = signal.SIGINT) -> None:
 
 
 def test_a_signal_that_is_swallowed_is_raised_again() -> None:
-    with interrupt.caught():
+    with interrupt.catching():
         with contextlib.suppress(BaseException):  # as libraries do while they are imported
             press(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
@@ -32,7 +32,7 @@ def test_a_signal_that_is_swallowed_is_raised_again() -> None:
 
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_every_signal_has_its_code(name: str, code: int) -> None:
-    with pytest.raises(KeyboardInterrupt), interrupt.caught():
+    with pytest.raises(KeyboardInterrupt), interrupt.catching():
         try:
             press(getattr(signal, name))
         finally:
@@ -41,8 +41,8 @@ def test_every_signal_has_its_code(name: str, code: int) -> None:
 
 def test_what_must_be_whole_is_not_cut_in_two() -> None:
     done = []
-    with pytest.raises(KeyboardInterrupt), interrupt.caught():
-        with interrupt.held():
+    with pytest.raises(KeyboardInterrupt), interrupt.catching():
+        with interrupt.deferred():
             press()
             interrupt.check()
             done.append("all of it")
@@ -51,18 +51,18 @@ def test_what_must_be_whole_is_not_cut_in_two() -> None:
 
 
 def test_before_an_output_is_in_place_a_signal_stops_it() -> None:
-    with pytest.raises(KeyboardInterrupt), interrupt.caught():
+    with pytest.raises(KeyboardInterrupt), interrupt.catching():
         with contextlib.suppress(KeyboardInterrupt):
             press()
-        with interrupt.completing():
+        with interrupt.committing():
             pytest.fail("put in place all the same")
 
 
 def test_once_an_output_is_in_place_none_changes_the_outcome() -> None:
     done = []
     with pytest.raises(KeyboardInterrupt):  # behind it all, for the program that called the library
-        with interrupt.caught():
-            with interrupt.completing():
+        with interrupt.catching():
+            with interrupt.committing():
                 press()
                 done.append("in place")
             interrupt.check()
@@ -73,16 +73,16 @@ def test_once_an_output_is_in_place_none_changes_the_outcome() -> None:
 
 
 def test_a_signal_that_came_too_late_for_one_job_stops_the_next() -> None:
-    with pytest.raises(KeyboardInterrupt), interrupt.caught():
-        with interrupt.completing():
+    with pytest.raises(KeyboardInterrupt), interrupt.catching():
+        with interrupt.committing():
             press()
-        interrupt.go_on()
+        interrupt.resume()
         pytest.fail("lost")
 
 
 def test_an_output_that_cannot_be_put_in_place_settles_nothing() -> None:
-    with interrupt.caught():
-        with pytest.raises(OSError), interrupt.completing():
+    with interrupt.catching():
+        with pytest.raises(OSError), interrupt.committing():
             raise OSError("full")
         with pytest.raises(KeyboardInterrupt):
             press()
@@ -92,7 +92,7 @@ def test_an_output_that_cannot_be_put_in_place_settles_nothing() -> None:
 def test_ignored_and_own_handlers_stay() -> None:
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # nohup, a script's background
     try:
-        with interrupt.caught():
+        with interrupt.catching():
             press()
             interrupt.check()
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
@@ -101,11 +101,11 @@ def test_ignored_and_own_handlers_stay() -> None:
 
 
 def test_threads_neither_hold_nor_raise() -> None:
-    with interrupt.caught():
+    with interrupt.catching():
         inside, leave = threading.Event(), threading.Event()
 
         def work() -> None:
-            with interrupt.held():
+            with interrupt.deferred():
                 inside.set()
                 leave.wait()
 
@@ -126,16 +126,16 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_second_signal_ends_the_process_at_once_and_an_echo_of_the_first_does_not() -> None:
     echo = (
-        "interrupt._SAME_S = 1e9\ninterrupt.catch()\n"
-        "with interrupt.held():\n for _ in range(3): signal.raise_signal(signal.SIGINT)\n print('went on', flush=True)\n"
+        "interrupt._SAME_SIGNAL_S = 1e9\ninterrupt.catch()\n"
+        "with interrupt.deferred():\n for _ in range(3): signal.raise_signal(signal.SIGINT)\n print('went on', flush=True)\n"
     )
     assert run(echo).stdout == "went on\n"
     second = echo.replace("1e9", "-1")
     done = run(second)
     assert (done.returncode, done.stdout) == (130, "")
-    done = run(second.replace("with", "interrupt.settle()\nwith"))
+    done = run(second.replace("with", "interrupt.commit()\nwith"))
     assert (done.returncode, done.stdout) == (0, ""), "the output is complete"
-    done = run(second.replace("with", "interrupt.settle(5)\nwith"))
+    done = run(second.replace("with", "interrupt.commit(5)\nwith"))
     assert (done.returncode, done.stdout) == (5, ""), "it had failed before"
 
 
@@ -143,7 +143,7 @@ def test_nothing_that_happens_at_the_end_changes_the_exit_code() -> None:
     done = run(
         "import atexit, threading\ninterrupt.catch()\n"
         "@atexit.register\ndef late():\n for n in interrupt.STOPPING: os.kill(os.getpid(), n)\n print('at exit')\n"
-        "threading.Thread(target=time.sleep, args=(1000,)).start()\ninterrupt.leave(7)"
+        "threading.Thread(target=time.sleep, args=(1000,)).start()\ninterrupt.exit_process(7)"
     )
     assert (done.returncode, done.stdout, done.stderr) == (7, "at exit\n", "")
 

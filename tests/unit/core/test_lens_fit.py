@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.core.lens_fit import FEWEST, lens_from_blur
+from arfx.core.lens_fit import MIN_EDGES, lens_from_blur
 
 
 def edges(
@@ -45,7 +45,7 @@ def test_frames_blurred_by_motion_do_not_move_it() -> None:
 @pytest.mark.parametrize(
     ("z", "s", "words"),
     [
-        (np.linspace(0.3, 2, FEWEST - 1), np.ones(FEWEST - 1), "at least"),
+        (np.linspace(0.3, 2, MIN_EDGES - 1), np.ones(MIN_EDGES - 1), "at least"),
         (np.full(50, 0.6), np.full(50, 1.0), "any focus explains"),
         (np.linspace(0.6, 0.61, 50), np.full(50, 1.0), "any focus explains"),
         (np.linspace(0.3, 2, 50), edges(np.linspace(0.3, 2, 50), 0.0, 1.0, 0.8, 0.05), "does not grow"),

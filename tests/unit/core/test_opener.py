@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from arfx.core.opener import LIMITS, MIB, av_name, parse_json, parse_toml, read_bytes, read_text, regular
+from arfx.core.opener import LIMITS, MIB, ffmpeg_url, parse_json, parse_toml, read_bytes, read_text, regular
 from arfx.errors import InputError
 from arfx.media.cameras import load_camera
 from arfx.media.depth_maps import open_depth
@@ -88,7 +88,7 @@ def test_plain_toml_and_json_are_read() -> None:
 
 
 def test_ffmpeg_is_told_names_not_protocols() -> None:
-    assert av_name("12:30.mp4") == "file:12:30.mp4"
+    assert ffmpeg_url("12:30.mp4") == "file:12:30.mp4"
 
 
 def test_every_limit_is_documented() -> None:

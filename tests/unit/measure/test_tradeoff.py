@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.cost import Prediction, exactly
+from arfx.core.cost import Prediction, measured
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
@@ -25,7 +25,7 @@ NOISE = np.random.default_rng(0)
 
 
 def row(name: str, level: str, seconds: float, mean: float, p99: float, formula: str = "", frame: int = 3) -> Row:
-    r = Row(name, level, formula, exactly(seconds), levels={"dof": level})
+    r = Row(name, level, formula, measured(seconds), levels={"dof": level})
     r.by_frame[frame] = Difference(mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900)
     r.pictures[frame] = NOISE.integers(0, 255, (40, 50, 3)).astype(np.uint8)
     return r

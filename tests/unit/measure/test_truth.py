@@ -25,9 +25,9 @@ def truth() -> Truth:
         marker=[{"spec": f"{KEY}:100mm"}, {"spec": "36h11:4:60mm", "position_m": [0.12, 0.03, 0], "rotate_deg": [0, 0, 25]}],
         light={"lamps": [{"azimuth_deg": 30, "elevation_deg": 60}]},
     )  # fmt: skip
-    world, picture = picture_of(scene)
+    world, _ = picture_of(scene)
     header = {"arfx_truth": 1, "world": KEY, "markers": {KEY: SIZE, "36h11:4": 0.06}, "camera": world.camera.to_json()}
-    return Truth(header, tuple(frame_truth(world, picture, n) for n in range(40)))
+    return Truth(header, tuple(frame_truth(world, n) for n in range(40)))
 
 
 def exact(truth: Truth, key: str = KEY) -> list[Pose]:
@@ -84,9 +84,9 @@ def test_a_nearly_frontal_print_can_flip_too() -> None:
     """Tilted by 2.5 degrees, the mirrored solution is only 5 degrees off."""
     height = 0.5 * np.cos(np.radians(2.5)), -0.5 * np.sin(np.radians(2.5))
     path = {"kind": "static", "position_m": [0, height[1], height[0]], "target_m": [0, 0, 0]}
-    world, picture = picture_of(little_scene(320, 240, frames=4, path=path, marker=[{"spec": f"{KEY}:40mm"}]))
+    world, _ = picture_of(little_scene(320, 240, frames=4, path=path, marker=[{"spec": f"{KEY}:40mm"}]))
     header = {"arfx_truth": 1, "world": KEY, "markers": {KEY: 0.04}, "camera": world.camera.to_json()}
-    frontal = Truth(header, tuple(frame_truth(world, picture, n) for n in range(4)))
+    frontal = Truth(header, tuple(frame_truth(world, n) for n in range(4)))
     estimates = exact(frontal)
     estimates[1] = mirrored(estimates[1])
     figures = pose_errors(estimates, frontal, KEY, 0.04)

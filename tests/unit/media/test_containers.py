@@ -11,7 +11,7 @@ from PIL import Image
 
 from arfx.errors import InputError
 from arfx.media.clip import probe
-from arfx.media.containers import CONTAINERS, check_size
+from arfx.media.codecs import CONTAINERS, check_size
 from arfx.media.depth_frames import open_frames
 from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.errors import InputError
-from arfx.media.depth_fill import filled
-from arfx.media.depth_maps import open_depth
+from arfx.media.depth_maps import fill_holes, open_depth
 from arfx.media.images import write_exr, write_png
 
 W, H = 32, 24
@@ -90,11 +89,11 @@ def test_holes_fill_from_the_side_that_looks_alike() -> None:
     holed = depth.copy()
     holed[20:40, 30:50] = 0  # over the edge
     holed[:, 74:] = 0
-    out = filled(holed, guide)
+    out = fill_holes(holed, guide)
     known = holed > 0
     np.testing.assert_array_equal(out[known], depth[known])
     assert np.abs(1 / out - 1 / depth).max() < 0.05
     alone = np.zeros((60, 80), np.float32)
     alone[30, 40] = 2.0  # hardly anything known: everything takes it
-    np.testing.assert_allclose(filled(alone, guide), 2.0, rtol=1e-5)
-    assert filled(depth[::2, ::2], guide).shape == guide.shape
+    np.testing.assert_allclose(fill_holes(alone, guide), 2.0, rtol=1e-5)
+    assert fill_holes(depth[::2, ::2], guide).shape == guide.shape

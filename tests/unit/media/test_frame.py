@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from arfx.core.colour import SRGB, Transfer, yuv_from_rgb
 from arfx.core.rect import Rect
 from arfx.errors import RenderError
-from arfx.media.curves import apply_curve, encode_curve
-from arfx.media.frame import Frame, FrameFormat
-from arfx.media.orient import Orientation, orientation_of
-from arfx.media.planes import layout_named, planes_of, working_layout
+from arfx.media.frame import Frame
+from arfx.media.lines import apply_curve, encode_curve
+from arfx.media.planes import FrameFormat, Orientation, layout_named, orientation_of, planes_of, working_layout
 
 FORMATS = [
     "yuv420p",

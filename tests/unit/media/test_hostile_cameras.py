@@ -9,8 +9,7 @@ import pytest
 
 from arfx.core.camera import Camera
 from arfx.errors import InputError
-from arfx.media.camera_checks import camera_doubts
-from arfx.media.cameras import load_camera
+from arfx.media.cameras import camera_warnings, load_camera
 
 K = [[800.0, 0, 640], [0, 800, 360], [0, 0, 1]]
 
@@ -104,15 +103,15 @@ def test_a_distortion_that_no_lens_has_is_refused(tmp_path: Path, distortion: tu
     ],
 )
 def test_what_is_odd_is_told(tmp_path: Path, matrix: object, distortion: tuple[float, ...], message: str) -> None:
-    (doubt,) = camera_doubts(load_camera(camera(tmp_path, matrix, distortion)))
+    (doubt,) = camera_warnings(load_camera(camera(tmp_path, matrix, distortion)))
     assert message in doubt
 
 
 def test_usual_cameras_raise_no_doubt(tmp_path: Path) -> None:
-    assert camera_doubts(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0)))) == []
-    assert camera_doubts(Camera.guess(1920, 1080)) == []
+    assert camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0)))) == []
+    assert camera_warnings(Camera.guess(1920, 1080)) == []
     fisheye = Camera(1280, 720, np.array([[400.0, 0, 640], [0, 400, 360], [0, 0, 1]]), np.array([0.01, 0, 0, 0]), "fisheye")
-    assert camera_doubts(fisheye) == []
+    assert camera_warnings(fisheye) == []
 
 
 @pytest.mark.parametrize("width", ["nan", "inf", "640.5"])

@@ -91,10 +91,10 @@ def test_depth_that_is_a_device_or_a_pipe_is_refused(tmp_path: Path) -> None:
 
 
 def test_pillow_is_still_whole_after_models_were_read(tmp_path: Path) -> None:
-    from arfx.media.model_files import known_pictures
+    from arfx.media.model_files import restrict_pillow
 
     given = Image.open
-    with known_pictures([]):
+    with restrict_pillow([]):
         assert Image.open is not given
     assert Image.open is given
 

@@ -14,7 +14,7 @@ import pytest
 
 from arfx.analyse.fold import AnalysisJob
 from arfx.core import codec
-from arfx.core.facts_file import write_facts
+from arfx.core.facts import write_facts
 from arfx.media.clip import probe
 from arfx.run import analysis
 from arfx.run.analysis import AnalysisPass, Checkpoint, analyse_clip

@@ -9,7 +9,7 @@ import pytest
 
 from arfx.analyse.pose.fold import _deviation
 from arfx.core.cube import face_directions
-from arfx.core.health import Check, JobView
+from arfx.core.stage import Check, JobView
 from arfx.run.summary import calibration_claims, picture
 from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio
 from tests.scenes import facts, scene

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arfx.config.freeze import frozen
 from arfx.config.load import load
+from arfx.config.sections import frozen
 from arfx.core.marker import anchor_marker
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError

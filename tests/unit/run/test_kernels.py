@@ -96,7 +96,7 @@ def test_helpers_end_with_their_job(two: list[Kernel], monkeypatch: pytest.Monke
 
 
 def test_where_nothing_can_be_kept_one_notice_says_so(two: list[Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernels.compiled, "lasting", lambda: False)
+    monkeypatch.setattr(kernels.compiled, "cache_persists", lambda: False)
     notices: list[str] = []
     compile_ahead(("gi",), lambda *a: None, notices.append)
     assert len(notices) == 1 and "NUMBA_CACHE_DIR" in notices[0]

@@ -12,7 +12,7 @@ from arfx.core.cube import CubeMap
 from arfx.core.layers import Layer
 from arfx.core.model import Material
 from arfx.core.pose import Pose
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, level_named
 from arfx.papers.s4_gi import PrintedGi

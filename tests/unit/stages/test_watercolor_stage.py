@@ -13,7 +13,7 @@ import pytest
 
 from arfx.analyse.motion.advection import with_advection
 from arfx.analyse.motion.flow import BackgroundMotion
-from arfx.core.advection import AdvectionField, packed_detail, packed_places
+from arfx.core.advection import AdvectionField, pack_detail, pack_positions
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
@@ -152,7 +152,7 @@ def test_memory_is_bounded_by_the_pixels_and_what_is_kept(hold: bool) -> None:
     image = picture(600, 800)
     held: list[int] = []
     for k in range(9):
-        most = packed_detail(np.full(nodes.u.shape, 255.0))
+        most = pack_detail(np.full(nodes.u.shape, 255.0))
         fact = dataclasses.replace(fact_of(nodes, nodes.u + 3 * k, nodes.v), detail=most)  # as many cells as can be asked for
         frames = [layers(image * (1 - 0.01 * j)) for j in range(k, k + 1 + stage.history)]
         seen = [FrameFacts(j, j / 30, advection=fact) for j in range(len(frames))]
@@ -279,7 +279,7 @@ def test_settings_are_checked() -> None:
 
 
 def fact_of(nodes: SiteField, u: np.ndarray, v: np.ndarray) -> AdvectionField:
-    return AdvectionField(0, 32, (nodes.x0, nodes.y0), (u.shape[0], u.shape[1]), packed_places(u, v))
+    return AdvectionField(0, 32, (nodes.x0, nodes.y0), (u.shape[0], u.shape[1]), pack_positions(u, v))
 
 
 def test_in_a_pan_the_picture_goes_with_the_things() -> None:

@@ -15,7 +15,7 @@ from arfx.media.cameras import load_camera
 from arfx.media.depth_maps import open_depth
 from arfx.synth import clip as clip_module
 from arfx.synth.clip import make_clip
-from arfx.synth.picture import develop
+from arfx.synth.picture import expose
 from arfx.synth.truth import read_truth
 from tests.unit.synth.little_scenes import little_scene, picture_of
 
@@ -66,7 +66,7 @@ def test_what_is_written_is_what_was_seen(tmp_path: Path, clip: dict) -> None:
     assert rotation % 360 == clip.get("rotation_deg", 0)
     world, picture = picture_of(scene)
     for n, shown in enumerate(pictures):
-        exact = bt709(develop(scene, picture.radiance(n), n, float(world.frame_times_s[n])))
+        exact = bt709(expose(scene, picture.radiance(n), n, float(world.frame_times_s[n])))
         upright = np.rot90(shown[0], rotation // 90)
         assert upright.shape == exact[0].shape
         assert np.abs(upright - exact[0]).mean() < 0.8

@@ -8,9 +8,8 @@ import pytest
 
 from arfx.synth.clip import frame_truth
 from arfx.synth.description import SceneFile, parse_scene
-from arfx.synth.motion import look_at
 from arfx.synth.picture import Picture
-from arfx.synth.world import World
+from arfx.synth.world import World, look_at
 
 FRONTAL = 'kind = "static"\nposition_m = [0, 0, 1.0]\ntarget_m = [0, 0, 0]'
 
@@ -99,14 +98,14 @@ def test_a_marker_seen_from_behind_or_out_of_the_picture_is_not_visible() -> Non
     marker = '\n[[marker]]\nspec = "36h11:3:200mm"\n'
     for path in (FRONTAL.replace("1.0]", "-1.0]"), 'kind = "static"\nposition_m = [0, 0, 1]\ntarget_m = [5, 0, 1]'):
         world = World(scene(marker, path=path))
-        assert frame_truth(world, Picture(world), 0).markers["36h11:3"].visible == 0
+        assert frame_truth(world, 0).markers["36h11:3"].visible == 0
 
 
 def test_lights_of_the_truth_agree_in_all_frames_of_reference() -> None:
     body = '[[marker]]\nspec = "36h11:3:100mm"\nrotate_deg = [40, 10, 70]\n'
     body += "[light]\nlamps = [{ azimuth_deg = 30, elevation_deg = 40 }]"
     world = World(scene(body, path=TILTED))
-    truth = frame_truth(world, Picture(world), 0)
+    truth = frame_truth(world, 0)
     lamp = truth.lights[0]
     e, a = np.radians(40), np.radians(30)
     np.testing.assert_allclose(lamp["room"], [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], atol=1e-12)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.errors import InputError
-from arfx.synth.environment import environment_lamps, environment_picture
+from arfx.synth.textures import environment_lights, environment_picture
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 
 GREY = {"kind": "plain", "colour": [0.5, 0.5, 0.5]}
@@ -112,7 +112,7 @@ def test_penumbra_is_as_wide_as_the_lamp_and_the_height_make_it() -> None:
 def test_lamps_of_a_panorama_light_every_surface_like_it(name: str) -> None:
     panorama = environment_picture(name)
     h, w = panorama.shape[:2]
-    lamps = environment_lamps(panorama, 256)
+    lamps = environment_lights(panorama, 256)
     elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)[:, None]
     azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)[None, :]
     towards = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
@@ -131,7 +131,7 @@ def test_a_panorama_file_is_upright_and_a_broken_one_is_refused(tmp_path: Path) 
     picture = np.full((64, 128, 3), 0.01, np.float32)
     picture[21, 31:33] = 500  # row (90 - 30) / 180 * 64, column (180 - 90) / 360 * 128
     cv2.imwrite(str(tmp_path / "spot.hdr"), picture)
-    lamps = environment_lamps(environment_picture("spot.hdr", tmp_path), 16)
+    lamps = environment_lights(environment_picture("spot.hdr", tmp_path), 16)
     brightest = lamps[lamps[:, 3:6].sum(1).argmax()]
     e = np.radians(30)
     assert np.degrees(np.arccos(brightest[:3] @ [0, np.cos(e), np.sin(e)])) < 2
@@ -146,9 +146,9 @@ def test_lamps_switch_fade_and_swing() -> None:
         "brightness": [[0.5, 1.0], [0.5, 0.0], [1.5, 1.0]],
     }  # fmt: skip
     world = picture_of(little_scene(path=from_above(), plane=[FLOOR], light={"lamps": [lamp]}))[0]
-    rgb = lambda t: world.lamps_at(t)[0, 3:6]  # noqa: E731
+    rgb = lambda t: world.lights_at(t)[0, 3:6]  # noqa: E731
     assert rgb(0.49) == pytest.approx([0.6, 0.4, 0.2]) and rgb(0.5) == pytest.approx([0, 0, 0])
     assert rgb(1.0) == pytest.approx([0.3, 0.2, 0.1]) and rgb(9.0) == pytest.approx([0.6, 0.4, 0.2])
-    azimuth = lambda t: np.degrees(np.arctan2(world.lamps_at(t)[0, 1], world.lamps_at(t)[0, 0]))  # noqa: E731
+    azimuth = lambda t: np.degrees(np.arctan2(world.lights_at(t)[0, 1], world.lights_at(t)[0, 0]))  # noqa: E731
     assert azimuth(0) == pytest.approx(10) and azimuth(1.0) == pytest.approx(40) and azimuth(3.0) == pytest.approx(-20)
-    assert np.degrees(np.arcsin(world.lamps_at(1.0)[0, 2])) == pytest.approx(45)
+    assert np.degrees(np.arcsin(world.lights_at(1.0)[0, 2])) == pytest.approx(45)

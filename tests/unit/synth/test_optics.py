@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.core.colour import SRGB
-from arfx.synth.picture import develop, gain_at, unit_noise
+from arfx.synth.picture import expose, gain_at, unit_noise
 from tests.unit.synth.little_scenes import NO_NOISE, from_above, little_scene, picture_of
 
 BLACK = {"kind": "plain", "colour": [0, 0, 0]}
@@ -85,9 +85,9 @@ def test_exposure_is_gain_then_bias_then_clipping_then_the_curve() -> None:
     radiance = np.linspace(0, 1.5, 48).reshape(4, 4, 3)
     scene = little_scene(exposure={"gain": 0.7, "bias": 0.02}, noise=NO_NOISE)
     exact = np.minimum(0.7 * radiance + 0.02, 1)
-    assert np.allclose(develop(scene, radiance, 0, 0.0), SRGB.encode(exact), atol=1e-6)
+    assert np.allclose(expose(scene, radiance, 0, 0.0), SRGB.encode(exact), atol=1e-6)
     other = little_scene(hidden={"transfer": "gamma:2.2"}, noise=NO_NOISE)
-    assert np.allclose(develop(other, radiance, 0, 0.0), np.minimum(radiance, 1) ** (1 / 2.2), atol=1e-6)
+    assert np.allclose(expose(other, radiance, 0, 0.0), np.minimum(radiance, 1) ** (1 / 2.2), atol=1e-6)
 
 
 def test_drift_swings_by_the_stated_stops() -> None:
@@ -101,11 +101,11 @@ def test_noise_has_the_stated_variance_in_linear_light() -> None:
     level = np.array([0.1, 0.4, 0.7])
     radiance = np.broadcast_to(level, (200, 300, 3))
     scene = little_scene(noise={"read": 0.004, "shot": 2e-4})
-    linear = SRGB.decode(develop(scene, radiance, 0, 0.0)).astype(float)
+    linear = SRGB.decode(expose(scene, radiance, 0, 0.0)).astype(float)
     assert np.allclose(linear.mean((0, 1)), level, atol=2e-4)
     assert np.allclose(linear.var((0, 1)), 0.004**2 + 2e-4 * level, rtol=0.03)
-    first, second = (develop(scene, radiance, n, 0.0)[..., 1].astype(float) for n in (0, 1))
-    assert np.array_equal(first, develop(scene, radiance, 0, 0.0)[..., 1])
+    first, second = (expose(scene, radiance, n, 0.0)[..., 1].astype(float) for n in (0, 1))
+    assert np.array_equal(first, expose(scene, radiance, 0, 0.0)[..., 1])
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02, "frames have noise of their own"
 
 

@@ -14,7 +14,7 @@ BROWN = (-0.28, 0.09, 0.001, -0.002, 0.0)
 
 def sampled(world, frame: int, dictionary: int, number: int, margin_cells: float, dense: int) -> np.ndarray:  # type: ignore[no-untyped-def]
     """(h, w) albedo of a sheet of paper 1 / ink 0 on black: point samples on a dense grid, nothing taken from the tracer."""
-    camera, truth = world.camera, frame_truth(world, picture_of(world.scene)[1], frame)
+    camera, truth = world.camera, frame_truth(world, frame)
     (sighting,) = truth.markers.values()
     bitmap = cv2.aruco.getPredefinedDictionary(dictionary)
     cells = cv2.aruco.generateImageMarker(bitmap, number, bitmap.markerSize + 2, borderBits=1) > 127
@@ -71,7 +71,7 @@ def test_truth_corners_are_the_print_s_corners() -> None:
         marker=[{"spec": "36h11:3:120mm", "ink": 0, "paper": 1, "rotate_deg": [0, 0, 20]}],
     )  # fmt: skip
     world, picture = picture_of(scene)
-    (sighting,) = frame_truth(world, picture, 0).markers.values()
+    (sighting,) = frame_truth(world, 0).markers.values()
     rgb = picture.radiance(0)[..., 0].astype(np.float32)
     side = 160
     square = np.float32([[0, 0], [side, 0], [side, side], [0, side]]) + 19.5  # 20 px of margin, pixel centres at integers
@@ -92,6 +92,6 @@ def test_visible_counts_what_stands_before_the_print_and_beyond_the_border() -> 
     back = little_scene(path=from_above(), marker=[{"spec": "36h11:3:100mm", "rotate_deg": [180, 0, 0]}])
     seen = []
     for scene in (free, half, gone, back):
-        world, picture = picture_of(scene)
-        seen.append(next(iter(frame_truth(world, picture, 0).markers.values())).visible)
+        world, _ = picture_of(scene)
+        seen.append(next(iter(frame_truth(world, 0).markers.values())).visible)
     assert seen[0] == 1 and seen[1] == pytest.approx(0.5, abs=0.05) and seen[2] == seen[3] == 0

@@ -9,9 +9,8 @@ import pytest
 
 from arfx.errors import ConfigError, InputError
 from arfx.synth.description import load_scene, parse_scene
-from arfx.synth.motion import camera_from_room, look_at, room_from_object, smooth_noise
 from arfx.synth.shapes import SHAPES, write_model
-from arfx.synth.world import World
+from arfx.synth.world import World, camera_from_room, look_at, room_from_object, smooth_noise
 
 SAMPLES = sorted((Path(__file__).parents[3] / "sample_scenes").glob("*/scene.toml"))
 

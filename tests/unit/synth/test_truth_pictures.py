@@ -47,7 +47,7 @@ def test_flow_is_the_homography_between_two_views_of_a_plane() -> None:
     world, picture = picture_of(scene)
     depth, owner = picture.surfaces(1)
     flow = picture.flow(1, depth, owner)
-    now, then = (frame_truth(world, picture, n).markers for n in (1, 2))
+    now, then = (frame_truth(world, n).markers for n in (1, 2))
     for number, key in ((2, "36h11:3"), (1, "36h11:9")):  # the second marker lies in the desk's plane
         h = cv2.getPerspectiveTransform(np.float32(now[key].corners_px), np.float32(then[key].corners_px))
         y, x = np.nonzero(owner == number)
@@ -87,8 +87,8 @@ def test_depth_and_flow_files_keep_their_steps(tmp_path: Path) -> None:
 
 def test_truth_files_come_back_as_they_were(tmp_path: Path) -> None:
     scene = little_scene(frames=2, path=ORBIT, marker=[{"spec": "36h11:3:60mm"}], light={"lamps": [{"azimuth_deg": 10}]})
-    world, picture = picture_of(scene)
-    frames = tuple(frame_truth(world, picture, n) for n in range(2))
+    world, _ = picture_of(scene)
+    frames = tuple(frame_truth(world, n) for n in range(2))
     header = {"arfx_truth": 1, "world": "36h11:3"}
     write_truth(tmp_path / "truth.jsonl", Truth(header, frames))
     back = read_truth(tmp_path / "truth.jsonl")

@@ -9,7 +9,7 @@ from arfx.analyse.depth.planes import cloud_of, facing_up, find_planes, mask_of,
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.core.real_plane import RealPlane
+from arfx.core.real_depth import RealPlane
 
 CAMERA = Camera(320, 240, np.array([[260.0, 0, 160], [0, 260, 120], [0, 0, 1]]))
 # camera_from_world of a camera 1.4 m over the floor z = 0 that looks along y, turned down by 25 degrees

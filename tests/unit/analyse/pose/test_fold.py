@@ -24,8 +24,7 @@ from arfx.analyse.pose.visibility import (
     with_model,
     without_flickers,
 )
-from arfx.core.facts import FrameFacts
-from arfx.core.facts_file import read_facts, write_facts
+from arfx.core.facts import FrameFacts, read_facts, write_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
 from arfx.core.rect import EMPTY
