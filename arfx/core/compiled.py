@@ -73,6 +73,7 @@ class CacheLocator:
 
     @classmethod
     def from_function(cls, py_func: FunctionType, py_file: str) -> CacheLocator | None:
+        _accept_indexes_of_removed_types()
         ours = py_func.__module__.partition(".")[0] in _PACKAGES and os.path.exists(py_file)  # noqa: PTH110
         return cls(py_func, py_file) if ours else None
 
@@ -87,6 +88,21 @@ class CacheLocator:
 
     def get_disambiguator(self) -> str:
         return str(self._function.__code__.co_firstlineno)
+
+
+@functools.cache
+def _accept_indexes_of_removed_types() -> None:
+    """An index that names a type which the code no longer has is stale; numba alone fails when it reads one."""
+    index_file = import_module("numba.core.caching").IndexDataCacheFile
+    load = index_file._load_index
+
+    def load_or_empty(self: Any) -> Any:
+        try:
+            return load(self)
+        except (AttributeError, ImportError):
+            return {}
+
+    index_file._load_index = load_or_empty
 
 
 class _Stamp:

@@ -12,6 +12,7 @@ from types import FunctionType
 import numba
 import numpy as np
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from arfx.core import compiled
 
@@ -155,6 +156,22 @@ def test_code_is_stale_when_a_named_tuple_that_it_takes_has_changed(tmp_path: Pa
         )
         (tmp_path / f"{name}.py").write_text("from typing import NamedTuple\nclass Pair(NamedTuple):\n    b: int\n    a: int\n")
     assert stamps[0] != stamps[1]
+
+
+def test_code_for_a_type_that_is_gone_is_stale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An update may rename the named tuple that an index of the version before refers to."""
+    monkeypatch.syspath_prepend(tmp_path)
+    name = f"renamed_{tmp_path.name}".replace("-", "_")
+    (tmp_path / f"{name}.py").write_text("class Pair:\n    pass\n")
+    module = importlib.import_module(name)
+    compiled.CacheLocator.from_function(function(tmp_path / "f.py", "def f():\n    return 0\n"), "f.py")
+    index = IndexDataCacheFile(str(tmp_path), "a.f-1.py311", "stamp")
+    index.save(module.Pair, "code")
+    assert index.load(module.Pair) == "code"
+    del module.Pair
+    assert index.load("another") is None
+    index.save("another", "its code")
+    assert index.load("another") == "its code"
 
 
 def test_code_that_was_compiled_without_the_slp_pass_is_stale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
