@@ -58,10 +58,11 @@ def target_cpu() -> str:
 
 
 def line_kernel(**options: Any) -> Any:
-    """`numba.njit` for a function that goes by lines and counts no references to arrays. options : further ones of njit
-    Each part of an array that is made or handed on costs two locked additions otherwise: a fifth of such a kernel's time, and
-    more where two threads count the same array's. It allocates no arrays: a counting function allocates scratch, owns
-    the arguments, and calls it."""
+    """`numba.njit` for a function that is called for every line or ray and counts no references to arrays. options : more of njit
+
+    Otherwise each array or slice that is made or passed on costs two locked additions: a fifth of a line kernel's time, half of
+    the ray tracer's, and more where two threads count the same array's. Such a function allocates no arrays: its caller, which
+    counts, allocates scratch and owns the arguments."""
     return import_module("numba").njit(cache=True, nogil=True, _nrt=False, **options)
 
 

@@ -13,6 +13,8 @@ import math
 import numpy as np
 from numba import njit
 
+from arfx.core.compiled import line_kernel
+
 _DISC_SAMPLES = 16
 _GOLDEN_ANGLE = 2.399963229728653
 
@@ -66,7 +68,7 @@ def _something_behind(rects, spheres, i, above):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _first_occluder(point, towards, disc, rows, k, used, spheres):
     """First rectangle that may meet a ray from a point to light k's disc; `used` if only spheres may, -1 if nothing."""
     (px, py, pz), (lx, ly, lz) = point, towards
@@ -97,7 +99,7 @@ def _first_occluder(point, towards, disc, rows, k, used, spheres):
     return -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
     """Whether a cone along unit l from the origin, `disc` its slope, may meet the sphere; errs towards True."""
     along = cx * lx + cy * ly + cz * lz
@@ -109,7 +111,7 @@ def _cone_meets(cx, cy, cz, lx, ly, lz, disc, radius):
     return across <= reach * reach
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _blocked(point, towards, rows, k, first, used, spheres):
     """Whether a ray meets a rectangle of light k's rows first..used, or a sphere."""
     (px, py, pz), (lx, ly, lz) = point, towards
@@ -131,7 +133,7 @@ def _blocked(point, towards, rows, k, first, used, spheres):
     return _meets_a_sphere(px, py, pz, lx, ly, lz, spheres)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _meets_a_sphere(ox, oy, oz, dx, dy, dz, spheres):
     """Whether a ray meets any sphere."""
     for i in range(spheres.shape[0]):
@@ -145,7 +147,7 @@ def _meets_a_sphere(ox, oy, oz, dx, dy, dz, spheres):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def visible(px, py, pz, lights, k, rows, used, spheres, turn):
     """Fraction 0..1 of light k's disc that a point sees: five rays, and sixteen more where these disagree."""
     lx, ly, lz, disc = lights[k, 0], lights[k, 1], lights[k, 2], lights[k, 6]

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from arfx.core.compiled import line_kernel
 from arfx.synth.shadows import occluders, visible
 
 _FAR = 1e30
@@ -65,7 +66,7 @@ def _views(origin, rects, textures):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _nearest(origin, ex, ey, ez, dx, dy, dz, rects, views, spheres):
     """(distance in units of d, kind 0 none 1 rectangle 2 sphere, index) of the first surface along a ray from origin + e.
     Rectangles are tested without a division: their offsets from the origin are known, and both sides are times |d·n|."""
@@ -102,7 +103,7 @@ def _nearest(origin, ex, ey, ez, dx, dy, dz, rects, views, spheres):
     return best, kind, index
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _noise(seed, n):
     """0..1 from two integers: the finaliser of MurmurHash3."""
     h = (np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(n) * np.uint64(0xC2B2AE3D27D4EB4F))
@@ -114,7 +115,7 @@ def _noise(seed, n):
     return float(h >> np.uint64(11)) / 9007199254740992.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _corner(table, offset, columns, x, y):
     """Integral of a texture's three channels over the box from its first corner to (x, y)."""
     ix, iy = int(x), int(y)
@@ -136,7 +137,7 @@ def _corner(table, offset, columns, x, y):
     return r, g, b
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _mean(table, offset, columns, left, right, top, bottom):
     """Mean of a texture's three channels over a box, texels."""
     r0, g0, b0 = _corner(table, offset, columns, right, bottom)
@@ -147,7 +148,7 @@ def _mean(table, offset, columns, left, right, top, bottom):
     return (r0 - r1 + (r2 - r3)) * scale, (g0 - g1 + (g2 - g3)) * scale, (b0 - b1 + (b2 - b3)) * scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@line_kernel(error_model="numpy")
 def _span(centre, half, size):
     """A box of the texture along one axis, kept inside it without becoming empty."""
     half = max(half, 1e-4)
@@ -161,11 +162,17 @@ def _span(centre, half, size):
 def render_rows(y0, y1, lens: Lens, footprint, room: Room, seed, weight, out):
     """Add `weight` times one sample per pixel of rows y0..y1 to `out` (h, w, 3).
     footprint: width in pixels that a sample stands for"""
+    views, shadows = _views(lens.origin, room.rects, room.textures), occluders(room.rects, room.spheres, room.lights)
+    _render(y0, y1, lens, footprint, room, (views, shadows), seed, weight, out)
+
+
+@line_kernel(error_model="numpy")
+def _render(y0, y1, lens: Lens, footprint, room: Room, tables, seed, weight, out):
+    """As `render_rows`, with the tables of `_views` and `occluders`."""
     rays, rotation, origin, lens_m, focus_m = lens
     rects, spheres, lights, ambient, textures, table, sky = room
     width = rays.shape[1]
-    views = _views(origin, rects, textures)
-    occluder_rows, used = occluders(rects, spheres, lights)
+    views, (occluder_rows, used) = tables
     for y in range(y0, y1):
         for x in range(width):
             cx, cy = rays[y, x, 0], rays[y, x, 1]
