@@ -15,18 +15,18 @@ ALBEDOS = ("known", "normalised", "unknown")
 class AnalyseParams:
     """How a clip is analysed.
 
-    search_interval_s : a whole-frame, full-resolution search at least this often while a configured marker is missing
-    loss_search_frames : frames after a loss that are searched whole, at full resolution
-    reduced_search_every : while some markers are tracked and others missing, search the reduced image every n-th frame
-    reduced_px : the reduced image has at most this many pixels; clips that small are always searched whole
-    min_side_px : smallest marker side that is looked for
-    max_gap_s : missing stretches up to this long are bridged, longer ones make the object absent
-    fade_frames : frames over which opacity ramps at the ends of an absence; 0 = hard
-    smoothing : factor on the motion's time scale; 1 = as the clip itself suggests, 0 = none, larger = smoother
-    static : "auto" decides from the background which of camera and marker stands still; or "camera", "marker"
-    detect_inverted : also find white-on-black prints
-    transfer : how luma relates to light ("srgb", "gamma:2.2", ...): blurred edges are located in linear light. "auto"
-        takes sRGB unless the first sightings show edges symmetric in coded values (sharpened in the camera)
+    search_interval_s : while a marker is missing, the whole frame is searched at full resolution at least this often
+    loss_search_frames : after a marker is lost, the whole frame is searched at full resolution for this many frames
+    reduced_search_every : while some markers are tracked and others are missing, the reduced image is searched every n-th frame
+    reduced_px : largest number of pixels of the reduced image; smaller frames are always searched whole
+    min_side_px : smallest side of a marker that is looked for
+    max_gap_s : a marker missing for at most this long is bridged; for longer, the object is absent
+    fade_frames : frames over which the object fades in and out around an absence; 0 = at once
+    smoothing : factor on the time scale of smoothing: 0 = none, 1 = as the clip's own motion suggests, larger = smoother
+    static : which of camera and marker stands still: auto (decided from the background), camera or marker
+    detect_inverted : also detect white-on-black prints
+    transfer : how luma relates to light (srgb, gamma:2.2, ...), because blurred edges are located in linear light. auto takes
+        sRGB unless the first edges are symmetric in coded values, as after sharpening in the camera
     """
 
     search_interval_s: float = 1.0
@@ -55,18 +55,18 @@ class LightParams:
     """Where the light comes from.
 
     formula : corrected, or paper: Tan, Chen, Sun 2009 as printed
-    given : a light that is known: azimuth from the anchor marker's x and elevation above its plane, degrees, and perhaps
-        its linear RGB on a surface that faces it; without it as bright as the marker shows. A camera at rest sees the
-        marker move below it: then the angles hold in the first frame that shows the marker
-    size_deg : full angle of the given light's disc
-    environment : HDR picture of the surroundings, equirectangular, its top the anchor marker's z, its middle column x
-    ink, paper : linear albedo of the print's dark and bright cells
-    albedos : known (ink and paper hold), normalised (light from each frame's own contrast), unknown (ink is solved for)
-    most_lights : directional lights that are looked for, 0 to 2; 1 where it is known that there is one lamp only
-    limit_deg : widest confidence cone of a direction that counts as measured
-    drift_per_s : relative change of the light that is expected over one second
-    window_s : longest stretch over which a light that changes is taken for one
-    map_level : light map's icosphere, 2 to 5 (16, 8, 4, 2 degrees between directions)
+    given : a known light: azimuth from the anchor marker's x and elevation above its plane, degrees; optionally the linear RGB
+        that it gives a surface facing it (default: as bright as the marker shows). If the camera rests and the marker moves,
+        the angles hold in the first frame that shows the marker
+    size_deg : angular diameter of the given light
+    environment : HDR picture of the surroundings, equirectangular: its top is the anchor marker's z, its middle column is x
+    ink : linear albedo of a print's dark cells;  paper : linear albedo of a print's bright cells
+    albedos : known (ink and paper hold), normalised (light from each frame's own contrast) or unknown (ink is estimated)
+    most_lights : most directional lights that are looked for, 0 to 2; 1 if there is only one lamp
+    limit_deg : widest confidence cone with which a direction counts as measured
+    drift_per_s : relative change of the light that is expected in one second
+    window_s : longest interval over which changing light is treated as constant
+    map_level : resolution of the light map, 2 to 5 (16, 8, 4, 2 degrees between directions)
     map_blur_rad : s of the light map's update (8)
     """
 

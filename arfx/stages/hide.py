@@ -29,7 +29,8 @@ from arfx.stages.guided import reach_px, refined, window_px
 
 @dataclass(frozen=True)
 class HideParams:
-    """margin : a real surface hides what is farther by more than this share of its distance; by twice that, wholly"""
+    """margin : a real surface that is nearer by this fraction of its distance begins to hide the object, and by twice that hides
+    it wholly"""
 
     margin: float = 0.03
 

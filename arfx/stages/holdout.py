@@ -34,8 +34,9 @@ _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
 
 @dataclass(frozen=True)
 class HoldoutParams:
-    """tolerance : least share of its distance by which a real surface may be off the plane and take its whole shadow; from twice
-    that on it takes none. Noisy depth has more: three standard deviations of what is measured on the markers' prints"""
+    """tolerance : a real surface takes the whole shadow if it is off the plane by at most this fraction of its distance, and none
+    if it is off by twice that. Noisy depth gets more: three standard deviations, measured on the markers
+    """
 
     tolerance: float = 0.01
 

@@ -20,20 +20,20 @@ _T = TypeVar("_T")
 @dataclass(frozen=True)
 class DofParams:
     """formula : corrected, or paper: Zhao et al. 2012 as printed
-    scope : all (the whole picture gets the lens's blur) or virtual (the footage has its own; only the object gets it)
-    lens : given (by the settings below), or footage: the one that the analysis measured, for scope virtual
-    focal_mm : focal length; 0 = the one that the calibration and sensor_width_mm give
-    fnumber : f-number, or key frames such as "2.8@0s, 11@3s" (steady in stops)
-    sensor_width_mm : width of the sensor that the picture's width shows
-    aperture_px : instead of lens terms: diameter in px of the blur circle of something infinitely far; 0 = use lens terms
-    focus : what is sharp: object, marker (the one that the model stands on), a marker's id (3 or 36h11:3), a length such as
-        60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (steady in dioptres)
+    scope : all (the lens blurs the whole picture) or virtual (the footage is blurred already; the lens blurs only the object)
+    lens : given (by the settings below) or footage (the lens that the analysis measured; needs scope virtual)
+    focal_mm : focal length; 0 = from the calibration and sensor_width_mm
+    fnumber : f-number, or key frames such as "2.8@0s, 11@3s" (interpolated evenly in stops)
+    sensor_width_mm : width of the part of the sensor that the picture shows
+    aperture_px : blur circle's diameter for something infinitely far, in place of focal length and f-number; 0 = use those
+    focus : what is in focus: object, marker (the one under the model), a marker's id (3 or 36h11:3), a distance such as
+        60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (interpolated evenly in dioptres)
     plane_extent_m : side of the real plane around the marker; 0 = endless
-    background_m : distance of what is behind the real plane, and how far that plane is followed; 0 = endless
-    blades : corners of the aperture, 3 or more; 0 = round
-    blade_turn_deg : direction of the first corner, from the picture's right, clockwise
-    max_radius_px : bound of the blur's radius, at most 1500; 0 = a tenth of the picture's width
-    highlight_boost : how much brighter a clipped pixel is taken to be than it is stored, 0 = as stored
+    background_m : distance of whatever is behind the real plane, which ends there; 0 = endless
+    blades : blades of the aperture, 3 or more; 0 = round
+    blade_turn_deg : direction of the aperture's first corner, clockwise from the picture's right
+    max_radius_px : largest radius of the blur, at most 1500; 0 = a tenth of the picture's width
+    highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored
     """
 
     formula: str = field(default="corrected", init=False)

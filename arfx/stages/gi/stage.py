@@ -50,10 +50,11 @@ LEVELS = {
 @dataclass(frozen=True)
 class GiParams:
     """formula : corrected, or paper: Yao, Tao, Wu 2018 as printed
-    strength : share of the computed change of the real planes that is shown, 0..1
-    plane_gloss : of the real plane, share of light that it mirrors seen from above: 0 = matt, varnish and glass .04, 0..1
-    plane_roughness : of its gloss, 0 (a mirror) to 1
-    samples : rays per pixel of level reference"""
+    strength : strength of the indirect light on the real planes: 0 = none, 1 = as computed
+    plane_gloss : fraction of light that the real plane reflects like a mirror, seen from above: 0 = matt, .04 = varnish or glass
+    plane_roughness : roughness of the plane's reflection, 0 (a mirror) to 1
+    samples : rays per pixel at level reference
+    """
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0

@@ -37,11 +37,12 @@ _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the 
 @dataclass(frozen=True)
 class LightmapParams:
     """formula : corrected, or paper: Tan, Chen, Sun 2009 as printed
-    shadow_strength : share of the computed darkening of the plane that is shown, 0..1
-    self_shadow : the same of the object's shadow on itself, 0..1
-    faint : darkening of the plane by less than this share of its light is left out, up to 3 times as much is faded, 0..0.3
-    plane_blocks : what is behind the marker's plane does not light the object
-    ambient : light without a direction too; a job with gi turns it off, which gives that light itself"""
+    shadow_strength : strength of the shadow on the plane: 0 = none, 1 = as computed
+    self_shadow : strength of the object's shadow on itself: 0 = none, 1 = as computed
+    faint : a shadow that takes less than this fraction of the plane's light is not drawn; up to 3 times that it fades out, 0..0.3
+    plane_blocks : light from below the marker's plane does not reach the object
+    ambient : include light without a direction; a job with gi turns this off, because gi computes that light itself
+    """
 
     formula: str = field(default="corrected", init=False)
     shadow_strength: float = 1.0

@@ -27,8 +27,8 @@ from arfx.stages.raster.backends import BACKENDS, choose_backend
 
 @dataclass(frozen=True)
 class RasterParams:
-    """backend : auto (pyrender where OpenGL runs on a graphics card, else rays), pyrender or rays
-    samples : of a pixel that an edge crosses, 1..256; 0 = by level (rays 4, 16, 64; pyrender 4, 9, 16)
+    """backend : auto (pyrender where a graphics card runs OpenGL, else rays), pyrender or rays
+    samples : samples in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 16, 64; pyrender 4, 9, 16)
     """
 
     backend: str = "auto"

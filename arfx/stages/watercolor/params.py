@@ -14,24 +14,27 @@ from arfx.errors import ConfigError, require_within
 class WatercolorParams:
     """formula : corrected, or paper: Jia, Tang 2013 as printed
     cell_px : size of a cell, px of the picture
-    nearer_finer : how strongly cells shrink with nearness on the marker's plane; 0 = all alike, 1 = in proportion
-    detail : how strongly cells shrink where there is much to see, and grow where there is little
-    anchored : cells follow what they lie on; false = they stay on the screen
-    wash : how far alike neighbours run into one wash, 0 = plain cells, 1 = large washes
-    lightness : thins the paint, so that the paper shows, 0 = the picture's own;  saturation : factor on colourfulness
-    deepest : coded value of the darkest wash: none is black
+    nearer_finer : how strongly cells on the marker's plane get finer as it comes nearer: 0 = all the same size, 1 = in proportion
+    detail : how strongly cells shrink where the picture has detail, and grow where it has none
+    anchored : cells move with the things under them; false = they stay fixed on the screen
+    wash : how readily similar neighbours merge into one wash: 0 = single cells, 1 = large washes
+    lightness : how far the paint is thinned so that the paper shows: 0 = as in the picture;  saturation : factor on saturation
+    deepest : coded value of the darkest wash, so that none is black
     toon : three flat tones on the virtual object
-    toon_thresholds, toon_factors : cosines between normal and light, and the tones above, between and below them
-    lines : opacity of lines, 0 = none;  ink_rgb : their linear colour
-    line_width_px, line_smooth_px : width of lines, and how much the picture is smoothed before they are looked for
-    line_low, line_high : no line below, a whole one above, coded value per px
-    alpha, beta : share of U and V in the edges of YUV; share of YUV in all edges
-    line_hold : mixes in the edges of the frame before, moved along with the things: a third to a half fewer pixels of lines that
-    flip, for .6 (1280 x 720) to 1 (640 x 480) of the benchmark's yardsticks more: a fifth more time
+    toon_thresholds : cosines of the angle between normal and light at which the tone changes
+    toon_factors : brightness of the three tones, brightest first
+    lines : opacity of lines, 0 = none;  ink_rgb : linear colour of lines;  line_width_px : width of lines
+    line_smooth_px : how much the picture is smoothed before edges are detected
+    line_low : edge strength below which no line is drawn, coded value per px
+    line_high : edge strength from which a line is opaque, coded value per px
+    alpha : weight of U and V in the edges of YUV;  beta : weight of YUV in all edges
+    line_hold : blend in the edges of the frame before, moved with the things under them: a third to a half fewer pixels of lines
+    flicker, for about a fifth more time
     yuv : matrix of Y'UV: bt601, bt709
-    pigment : the five settings below are used; false = flat cells
-    edge_darkening : pigment left at the border of a wash;  flow, flow_px : slow turbulence and its size
-    wobble_px : how far a border strays;  grain, grain_px : the paper's grain;  dry_brush : grain in lines
+    pigment : simulate pigment and paper with the settings below; false = flat cells
+    edge_darkening : how much darker pigment gets at the border of a wash;  flow : strength of slow turbulence
+    flow_px : size of the turbulence;  wobble_px : how far borders waver;  grain : strength of the paper's grain
+    grain_px : size of the grain;  dry_brush : how much the grain shows in lines
     """
 
     formula: str = field(default="corrected", init=False)
