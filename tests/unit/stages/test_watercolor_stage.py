@@ -263,7 +263,7 @@ def test_pigment_follows_its_formula_on_an_even_wash() -> None:
     out = painted(grey, only_grain)
     stage = Watercolor(only_grain)
     paper = stage.prepare(SCENE, stage.levels[1]).grain[:120, :160, None]
-    np.testing.assert_allclose(out, 0.25 * (1 - (1 - 0.25) * 0.3 * paper), atol=2e-5)
+    np.testing.assert_allclose(out, np.broadcast_to(0.25 * (1 - (1 - 0.25) * 0.3 * paper), out.shape), atol=2e-5)
 
 
 def test_settings_are_checked() -> None:
