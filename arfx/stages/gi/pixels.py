@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.core.parallel import parallel_rows
 from arfx.stages.gi.cones import LOBES, START, Bricks, DiffuseCones, Lobes, tangent_frame, trace
 from arfx.stages.gi.surroundings import Background, background_radiance
@@ -103,7 +104,7 @@ def _gather_points(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@line_kernel(fastmath=_FAST)
 def off_specular_peak(roughness, nx, ny, nz, dx, dy, dz):  # pragma: no cover - compiled
     """Unit direction of a lobe's middle: the mirrored direction d, and the rougher the nearer to the normal, as what would go
     under the surface is missing (Lagarde and de Rousiers 2014)."""
@@ -242,7 +243,7 @@ def reflected_light(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@line_kernel(fastmath=_FAST)
 def shows_specular(surface: Surface, y, x, here, eye, limits: Limits):  # pragma: no cover - compiled
     """Whether what the pixel mirrors can change it by half a grey level: specular x Fresnel over what that is of its own light.
 
@@ -260,7 +261,7 @@ def shows_specular(surface: Surface, y, x, here, eye, limits: Limits):  # pragma
     return f0 * ga + gb > max(limits.gloss_floor, limits.shows * most)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@line_kernel(fastmath=_FAST)
 def widened_roughness(roughness, coverage, normal, y, x):  # pragma: no cover - compiled
     """Roughness whose lobe is as wide as what one pixel of the curved surface mirrors, if that is more than its own.
 
@@ -281,7 +282,7 @@ def widened_roughness(roughness, coverage, normal, y, x):  # pragma: no cover - 
     return max(roughness, np.sqrt(np.float32(0.35355) * np.sqrt(most)))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@line_kernel(fastmath=_FAST)
 def _surface_point(normal, position, y, x, anchor: Anchor, out):  # pragma: no cover - compiled
     """Normal and place of a pixel in anchor axes, into out[:6]; False where it has none."""
     rotation, offset = anchor.rotation, anchor.offset
@@ -326,7 +327,7 @@ def split_sum() -> np.ndarray:
     return np.ascontiguousarray(out, np.float32)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@line_kernel(fastmath=_FAST)
 def gloss_weights(table, roughness, cosine):  # pragma: no cover - compiled
     """(a, b) : F0 x a + b of what lies about the mirrored direction is reflected. table : `split_sum`, linear between entries"""
     one, zero = np.float32(1), np.float32(0)

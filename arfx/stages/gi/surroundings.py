@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.core.cube import face_directions, solid_angles
 from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
@@ -108,7 +109,7 @@ def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return (weight[..., None] * cube).sum((0, 1, 2)) / weight.sum()
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST, error_model="numpy")
 def environment_radiance(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: no cover - compiled
     """(r, g, b) of the environment. maps : of `octahedral`;  turn (3, 3) : axes of the maps from those of d (any length)."""
     x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
@@ -143,7 +144,7 @@ def environment_radiance(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: n
     return r, g, b
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST, error_model="numpy")
 def warped(x):  # pragma: no cover - compiled
     """Texture coordinate, -1..1 inside, of a place x on the plane in units of its texture's half side."""
     return WARP * x / (np.float32(1) + (WARP - np.float32(1)) * abs(x))
@@ -155,7 +156,7 @@ def unwarped(u: np.ndarray) -> np.ndarray:
     return u / (k - (k - 1) * np.abs(u))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST, error_model="numpy")
 def first_plane(axes, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
     """(plane, distance) of the nearest plane that is met from its front; plane -1 = none."""
     best, nearest = np.float32(1e30), -1
@@ -171,7 +172,7 @@ def first_plane(axes, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
     return nearest, best
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST, error_model="numpy")
 def plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compiled
     """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over `footprint` sides of it."""
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
@@ -202,7 +203,7 @@ def plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compil
     return r, g, c
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST, error_model="numpy")
 def background_radiance(background: Background, skip, point, direction, tan_half, half_deg):  # pragma: no cover - compiled
     """(r, g, b) of what lies behind the voxels from a point (metres) on: planes nearest first, then the environment.
 
