@@ -1,6 +1,5 @@
 """What is learned of a clip, each thing by a fold: it is fed the frames in order, can be stopped after any of them, and says
-what it learned when the whole clip is known.
-"""
+what it learned when the whole clip is known."""
 
 from __future__ import annotations
 
@@ -83,8 +82,7 @@ class AnalysisJob:
     panorama : of LightParams.environment;  anchor : MARKER or PLANE
     depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of the camera, camera_from_given
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
-    kinds : classes of folds in place of the usual ones, by name
-    """
+    kinds : classes of folds in place of the usual ones, by name"""
 
     markers: tuple[MarkerSpec, ...]
     camera: Camera
@@ -109,8 +107,7 @@ class Analysis:
     anchor : what the object stands on;  static : "camera", "marker" or "both" (both move), see pose/at_rest.py
     summary : figures for the report, JSON-able;  notices : sentences for the user;  real_planes : measured
     frame_span : which of the clip's frames these are: seconds of each after the clip's first, how many lie before, whether they
-        reach to its end
-    """
+        reach to its end"""
 
     facts: tuple[FrameFacts, ...] = ()
     world_from_marker: Mapping[str, Pose] = field(default_factory=dict)
@@ -136,8 +133,7 @@ class Analysis:
 class Stateful:
     """All attributes are the state, which `core.codec` must be able to write; parts that are Stateful have their own.
 
-    given : names of the attributes that the constructor's arguments make and no frame changes
-    """
+    given : names of the attributes that the constructor's arguments make and no frame changes"""
 
     given: ClassVar[frozenset[str]] = frozenset()
 
@@ -160,8 +156,7 @@ class Fold(Stateful):
     """One thing that is learned of a clip. An attribute that is another fold is no part of its state.
 
     name : what stages (`Stage.facts`) and other folds ask for;  needs : the folds that its constructor is given; they have seen
-    a frame, and are finished, before it
-    """
+    a frame, and are finished, before it"""
 
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()

@@ -1,8 +1,7 @@
 """The analysis of a clip: the folds that are wanted, and those that they need, one frame after the other.
 
 Cost per 720p frame: .5 to 2 ms with a marker tracked, about 3 ms without one; at the end about .5 ms per frame more.
-Memory: some hundred bytes per frame and marker, no pixels but one reduced image.
-"""
+Memory: some hundred bytes per frame and marker, no pixels but one reduced image."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ ON_PLANE: dict[str, type[Fold]] = {
 class Analyser:
     """Feed frames in order with `step`, then call `finish`. wanted : names of folds; what this job cannot have is left out
 
-    Raises ConfigError for no marker, the same one twice, or a map that lacks one.
-    """
+    Raises ConfigError for no marker, the same one twice, or a map that lacks one."""
 
     def __init__(self, job: AnalysisJob, wanted: Collection[str] = ("pose",)) -> None:
         table = ON_PLANE if job.anchor == PLANE else FOLDS

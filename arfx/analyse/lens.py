@@ -2,8 +2,7 @@
 
 Blur is the standard deviation of a side's mean profile of gradients, under a Gaussian window whose own narrowing is taken out, in
 linear light. Sides that move across themselves count less, or not at all: motion blurs them too. Both halves of the clip have to
-give the same lens.
-"""
+give the same lens."""
 
 from __future__ import annotations
 
@@ -37,10 +36,9 @@ _SIGMA_PX, _SIGMA_FRACTION = 0.06, 0.04  # of a measured blur: noise, and what i
 
 
 def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.ndarray) -> np.ndarray:
-    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN where it cannot be told.
+    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN where it cannot be measured.
 
-    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,) coded luma to linear light, 0..255
-    """
+    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,) coded luma to linear light, 0..255"""
     out = np.full(4, np.nan)
     x0, y0 = np.maximum(np.floor(corners_px.min(0)).astype(int) - int(_MOST_HALF_PX) - 2, 0)
     x1, y1 = np.ceil(corners_px.max(0)).astype(int) + int(_MOST_HALF_PX) + 3
@@ -150,7 +148,7 @@ def footage_lens(
             across = 0.0 if shift is None else float(np.abs(shift[[a, b]] @ normal).max())
             if across <= MOST_MOTION_PX:
                 rows.append((number, float(np.mean(1 / (z[a] + (z[b] - z[a]) * FRACTIONS))), blurs[side], across))
-    frame, dioptre, blur, moved = np.array(rows, float).reshape(-1, 4).T  # of every side that tells
+    frame, dioptre, blur, moved = np.array(rows, float).reshape(-1, 4).T  # of every usable side
     # a shutter that is open for up to all of the time adds up to moved^2 / 12 to the variance
     sigma = _SIGMA_PX + _SIGMA_FRACTION * blur + divide(moved**2, 24 * blur)
     fit = lens_from_blur(dioptre, blur, sigma)

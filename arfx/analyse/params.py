@@ -26,8 +26,7 @@ class AnalyseParams:
     static : which of camera and marker stands still: auto (decided from the background), camera or marker
     detect_inverted : also detect white-on-black prints
     transfer : how luma relates to light (srgb, gamma:2.2, ...), because blurred edges are located in linear light. auto takes
-        sRGB unless the first edges are symmetric in coded values, as after sharpening in the camera
-    """
+        sRGB unless the first edges are symmetric in coded values, as after sharpening in the camera"""
 
     search_interval_s: float = 1.0
     loss_search_frames: int = 5
@@ -67,8 +66,7 @@ class LightParams:
     drift_per_s : relative change of the light that is expected in one second
     window_s : longest interval over which changing light is treated as constant
     map_level : resolution of the light map, 2 to 5 (16, 8, 4, 2 degrees between directions)
-    map_blur_rad : s of the light map's update (8)
-    """
+    map_blur_rad : s of the light map's update (8)"""
 
     formula: str = field(default="corrected", init=False)
     given: tuple[float, ...] = ()

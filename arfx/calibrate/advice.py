@@ -1,8 +1,7 @@
 """What of the picture and of the board's tilts the views cover; the verdict good | usable | poor with its reasons; and the next
 picture that would help most: of 45 ways to hold the board, the one after which the projection would be least uncertain.
 
-Source of the projection uncertainty: mrcal's documentation, "Projection uncertainty" (rotation-compensated, at infinity).
-"""
+Source of the projection uncertainty: mrcal's documentation, "Projection uncertainty" (rotation-compensated, at infinity)."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from arfx.calibrate.solve import Fit, Uncertainty, information, jacobians, witho
 from arfx.core.numerics import angle_between, arccos
 
 CELLS = (8, 6)  # across, down: at 4:3 they are square
-TILTED_DEG = 15.0  # a board tilted by less tells focal length from distance too weakly: its depth range is .27 of its size
+TILTED_DEG = 15.0  # a board tilted by less separates focal length from distance too weakly: its depth range is .27 of its size
 GRID = (13, 9)  # where the projection uncertainty is looked at
 GOOD, USABLE, POOR = "good", "usable", "poor"
 NEXT_TILT_DEG, NEXT_FRACTION = 35.0, 0.45  # how steeply, and how large in the picture, the next board is proposed
@@ -28,8 +27,7 @@ NEXT_TILT_DEG, NEXT_FRACTION = 35.0, 0.45  # how steeply, and how large in the p
 class Limit:
     """A figure of the calibration and what it must reach. Where `more` the value must be at least the limit, else at most.
 
-    text : the reason when it does not, with {value} and {limit}
-    """
+    text : the reason when it does not, with {value} and {limit}"""
 
     name: str
     good: float
@@ -186,8 +184,7 @@ def projection_jacobian(fitted: Fit) -> np.ndarray:
     """(2n, p) how each grid pixel's projection moves with the intrinsics, a turn of the camera taken out.
 
     A change of intrinsics that only turns the picture is no error for anyone who estimates the pose with them. Pixels that
-    no direction maps to are left out.
-    """
+    no direction maps to are left out."""
     rays = fitted.camera.directions(grid_pixels(fitted.camera.width, fitted.camera.height))
     rays = rays[np.isfinite(rays).all(-1)]
     j = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), fitted.camera.matrix, fitted.camera.distortion)[1]

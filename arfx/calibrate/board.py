@@ -26,8 +26,7 @@ class BoardSpec:
     columns, rows : inner corners of a chessboard, squares of a ChArUco board (each as its users count them)
     square_m : side of a square
     marker_m, family, legacy : ChArUco only. `legacy` is the pattern of OpenCV before 4.6, whose first square is a marker
-        also where the number of rows is even
-    """
+        also where the number of rows is even"""
 
     kind: str
     columns: int

@@ -64,8 +64,7 @@ def find_board(
     """Search pictures (name, (h, w) uint8 upright) for the board.
 
     progress : called with pictures searched and boards found
-    Raises InputError for pictures of different sizes, NothingToDoError, saying what is seen instead, if no board is found.
-    """
+    Raises InputError for pictures of different sizes, NothingToDoError, saying what is seen instead, if no board is found."""
     views, empty, notices = list[View](), list[str](), list[str]()
     samples: list[tuple[str, np.ndarray]] = []
     first: tuple[str, tuple[int, int]] | None = None
@@ -159,8 +158,7 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
 
 def _finder_difference(fitted: Fit) -> np.ndarray:
     """(p,) what the parameters move by when the other corner finder is taken, over sqrt(2): the standard deviation of two
-    equally careful measurements. On the views that have both; 0 where fewer than half of them, or fewer than 5, do.
-    """
+    equally careful measurements. On the views that have both; 0 where fewer than half of them, or fewer than 5, do."""
     both = [v for v in fitted.views if v.alternative is not None]
     nothing = np.zeros(len(fitted.model.parameters))
     if len(both) < max(5, len(fitted.views) / 2):

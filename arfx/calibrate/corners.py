@@ -4,8 +4,7 @@ Chessboards: `findChessboardCorners` (grid) and `cornerSubPix` (position) with a
 they appear; where the grid search fails, the sector-based finder's grid. Measured, see docs of `REFINE_FRACTION` and tests.
 ChArUco: OpenCV's detector, then `cornerSubPix` with a window that keeps clear of the markers; see `CLEAR_FRACTION`.
 Cost: 5-15 ms at 640x480, 30-50 ms at 1920x1080; a chessboard that is not there costs up to .3 s.
-Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the sector-based finder).
-"""
+Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the sector-based finder)."""
 
 from __future__ import annotations
 
@@ -38,8 +37,7 @@ class View:
     ids : (n,) corner numbers, row by row; board_m : (n, 3) metres; pixels : (n, 2) float64
     finder : which corner finder; sharpness : see `corner_sharpness`; upside_down : None where the board cannot tell
     alternative : (n, 2) the same corners by the other finder, or None; their disagreement is a systematic error that
-        residuals do not show
-    """
+        residuals do not show"""
 
     name: str
     size: tuple[int, int]
@@ -55,8 +53,7 @@ class View:
 def find_view(gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool = False) -> View | None:
     """The board in a picture (h, w) uint8, or None.
 
-    second_opinion : find chessboard corners with the other finder as well (3-10 x the time)
-    """
+    second_opinion : find chessboard corners with the other finder as well (3-10 x the time)"""
     if spec.kind == CHESSBOARD:
         return _chessboard(gray, spec, name, second_opinion)
     corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(spec)).detectBoard(gray)
@@ -154,10 +151,9 @@ SMALL_CHESSBOARD = (4, 3)  # the sector-based finder grows from this to the whol
 
 
 def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
-    """In words what a picture (h, w) uint8 shows in place of the board, as a spec where it can be told; "" for nothing.
+    """In words what a picture (h, w) uint8 shows in place of the board, as a spec where it is recognised; "" for nothing.
 
-    Cost: about 1 s at 1920x1080; meant for a few pictures.
-    """
+    Cost: about 1 s at 1920x1080; meant for a few pictures."""
     families = {}
     for f in SEARCHED:
         found = cv2.aruco.ArucoDetector(opencv_dictionary(f)).detectMarkers(gray)[1]

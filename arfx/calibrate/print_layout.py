@@ -1,7 +1,6 @@
 """A printed sheet: markers or a board, their labels and a ruler, in millimetres on a page; and its file, true to scale.
 
-Page coordinates: x right, y down from the upper left corner.
-"""
+Page coordinates: x right, y down from the upper left corner."""
 
 from __future__ import annotations
 
@@ -196,8 +195,7 @@ def outlines(cells: Cells) -> np.ndarray:
 def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
     """Write by the ending of the name: .pdf, .svg or .png (dpi, to the nearest of which all edges are rounded).
 
-    The file appears by atomic rename. Raises ConfigError for other endings and for a PNG that is too large.
-    """
+    The file appears by atomic rename. Raises ConfigError for other endings and for a PNG that is too large."""
     ending = path.suffix.lower()
     if ending not in (".pdf", ".svg", ".png"):
         raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")

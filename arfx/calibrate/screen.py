@@ -2,8 +2,7 @@
 disagree with the others are rejected, then single wrong corners.
 
 Rejection starts from the subset of views that agrees best with the most others (as in RANSAC), so that some views of another
-board or camera cannot drag the solution to themselves first.
-"""
+board or camera cannot drag the solution to themselves first."""
 
 from __future__ import annotations
 
@@ -87,7 +86,7 @@ def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL) -> tuple
 
 
 def typical_px(residuals: np.ndarray) -> float:
-    """The rms length of residuals (n, 2) as their median tells it (of a round Gaussian, median of squares = ln 2 x mean):
+    """The rms length of residuals (n, 2) estimated from their median (of a round Gaussian, median of squares = ln 2 x mean):
     a few wrong corners do not make a wrong view."""
     return float(np.sqrt(np.median((residuals**2).sum(1)) / np.log(2)))
 
@@ -95,8 +94,7 @@ def typical_px(residuals: np.ndarray) -> float:
 def drop_corners(fitted: Fit) -> tuple[list[View], int]:
     """The views without corners that miss by far, and how many those were.
 
-    One by one, the worst first, with the pose found anew each time: a wrong corner drags its neighbours' residuals along.
-    """
+    One by one, the worst first, with the pose found anew each time: a wrong corner drags its neighbours' residuals along."""
     limit = CORNER_RATIO * max(FLOOR_PX, typical_px(np.concatenate(fitted.residuals)))
     out, dropped = [], 0
     for view, residual in zip(fitted.views, fitted.residuals, strict=True):
@@ -192,8 +190,7 @@ def most_varied(views: Sequence[View], keep: int) -> list[View]:
 def _features(view: View) -> np.ndarray:
     """Place (2), size, and foreshortening (2) of a board, each about 1 over its range.
 
-    Foreshortening: the perspective terms of the homography times the board's size; 0 facing the camera.
-    """
+    Foreshortening: the perspective terms of the homography times the board's size; 0 facing the camera."""
     xy = view.board_m[:, :2] - view.board_m[:, :2].mean(0)
     extent = float(np.ptp(xy, axis=0).max())
     h, _ = cv2.findHomography(xy / extent, view.pixels)

@@ -6,8 +6,7 @@ light, a bent board) and sigma^2 (J^T J)^-1, which assumes that they are, is the
 The model is the simplest that predicts views it has not seen as well as the best does: one-standard-error rule (Hastie,
 Tibshirani and Friedman, The Elements of Statistical Learning, 7.10) of a cross-validation by view. Leaving out single corners, or
 an information criterion that counts corners as independent, favours models that are too rich.
-Cost: 10 ms for 14 views of 54 corners, .1-.3 s for 40 views of 77; (models x folds) times that for the choice.
-"""
+Cost: 10 ms for 14 views of 54 corners, .1-.3 s for 40 views of 77; (models x folds) times that for the choice."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class Fit:
     """A least squares solution.
 
     views : the V views it rests on; rotations, translations : (V, 3) board to camera, Rodrigues vectors and metres
-    residuals : per view (n, 2) px, found minus predicted; rms_px over both coordinates together (as OpenCV counts)
-    """
+    residuals : per view (n, 2) px, found minus predicted; rms_px over both coordinates together (as OpenCV counts)"""
 
     model: LensModel
     camera: Camera
@@ -89,7 +87,7 @@ class Fit:
 class Uncertainty:
     """covariance : (p, p) of `model.parameters`, the jackknife's, or that of independent errors where it is larger;
     independent, jackknife : (p,) standard deviations of each; sigma_px : noise of one coordinate of one corner;
-    condition : of the normal matrix with unit diagonal (poses eliminated); inf = something cannot be told at all"""
+    condition : of the normal matrix with unit diagonal (poses eliminated); inf = something cannot be determined"""
 
     covariance: np.ndarray
     independent: np.ndarray

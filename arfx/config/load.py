@@ -1,7 +1,6 @@
 """TOML and command-line settings to a typed job. Every error names file, line and what would be right, all at once.
 
-`load` receives the table of stages as an argument, so that config imports no stage.
-"""
+`load` receives the table of stages as an argument, so that config imports no stage."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The sections of a job file, as typed, frozen models: everything about a setting is stated on its field. And a job as plain
 data and TOML, which the job folder keeps and chunk keys are made of.
 
-Options of the commands, and which settings are paths, follow from `settings`.
-"""
+Options of the commands, and which settings are paths, follow from `settings`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """How the background moved: for each node of a grid, the original position of what it shows now.
 
-The frames of an epoch, in which little moves, share one set of positions. Paint laid out in these moves with the scene.
-"""
+The frames of an epoch, in which little moves, share one set of positions. Paint laid out in these moves with the scene."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ class AdvectionField(Document):
     forward, backward : the same of two patterns that begin undistorted at the ends of an interval, "" = none
     share : weight of the second of them in this frame
     detail : how much there is to see around each node, of `pack_detail`, "" = not known
-    pose : camera_from_world of the frame for which the set was made
-    """
+    pose : camera_from_world of the frame for which the set was made"""
 
     set: int
     pitch: int

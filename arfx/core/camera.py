@@ -1,7 +1,6 @@
 """A calibrated camera: projection with lens distortion, and its inverse.
 
-Pixel centres lie at integer coordinates; x right, y down, z forward (OpenCV).
-"""
+Pixel centres lie at integer coordinates; x right, y down, z forward (OpenCV)."""
 
 from __future__ import annotations
 

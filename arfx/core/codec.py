@@ -3,8 +3,7 @@
 State, from one process to the next, keeps type, bits and order. Taken: None, bool, int, float, str, list, tuple, dict, Counter,
 numeric numpy arrays and scalars, dataclasses marked `serialisable`. Anything else is refused when it is written, subclasses
 too. What is read can only be of these types: no file names code to run. A file begins with its format and a digest of the
-rest: one of another version, or a damaged one, is refused as a whole.
-"""
+rest: one of another version, or a damaged one, is refused as a whole."""
 
 from __future__ import annotations
 
@@ -130,8 +129,7 @@ class Document:
 
     Types: what JSON holds itself, Any, Path, Fraction; arrays (lists of numbers, float64 when read; with `Gaps`, or `Packed`);
     `Unbounded`; Documents, and classes with a `to_json` and `from_json` of their own; tuples, sequences, mappings and
-    optionals of these.
-    """
+    optionals of these."""
 
     __slots__ = ()
 

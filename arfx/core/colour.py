@@ -1,7 +1,6 @@
 """Transfer functions and luma/chroma matrices: how coded values relate to linear light.
 
-Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6, BT.1886, BT.601-7, BT.2020-2 (matrix coefficients).
-"""
+Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6, BT.1886, BT.601-7, BT.2020-2 (matrix coefficients)."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 numba alone compiles for the very processor that it runs on, fails where neither the package nor the home can be written, passes
 over compiled code that came with a package that cannot be written, and does not see that a function of another module, which
 is compiled in, has changed. `configure_numba`, called before
-numba is imported, sets the target and `CacheLocator`.
-"""
+numba is imported, sets the target and `CacheLocator`."""
 
 from __future__ import annotations
 

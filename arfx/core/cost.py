@@ -4,8 +4,7 @@ A price is linear in a few terms of the work, with coefficients >= 0, so that mo
 
 frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box · mfaces triangles, millions · lamps
 lights with a direction · lamp_mpx these times object_mpx ·
-new_directions, new_lights 1 where the frame's light is not one that was met before
-"""
+new_directions, new_lights 1 where the frame's light is not one that was met before"""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 A signal raises KeyboardInterrupt in the main thread, and `check`, called often, raises it again. Where work must not be cut
 in two, it is deferred until the end. Once an output is in place under its final name, signals no longer change the outcome.
-A second signal ends the process at once: whatever arfx writes is complete or absent at all times.
-"""
+A second signal ends the process at once: whatever arfx writes is complete or absent at all times."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 An edge that a disc of radius r blurs has the standard deviation r / 2, and r = k |d - f| with the dioptre d of its
 distance, the focus dioptre f and k px a dioptre; what the lens and the sensor blur in the focus, s0, adds in squares:
-s^2 = s0^2 + (k / 2)^2 (d - f)^2. That is a parabola in d: linear least squares, no start value, no pole at infinity.
-"""
+s^2 = s0^2 + (k / 2)^2 (d - f)^2. That is a parabola in d: linear least squares, no start value, no pole at infinity."""
 
 from __future__ import annotations
 

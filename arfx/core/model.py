@@ -20,8 +20,7 @@ class Material:
     metallic, roughness : 0..1;  metallic_roughness_texture : (h, w, 2) uint8 (metallic, roughness) or None
     emissive : (3,) linear radiance;  emissive_texture : (h, w, 3) uint8 sRGB or None
     specular : dielectric F0 / 0.08, 0.5 = 4 %
-    alpha_mode : OPAQUE, MASK (cut at alpha_cutoff) or BLEND
-    """
+    alpha_mode : OPAQUE, MASK (cut at alpha_cutoff) or BLEND"""
 
     name: str = "default"
     base_colour: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)

@@ -1,7 +1,6 @@
 """Every epsilon and every guarded operation, each with its derivation.
 
-No other module divides by data, takes an arccos of data or normalises data without going through here.
-"""
+No other module divides by data, takes an arccos of data or normalises data without going through here."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Work on several threads: items of a list, rows of a picture in bands, whole tasks in the background. Kernels release the GIL.
 
 What is computed never depends on the number of threads: bands depend on the picture alone, so that sums over bands are the
-same everywhere.
-"""
+same everywhere."""
 
 from __future__ import annotations
 

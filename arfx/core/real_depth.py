@@ -1,7 +1,6 @@
 """Measured depth of the real scene: in one frame, as the facts carry it, and the planes that were found in it.
 
-The pixels are `Layer.REAL_DEPTH`; what the planner needs to know of them before any pixel is read is here.
-"""
+The pixels are `Layer.REAL_DEPTH`; what the planner needs to know of them before any pixel is read is here."""
 
 from __future__ import annotations
 

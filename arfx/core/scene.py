@@ -64,8 +64,7 @@ class Scene:
     world_from_marker : pose of each marker by key
     world_from_anchor : the marker that the model stands on; its plane z = 0 is the real surface below it
     surface_m : extent (x0, y0, x1, y1) of that surface, anchor axes; None = unknown, taken for unlimited
-    real_planes : of the real scene, measured; those seen most first
-    """
+    real_planes : of the real scene, measured; those seen most first"""
 
     camera: Camera
     model: Model

@@ -1,8 +1,7 @@
 """Cost of every stage and level on this machine, as a ratio to a yardstick that is timed in the same run.
 
 Yardstick: one cv2.GaussianBlur(float32, 3 channels, sigma 5) of a picture of that size. Stages and yardstick take turns,
-each with all cores, and medians are reported: a ratio survives a change of machine or of load, a time does not.
-"""
+each with all cores, and medians are reported: a ratio survives a change of machine or of load, a time does not."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ SLOW_S = 3.0  # a run that takes longer is not made again for the median
 class Cell:
     """One stage at one level on the standard scene. seconds : of each run;  yardstick_s : of the blurs beside them
 
-    before : the steps before it;  out : what it makes
-    """
+    before : the steps before it;  out : what it makes"""
 
     frame: FrameRenderer
     before: Chain
@@ -81,8 +79,7 @@ def bench(
     """Rows of {stage, level, size, ms, yardstick_ms, ratio, runs, area_px}; ms >= 0, medians.
 
     stage, level : only these;  sizes : (width, height) px
-    Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size below 64x64.
-    """
+    Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size below 64x64."""
     check(stages, stage, level, sizes)
     keep_memory()  # as a worker does
     rows = []
@@ -109,8 +106,7 @@ def check(stages: Mapping[str, type[Stage]], stage: str | None, level: str | Non
 def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type[Stage]]) -> list[Cell]:
     """What is to be timed; the layers that a stage reads are made once by the standard levels of those before it.
 
-    Stages that require measured depth are timed on the same scene with a depth map.
-    """
+    Stages that require measured depth are timed on the same scene with a depth map."""
     instances: dict[str, Stage] = {name: stages[name]() for name in stages}
     wanted = {stage} if stage is not None else set(instances)
     on_depth = {name for name in wanted if "depth" in instances[name].requires}
@@ -173,8 +169,7 @@ class Stopwatch:
 
     processor : processor time, which other programs disturb least, not wall-clock time; divided by the threads that work at
     once, both are the same on a machine that does nothing else
-    pool, concurrency : so many of its threads do the same work at once, as in a job
-    """
+    pool, concurrency : so many of its threads do the same work at once, as in a job"""
 
     processor: bool = False
     pool: ThreadPoolExecutor | None = None

@@ -49,8 +49,7 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
 class BenchScene:
     """scene, the facts of its one frame, and the real picture: linear RGB float32 (h, w, 3).
 
-    real_depth_m : (h, w) float32, measured depth of the real scene, None = it was not measured
-    """
+    real_depth_m : (h, w) float32, measured depth of the real scene, None = it was not measured"""
 
     scene: Scene
     facts: FrameFacts
@@ -76,8 +75,7 @@ class BenchScene:
 def bench_scene(width: int, height: int, covered: float = COVERED, model: Model | None = None) -> BenchScene:
     """The ball on a marker, seen from 40 degrees off the vertical by an undistorted camera of the given picture size.
 
-    covered : fraction of the picture that it covers;  model : another ball than the standard one
-    """
+    covered : fraction of the picture that it covers;  model : another ball than the standard one"""
     focal = 0.9 * max(width, height)
     camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))
     model, marker = model or ball(), MarkerSpec("36h11", 0, 0.15)

@@ -2,8 +2,7 @@
 
 As in a job, as many threads as it would render with do the same work at once, so that what they take from each other is in
 the price. Coefficients by non-negative least squares on relative errors (scipy nnls): more work never costs less.
-Cost: `arfx bench --calibrate` takes under a minute on a quiet machine.
-"""
+Cost: `arfx bench --calibrate` takes under a minute on a quiet machine."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
     """Coefficients >= 0 of the terms that make the relative errors smallest.
 
     The spread is that of log(measured / fitted), or of each scene from a fit to the others where that is more, and at least
-    LEAST_SPREAD; a fit to few runs gets more.
-    """
+    LEAST_SPREAD; a fit to few runs gets more."""
     names = [t for t in terms if any(row.get(t, 0.0) > 0 for row in runs.terms)]
     if not names:
         raise ValueError("nothing to fit")
@@ -97,8 +95,7 @@ def calibrate(
 
     stage : only this one, and nothing that is not a stage's
     limit_s : after this the remaining scenes are skipped (what has runs is fitted)
-    output : time what is not a stage's too: editing planes, encoding, joining;  processor : as of `Stopwatch`
-    """
+    output : time what is not a stage's too: editing planes, encoding, joining;  processor : as of `Stopwatch`"""
     check(stages, stage, None, ())
     workers, threads = worker_count(1)
     concurrency = min(workers, MOST_THREADS) if threads else 1
@@ -140,8 +137,7 @@ def _time_scene(
 ) -> list[float]:  # fmt: skip
     """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones twice, and under a light that changes
 
-    Returns what one thread alone took, as a fraction of what it took among others: of the runs that are long enough.
-    """
+    Returns what one thread alone took, as a fraction of what it took among others: of the runs that are long enough."""
     best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}
     alone = []
     for cell in (c for c in make_cells(at, stage, None, stages) if (best.get(c.stage) == c.level) == slow):

@@ -2,8 +2,7 @@
 
 FLIP: how visible a difference is to someone who flips between two pictures, 0 (none) to 1; Andersson et al. 2020 (LDR form).
 Delta E: CIEDE2000, 1 is about the least that is seen. SSIM: structural similarity of luma, 1 where both agree; Wang et al. 2004.
-Cost: FLIP about 1.5 us of one core per pixel, SSIM and Delta E together as much; of the touched pixels' box alone.
-"""
+Cost: FLIP about 1.5 us of one core per pixel, SSIM and Delta E together as much; of the touched pixels' box alone."""
 
 from __future__ import annotations
 
@@ -96,8 +95,7 @@ def mean_flicker(
     """Mean grey levels by which the second picture, taken back along the footage's motion, differs from the first.
 
     The motion is that of the plates (DIS optical flow, OpenCV). All (h, w, 3) uint8 of one place. A steady effect changes no
-    more than its reference does; 0 for an empty `where`.
-    """
+    more than its reference does; 0 for an empty `where`."""
     if not where.any() or min(where.shape) < 16:
         return 0.0
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)

@@ -2,8 +2,7 @@
 
 Markers are looked for with every dictionary in whole frames, so it costs about .2 s a sampled frame at 1080p; the
 number of samples is fixed, and so is the cost for a long clip. Nested dictionaries (4X4_50 is the beginning of
-4X4_1000) are named by the smallest one that holds the ids seen.
-"""
+4X4_1000) are named by the smallest one that holds the ids seen."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
     """Everything `arfx inspect` says, as one JSON-able document.
 
     camera : of the clip's picture size; with it the markers' tilt is reported;  samples : frames that are searched, >= 1
-    Raises InputError where no frame can be decoded.
-    """
+    Raises InputError where no frame can be decoded."""
     pts = presentation_times(info)
     at = sorted({round(i) for i in np.linspace(0, max(len(pts) - 1, 0), max(min(samples, len(pts)), 1))})
     whole = len(pts) <= READ_WHOLE
@@ -161,8 +159,7 @@ def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
 def confirmed(found: dict[str, Found], looked: int) -> list[Found]:
     """The markers to trust, most often seen first, under the smallest dictionary that holds them.
 
-    Left out: weak codes in too few samples, and a code read where a better supported one was read.
-    """
+    Left out: weak codes in too few samples, and a code read where a better supported one was read."""
     kept: list[Found] = []
     for m in sorted(found.values(), key=lambda m: (-len(m.frames), m.family, m.id)):
         often = len(m.frames) >= min(_WEAK.get(m.family, 1), looked)

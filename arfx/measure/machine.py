@@ -1,8 +1,7 @@
 """What works on this machine: Python and packages, renderer back ends, codecs (each tried), cores, memory, disk.
 
 Every check is made, not looked up: a back end is opened, a codec encodes four frames and they are read back.
-Cost: about 1 s.
-"""
+Cost: about 1 s."""
 
 from __future__ import annotations
 

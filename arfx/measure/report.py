@@ -1,7 +1,6 @@
 """The report of a job: report.json and a self-contained report.html, from a report document or from a job folder.
 
-Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview and 1 s for the plots.
-"""
+Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview and 1 s for the plots."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ def write_report(
 
     before_after : (frame number, input, output), RGB uint8 (h, w, 3), in order of frames
     camera, points_m : with both, (n, 3) world points whose place in the picture is plotted before and after smoothing
-    Returns the path of report.html. Raises RenderError where the folder cannot be written.
-    """
+    Returns the path of report.html. Raises RenderError where the folder cannot be written."""
     from arfx.measure.report_html import page, pose_plot, timing_plot
 
     document = finite(report)
@@ -52,8 +50,7 @@ def write_report(
 def report_of_job(job: Path, folder: Path) -> Path:
     """The report of a finished job, from its folder. Returns the path of report.html.
 
-    Raises InputError where `job` is no job folder, or the job is not finished.
-    """
+    Raises InputError where `job` is no job folder, or the job is not finished."""
     files = JobFolder(job)
     report = read_report(job)
     try:

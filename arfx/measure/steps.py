@@ -1,8 +1,7 @@
 """One frame on which any level of any stage is run by itself, upon what the steps before it make; those are made once.
 
 A reference costs minutes over a whole picture, so that pictures are rendered in a window only: what a stage computes on a crop
-is what it computes on the whole (tests/contract, the ROI law).
-"""
+is what it computes on the whole (tests/contract, the ROI law)."""
 
 from __future__ import annotations
 
@@ -72,8 +71,7 @@ class FrameRenderer:
     """A frame and all that was rendered of it.
 
     plate : (h, w, 3) linear, whole frame;  plan : at the job's own levels;  window : what is rendered
-    slow : (stage, level) whose pictures are slow to render, and kept;  real_depth_m : (h, w) whole frame, None = not measured
-    """
+    slow : (stage, level) whose pictures are slow to render, and kept;  real_depth_m : (h, w) whole frame, None = not measured"""
 
     facts: FrameFacts
     plate: np.ndarray

@@ -3,8 +3,7 @@
 Frames that stand for the clip are rendered: each effect at each of its levels while the others stay at their usual one, and
 whole pipelines on the way from the reference down to the cheapest. Errors are grey levels and FLIP over the pixels that the
 effect touches; the clip's light, poses and plan are those of the job. Times are of whole steps (tradeoff_time.py).
-Cost: the references; the window of the pictures is made so small that they take about REFERENCE_S together.
-"""
+Cost: the references; the window of the pictures is made so small that they take about REFERENCE_S together."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ class Row:
     """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what was found in each
 
     formula : which the stage ran under;  flicker : of this and of the reference, grey levels from a frame to the next
-    prepared : of its stages, None = the job's
-    """
+    prepared : of its stages, None = the job's"""
 
     name: str
     level: str
@@ -229,8 +227,7 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
 def _compare(work: _Work, rows: Sequence[Row], best: Mapping[str, str], of: Sequence[str] = ()) -> None:
     """Note each row's pictures and how far they are from those at `best` levels, where the stages `of` change anything.
 
-    of : at their usual level where they are left out; none = all, against the frame as it was
-    """
+    of : at their usual level where they are left out; none = all, against the frame as it was"""
     for sample in work.samples:
         b = work.renderers[sample.index]
         if not {s.stage for s in b.plan.steps}.issuperset(of):

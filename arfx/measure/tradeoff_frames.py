@@ -43,8 +43,7 @@ def describe(facts: Sequence[FrameFacts], frame: Rect) -> tuple[list[FrameFacts]
 def pick_frames(facts: Sequence[FrameFacts], frame: Rect, count: int) -> list[Sample]:
     """The frame nearest to the middle of all, then again and again the one that is least like those taken (k-centre).
 
-    Empty where no frame shows the object. Logarithms, in units of the clip's own spread: 3 % of change at least.
-    """
+    Empty where no frame shows the object. Logarithms, in units of the clip's own spread: 3 % of change at least."""
     shown, rows = describe(facts, frame)
     if not shown:
         return []

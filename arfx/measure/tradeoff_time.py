@@ -5,8 +5,7 @@ step, in the object's box and outside, and on one of a few pixels, which shows w
 seconds = run + rate(box) x pixels of the box + rate(rest) x pixels of the rest, with the interval that the tiles' spread gives
 (stratified ratio estimate, Cochran, "Sampling Techniques", ch. 6). A tile has more rim for its size than the whole: whether a
 stage's work goes by the pixels that it makes or by those that it reads is not known, so the interval holds both.
-Times are of the processor, all threads together, which other programs on the machine disturb least.
-"""
+Times are of the processor, all threads together, which other programs on the machine disturb least."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class Tiles:
     """Runs of a level on parts of a step.
 
     empty_s : of runs on next to nothing;  by_part : (pixels, seconds) of each tile
-    rims : of each frame, pixels read for a pixel made by the whole step, as a fraction of the tiles'
-    """
+    rims : of each frame, pixels read for a pixel made by the whole step, as a fraction of the tiles'"""
 
     empty_s: list[float] = field(default_factory=list)
     by_part: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
@@ -74,8 +72,7 @@ class Times:
     """Seconds per frame of every (stage, level) that was timed.
 
     whole : of runs over all of a step, frame by frame;  tiles, areas : of the levels that are too slow for that
-    new_s : what a light that was not met before adds;  clock : of the processor, all threads
-    """
+    new_s : what a light that was not met before adds;  clock : of the processor, all threads"""
 
     clock: Callable[[], float] = time.process_time
     whole: dict[At, list[float]] = field(default_factory=dict)
@@ -123,8 +120,7 @@ def time_frame(
 ) -> None:  # fmt: skip
     """Time `wanted`, each upon what the steps before it make at their `usual` level; the slow ones of the frame on tiles.
 
-    new : by stage, fraction of the clip's frames under a light that was not met before
-    """
+    new : by stage, fraction of the clip's frames under a light that was not met before"""
     chain = chain_of(frame.plan, usual)
     for k, step in enumerate(frame.plan.steps):
         for level in frame.prepared.stages[step.stage].levels:

@@ -1,7 +1,6 @@
 """Estimates against the truth of a synthetic clip: pose, flips, lag, trembling, presence, cuts, marker map, light.
 
-All figures are for the world marker's pose in the camera, frame by frame; frames in which either side has none are left out.
-"""
+All figures are for the world marker's pose in the camera, frame by frame; frames in which either side has none are left out."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m
     corner_px : the marker's corners projected through the true camera with the estimate and with the truth, rms
     tremble_px : rms second difference of that corner error, frames that follow each other only
     lag_frames : regression of the corner error on the true corner velocity, > 0 = the estimate is late; None when the
-    marker hardly moves in the picture
-    """
+    marker hardly moves in the picture"""
     camera, corners_m = Camera.from_json(truth.header["camera"]), MarkerSpec("", 0, size_m).corners_m
     n = len(truth.frames)
     rotation, position, mirrored = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
@@ -91,8 +89,7 @@ def presence(facts: Sequence[FrameFacts], truth: Truth, keys: Sequence[str]) -> 
     """Frames in which a configured marker could be seen or not, against what the analysis says.
 
     missed : some marker is in full view, the analysis says absent;  invented : measured where none can be seen
-    bridged : interpolated frames;  unclear : markers cut or covered in part, not judged
-    """
+    bridged : interpolated frames;  unclear : markers cut or covered in part, not judged"""
     counts = {"seen": 0, "missed": 0, "hidden": 0, "invented": 0, "bridged": 0, "unclear": 0}
     for fact, frame in zip(facts, truth.frames, strict=True):
         best = max((frame.markers[k].visible for k in keys), default=0.0)
@@ -166,8 +163,7 @@ def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
 def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …}, "min": {…}, "is": {"static": "camera"}}.
 
-    Keys are dotted. A figure that is bounded but missing breaks its bound.
-    """
+    Keys are dotted. A figure that is bounded but missing breaks its bound."""
     broken = []
     for kind, entries in bounds.items():
         for dotted, limit in entries.items():
@@ -199,8 +195,7 @@ def light_errors(
     false : frames whose claim is off by more than twice its own confidence cone and FALSE_DEG, or that claim where no lamp is
     irradiance : relative error of a white surface's radiance over the seen markers' normals, all channels
     bias_grey : error of the camera's bias in 8-bit sRGB steps above its true value, worst channel
-    size_deg : claimed less true angular size, median
-    """
+    size_deg : claimed less true angular size, median"""
     angles, sizes, irradiance, bias, false, frames = [], [], [], [], 0, 0
     for fact, frame in zip(facts, truth.frames, strict=True):
         if fact.light is None:

@@ -49,8 +49,7 @@ def verify(
 
     folder : tolerance.toml in it gives the bounds (none: nothing is bounded)
     work : an existing folder for what is made on the way, a clip that is there is used
-    Raises InputError if the folder holds neither truth nor scene.
-    """
+    Raises InputError if the folder holds neither truth nor scene."""
     made = folder
     if not (folder / "truth.jsonl").is_file():
         if not (folder / "scene.toml").is_file():
@@ -101,8 +100,7 @@ def read_tolerance(folder: Path) -> dict[str, Any]:
 def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[Pose | None]:
     """What plain OpenCV finds, frame by frame: whole-frame detection with sub-pixel corners, IPPE, the better solution.
 
-    camera_from_marker, None where the marker is not found.
-    """
+    camera_from_marker, None where the marker is not found."""
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detector = cv2.aruco.ArucoDetector(dictionary(marker.family), settings)

@@ -2,8 +2,7 @@
 
 Read: OpenCV YAML/JSON, ROS camera_info YAML, COLMAP cameras.txt, Kalibr camchain YAML, WPILib and PhotonVision JSON.
 Pixel centres: all of these put them at integers, except COLMAP, whose centres lie at .5 (corrected here).
-Left out: XML, and lens models that OpenCV's polynomials cannot express (field-of-view, omnidirectional, division).
-"""
+Left out: XML, and lens models that OpenCV's polynomials cannot express (field-of-view, omnidirectional, division)."""
 
 from __future__ import annotations
 
@@ -90,7 +89,7 @@ def load_camera(path: str | Path) -> Camera:
     Raises InputError if the file cannot be read, is of no known format, does not state the picture size, holds several
     cameras, has skew, or a lens model that OpenCV's polynomials cannot express."""
     file, chosen = Path(path), ""
-    if "#" in file.name and not os.path.exists(file):  # noqa: PTH110 - False where it cannot be told, too
+    if "#" in file.name and not os.path.exists(file):  # noqa: PTH110 - False also where it cannot be known
         name, _, chosen = file.name.rpartition("#")
         file = file.with_name(name)
     where = str(path)
@@ -252,8 +251,7 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
     no `!!opencv-matrix` tag for a strict one to fail on.
     extras : further keys: numbers, text, lists, mappings (for people and tools; load_camera ignores them)
 
-    Raises OSError where the folder cannot be written to; no file under the final name is left behind then.
-    """
+    Raises OSError where the folder cannot be written to; no file under the final name is left behind then."""
     path, fisheye = Path(path), camera.model == FISHEYE
     d = camera.distortion if camera.distortion.size else np.zeros(4 if fisheye else 5)
     if not fisheye and d.size == 4:

@@ -48,8 +48,7 @@ class ClipInfo(Document):
     full_range, matrix : as used; matrix_stated is False when the stream names none (bt709 from 720 lines up, else bt601)
     *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;  start_pts : of the first frame
     frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s is this stream's, not the file's;
-    notices : what a user should know
-    """
+    notices : what a user should know"""
 
     path: Path
     width: int

@@ -1,7 +1,6 @@
 """Depth maps that lie in one file: pages of a TIFF, frames of a video with 16-bit or float grey (FFV1 gray16 in Matroska).
 
-Any map can be asked for, from any thread; one after the other is quick.
-"""
+Any map can be asked for, from any thread; one after the other is quick."""
 
 from __future__ import annotations
 

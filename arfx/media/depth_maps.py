@@ -3,8 +3,7 @@ holds many (TIFF, video), or one map for a camera at rest.
 
 Depth runs along the optical axis, upright as the clip is shown. 0, negative, not finite and the largest value of 16 bits
 mean that nothing was measured there. Maps belong to frames by their order, or by the time in their names as TUM RGB-D
-writes them (1305031102.160407.png: seconds), or by the times of a video's frames.
-"""
+writes them (1305031102.160407.png: seconds), or by the times of a video's frames."""
 
 from __future__ import annotations
 
@@ -152,8 +151,7 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     mask, over the smoothed mask, both by the weighted least squares that follow the picture's edges (fast global smoother).
     Measured pixels keep their value. A short radius keeps a surface's slope: 20 px holes put into real maps are filled to .1 to
     .9 % (median), as nearest values would. In dioptres, so that a far wall weighs no more than a near table.
-    Source: Min et al. 2014 (the smoother); the quotient as in normalised convolution (Knutsson and Westin 1993).
-    """
+    Source: Min et al. 2014 (the smoother); the quotient as in normalised convolution (Knutsson and Westin 1993)."""
     h, w = guide.shape
     if depth_m.shape != guide.shape:
         depth_m = cv2.resize(depth_m, (w, h), interpolation=cv2.INTER_NEAREST)

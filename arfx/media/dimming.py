@@ -3,8 +3,7 @@
 Where the camera adds nothing of its own (no bias) no linear value is needed at all: a coded value c above the transfer
 function's toe stands for ((c + a) / (1 + a))^power, so a fraction k of that light is coded k^(1/power) (c + a) - a, and one on
 the toe's line k c; the larger of the two (the smaller, of more light than there was) is off by at most .3 grey levels of
-255, just above the toe. Compiled, as in kernels.py.
-"""
+255, just above the toe. Compiled, as in kernels.py."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """One decoded picture: upright views of it, linear light of a rectangle, and edits written back into its planes.
 
 Untouched pixels stay untouched: an edit adds the converted difference to the stored samples of its rectangle, so
-every other sample, and every sample whose colour does not change, keeps its bits.
-"""
+every other sample, and every sample whose colour does not change, keeps its bits."""
 
 from __future__ import annotations
 
@@ -138,8 +137,7 @@ class Frame:
         columns : (h, 2) int32 of each row, outside of which neither is looked at; None = all. Only where `row_by_row`
         in_place : this frame's own samples are changed; only for one that `dimmed` or `edited` made
         New values are clipped to the legal range; samples that already lay beyond it may stay there.
-        Raises RenderError for a rectangle outside the picture, other shapes, or values that are not finite.
-        """
+        Raises RenderError for a rectangle outside the picture, other shapes, or values that are not finite."""
         f, r = self.format, self._coded(rect)
         shape = (rect.height, rect.width, 3)
         if before.shape != shape or after.shape != shape:

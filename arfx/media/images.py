@@ -1,9 +1,8 @@
 """Single pictures: PNG with 8 or 16 bits, EXR with 32-bit floats; and pictures from outside, decoded by OpenCV.
 
 OpenCV's wheels carry no OpenEXR, so EXR goes through FFmpeg's encoder and decoder, whose samples are exact. From outside only
-formats are read that are listed here, told from the content, and of a bounded size. The size is read from the header before
-anything is decoded: a few kilobytes can state gigabytes.
-"""
+formats are read that are listed here, recognised by their content, and of a bounded size. The size is read from the header before
+anything is decoded: a few kilobytes can state gigabytes."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 The chunks' own times are not used, only their order: packet i of the clip, in decoding order, shows the frame whose
 rank among the chunk's presentation times it has. With all presentation times sorted into S and reorder depth d,
-decode times are given anew as S[i - d] (before that, S[0] minus small steps), so that they rise over chunk borders.
-"""
+decode times are given anew as S[i - d] (before that, S[0] minus small steps), so that they rise over chunk borders."""
 
 from __future__ import annotations
 
@@ -46,8 +45,7 @@ def join_chunks(
     pts : presentation times of all their frames in info.time_base, rising; start_s, end_s : the cut that was made, in
     seconds after the clip's first frame, for the streams that are copied.
     Raises RenderError: chunks and times do not match, chunks of different settings, the file cannot be written. Then
-    nothing is left under the final name that was not there before.
-    """
+    nothing is left under the final name that was not there before."""
     out = Path(out)
     if not chunks or not pts:
         raise RenderError(f"{out}: nothing to join")

@@ -122,8 +122,7 @@ def edit_luma(
     cosited : a chroma sample lies on the left luma sample and takes a tent of differences, else a box
     chroma : of the columns from x0 >> step on
     Beyond the rectangle the difference is zero, beyond the picture its edge goes on. Returns how many pixels of `after` or
-    `before` are not finite; those are left alone.
-    """
+    `before` are not finite; those are left alone."""
     w = rect[2] - rect[0]
     scratch, clean = line_scratch(5, 3 * w), np.empty((2, 3 * w), np.int32)
     tapped = taps(step, cosited and step > 0)

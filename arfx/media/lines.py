@@ -2,8 +2,7 @@
 back, and differences added to what is stored. Compiled, without branches inside, of which the compiler makes vector code.
 
 Transfer functions go without tables. A power is 2^(p log2 x), each by a short series: three times as quick as looking values
-up, and no table competes with the picture for the cache. Error: below 2e-6 of the value, and of the power.
-"""
+up, and no table competes with the picture for the cache. Error: below 2e-6 of the value, and of the power."""
 
 # mypy: disable-error-code="no-untyped-def, index, assignment"
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """The files that a model is made of: only from its own folder, and every picture of a known kind.
 
-trimesh is given bytes and asks here for whatever they name: buffers, MTL files, textures.
-"""
+trimesh is given bytes and asks here for whatever they name: buffers, MTL files, textures."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 glTF: metallic-roughness as written (glTF 2.0 section 3.9). MTL: Kd is a display colour (sRGB), Ns a Blinn-Phong exponent
 turned into roughness = sqrt(2 / (Ns + 2)) to the half (Karis 2013), d < 1 is BLEND. `Tr` is ignored: exporters disagree
-on whether 1 means clear or solid.
-"""
+on whether 1 means clear or solid."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Vertex normals for files that bring none: smooth across edges flatter than an angle, sharp across the others.
 
 Linear in the number of faces: corners that share a vertex are joined across each flat edge, and every joined group
-gets one normal, weighted by corner angle (Thuermer and Wuethrich 1998).
-"""
+gets one normal, weighted by corner angle (Thuermer and Wuethrich 1998)."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 glTF/GLB (scene graph applied), OBJ with MTL, PLY, STL, and what else trimesh reads here. Errors say what is wrong with
 the file and how many vertices or faces it concerns; what was repaired is in `Model.notices`.
-Leaves out: skins, animation, morph targets, normal and occlusion textures, texture transforms, lines and points.
-"""
+Leaves out: skins, animation, morph targets, normal and occlusion textures, texture transforms, lines and points."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ from arfx.media.model_normals import smooth_by_angle
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters default to it; scans and
 # CAD use z. Others that trimesh knows are left out: archives, which may unpack to anything, and formats without faces.
 _UP = {"glb": "y", "gltf": "y", "obj": "y", "dae": "y", "ply": "z", "stl": "z", "off": "z"}
-_BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}  # told from the content, whatever the name says
+_BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}  # recognised by content, whatever the name says
 # Formats whose winding nobody promises: both sides are shown.
 _TWO_SIDED = ("ply", "stl", "obj", "off", "dae")
 # Beyond this float32 coordinates, which both renderers use, step by more than a thousandth of a unit times extent.
@@ -44,8 +43,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
 
     Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals unit.
     Raises InputError: missing or unreadable file, no faces, vertices that are not finite, absurd extent, texture above
-    8192 px; ConfigError: no path, unknown up axis.
-    """
+    8192 px; ConfigError: no path, unknown up axis."""
     if path is None:
         raise ConfigError("no model file is given", "--model duck.glb, or file = \"duck.glb\" under [model]")  # fmt: skip
     if up not in (None, "x", "y", "z"):

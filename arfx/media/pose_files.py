@@ -1,8 +1,7 @@
 """Camera poses that come with the footage: text of `tx ty tz qx qy qz qw`, the camera in the world, as RGB-D sets write them.
 
 One line a frame, in order; or with the time in seconds before it (TUM RGB-D), and lines are taken by time. `#` begins a comment.
-Axes of the camera: x right, y down, z forward.
-"""
+Axes of the camera: x right, y down, z forward."""
 
 from __future__ import annotations
 

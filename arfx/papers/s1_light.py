@@ -9,8 +9,7 @@ Deviations. The albedos are those of ink and paper, not the patches' mean bright
 is M at the peak less the least M that was seen. Directions that no marker faced, where M stays 0, have the light of M's
 harmonics. I_c is a share of the brightest, not a value. M is written beside its lights, so that the object can shade itself
 from them. A light that is given, and clips in which no marker can be read, are left to the corrected fold.
-Its errors: docs/methods/light.md#errata.
-"""
+Its errors: docs/methods/light.md#errata."""
 
 from __future__ import annotations
 
@@ -65,7 +64,7 @@ class SmallestVector:
     bias : b'/g', in units of grey (what dividing (2) by g gives);  bias_printed : 1/b' (as printed)
     y : (t,) x_t / g', so that grey = rho y + bias;  nullity, rank : of the system;  smallest : its singular value
     condition : largest singular value over the smallest but one, the smallest being the solution's; at most 1e12
-    gap : the smallest but one over the smallest, at most 1e12: near 1 where noise alone tells the solution apart"""
+    gap : the smallest but one over the smallest, at most 1e12: near 1 where noise alone singles out the solution"""
 
     gain: float
     bias: float
@@ -136,7 +135,7 @@ def gain_and_bias(
         solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
         seen = weight.any(1)
         one = solution.nullity < 2
-        why = "only noise tells the solution apart" if one else f"the system has nullity {solution.nullity}, not 1"
+        why = "only noise singles out the solution" if one else f"the system has nullity {solution.nullity}, not 1"
         # g' = 0: b' and x alone, of one albedo
         blank = abs(solution.gain) > 1e8 * float(np.abs(grey).max()) or solution.gain == 0
         part = fallback(grey, weight, rho, why, solution.rank, solution.condition)

@@ -6,8 +6,7 @@ everything in its light shows M. Shadows are hard.
 
 Deviations. M comes from s1_light, with its own. Phong's model is named, not written down: its lobe is here as wide as the
 material's roughness makes it, its strength what glTF's materials mirror seen from above. Where the analysis has no map (a light
-that is given) the light's own soft part is in its place.
-"""
+that is given) the light's own soft part is in its place."""
 
 from __future__ import annotations
 

@@ -7,8 +7,7 @@ L, U : distances of a thing and of the focus;  F, N : focal length and f-number;
 Deviations. The sharp range, in which the blend counts by two thirds, is where the circle (7) is at most the permitted one;
 printed are the limits (4) and (5), which disagree with (7). The smoothing around the border of that range (section 3.4) is
 missing. The size of the mean filter is not stated: `mean_px`. A clip plane that is not set stands at the nearest or farthest
-thing of the frame. The depth of the real scene is that of its planes, or measured. Its errors: docs/methods/dof.md#errata.
-"""
+thing of the frame. The depth of the real scene is that of its planes, or measured. Its errors: docs/methods/dof.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

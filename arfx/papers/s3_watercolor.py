@@ -6,8 +6,7 @@ of its pixels; what an edge measure in RGB and Y'UV finds above a threshold is b
 Deviations. Cells do not get finer with nearness (section 3.1.2, the cones' size by depth). Labels are those of the nearest
 site, which cones of sufficient height give too. The printed listing of the toon shader does not compile: its first threshold is
 `toon_thresholds`' first. m, n, alpha, beta and the threshold are not stated: they are settings. Edges are drawn black.
-Its errors: docs/methods/watercolor.md#errata.
-"""
+Its errors: docs/methods/watercolor.md#errata."""
 
 from __future__ import annotations
 

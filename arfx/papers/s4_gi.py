@@ -8,8 +8,7 @@ Deviations. There are no reflective shadow maps and no virtual point lights: vox
 exists as texels of the planes alone, real pixels do not trace it. With the printed labels its sign is turned round: it is
 subtracted here. The light is the frame's, not configured. The rest of step 4 is the corrected stage's: its cones, their
 weights and steps. The plane's albedo, which a difference needs, is not stated: `plane_albedo`.
-Its errors: docs/methods/gi.md#errata.
-"""
+Its errors: docs/methods/gi.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

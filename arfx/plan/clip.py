@@ -23,8 +23,7 @@ PrepareCost = Callable[[str, str], Prediction | None]
 class LevelPolicy:
     """How levels are chosen: a quality by name, or a budget for the whole job, or an error.
 
-    budget_s : seconds;  max_error : mean grey levels, over the pixels that are changed;  at most one of the two
-    """
+    budget_s : seconds;  max_error : mean grey levels, over the pixels that are changed;  at most one of the two"""
 
     quality: str = "standard"
     budget_s: float | None = None
@@ -56,8 +55,7 @@ def plan_clip(
     prepare_cost: PrepareCost = lambda stage, level: measured(0.0),
 ) -> ClipPlan:  # fmt: skip
     """seconds_of : upper end of the whole job's time, from plans (for what is not the stages') and the stages' prediction
-    prepare_cost : of a stage at a level, in the same seconds as its work; None = not known
-    """
+    prepare_cost : of a stage at a level, in the same seconds as its work; None = not known"""
     new = list(new_terms(stages, facts))
     usual = {s.name: level_named(s.levels, policy.quality) for s in stages}
     shots: dict[int, int] = {}

@@ -17,8 +17,7 @@ UNKNOWN = 255.0  # grey levels: no two pictures differ by more
 @dataclass(frozen=True)
 class Errors:
     """by_level : stage -> level -> mean grey levels over the pixels that the stage's levels differ in or change
-    source : where it was measured, in words
-    """
+    source : where it was measured, in words"""
 
     by_level: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     source: str = "not measured"

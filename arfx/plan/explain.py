@@ -16,8 +16,7 @@ def summarise(plans: Iterable[FramePlan], names: Iterable[str], frame_area: int)
     """One row per stage, in the fields of report.json's `stages`, without the measured time.
 
     area_fraction : mean over the frames in which the stage runs of its output area / picture area
-    reasons : why it was left out, by text, with the number of frames; equal but for numbers = one text with ranges
-    """
+    reasons : why it was left out, by text, with the number of frames; equal but for numbers = one text with ranges"""
     runs: dict[str, list[Any]] = defaultdict(list)
     skips: dict[str, list[str]] = defaultdict(list)
     for plan in plans:

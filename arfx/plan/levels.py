@@ -3,8 +3,7 @@
 Every stage of every shot has levels with a price and an error. Those worth taking lie on the lower convex hull of (seconds,
 error); going down it, each step loses more error per second saved than the one before. All steps of a clip, sorted by that
 rate, are one way from the reference down to the cheapest: a budget or an error only says where on it to stop. So less budget
-never means less error, and never more predicted time.
-"""
+never means less error, and never more predicted time."""
 
 from __future__ import annotations
 
@@ -31,8 +30,7 @@ class Option:
 @dataclass(frozen=True)
 class LevelChoice:
     """levels : by (shot, stage);  stages : predicted, all shots and workers together;  error : of the worst shot, grey levels
-    met : the limit holds;  why : in words
-    """
+    met : the limit holds;  why : in words"""
 
     levels: Mapping[ShotStage, str]
     stages: Prediction
@@ -66,8 +64,7 @@ def best_within_budget(
     """The best levels with which a job stays within its budget.
 
     seconds_of : upper end of the whole job's time for a prediction of the stages' work;  budget_s >= 0
-    met is False where even the cheapest levels take longer.
-    """
+    met is False where even the cheapest levels take longer."""
     state, steps = _start(options)
     while (upper := seconds_of(total(state))) > budget_s and steps:
         _, key, option = steps.pop(0)
@@ -80,8 +77,7 @@ def best_within_budget(
 def cheapest_within_error(options: Mapping[ShotStage, Sequence[Option]], limit: float) -> LevelChoice:
     """The cheapest levels whose errors add up to at most `limit` grey levels in every shot.
 
-    Differences of pictures add up to no more than the sum of their sizes, so the sum over the stages is a bound.
-    """
+    Differences of pictures add up to no more than the sum of their sizes, so the sum over the stages is a bound."""
     state, steps = _start(options)
     blocked: set[ShotStage] = set()
     for _, key, option in steps:

@@ -2,8 +2,7 @@
 
 1. demand: each stage says what it would change, or why it does not run; where the object is not visible, only those that can
 2. unread: walking backwards from the image, a stage that writes nothing anyone reads is dropped
-3. rectangles: the same walk carries one growing rectangle of wanted pixels
-"""
+3. rectangles: the same walk carries one growing rectangle of wanted pixels"""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ def plan_frame(
 
     stages : in the order in which they run;  levels : by stage name;  frame : the whole picture
     skip : False forces every stage onto the whole frame wherever a pose is known
-    prices, new : what work costs here, and the terms (`new_terms`) of light that was not met before
-    """
+    prices, new : what work costs here, and the terms (`new_terms`) of light that was not met before"""
     chosen: list[tuple[Stage, Demand]] = []
     skipped: list[Skip] = []
     for stage in stages:

@@ -31,8 +31,7 @@ _ROUNDING_S = 1e-9
 @dataclass(frozen=True)
 class AnalysisPass:
     """span : the frames to render;  truncated : a message where the file ends in damage
-    seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)
-    """
+    seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)"""
 
     analysis: Analysis
     span: Span
@@ -49,8 +48,7 @@ def analyse_clip(
 
     wanted : folds, by name;  folder, key : where the state is checkpointed, and what it must match to be resumed from
     After an interruption the whole clip is decoded again: a frame, and when it is shown, may depend on any frame before it.
-    Raises NothingToDoError if the span holds no frame, or nothing is seen to stand on.
-    """
+    Raises NothingToDoError if the span holds no frame, or nothing is seen to stand on."""
     analyser, log = Analyser(job, wanted), log or WorkLog(folder.timings)
     span, analyse_s, expected = Span(span_s, info.time_base), 0.0, info.frame_count_stated if span_s == (None, None) else None
     checkpoint = Checkpoint(folder.checkpoint, [key, job.anchor, *analyser.folds])
@@ -115,8 +113,7 @@ class Span(Stateful):
 
     pts : presentation times of the frames that were taken, in the clip's time base: who takes a frame calls `take`
     keys : which of them decoding can begin at
-    origin : of the clip's first frame;  before : frames of the clip before the span;  whole : it reaches to the clip's end
-    """
+    origin : of the clip's first frame;  before : frames of the clip before the span;  whole : it reaches to the clip's end"""
 
     given = frozenset({"_start_s", "_end_s", "_time_base"})
 

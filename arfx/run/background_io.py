@@ -17,8 +17,7 @@ class Prefetch(Generic[T]):
     """Context manager and iterator over `items`, in their order. Raises what they raise, after those before it.
 
     depth : items that wait at most;  seconds : spent on making those that were returned
-    On leaving, the thread has ended: what `items` read from may be closed.
-    """
+    On leaving, the thread has ended: what `items` read from may be closed."""
 
     def __init__(self, items: Iterator[T], depth: int = 4) -> None:
         self.seconds = 0.0
@@ -52,8 +51,7 @@ class WriteBehind(Generic[T]):
     """Context manager: calls `write` with what is put, in order, in a thread of its own.
 
     depth : items that wait at most
-    Raises what `write` raises, at a later `put` or on leaving; nothing is written after that, nor after an error inside.
-    """
+    Raises what `write` raises, at a later `put` or on leaving; nothing is written after that, nor after an error inside."""
 
     def __init__(self, write: Callable[[T], None], depth: int = 2) -> None:
         self._write, self._depth = write, depth

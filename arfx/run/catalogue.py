@@ -1,7 +1,6 @@
 """What a job can set: every stage and every section of a job file, as data and as one Markdown text.
 
-`arfx stages` prints it, and docs/stages.md is the same text.
-"""
+`arfx stages` prints it, and docs/stages.md is the same text."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 numba by itself makes machine code, two more entry points and a cache file of every function that a kernel calls, although that
 function is linked into the kernel once more, and works out ten times over what the same operation on the same types gives.
 Without that kernels compile in half the time, and give the same bits. This is done here alone, where compiled code is never
-called.
-"""
+called."""
 
 from __future__ import annotations
 

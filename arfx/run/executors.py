@@ -1,8 +1,7 @@
 """Who renders the chunks: this thread, several threads of this process, or several spawned processes. The same bytes.
 
 Threads share the model and what the stages prepared, and need no second start of Python: right for a few cores, as
-nearly all of a frame's time is spent in code that lets other threads run. With many they would wait for each other.
-"""
+nearly all of a frame's time is spent in code that lets other threads run. With many they would wait for each other."""
 
 from __future__ import annotations
 
@@ -111,8 +110,7 @@ def _render(task: Task) -> dict[str, Any]:
 def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Results:
     """Render in `workers` spawned processes (never forked: an OpenGL context does not survive it), in any order.
 
-    Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped.
-    """
+    Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped."""
     import concurrent.futures as futures
     import multiprocessing
 

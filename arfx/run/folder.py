@@ -1,8 +1,7 @@
 """The job folder: what is written where, whole or not at all, what in it is arfx's own, and what is still good.
 
 job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · plan_summary.json · seal.json · placed.json ·
-chunks/ · timings.jsonl · previews/ · report.json
-"""
+chunks/ · timings.jsonl · previews/ · report.json"""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Run one frame's plan. Pixels depend on the arguments alone: any process may run any frame.
 
 A step sees what it reads over its own rectangle: where no stage has written, the neutral value (nothing virtual, no shadow),
-and of IMAGE what was there before.
-"""
+and of IMAGE what was there before."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ from arfx.media.frame import Frame
 class FrameLayers:
     """The layers of one frame while its plan runs.
 
-    read : by stage with a history, the layers that it saw: what later frames see of this one
-    """
+    read : by stage with a history, the layers that it saw: what later frames see of this one"""
 
     plate: np.ndarray | Pixels
     rect: Rect
@@ -112,8 +110,7 @@ def run_frame(
     past : layers of the frames before, oldest first, as many as the longest history asks for
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
-    Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite.
-    """
+    Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite."""
     layers = FrameLayers(plate, plan.rect)
     if real_depth_m is not None:
         layers.put(Layer.REAL_DEPTH, real_depth_m, plan.rect, plan.rect)

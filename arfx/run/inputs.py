@@ -147,8 +147,7 @@ def make_scene(
 
     real_planes : of the real scene, measured
     static : what is at rest (Analysis.static). A marker that is moved before a camera at rest is a sheet or a card: its
-    surface ends a little beyond the print.
-    """
+    surface ends a little beyond the print."""
     world_from_anchor = world_from_marker.get(anchor, Pose.identity())
     size_m = {m.key: m.size_m for m in config.markers}
     half = (0.5 + CARD) * size_m.get(anchor, next(iter(size_m.values()), 0.0))
@@ -197,8 +196,7 @@ def _toml_layout(document: dict) -> dict[str, Pose]:
 def _wpilib_layout(document: dict) -> dict[str, Pose]:
     """WPILib: x out of the tag, z up the official print; here z out, and x, y those of OpenCV's AprilTag images.
 
-    OpenCV's images of the AprilTag families are the official ones turned by 180 degrees, so marker axes are its (-y, -z, x).
-    """
+    OpenCV's images of the AprilTag families are the official ones turned by 180 degrees, so marker axes are its (-y, -z, x)."""
     swap = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     out = {}
     for tag in document["tags"]:

@@ -55,8 +55,7 @@ class Options:
     report : folder of the job's report, which `finish` writes: checked and locked as the other places are
     finish(job folder) : called when the output is there, before its folder is given back
     workers : processes, None = one for a short job, else one per core
-    progress(phase, frames done, frames in all or None);  notice(message) for warnings
-    """
+    progress(phase, frames done, frames in all or None);  notice(message) for warnings"""
 
     folder: Path | None = None
     resume: bool = False
@@ -71,8 +70,7 @@ class Options:
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
     """Run a whole job. Returns the report (report.json), which the job folder holds too.
 
-    Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed.
-    """
+    Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed."""
     started = time.perf_counter()
     keep_memory()
     inputs = open_inputs(config)
@@ -107,8 +105,7 @@ def worker_count(pixels: int, stated: int | None = None) -> tuple[int, bool]:
     """How many workers, and whether they are threads of this process: as many processes as stated, else one per usable core.
 
     Threads where the cores are few; else processes, but only one for a short job, in which starting others would take
-    longer than they save. pixels : of all frames
-    """
+    longer than they save. pixels : of all frames"""
     if stated is not None:
         return stated, False
     cores = usable_cores()

@@ -2,8 +2,7 @@
 
 kernels.json lists, by what brings them into a job, the compiled functions that are called from Python, with the types of
 their arguments and the seconds that each takes to compile (tools/record_kernels.py). Processes, because numba holds a lock
-while it compiles. What is not in the list is compiled when it is called, and `warn_if_unlisted` says so.
-"""
+while it compiles. What is not in the list is compiled when it is called, and `warn_if_unlisted` says so."""
 
 from __future__ import annotations
 
@@ -109,8 +108,7 @@ def compiling(first: Sequence[Kernel], then: Sequence[Kernel], progress: Progres
     """Compile what is missing: what the body itself calls before it runs, the others beside it; the end waits for them.
 
     Yields how many functions are missing. progress : phase "compile", functions done, of how many
-    notice : called where compiled code cannot be cached
-    """
+    notice : called where compiled code cannot be cached"""
     with interrupt.deferred():  # to look at a kernel imports its module
         needed = [kernel for kernel in first if not kernel.is_cached]
         missing = needed + [kernel for kernel in then if not kernel.is_cached]
@@ -189,8 +187,7 @@ def _in_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
 def loading(parts: Collection[str], wanted: bool) -> Iterator[None]:
     """Load compiled code in a thread while the body runs, which leaves a core idle; the end waits for it, except after an error.
 
-    wanted : False = do nothing
-    """
+    wanted : False = do nothing"""
 
     def load() -> None:
         with contextlib.suppress(Exception):  # raised again where it is called

@@ -30,8 +30,7 @@ def locked(folder: Path, option: str, temporary: bool = False) -> Iterator[None]
     """Lock `folder`, which is made if need be. One that was made here, or is `temporary`, is removed in the end if it is empty.
 
     option : what names another folder, for the message
-    Raises ConfigError at once if another process holds it, RenderError where it cannot be made or written to.
-    """
+    Raises ConfigError at once if another process holds it, RenderError where it cannot be made or written to."""
     created = not folder.is_dir()
     lock = _acquire(folder, option)
     try:

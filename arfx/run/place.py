@@ -52,8 +52,7 @@ def files_locked(guard: Guard, folder: Path, files: Mapping[str, bytes], option:
 class Places:
     """Where a job writes. folder : what can be resumed;  part : the output until it is whole, on the output's own disk
 
-    named : the job folder, None = beside the output, and gone when the job is done;  report : folder of a report, if any
-    """
+    named : the job folder, None = beside the output, and gone when the job is done;  report : folder of a report, if any"""
 
     def __init__(self, inputs: Inputs, named: Path | None, report: Path | None, overwrite: bool) -> None:
         self._output, self._report, self._overwrite = inputs.output, report, overwrite
@@ -92,8 +91,7 @@ class Places:
         """The places checked, locked and made. A folder in which nothing can be resumed goes again, what else is in it stays.
 
         Raises ConfigError where a check fails, another process has one of them, or a job is there and it is neither to
-        be resumed nor overwritten; RenderError where they cannot be made.
-        """
+        be resumed nor overwritten; RenderError where they cannot be made."""
         self._guard.own = self.folder.outputs() if resume else frozenset()
         self.check()
         with contextlib.ExitStack() as stack:

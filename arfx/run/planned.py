@@ -30,8 +30,7 @@ class ClipAnalysis(Document):
     pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
     anchor : key of the marker, or of the plane, under the object;  static : what is at rest
     truncated : why the clip ends early, or None;  previews : frames of which the report shows a picture
-    summary : for the report
-    """
+    summary : for the report"""
 
     pts: list[int]
     keys: list[int]
@@ -69,8 +68,7 @@ class JobPlan:
 class Job:
     """A job up to the point where rendering would start.
 
-    key, analysis_key : digests of all that its pixels, and its facts, depend on;  stages : by name, in running order
-    """
+    key, analysis_key : digests of all that its pixels, and its facts, depend on;  stages : by name, in running order"""
 
     inputs: Inputs
     folder: JobFolder

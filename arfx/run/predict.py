@@ -1,8 +1,7 @@
 """The levels of a job and its predicted time, from its plans and the price list: the analysis is done, nothing is rendered yet.
 
 The wall clock is the time up to the plan (measured: analysis, and loading compiled code beside it) + what every worker prepares
-+ the frames' work as the workers share it (run/schedule.py) + the join + what the report prepares again.
-"""
++ the frames' work as the workers share it (run/schedule.py) + the join + what the report prepares again."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ class JobSize:
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all frames, as the analysis measured it
     before_s : seconds up to now;  workers, processes : how many render, and how many of them are further processes
-    keys : frames that decoding can begin at;  checked : stages that the report may prepare once more, for their health
-    """
+    keys : frames that decoding can begin at;  checked : stages that the report may prepare once more, for their health"""
 
     frames: int
     frame_mpx: float
@@ -52,8 +50,7 @@ class JobSize:
 @dataclass(frozen=True)
 class JobPrediction:
     """phases : seconds of each, summed over the workers, None = not known;  workers : at once
-    share : of the seconds that the workers share, the fraction that passes on the wall clock
-    """
+    share : of the seconds that the workers share, the fraction that passes on the wall clock"""
 
     phases: dict[str, Prediction | None]
     share: float
@@ -103,8 +100,7 @@ def _shared(
 ) -> tuple[float, float]:
     """(wall seconds per second of work that the workers share, seconds of decoding only to get to where a chunk begins)
 
-    A worker that is alone encodes a chunk while it renders it.
-    """
+    A worker that is alone encodes a chunk while it renders it."""
     planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
     scale = 1.0 if work is None or not sum(planned) else work.seconds / sum(planned)
     decode_s, render_s, write_s = (s / max(size.frames, 1) for s in (size.decode_s, size.decode_s + edit_s, encode_s))

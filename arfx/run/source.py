@@ -1,8 +1,7 @@
 """Decoded frames, and their real depth, for the chunks that a thread renders.
 
 A chunk that follows the thread's last one is read on from where that ended: a new reader decodes from the key frame before, which
-may lie hundreds of frames back.
-"""
+may lie hundreds of frames back."""
 
 from __future__ import annotations
 
@@ -70,8 +69,7 @@ def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: C
     """REAL_DEPTH over `rect`: metres, > 0 everywhere, holes filled along the picture's edges; None where there is none.
 
     The whole map is filled whatever the rectangle, so that a pixel gets the same from any.
-    Raises InputError where the map is not the one that was analysed.
-    """
+    Raises InputError where the map is not the one that was analysed."""
     real = facts.real_depth
     if real is None:
         return None

@@ -1,7 +1,6 @@
 """report.json of a job, from its facts, plans and timings (the fields are a contract: docs of `arfx report`).
 
-`health` holds every estimate with its value, limit, verdict, and what was done about it.
-"""
+`health` holds every estimate with its value, limit, verdict, and what was done about it."""
 
 from __future__ import annotations
 

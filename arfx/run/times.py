@@ -1,8 +1,7 @@
 """What each piece of a job's work took, recorded in timings.jsonl when it is done: a resumed job reports the time of all of it.
 
 A row is {"work": "analysis" | "chunk", "key", "seconds", "walls", "rss_mb", …}. key : of what was made, so that the time of work
-that is not in the output is left out;  walls : process of the job -> how long it had run by then, seconds.
-"""
+that is not in the output is left out;  walls : process of the job -> how long it had run by then, seconds."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ class TimeSpent:
 
     seconds, stages : by phase and by stage, over all chunks and the analysis
     untimed : keys of chunks that a process finished, but was killed before it recorded their time
-    wall_s : of all processes, each up to the last of its work that is in the output;  processes : how many of them
-    """
+    wall_s : of all processes, each up to the last of its work that is in the output;  processes : how many of them"""
 
     seconds: Mapping[str, float]
     stages: Mapping[str, float]

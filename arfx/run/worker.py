@@ -45,8 +45,7 @@ _OPENING = threading.Lock()  # what threads share is made once
 class Context:
     """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at.
 
-    facts, plans : of every frame, where the process that made them renders too; None = they are read chunk by chunk
-    """
+    facts, plans : of every frame, where the process that made them renders too; None = they are read chunk by chunk"""
 
     folder: JobFolder
     info: ClipInfo
@@ -76,8 +75,7 @@ def keep_memory() -> None:
     costs more than the work on them. Without glibc nothing is changed.
 
     Call it before there are threads: all share one heap then, while heaps of their own, of at most 64 MB, are given back
-    whenever one is empty, whatever the thresholds say.
-    """
+    whenever one is empty, whatever the thresholds say."""
     import ctypes
 
     if os.name != "posix":
@@ -113,8 +111,7 @@ def render_chunk(
     target : its path, to which the digest of its content and the extension are added
     alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads of their own
     Returns the file's name, seconds by stage, decode and encode seconds, counts, and the most memory that this process held.
-    Raises RenderError (frames missing in the source, a full disk, a stage that failed).
-    """
+    Raises RenderError (frames missing in the source, a full disk, a stage that failed)."""
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key)

@@ -1,8 +1,7 @@
 """The one table of stages. To add an effect: write its module, add its line here, add a scene folder.
 
 Other distributions add theirs by entry points of the group `arfx.stages`: `name = "module:Class"`.
-Modules are imported when a stage is looked up, so that help stays quick.
-"""
+Modules are imported when a stage is looked up, so that help stays quick."""
 
 from __future__ import annotations
 

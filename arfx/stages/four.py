@@ -1,8 +1,7 @@
 """Four channels at once: read before any is written, so that the compiler's SLP pass makes one vector of them.
 
 Nothing here looks whether a place is inside of its array; indices are unsigned, which spares a test for negative ones. Without
-contraction, whatever the caller allows: light that is spread over a disc must be taken away again to the last bit.
-"""
+contraction, whatever the caller allows: light that is spread over a disc must be taken away again to the last bit."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Guided filter with a colour guide: a mask's edges moved to those of a picture, for masks from measured depth.
 
-Depth maps end some pixels beside the things that they show; colour tells things of like brightness apart.
+Depth maps end some pixels beside the things that they show; colour separates things of similar brightness.
 Source: He, Sun and Tang 2010, eqs. 14 to 16; each mean weighted by where the mask means anything.
-Cost: O(pixels of the box around what is mixed).
-"""
+Cost: O(pixels of the box around what is mixed)."""
 
 from __future__ import annotations
 

@@ -4,8 +4,7 @@ Only where the job measures the real scene's depth. How much nearer the real sur
 what is hidden; depth maps end some pixels beside the things that they show, so a guided filter moves that mask's edge to
 the picture's own and softens it. It looks at the object's pixels alone: its outline stays as it is.
 Cost: O(pixels of the object before which something real stands). Leaves out: the shadow of what is nearer on the object
-(`holdout` keeps the object's off it). Source: guided filter (`guided`), each mean weighted by where the object is.
-"""
+(`holdout` keeps the object's off it). Source: guided filter (`guided`), each mean weighted by where the object is."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

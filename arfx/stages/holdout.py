@@ -6,8 +6,7 @@ How far off counts follows from the depth's own noise on the prints; holes were 
 maps end some pixels beside the things that they show, so beside such an edge a guided filter moves it to the picture's own.
 `gi` asks the depth itself, plane by plane, and adds to what is left. Cost: O(pixels of the shadow). Leaves out: the shadow
 that such a thing would really take, and cast on the object.
-Source: guided filter (`guided`).
-"""
+Source: guided filter (`guided`)."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
 @dataclass(frozen=True)
 class HoldoutParams:
     """tolerance : a real surface takes the whole shadow if it is off the plane by at most this fraction of its distance, and none
-    if it is off by twice that. Noisy depth gets more: three standard deviations, measured on the markers
-    """
+    if it is off by twice that. Noisy depth gets more: three standard deviations, measured on the markers"""
 
     tolerance: float = 0.01
 

@@ -1,7 +1,6 @@
 """A whole synthetic clip: frames, camera.yaml, job.toml, model.glb, truth, and a depth input where the scene has one.
 
-Its folder appears when it is complete.
-"""
+Its folder appears when it is complete."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ def make_clip(
     folder : made anew; it appears by rename when everything in it is complete
     scene_folder : where picture files that the scene names are
     truth_pictures : False leaves out depth, masks and flow
-    Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written.
-    """
+    Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written."""
     check_file_name(folder)
     check_replaceable(folder, overwrite)
     part = part_name(folder.absolute())

@@ -1,8 +1,7 @@
 """What a scene file may say: typed, frozen, every key documented. `arfx synth` reads it from TOML.
 
 Room axes: metres, z up. A marker or object without a pose stands at the room's origin, facing up. Angles in degrees;
-lengths carry a unit when written as text ("120mm") and are metres when written as a number.
-"""
+lengths carry a unit when written as text ("120mm") and are metres when written as a number."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Writes a synthetic clip, H.264 in MP4 or lossless FFV1 in Matroska, with exact times, tags, rotation and tone; and its depth.
 
 Written apart from arfx.media, so that a mistake there cannot cancel out. BT.709, limited range, sRGB curve; the chroma
-of 4:2:0 is sited left (MPEG-2), as H.264 players expect.
-"""
+of 4:2:0 is sited left (MPEG-2), as H.264 players expect."""
 
 from __future__ import annotations
 

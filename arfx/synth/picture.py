@@ -1,7 +1,6 @@
 """One frame's exact radiance, its per-pixel truth, and what a sensor makes of it: exposure, noise, clipping, transfer curve.
 
-Samples over pixel, shutter and lens are averaged in linear light.
-"""
+Samples over pixel, shutter and lens are averaged in linear light."""
 
 from __future__ import annotations
 

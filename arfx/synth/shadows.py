@@ -3,8 +3,7 @@
 `occluders` finds once per time what can occlude each light at all, so that few are tested for a point.
 Row of an occluder (float64), for one light l and one rectangle, its normal turned to the light's side:
 0-3 normal n and n·centre, 4-7 u and u·centre, 8-11 v and v·centre, 12 half width, 13 half height, 14-15 u·l / n·l and
-v·l / n·l, 16 growth of the disc's shadow per m along n, 17 radius if some rays to the disc run along the plane, else 0
-"""
+v·l / n·l, 16 growth of the disc's shadow per m along n, 17 radius if some rays to the disc run along the plane, else 0"""
 
 from __future__ import annotations
 

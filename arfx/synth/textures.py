@@ -1,8 +1,7 @@
 """Surfaces and surroundings: albedo pictures that depend on a seed only, with detail enough for corners and optical flow; and
 panoramas as sets of directional lights, by median cut (Debevec 2005).
 
-Panoramas are equirectangular with the room's z up: the middle column looks along x, the left half holds +y.
-"""
+Panoramas are equirectangular with the room's z up: the middle column looks along x, the left half holds +y."""
 
 from __future__ import annotations
 

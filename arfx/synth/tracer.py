@@ -9,8 +9,7 @@ rectangle  0-2 centre, 3-5 u, 6-8 v, 9-11 normal, 12 half width, 13 half height,
            17 whether it is a face of a closed box
 sphere     0-2 centre, 3 radius, 4-6 albedo, 7 object
 light      0-2 unit vector towards it, 3-5 rgb, 6 tangent of half its angular size
-texture    0 offset into the table, 1 columns, 2 rows, 3 smallest box in texels (0: cells stay hard-edged)
-"""
+texture    0 offset into the table, 1 columns, 2 rows, 3 smallest box in texels (0: cells stay hard-edged)"""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Starts the command: signals are caught and streams made safe before anything heavy is imported.
 
-The process ends here too, with the exit code alone: what libraries do at exit cannot change it.
-"""
+The process ends here too, with the exit code alone: what libraries do at exit cannot change it."""
 
 from __future__ import annotations
 

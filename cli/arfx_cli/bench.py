@@ -42,8 +42,7 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
     Example:
       arfx bench --stage raster --size 1920x1080
       arfx bench --calibrate
-      arfx bench --calibrate --stage dof
-    """
+      arfx bench --calibrate --stage dof"""
     if calibrate:
         _calibrate(stage, level, as_json)
         return

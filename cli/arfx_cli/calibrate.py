@@ -36,8 +36,7 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
 
     \b
     Example:
-      arfx calibrate left*.jpg --board chessboard:9x6:25mm -o camera.yaml
-    """
+      arfx calibrate left*.jpg --board chessboard:9x6:25mm -o camera.yaml"""
     from arfx.calibrate.board import BoardSpec
 
     spec = BoardSpec.parse(board)

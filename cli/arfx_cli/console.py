@@ -96,8 +96,7 @@ def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]],
 class Progress:
     """A rich bar with ETA on a terminal, a plain line now and then otherwise, nothing with --quiet. A context manager.
 
-    unit : what is counted
-    """
+    unit : what is counted"""
 
     def __init__(self, unit: str = "frames") -> None:
         self._unit = unit

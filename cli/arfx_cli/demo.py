@@ -24,8 +24,7 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
 
     \b
     Example:
-      arfx demo
-    """
+      arfx demo"""
     import numpy as np
 
     from arfx.config.load import load

@@ -21,8 +21,7 @@ def command(as_json: bool) -> None:
 
     \b
     Example:
-      arfx doctor
-    """
+      arfx doctor"""
     from arfx.errors import RenderError
     from arfx.measure.machine import essentials_work, examine
 

@@ -20,8 +20,7 @@ def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> Non
 
     \b
     Example:
-      arfx inspect clip.mp4 --camera camera.yaml
-    """
+      arfx inspect clip.mp4 --camera camera.yaml"""
     from arfx.measure.inspection import inspect, suggestion
     from arfx.media.cameras import load_camera
     from arfx.media.clip import probe

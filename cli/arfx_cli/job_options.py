@@ -1,7 +1,6 @@
 """The options that `process`, `plan` and `tradeoff` share, and how they become a job.
 
-Those of a job file's sections are made from its fields; this module has those of stages, and of how a job is run.
-"""
+Those of a job file's sections are made from its fields; this module has those of stages, and of how a job is run."""
 
 from __future__ import annotations
 
@@ -95,8 +94,7 @@ def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given
 def planned_aside(given: dict[str, Any], progress: Progress, check: Callable[[Inputs], None] | None = None) -> Iterator[Job]:
     """The job that `process` would run with these arguments, analysed and planned. Its folder is gone afterwards.
 
-    check : called with all that was opened, before any work
-    """
+    check : called with all that was opened, before any work"""
     from arfx.run.folder import JobFolder
     from arfx.run.inputs import open_inputs
     from arfx.run.job import Options, plan_job

@@ -33,8 +33,7 @@ def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) 
 
     \b
     Example:
-      arfx lens --focal 200mm --fnumber 11 --distance 2500mm --coc 0.035mm
-    """
+      arfx lens --focal 200mm --fnumber 11 --distance 2500mm --coc 0.035mm"""
     from arfx.core.lens import Lens, depth_of_field
     from arfx.core.units import length_m
     from arfx.papers import CORRECTED, PAPER

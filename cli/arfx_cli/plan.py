@@ -23,8 +23,7 @@ def command(as_json: bool, **given: Any) -> None:
 
     \b
     Example:
-      arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm
-    """
+      arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm"""
     from arfx.plan.explain import level_lines, summarise, total_line
 
     with Progress() as progress, planned_aside(given, progress) as job:

@@ -25,8 +25,7 @@ def command(
     \b
     Example:
       arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm \\
-        --model duck.glb --fit 15cm -o out.mp4 --report report
-    """
+        --model duck.glb --fit 15cm -o out.mp4 --report report"""
     from arfx.measure.report import report_of_job
     from arfx.run.job import Options, process
 

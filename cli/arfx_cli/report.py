@@ -21,8 +21,7 @@ def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) 
 
     \b
     Example:
-      arfx report out.job -o report
-    """
+      arfx report out.job -o report"""
     from arfx.core.guard import Guard
     from arfx.measure.report import read_report, report_of_job
     from arfx.run.folder import JobFolder

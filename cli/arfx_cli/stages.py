@@ -20,8 +20,7 @@ def command(name: str | None, as_json: bool) -> None:
     Example:
       arfx stages
       arfx stages dof
-      arfx stages output --json
-    """
+      arfx stages output --json"""
     from arfx.run.catalogue import describe, overview, page, sections, text
     from arfx.stages import STAGES
 

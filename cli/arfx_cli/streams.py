@@ -1,8 +1,7 @@
 """Standard streams that may be closed, full or without a reader: a job does not end because nobody can read its messages.
 
 What goes to a stream that is closed or that its reader has left is dropped. A result that cannot be written to standard
-output for another reason, such as a full disk, is an error, reported when the command has ended.
-"""
+output for another reason, such as a full disk, is an error, reported when the command has ended."""
 
 from __future__ import annotations
 

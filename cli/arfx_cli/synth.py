@@ -25,8 +25,7 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_js
 
     \b
     Example:
-      arfx synth sample_scenes/0001-orbit/scene.toml -o out/orbit
-    """
+      arfx synth sample_scenes/0001-orbit/scene.toml -o out/orbit"""
     from arfx.errors import ConfigError
     from arfx.run.kernels import SYNTH, compile_ahead
     from arfx.synth.clip import make_clip

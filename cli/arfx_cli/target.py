@@ -25,8 +25,7 @@ def command(specs: tuple[str, ...], output: Path, page: str, dpi: float, overwri
 
     \b
     Example:
-      arfx target 36h11:3:165mm -o marker.pdf
-    """
+      arfx target 36h11:3:165mm -o marker.pdf"""
     from arfx.calibrate.print_layout import lay_out, parse_targets, write_sheet
 
     targets = parse_targets(specs)

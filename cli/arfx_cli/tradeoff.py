@@ -29,8 +29,7 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
     \b
     Example:
       arfx tradeoff clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm \\
-        --pipeline lightmap,dof --report costs
-    """
+        --pipeline lightmap,dof --report costs"""
     import json
 
     from arfx.core.guard import Guard

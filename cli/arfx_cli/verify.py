@@ -25,8 +25,7 @@ def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> Non
 
     \b
     Example:
-      arfx verify sample_scenes/0901-frontal-40px
-    """
+      arfx verify sample_scenes/0901-frontal-40px"""
     from arfx.errors import ArfxError, ConfigError
     from arfx.measure.verification import read_tolerance, verify
 

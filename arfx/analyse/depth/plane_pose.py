@@ -22,8 +22,7 @@ MAPS = 4  # that planes are looked for in, over the clip
 class PlanePose(Fold):
     """Every frame's pose over the dominant plane, whose middle is the world's origin: of a camera at rest, or of given poses.
 
-    times_s : of the frames;  rest : whether the camera stands still
-    """
+    times_s : of the frames;  rest : whether the camera stands still"""
 
     name = "pose"
 

@@ -3,8 +3,7 @@
 Thresholds are multiples of the cloud's own noise. Deterministic. Planes of several maps are brought together in one frame; what
 was seen of one is a mask: its points moved onto it, in cells, the rim smoothed, small holes closed.
 Source: docs/methods/calibration.md#planes.
-Cost: O(points x log points), and O(hypotheses x points) per plane.
-"""
+Cost: O(points x log points), and O(hypotheses x points) per plane."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Real depth to the facts, with one factor for the whole clip, from the markers: their distance is known in metres.
 
-Source: docs/methods/calibration.md#depth.
-"""
+Source: docs/methods/calibration.md#depth."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class DepthScale(Document):
     """known : whether the markers tell;  scale : metres of a map to true ones, 1 where not known;  reason : in words
 
     spread : robust standard deviation of a frame's factor, relative;  residual : median over the prints' pixels of how
-    much a scaled map misses the marker's plane, relative;  frames : that tell
-    """
+    much a scaled map misses the marker's plane, relative;  frames : that tell"""
 
     known: bool
     reason: str
@@ -81,10 +79,9 @@ class Depth(Fold):
 
 
 def print_ratios(depth_m: np.ndarray, facts: FrameFacts, world_from_marker: Mapping[str, Pose], camera: Camera) -> np.ndarray:
-    """(n,) known over measured distance of the pixels on the prints that the frame shows; n = 0 where it tells nothing.
+    """(n,) known over measured distance of the pixels on the prints that the frame shows; n = 0 where none is usable.
 
-    depth_m : (h, w) metres, 0 = unknown, any size of the frame's shape
-    """
+    depth_m : (h, w) metres, 0 = unknown, any size of the frame's shape"""
     pose = facts.camera_from_world
     if pose is None or facts.status != MEASURED:
         return np.zeros(0)
@@ -138,8 +135,7 @@ def with_depth(
     """The facts with `real_depth`, and a summary for the report.
 
     of_frames : number of each frame's map;  align : scale the maps to the markers' planes, else take them at their word
-    Raises InputError for a map that cannot be read, and where no map holds a valid pixel.
-    """
+    Raises InputError for a map that cannot be read, and where no map holds a valid pixel."""
     used = sorted({k for k in of_frames if k is not None})
     if not used:
         raise InputError(f"depth {maps.path}: no map was taken near the time of any frame", "--set input.depth_start shifts them")

@@ -4,8 +4,7 @@ All hypotheses are compared by a criterion. A direction that is not known for ce
 light is the mean of what was seen. Beside the lights' directions one exponent of the values is free, within what a wrong transfer
 function leaves: a power of an irradiance bends it, and what bends it would else be taken for another light. A second light may be
 a dome: ambient light that is brighter from one side, ((n.d + 1) / 2)^2.
-Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms.
-"""
+Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms."""
 
 from __future__ import annotations
 
@@ -49,8 +48,7 @@ class Params:
 class LightHypotheses:
     """All models of 0 to 2 lights under all exponents; cost = chi squared + the exponent's prior.
 
-    best, best_cost : by number of lights;  count : the number that the criterion chose;  plain : samples as they came
-    """
+    best, best_cost : by number of lights;  count : the number that the criterion chose;  plain : samples as they came"""
 
     def __init__(self, s: Samples, params: Params, start: LightHypotheses | None = None) -> None:
         """start : of the same observations under other weights; its minima are followed, none is searched again."""
@@ -186,8 +184,7 @@ class FittedLight:
     """direction : (3,) unit, towards it, frame of the normals;  rgb : (g, 3) irradiance on a surface that faces it, per group
 
     confidence_deg : half-angle of its 95 % cone given the number of lights (180 = none)
-    angular_size_deg : full angle of its disc, a default or what the data allow where they do not show it
-    """
+    angular_size_deg : full angle of its disc, a default or what the data allow where they do not show it"""
 
     direction: np.ndarray
     rgb: np.ndarray
@@ -209,8 +206,7 @@ class LightFit:
         whose direction is not has confidence_deg 180, and is soft light in `light()`
     misfit : chi squared over its degrees of freedom, under a systematic error of model_error
     gamma : exponent found in the values
-    condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;  ignored : observations
-    """
+    condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;  ignored : observations"""
 
     verdict: str
     reason: str
@@ -270,7 +266,7 @@ def fit(
     unit = s.normals / np.linalg.norm(s.normals, axis=1, keepdims=True)
     span_deg = float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))
     rows = np.sqrt(s.weight)[:, None] * np.column_stack([np.ones(len(s.normals)), s.normals])
-    design = divide(rows, np.linalg.norm(rows, axis=0))  # what tells an ambient light and a direction apart
+    design = divide(rows, np.linalg.norm(rows, axis=0))  # what separates ambient light from a direction
     about: dict[str, Any] = {"condition": min(condition(design), 1e12), "span_deg": span_deg, "ignored": s.ignored}
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
     seen = np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups]) * s.scale  # (g, 3)

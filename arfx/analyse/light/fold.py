@@ -2,8 +2,7 @@
 
 Whatever the cue, brightness and colour of each frame are those that the markers show (exposure and light together).
 The frame in which lights are fixed is the static frame: the camera's where the camera stands still, else the marker map's.
-Source: docs/methods/light.md#cues.
-"""
+Source: docs/methods/light.md#cues."""
 
 from __future__ import annotations
 
@@ -100,8 +99,7 @@ class LightOfMarkers(Fold):
 class LightOnPlane(Fold):
     """Where there is no marker: small pictures are kept until it is known where in them the plane is.
 
-    pictures : (frame, small picture) in order
-    """
+    pictures : (frame, small picture) in order"""
 
     name = "light"
     needs = ("pose",)
@@ -184,8 +182,7 @@ def with_light(
 ) -> Analysis:  # fmt: skip
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was found in summary["light"].
 
-    panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and light out of patches
-    """
+    panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and light out of patches"""
     facts, turns = analysis.facts, analysis.static == "camera"
     posed = {k: f.camera_from_world for k, f in enumerate(facts) if f.camera_from_world is not None}
     static_from_world = {k: pose.rotation if turns else np.eye(3) for k, pose in posed.items()}  # (3, 3)
@@ -254,8 +251,7 @@ def with_light(
 def _certain_bias(photometry: Photometry) -> np.ndarray:
     """(3,) bias of the channels that have one for certain, else 0: what may be none is not added to what is drawn.
 
-    Three channels are asked: a tint that one of them shows by chance is no haze.
-    """
+    Three channels are asked: a tint that one of them shows by chance is no haze."""
     away = np.abs(photometry.bias_95 - photometry.bias[:, None]) * THREE_ASKED
     low, high = photometry.bias - away[:, 0], photometry.bias + away[:, 1]
     certain = photometry.determined.all() and ((low > 0) | (high < 0))
@@ -279,7 +275,7 @@ def _readings(
         facing = -float(stands.rotation[:, 2] @ stands.translation_m) / max(float(np.linalg.norm(stands.translation_m)), 1e-9)
         if facing >= LEAST_FACING:
             rows.append((frame, static_from_world[frame] @ marker.rotation[:, 2], cells))
-    # a print that lies partly in a real shadow tells the lamps' light of no frame; where most do, they are all there is
+    # a print partly in a real shadow does not show the lamps' light; where most prints are, nothing else is left
     intensity, variance, clipped = patches.stack([p for _, _, p in rows])
     lit = np.flatnonzero(
         ~patches.clearly_shadowed(patches.quadrant_radiance(intensity, np.isfinite(intensity[..., 0]), np.zeros(3)))

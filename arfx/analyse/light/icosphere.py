@@ -1,8 +1,7 @@
 """Directions in even steps: the icosahedron, its faces cut into four again and again, all vertices on the unit sphere.
 
 All triangles are acute, so the vertex nearest to a direction is a corner of the triangle that holds it: a k-d tree and
-at most six candidate faces locate a direction. Vertex spacing: 16, 8, 4 and 2 degrees at levels 2 to 5.
-"""
+at most six candidate faces locate a direction. Vertex spacing: 16, 8, 4 and 2 degrees at levels 2 to 5."""
 
 from __future__ import annotations
 
@@ -52,8 +51,7 @@ class Icosphere:
     def nearest(self, directions: np.ndarray) -> np.ndarray:
         """(...) number of the nearest vertex for directions (..., 3), which need not be of unit length.
 
-        -1 where a direction is zero or not finite.
-        """
+        -1 where a direction is zero or not finite."""
         d = normalise(np.asarray(directions, float))
         fine = np.asarray(d.any(-1))
         found = self._tree.query(np.where(fine[..., None], d, self.vertices[0]))[1]
@@ -63,8 +61,7 @@ class Icosphere:
         """(face (...), weights (..., 3) >= 0 of its corners, sum 1) for directions (..., 3).
 
         The weights are those of the point where the direction meets the flat face. Face -1 and weights 0 where a direction
-        is zero or not finite.
-        """
+        is zero or not finite."""
         d = normalise(np.asarray(directions, float))
         shape = d.shape[:-1]
         d = d.reshape(-1, 3)

@@ -5,8 +5,7 @@ light may change, and never falls below what an observation of another normal ca
 
 To the compiled functions observations of all frames lie one after the other: normals, irradiance, variance (k, 3), starts
 (t + 1,) by frame. The map: vertices, value, variance (v, 3).
-Source: Tan, Chen, Sun 2009, eq. (7), (8); docs/methods/light.md#update. Cost: some 5 us per observation at level 3.
-"""
+Source: Tan, Chen, Sun 2009, eq. (7), (8); docs/methods/light.md#update. Cost: some 5 us per observation at level 3."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ STEADY, STEP, OUTLIER = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What one frame tells. normals : (k, 3) unit;  irradiance, variance : (k, 3); what is not finite is left out."""
+    """The readings of one frame. normals : (k, 3) unit;  irradiance, variance : (k, 3); what is not finite is left out."""
 
     time_s: float
     normals: np.ndarray
@@ -39,8 +38,7 @@ def changes(seen: Sequence[Observation], level: int = 3, blur_rad: float = 0.2, 
     """(t,) per frame STEADY, STEP (the light changed just before it) or OUTLIER (it disagrees alone, and is to be left out).
 
     A frame that contradicts the map of those before it begins a step if the next one with observations contradicts that
-    map too, to the same side; the last frame is believed. level, blur_rad, drift_per_s : as in LightParams
-    """
+    map too, to the same side; the last frame is believed. level, blur_rad, drift_per_s : as in LightParams"""
     if not len(seen):
         return np.zeros(0, int)
     sphere = icosphere(level)
@@ -118,8 +116,7 @@ def add(vertices, value, variance, normals, x, v, first, last, blur_rad):  # pra
 def _contradiction(value, variance, corners, weights, normals, x, v, first, last):  # pragma: no cover - compiled
     """-1 or 1: darker or brighter than the map beyond its and the frame's uncertainty; 0: neither, or nothing known.
 
-    corners, weights (k, 3) : of the map's triangle that holds each observation's normal
-    """
+    corners, weights (k, 3) : of the map's triangle that holds each observation's normal"""
     most = np.empty(last - first)
     n = 0
     for k in range(first, last):
@@ -180,8 +177,7 @@ def _changes(vertices, corners, weights, times_s, starts, normals, x, v, blur_ra
 def kalman_pass(times_s, value, variance, begins, order, drift_per_s, mean, spread):  # pragma: no cover - compiled
     """A Kalman filter of a random walk through `order`: mean and spread (n, 3) before each value is taken in.
 
-    value, variance (n, 3), UNKNOWN = not seen;  begins (n,) : the walk begins anew there
-    """
+    value, variance (n, 3), UNKNOWN = not seen;  begins (n,) : the walk begins anew there"""
     m, s = np.zeros(3), np.array([UNKNOWN, UNKNOWN, UNKNOWN])
     for i in range(len(order)):
         k = order[i]

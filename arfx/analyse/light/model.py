@@ -6,8 +6,7 @@ with fixed relative `strength`, and turn together as one `body`.
 Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of
 unit vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on;
 dirs (q, 3) unit; column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a dome; body (q,)
-int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(weight).
-"""
+int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(weight)."""
 
 from __future__ import annotations
 
@@ -175,8 +174,7 @@ def _solve_amplitudes(seen: Observations, A, B, amp, residual):  # pragma: no co
 def evaluate(seen: Observations, dirs, columns: Columns, amp, residual, contribution):  # pragma: no cover - compiled
     """Chi squared of one set of directions with the best amplitudes; amp and residual are filled.
 
-    given (g, m + 1) : filled with the sum of what each column gives, times weight
-    """
+    given (g, m + 1) : filled with the sum of what each column gives, times weight"""
     starts, k = seen.starts, seen.normals.shape[1]
     A, B = np.empty((columns.lights + 1, k)), np.empty((columns.lights + 1, k))
     _fill_columns(seen, dirs, columns, A)
@@ -228,8 +226,7 @@ def refine(seen: Observations, dirs, columns: Columns, body, passes, gain):  # p
     """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns chi squared.
 
     Ends after `passes`, or where one gains less than the share `gain`. The
-    Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless.
-    """
+    Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless."""
     k, q, m = seen.normals.shape[1], len(dirs), columns.lights
     bodies = 0
     for i in range(q):

@@ -6,8 +6,7 @@
 4. shared: the same, with a factor for every frame where frames show several normals, else in windows of a few seconds;
 5. windows: a fit for each window alone.
 The next one is tried where the one before does not explain the observations. A light that is refused for another reason stays
-refused: cut into pieces, its evidence only gets less. Source: docs/methods/light.md#time.
-"""
+refused: cut into pieces, its evidence only gets less. Source: docs/methods/light.md#time."""
 
 from __future__ import annotations
 
@@ -52,8 +51,7 @@ def fit_over_time(
 
     times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in fit.fit
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
-    window_s : length of a window, at most. Observations without a finite time are left out.
-    """
+    window_s : length of a window, at most. Observations without a finite time are left out."""
     times = np.asarray(times_s, float).ravel()
     n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
     v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
@@ -66,7 +64,7 @@ def fit_over_time(
     def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None) -> LightFit:
         return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], params, lit)
 
-    # where most frames show normals that are apart, light that changes is told from a direction that does
+    # where most frames show normals that are apart, changing light is distinguished from a changing direction
     several = np.mean(_mean_lengths(times, n) < np.cos(np.radians(_APART_DEG / 2))) > 0.5
     agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
 
@@ -121,8 +119,7 @@ def fit_over_time(
 def switches(times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]) -> np.ndarray | None:
     """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where steps do not go down and up in turn.
 
-    What a step does is seen from the observations right before and after it.
-    """
+    What a step does is seen from the observations right before and after it."""
     light, order = np.asarray(irradiance, float).mean(1), np.argsort(times_s, kind="stable")
     t, light = times_s[order], light[order]
     signs = []
@@ -189,8 +186,7 @@ def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) ->
 def drift(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, group: np.ndarray | None = None) -> float:
     """Root mean square over time, relative to the level, of how normals differ from themselves at other times of a group.
 
-    times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of a second, so that noise is little.
-    """
+    times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of a second, so that noise is little."""
     light = np.asarray(irradiance, float).mean(1)
     level = float(np.percentile(light, 90)) if len(light) else 0.0
     if level <= 0:
@@ -211,8 +207,7 @@ def drift(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, grou
 def gains(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray) -> np.ndarray | None:
     """(k,) factor of each observation's frame, median 1; None where frames do not show several normals apart.
 
-    Alternating least squares of the factors and of the irradiance in harmonics up to degree 2.
-    """
+    Alternating least squares of the factors and of the irradiance in harmonics up to degree 2."""
     if np.mean(_mean_lengths(times_s, normals) < _APART) < _LEAST_FRAMES:
         return None
     frame = np.unique(times_s, return_inverse=True)[1]

@@ -28,8 +28,7 @@ def place_samples(quad, white, blur_px, columns, rows, corner, part, group, nois
 
     quad : (4, 2) top left, top right, bottom right, bottom left;  white : (n, n) as seen;  columns, rows : of the picture
     corner (k, 2) int32, part (k, 2), group (k,) int32 : filled;  about (2,) : samples that share their noise, and the share
-    of the contrast that blur brings in from other cells
-    """
+    of the contrast that blur brings in from other cells"""
     n = len(white)
     turn = 0
     for i in range(4):
@@ -117,8 +116,7 @@ def _spread_about(x, low, high, middle):  # pragma: no cover - compiled
 def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # pragma: no cover - compiled
     """Means, deviations (8, 3) and tally (8, 3: used, clipped, all) of the samples of each patch.
 
-    pixels (4 k, 3) of the samples;  low, high : linear levels at which any channel of any of the four is clipped
-    """
+    pixels (4 k, 3) of the samples;  low, high : linear levels at which any channel of any of the four is clipped"""
     count = len(group)
     values = np.empty((PATCHES, count, 3), np.float64)
     grey, x = np.empty((PATCHES, count)), np.empty(count)
@@ -186,8 +184,7 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
 def uncertainty(mean, spread, tally, shared, leak, half_grey, cut, out):  # pragma: no cover - compiled
     """out (8, 3) = variances of the means: noise, rounding, the share that is cut off, and blur from the other cells.
 
-    cut : deviation of a mean over a sample's, for clipped shares in even steps from 0 to 1
-    """
+    cut : deviation of a mean over a sample's, for clipped shares in even steps from 0 to 1"""
     bright, dark, whites, blacks = np.zeros(3), np.zeros(3), 0, 0
     contrast = np.zeros(3)
     for g in range(PATCHES):

@@ -3,8 +3,7 @@
 Samples lie on a grid inside every cell, away from its edges, read bilinearly (pixel centres at integers). What biases a mean
 beyond its noise goes into its variance. `comparable` gives a fit readings of one kind where prints are partly overexposed;
 `real_shadow` is what lies on the anchor's print already, against the brightest quarter, which is taken for lit.
-Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about .2 ms for a marker of 270 px.
-"""
+Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about .2 ms for a marker of 270 px."""
 
 from __future__ import annotations
 
@@ -51,8 +50,7 @@ WHITE = np.arange(PATCHES) >= PATCHES // 2
 def cells(family: str, number: int) -> np.ndarray:
     """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of MarkerSpec.corners_m.
 
-    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only.
-    """
+    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only."""
     n = cells_per_side(family)
     out = cv2.aruco.generateImageMarker(dictionary(family), number, n) > 127
     out.setflags(write=False)
@@ -83,8 +81,7 @@ def place_samples(quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_p
     """Samples of a marker in a picture of shape (rows, columns); none for a quad that is bent.
 
     quad_px : (4, 2) order of MarkerSpec.corners_m;  cells : `cells(family, id)`;  inverted : white on black print
-    blur_px : standard deviation of the edges' blur
-    """
+    blur_px : standard deviation of the edges' blur"""
     rows, columns = shape
     most = len(cells) ** 2 * kernels.MOST_SAMPLES**2
     corner, part, group = np.empty((most, 2), np.int32), np.empty((most, 2)), np.empty(most, np.int32)
@@ -108,8 +105,7 @@ def cut_off(fraction: np.ndarray) -> np.ndarray:
     """Deviation, over that of one sample, that a mean gets where a share of its samples was clipped and dropped.
 
     For a normal distribution that is cut off at one end its mean is off by a third of this; but samples are not spread
-    normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped.
-    """
+    normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped."""
     p = np.clip(fraction, 0, 0.99)
     lost = np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
     return np.where(p > 0, 3 * lost, 0.0)
@@ -154,8 +150,7 @@ def comparable(
 def quadrant_radiance(mean: np.ndarray, count: np.ndarray, bias: np.ndarray) -> np.ndarray:
     """(..., 4) light of the paper in the print's quadrants (top left, top right, bottom left, bottom right), NaN = not seen.
 
-    mean (..., 8, 3), count (..., 8) : of Patches
-    """
+    mean (..., 8, 3), count (..., 8) : of Patches"""
     white = slice(PATCHES // 2, PATCHES)
     light = (mean[..., white, :] - bias).mean(-1)
     return np.where(count[..., white] > 0, light, np.nan)
@@ -170,8 +165,7 @@ def clearly_shadowed(light: np.ndarray) -> np.ndarray:
 def real_shadow(light: np.ndarray, size_m: float) -> PlaneShadow | None:
     """The real shadow on the anchor's print, None where no quarter is clearly darker.
 
-    light : (4,) of `quadrant_radiance`;  size_m : side of the print. Anchor axes: x right, y up.
-    """
+    light : (4,) of `quadrant_radiance`;  size_m : side of the print. Anchor axes: x right, y up."""
     if not clearly_shadowed(light):
         return None
     top_left, top_right, bottom_left, bottom_right = np.clip(divide(light, light.max()), 0, 1).tolist()

@@ -2,8 +2,7 @@
 
 The free scale is fixed (g = 1, so y_t = g x_t), b and y_t by robust least squares (Huber). What cannot be solved is `degenerate`:
 then b = 0 is assumed and the light taken from the bright patches alone. Nothing non-finite leaves.
-Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); docs/methods/light.md#bias. Cost: 10,000 frames about .25 s.
-"""
+Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); docs/methods/light.md#bias. Cost: 10,000 frames about .25 s."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ TRANSFER = 0.08  # by so much the exponent of the camera's curve may be another 
 # leaves smooth chroma where its rounding put it.
 STEPS = 1.5
 UNKNOWN_VARIANCE = 1e12  # of the light of a frame in which nothing was usable
-ASSUMED_BIAS = 0.01  # standard deviation of a bias that nothing tells, linear light: about 10 dark grey levels
+ASSUMED_BIAS = 0.01  # standard deviation of an unknown bias, linear light: about 10 dark grey levels
 # Share of the information on b that is left once every y_t is eliminated, below which float64 has none of it.
 LEAST_FRACTION = 1e-12
 WORST_BIAS = 0.1  # of the bright patches' median: a 95 % interval of b that is wider says nothing
@@ -42,8 +41,7 @@ class Photometry:
     determined : (3,) False where the channel's bias is assumed, not solved
     rank, unknowns : (3,) of the linear system;  condition : (3,) of its columns scaled to length 1, at most 1e12
     misfit : (3,) residuals in units of their stated deviations;  clipped : share of samples;  ignored : patches not finite
-    verdict : "measured" or "degenerate";  reason : in words
-    """
+    verdict : "measured" or "degenerate";  reason : in words"""
 
     verdict: str
     reason: str
@@ -76,8 +74,7 @@ def solve(
     ink_sigma : standard deviation of the ink's albedo, goes into bias_95; 0 with `albedo` given
     transfer : range by which the exponent of the camera's curve may be off, goes into bias_95
     steps : of 1/255 by which the coded values of all dark cells may be off together; goes there too
-    Raises ValueError for wrong shapes.
-    """
+    Raises ValueError for wrong shapes."""
     value = np.asarray(intensity, float)
     frames, patches, _ = value.shape
     if albedos not in ("known", "normalised", "unknown"):
@@ -157,8 +154,7 @@ def solve_robust(
     known : the variances are;  find_ink : nothing is known of the ink's albedo
     ink_sigma : deviation of the ink's albedo from that in rho, 0 = exact. The solution takes the stated ink; the interval
         holds what an ink with this prior, solved for beside the bias, makes of the bias too. (Gloss and glare bend dark cells
-        as another ink would, so that one found is no better an answer than the stated one.)
-    """
+        as another ink would, so that one found is no better an answer than the stated one.)"""
     part = solve_channel(grey, w0, rho, dark, known, find_ink, 0.0)
     if find_ink or ink_sigma == 0 or not part["determined"]:
         return part
@@ -216,7 +212,7 @@ def solve_channel(
             prior = (scale / ink_sigma) ** 2 if known_ink else 0.0
             joint = _ink_step(grey, w, r, dark, inverse, b, y, prior, stated - k)
             if joint is None and free_ink:
-                why = "albedos unknown and the light constant: bias and ink cannot be told apart"
+                why = "albedos unknown and the light constant: bias and ink cannot be separated"
                 return fallback(grey, w0, rho, why, unknowns - 1, 1e12)
             if joint is not None:
                 b, k = b + joint[0], k + joint[1]
@@ -267,8 +263,7 @@ def solve_normalised(
 ) -> dict:  # fmt: skip
     """Light of each frame from its own difference of bright and dark patches; the bias is what the dark ones have beside.
 
-    Arguments as for `solve_robust`. Frames with patches of one kind alone are not seen.
-    """
+    Arguments as for `solve_robust`. Frames with patches of one kind alone are not seen."""
     shared = solve_robust(grey, w0, rho, dark, known, False, ink_sigma)
     if not shared["determined"]:
         return shared
@@ -297,8 +292,7 @@ def _ink_step(
 ) -> tuple[float, float, np.ndarray] | None:  # fmt: skip
     """Gauss-Newton step of (b, ink) with every y_t eliminated, and the inverse of their normal matrix; None where singular.
 
-    prior : weight of the ink's stated albedo;  off : how far that is from the present one
-    """
+    prior : weight of the ink's stated albedo;  off : how far that is from the present one"""
     jac = np.stack([np.ones_like(r), np.where(dark, y[:, None], 0.0)], -1)  # of the model, by b and ink
     cross = np.einsum("tp,tpi->ti", w * r, jac)
     S = np.einsum("tp,tpi,tpj->ij", w, jac, jac) - np.einsum("t,ti,tj->ij", inverse, cross, cross)

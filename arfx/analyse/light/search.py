@@ -1,7 +1,6 @@
 """Searches over the directions of model.py's lights: best ones, how far each may turn, what else explains the data.
 
-`gather` brings observations of irradiance down to what a fit needs: few normals, robust means, honest weights.
-"""
+`gather` brings observations of irradiance down to what a fit needs: few normals, robust means, honest weights."""
 
 from __future__ import annotations
 
@@ -37,8 +36,7 @@ class Samples:
     normals : (k, 3) mean of unit vectors;  value : (k, 3) irradiance over `scale` (3,), the channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective : number of independent values
     ignored : observations;  gamma : exponent that has been taken out of the values
-    lit : (k,) share of the lamps that is on, 0..1
-    """
+    lit : (k,) share of the lamps that is on, 0..1"""
 
     normals: np.ndarray
     value: np.ndarray
@@ -83,8 +81,7 @@ def gather(
 
     model_error : systematic error of the irradiance relative to its bright level. It is one and the same within a coarse
     cell of normals, so that more observations there add nothing beyond it.
-    lit : (g,) share of the lamps that is on in each group; then all groups are one, with the same light
-    """
+    lit : (g,) share of the lamps that is on in each group; then all groups are one, with the same light"""
     n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
     v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
     g = np.zeros(len(n), int) if group is None else np.asarray(group).ravel().astype(int)
@@ -180,8 +177,7 @@ def refine(
 def minima(s: Samples, count: int, first: Model | None = None) -> list[Model]:
     """Local minima with `count` lights (0 to 2), best first, from a grid over the whole sphere.
 
-    first : the best single light, for pairs that it belongs to
-    """
+    first : the best single light, for pairs that it belongs to"""
     if count == 0:
         return [refine(s, np.zeros((0, 3)))]
     if count == 1:
@@ -235,8 +231,7 @@ def _different(models: list[Model]) -> list[Model]:
 def cone_deg(model: Model, light: int, bound: float) -> float:
     """Radius of the cone outside which chi squared, minimised over all else, exceeds `bound`; NO_CONE_DEG if it never does.
 
-    Profile likelihood on rings of 12 azimuths: the radius is that of the first ring that is wholly outside.
-    """
+    Profile likelihood on rings of 12 azimuths: the radius is that of the first ring that is wholly outside."""
     for radius in RINGS_DEG:
         for d in cone_directions(model.dirs[light], radius):
             dirs = model.dirs.copy()
@@ -262,8 +257,7 @@ def two_in_place(model: Model, s: Samples, light: int, least_deg: float, bound: 
     """(lowest chi squared with two lights of one colour in the place of one, angle between the two in degrees).
 
     Both stand `least_deg` or more from the light that they replace, the stronger is held there; everything else is free.
-    The search ends at the first that is not above `bound`. Normals that are all lit by both can never tell them from one.
-    """
+    The search ends at the first that is not above `bound`. Normals that are all lit by both can never tell them from one."""
     q, replaced_dir = len(model.dirs), model.dirs[light]
     others = np.delete(model.dirs, light, 0)
     soft = np.concatenate([model.soft[[light, light]], np.delete(model.soft, light)])

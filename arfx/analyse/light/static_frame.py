@@ -57,8 +57,7 @@ def light_from_direction(given: tuple[float, ...], size_deg: float) -> tuple[Lig
 def light_from_panorama(picture: np.ndarray) -> Light:
     """Light in anchor axes: up to two lamps that stand out, everything else as soft light.
 
-    picture : (h, w, 3) linear radiance, finite and >= 0. rgb are those of core.light: radiance of a white surface.
-    """
+    picture : (h, w, 3) linear radiance, finite and >= 0. rgb are those of core.light: radiance of a white surface."""
     small = cv2.resize(np.asarray(picture, np.float32), (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA).astype(float)
     elevation = np.pi / 2 - (np.arange(ROWS) + 0.5) / ROWS * np.pi
     azimuth = np.pi - (np.arange(2 * ROWS) + 0.5) / ROWS * np.pi
@@ -96,8 +95,7 @@ def fitted_to(light: Light, normals: np.ndarray, radiance: np.ndarray, keep_lamp
 
     normals : (k, 3), radiance : (k, 3) of white surfaces, axes of the light. keep_lamps : their brightness is stated, and
     what they leave is ambient light (none is left where they are brighter than what was measured); else all of the light
-    is scaled, channel by channel.
-    """
+    is scaled, channel by channel."""
     n, want = np.atleast_2d(normals), np.atleast_2d(radiance).mean(0)
     if keep_lamps:
         lit = (light.radiance(n) - light.soft_radiance(n)).mean(0)
@@ -213,8 +211,7 @@ class StaticFrameLight:
 
         of_frame : (frames,) number of each frame's model, None = all have the first. Factors are smoothed over both past and
         future, but never over a step of the light; frames without a reading take that between those before and after, up
-        to a step.
-        """
+        to a step."""
         count = len(self.lit)
         of_frame = np.zeros(len(self.frames), int) if of_frame is None else of_frame
         of_reading = of_frame[np.searchsorted(self.frames, self.numbers)]
@@ -244,7 +241,7 @@ class StaticFrameLight:
         return {self.frames[r]: models[i].scaled(every[r]) for r, i in enumerate(of_frame)}
 
     def normal_statistics(self, span_deg: float | None = None) -> dict[str, Any]:
-        """What was seen, and how well it tells an ambient light and a direction apart."""
+        """What was seen, and how well it separates ambient light from a direction."""
         n = self.normals
         if span_deg is None:
             span_deg = float(np.degrees(np.arccos(np.clip((n[:: max(1, len(n) // 500)] @ n.T).min(), -1, 1)))) if len(n) else 0.0
@@ -279,8 +276,7 @@ def smoothed(
     """(n, 3) values of a random walk seen with noise, from all of the past and the future (Kalman filters from both ends).
 
     time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk begins anew there
-    drift_per_s : its relative standard deviation over one second
-    """
+    drift_per_s : its relative standard deviation over one second"""
     order = np.arange(len(value))
     m0, v0, m1, v1 = (np.zeros(value.shape) for _ in range(4))
     kalman_pass(time_s, value, variance, step, order, drift_per_s, m0, v0)

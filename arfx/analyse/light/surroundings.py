@@ -7,8 +7,7 @@ rest, and lamps in it are clipped.
 `soft_light` is for where no direction is known: the surroundings above the anchor's plane, evened out by half and scaled to what
 the markers show, the plane itself below. `with_environment` is for reflections: one cube per shot, or the panorama that the user
 gave. Leaves out the four corners of the picture.
-Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16.
-"""
+Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in `face_directions`. No seam anywhere: what
     is continuous in the picture is so on the sphere.
 
-    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not finite counts as black.
-    """
+    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not finite counts as black."""
     picture = foldable(image)
     h, w = picture.shape[:2]
     # as coarse as the faces are: a texel of 90 / size degrees spans this many pixels
@@ -72,8 +70,7 @@ def _sampled_at(picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int) 
 def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of static_frame.py (z up, middle column x).
 
-    What is more than OUTSTANDING times as bright as the mean belongs to lamps, which are lights of their own: it is cut.
-    """
+    What is more than OUTSTANDING times as bright as the mean belongs to lamps, which are lights of their own: it is cut."""
     a = np.asarray(picture, np.float32)
     solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
     grey = a.mean(-1)
@@ -96,8 +93,7 @@ def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
 def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
     """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its normal (core.light.Light.soft).
 
-    faces : (6, n, n, 3) of `fold`;  world_from_camera : (3, 3) rotation
-    """
+    faces : (6, n, n, 3) of `fold`;  world_from_camera : (3, 3) rotation"""
     directions = face_directions(faces.shape[1]).reshape(-1, 3) @ np.asarray(world_from_camera, float).round(12).T
     basis = harmonics(directions) * np.tile(solid_angles(faces.shape[1]).ravel(), 6)[:, None]
     return DIFFUSE[:, None] * (basis.T @ faces.reshape(-1, 3))
@@ -117,8 +113,7 @@ class EnvironmentSample:
 def environment_sample(frame: int, picture: np.ndarray, quad: np.ndarray, folded: Folded = fold) -> EnvironmentSample:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels
 
-    folded : makes the cube of a picture
-    """
+    folded : makes the cube of a picture"""
     middle = quad.mean(0)
     fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
     sides = np.concatenate([a + fraction * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)])
@@ -135,8 +130,7 @@ def soft_light(
     """Mean of the looks as one light without a direction, STATIC axes.
 
     static_from_camera : (3, 3) of each look;  up : (3,) unit, out of the plane
-    shown : (3,) radiance of a white surface that lies in the plane, None = unknown: the surroundings' own scale
-    """
+    shown : (3,) radiance of a white surface that lies in the plane, None = unknown: the surroundings' own scale"""
     size = samples[0].cube.shape[1]
     directions, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
     total, plane = np.zeros((9, 3)), np.mean([s.plane for s in samples], 0)
@@ -165,8 +159,7 @@ def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
     """The soft light bent so that white surfaces with `normals` look as measured, as little as that takes.
 
     normals : (k, 3) unit, STATIC axes;  shown : (k, 3). Ridge regression of what is missing on the harmonics: one normal moves
-    the whole light, many shape it. Never below 0 where it was measured to be above.
-    """
+    the whole light, many shape it. Never below 0 where it was measured to be above."""
     cell = icosphere(3).nearest(normals)
     rows, where = np.unique(cell, return_inverse=True)
     count = np.bincount(where, minlength=len(rows))
@@ -185,8 +178,7 @@ def with_environment(
 ) -> tuple[FrameFacts, ...]:  # fmt: skip
     """The facts with `environment` in every frame that has a pose and a look in its shot.
 
-    still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)
-    """
+    still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)"""
     bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0)))  # is no light
 
     def cube_map(faces: np.ndarray, plane_rgb: np.ndarray | None) -> CubeMap:

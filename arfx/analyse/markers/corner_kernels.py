@@ -1,7 +1,6 @@
 """The compiled inner loop of corners.py: edges along the sides of one quad, lines through them, where the lines meet.
 
-One marker after the other, so that a result does not depend on its company. What is not finite never becomes an index.
-"""
+One marker after the other, so that a result does not depend on its company. What is not finite never becomes an index."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ ITERATIONS = 6
 WINDOW_PX = (0.7, 1.3)
 WINDOW_FRACTION = 0.4  # of what is looked at to one side, between those two
 WIDE_ITERATIONS = 2  # with the far reach, before the others
-# Columns of what `refine_quad` tells of a marker.
+# Columns of what `refine_quad` returns for a marker.
 OK, BLUR, SPREAD, GAIN, SKEW, INVERTED = range(6)
 
 
@@ -34,8 +33,7 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
     luma : (h, w) uint8, at least 2 x 2;  table : (256,) to linear light;  bend : (n, 4, SAMPLES, 2) px off the chord
     half : (n,) px searched to either side of an edge;  reach : (n,) px for the first passes, not below half
     least_gain : (n,) give up where a side is fainter, at once;  fractions : FRACTIONS (a constant would be unrolled, and
-    the compiler take three times as long)
-    """
+    the compiler take three times as long)"""
     samples = len(fractions)
     offset, slope = np.empty((4, samples)), np.empty((4, samples, STEPS - 1))
     ends, moved = np.empty((4, 2)), np.empty((4, 2))
@@ -74,8 +72,7 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset
     """Where the four edges are along their normals: offset (4, SAMPLES) px inwards from the chord.
 
     blur : NaN at first;  slope (4, SAMPLES, STEPS - 1) : work space
-    Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0 for white on black.
-    """
+    Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0 for white on black."""
     h, w = luma.shape
     samples, steps = len(fractions), slope.shape[2] + 1
     last_x, last_y = w - 1.001, h - 1.001

@@ -2,8 +2,7 @@
 
 Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples share because the side runs along
 the pixels (aliasing_px). `EdgeRefiner` decides once per clip in which values edges are symmetric, light or code: until then both
-are computed and kept. Leaves out: rolling shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker.
-"""
+are computed and kept. Leaves out: rolling shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
 
 from __future__ import annotations
 
@@ -44,8 +43,7 @@ class Corners:
     corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner coordinate, without aliasing_px
     blur_px : (n,) standard deviation of the edge's blur, median of sides;  inverted : (n,) white on black
     refined : (n,) False where no clear edge was found and the input corners are returned (sigma 1 px)
-    skew : (n,) third moment of the edge's gradient over blur^3: near 0 where `table` makes the edge symmetric
-    """
+    skew : (n,) third moment of the edge's gradient over blur^3: near 0 where `table` makes the edge symmetric"""
 
     corners_px: np.ndarray
     sigma_px: np.ndarray
@@ -67,8 +65,7 @@ def refine_corners(
 
     luma : (h, w) uint8;  quads_px : (n, 4, 2) clockwise in the picture, good to half a cell (at most REACH_PX)
     cells : (n,) cells along a side, border included;  table : linear_table();  camera : for the bend of the sides
-    The result depends on the image around the quads only, never on how they were found.
-    """
+    The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
     n = len(start)
     cell = np.linalg.norm(start - start[:, [1, 2, 3, 0]], axis=-1).mean(-1) / np.asarray(cells, float).reshape(n)
@@ -102,8 +99,7 @@ def aliasing_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) 
 
     corners_px : (n, 4, 2);  blur_px : (n,) of Corners, NaN gives 0;  cells : (n,) cells along a side, border included
     The position of a step between pixels is known as well as the blur spreads it over several. A side that crosses many rows of
-    pixels averages that away; one that keeps within a row, be it a diagonal one, does not.
-    """
+    pixels averages that away; one that keeps within a row, be it a diagonal one, does not."""
     side = np.roll(corners_px, -1, 1) - corners_px
     shared = np.zeros(side.shape[:2])
     for x, y in _ROWS:

@@ -2,8 +2,7 @@
 
 OpenCV's relative thresholds are set to mean the same pixels in a part as in the whole frame: a search of the part that holds a
 marker gives exactly the corners of a search of the whole frame.
-Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms at 1080p (two threads).
-"""
+Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms at 1080p (two threads)."""
 
 from __future__ import annotations
 
@@ -101,8 +100,7 @@ class MarkerDetector:
         """All markers of the families, in a deterministic order.
 
         luma : (h, w) uint8;  rect : part of it to search;  factor : search an image reduced by this whole number
-        min_side_px : leave out what is smaller (of the image searched), beside what the detector leaves out anyway
-        """
+        min_side_px : leave out what is smaller (of the image searched), beside what the detector leaves out anyway"""
         height, width = luma.shape
         area = Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
         if area.width < 8 or area.height < 8:

@@ -4,8 +4,7 @@
 * If one is not there, this frame and the next few are searched whole, at full resolution; later ones on a reduced image (a hit
   there is looked up at full resolution), and whole at a stated interval.
 * While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that shows in a
-  single frame may be missed.
-"""
+  single frame may be missed."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ class Found:
     """What one frame gave.
 
     sightings : the chosen candidate per configured key;  rivals : further candidates with the same key
-    others : ids of the families that are not configured;  whole : the whole frame was searched at full resolution
-    """
+    others : ids of the families that are not configured;  whole : the whole frame was searched at full resolution"""
 
     sightings: tuple[Candidate, ...]
     duplicates: tuple[Candidate, ...]

@@ -3,8 +3,7 @@
 field(new epoch, node) = field(key frame, where the node lay then). A cut starts a new field, elsewhere. A second texture starts
 undeformed at the end of each stretch and is carried back (`forward_and_backward`): whoever paints both, fading from one to the
 other, sees one that is little deformed. The fade goes by epochs, not by time.
-Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch.
-"""
+Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch."""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
 PERIOD = 90  # epochs
 _APART_PX = 5003.0  # the pattern of the other end of a stretch comes from that far away
 _ROUNDS = 6  # of the search for where a node came to lie
-AROUND = 2.4  # sizes of the marker: so far its pose tells the motion of what is near it better than the flow
+AROUND = 2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
 Field = tuple[np.ndarray, np.ndarray]
 
 
@@ -58,8 +57,7 @@ def with_advection(
     """The facts with `advection`.
 
     steps : of BackgroundMotion, of the same frames;  reach_m : around the anchor's origin on its plane the poses are
-    believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
-    """
+    believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only"""
     by_index = {s.index: s for s in steps}
     gx, gy = node_positions(camera.width, camera.height)
     rays = camera.directions(np.stack([gx, gy], -1)) if reach_m > 0 else None

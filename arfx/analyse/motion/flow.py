@@ -3,8 +3,7 @@
 `BackgroundMotion` compares each frame with a key frame: while the picture has moved by less than HOLD_PX the epoch stays,
 so that a resting camera gathers no drift. The flow is good to a tenth of a px of the small frame; `refined` makes that some
 hundredths, by a step of Gauss and Newton on the nodes: what all nodes ask for together (an affine motion) first, then each one.
-Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame.
-"""
+Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame."""
 
 from __future__ import annotations
 
@@ -137,7 +136,7 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     sx, sy = width / w, height / h
     y, x = np.mgrid[0:h, 0:w].astype(np.float64)
     terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
-    few = (slice(None, None, 2),) * 2  # a fourth of the pixels tells the motion of the whole well enough
+    few = (slice(None, None, 2),) * 2  # a quarter of the pixels is enough for the motion of the whole
     some, weight = terms[few].reshape(-1, 3), trust[few].ravel().astype(float)
     moved, robust, motion = back[few].reshape(-1, 2).astype(float), weight, np.zeros((3, 2))
     for _ in range(3):  # weighted least squares, with what misses it by much counting less; drawn towards no motion
@@ -182,8 +181,7 @@ def refined(
 
     back (gh, gw, 2) : px of the small picture: what is at a place there is at place + back in the reference
     small, reference (h, w) uint8;  trust (h, w) : pixels with 0 are left out
-    first, pitch (2,) : place of the first node and distance from one to the next along x and y, px of the small picture
-    """
+    first, pitch (2,) : place of the first node and distance from one to the next along x and y, px of the small picture"""
     back = np.asarray(back, float)
     sums = np.zeros((*back.shape[:2], 9))
     now, then = (cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference))

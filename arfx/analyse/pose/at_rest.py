@@ -2,8 +2,7 @@
 
 Corners are taken twice, from the image and from its contrast against the neighbourhood, which a change of light leaves.
 Where there is no marker, `RestCheck` looks for the first picture's corners in later ones, about 2 ms each time.
-Source: docs/methods/pose.md#rest.
-"""
+Source: docs/methods/pose.md#rest."""
 
 from __future__ import annotations
 
@@ -25,7 +24,7 @@ POINTS = 40
 LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
 NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
 DRIFT = 0.02  # of a point's way by which it may be missed: the patch around it is seen from elsewhere
-NEAR_PX, FLAT = 17, 4.0  # neighbourhood that contrast is told against, and grey levels of contrast that are noise
+NEAR_PX, FLAT = 17, 4.0  # neighbourhood that contrast is compared with, and grey levels of contrast that are noise
 STILL_PX = 0.35  # in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
 AT_REST = 0.45  # share of points: moving shadows and what a hand moves beside the marker are the others
 _MIN_POINTS = 6
@@ -118,8 +117,7 @@ def decide_static(
 
     samples : BackgroundFlow.samples;  camera_from_world : smoothed poses by frame
     evidence : samples, share of background points at rest, share that move with the marker's world, marker_moves_px.
-    Without evidence the answer is "both": nothing is known to stand still.
-    """
+    Without evidence the answer is "both": nothing is known to stand still."""
     posed = [s for s in samples if s["a"] in camera_from_world and s["b"] in camera_from_world]
     every = [np.zeros((0, 2)), *(np.asarray(s[end], float) for s in posed for end in ("from", "to"))]
     ideal = np.split(camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])[1:]
@@ -144,8 +142,7 @@ def decide_static(
 def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: float) -> np.ndarray:
     """(n,) from b to the segment on which a point seen at a lies in the second picture, `nearest_m` to infinite depth.
 
-    a, b : (n, 2) ideal normalised coordinates;  b_from_a : motion of the camera frame. inf where there is no direction.
-    """
+    a, b : (n, 2) ideal normalised coordinates;  b_from_a : motion of the camera frame. inf where there is no direction."""
     far = np.column_stack([a, np.ones(len(a))]) @ b_from_a.rotation.T
     near = far + b_from_a.translation_m / max(nearest_m, LEAST_DEPTH_M)
     p, q = (divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near))

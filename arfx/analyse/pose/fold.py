@@ -132,8 +132,7 @@ class Views:
         """Factor on the predicted sigma, from how residuals change from one sighting of a marker to its next.
 
         What stays (a bent print, an imperfect lens model) is no noise: taken for noise it would let the smoother drag
-        the object away from a picture that shakes. 8 coordinates minus 6 unknowns leave 2 degrees of freedom.
-        """
+        the object away from a picture that shakes. 8 coordinates minus 6 unknowns leave 2 degrees of freedom."""
         at = [i for i in range(len(seen)) if candidates[i] and sigma[i] < 1.0]
         rotation, translation = stack([candidates[i][0].camera_from_marker for i in at])
         these = np.array(at, int)

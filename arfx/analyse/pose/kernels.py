@@ -1,8 +1,7 @@
 """Compiled loops of smooth.py, for one chain of small matrices, and planar.refine_poses. Float64 throughout.
 
 Every link of a chain has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes:
-only those blocks are multiplied.
-"""
+only those blocks are multiplied."""
 
 from __future__ import annotations
 
@@ -96,8 +95,7 @@ def _predict(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover -
     """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (7,) densities.
 
     shake (6, 6) : of the last density;  w (6, 12) : filled with the upper half of move p, p being that of before
-    v (6, 6) : work space
-    """
+    v (6, 6) : work space"""
     for i in range(3):
         for j in range(DIM):
             turned = 0.0
@@ -173,8 +171,7 @@ def _update(x, p, root, value, t):  # pragma: no cover - compiled
     """Take in a frame's measurements one after the other, in place. Returns their log evidence, up to a constant.
 
     One by one nothing is inverted: the errors of rounding stay those of p, however strongly its axes are bound together.
-    root (6, 6), value (6,) : of `_whitened`;  t (12,) : work space
-    """
+    root (6, 6), value (6,) : of `_whitened`;  t (12,) : work space"""
     log = 0.0
     for j in range(6):
         if root[j, j] == 0.0:

@@ -1,7 +1,6 @@
 """The layout of several markers from the clip: relative poses by vote, then bundle adjustment, O(frames * markers^2).
 
-world = the axes of the first configured marker that was seen. Source: docs/methods/pose.md#map.
-"""
+world = the axes of the first configured marker that was seen. Source: docs/methods/pose.md#map."""
 
 from __future__ import annotations
 
@@ -94,8 +93,7 @@ def _spanning_tree(together: list[dict[str, View]], present: list[str]) -> dict[
 def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float, Pose]:
     """(misfit, pose of b in a): the candidate under which b's corners fit best in the other frames, medians of px.
 
-    The misfit is divided by the root of the number of frames, so that a pair often seen together is preferred.
-    """
+    The misfit is divided by the root of the number of frames, so that a pair often seen together is preferred."""
     if not frames:
         return np.inf, Pose.identity()
     sampled = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _VOTERS).round().astype(int))]

@@ -1,7 +1,6 @@
 """One world pose per frame from all mapped markers in it, the right planar solution chosen over the whole clip (Viterbi).
 
-Source: docs/methods/pose.md#path.
-"""
+Source: docs/methods/pose.md#path."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ TURN_FLOOR_RAD = 0.01  # noise of a tilt between two frames that nothing moved i
 SHIFT_FRACTION_S = 1.0  # the same for the distance, as a share of it per second
 SHIFT_FLOOR = 0.005
 MOVE_CAP = 40.0  # above this a move is no less likely than any other: a cut or a glitch must not bend the path
-FLIP_RAD = np.radians(5.0)  # solutions farther apart than this are told apart as a flip
+FLIP_RAD = np.radians(5.0)  # solutions farther apart than this count as a flip
 GATE_SIGMA, GATE_PX = 12.0, 1.5  # a marker that misses the joint pose by more than both is inconsistent
 _STARTS = 2  # markers (the largest in the frame) whose solutions start a joint pose
 
@@ -29,8 +28,7 @@ def choose_path(candidates: Sequence[Sequence[Pose]], costs: Sequence[Sequence[f
     """Index of the chosen candidate in every frame.
 
     candidates : per frame, one or more poses;  costs : their misfit, half of chi squared;  times_s : frame times
-    O(frames * candidates^2). An empty sequence gives an empty path.
-    """
+    O(frames * candidates^2). An empty sequence gives an empty path."""
     if not candidates:
         return []
     count = np.array([len(c) for c in candidates])
@@ -131,8 +129,7 @@ def _drop_inconsistent(
     """Take the weight from markers that contradict the others of their frame: another print of the id, a misread.
 
     Where the joint pose misses a marker, the pose of each single marker is asked how many others agree with it; the
-    largest agreement stays, on a tie that of the larger print. Changes the frame's start in rotation and translation.
-    """
+    largest agreement stays, on a tie that of the larger print. Changes the frame's start in rotation and translation."""
     slots = {k: slice(4 * i, 4 * i + 4) for i, k in enumerate(keys)}
 
     def misses(r: np.ndarray, t: np.ndarray, one: Observed) -> dict[str, float]:

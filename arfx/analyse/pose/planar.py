@@ -2,8 +2,7 @@
 
 Corners are ideal normalised coordinates with the lens's local scale (2 x 2), so residuals are picture pixels, to first order.
 Poses are pairs rotation (n, 3, 3), translation (n, 3); perturbations multiply from the left in the camera frame,
-[rotation rad, translation m]. Source: docs/methods/pose.md#planar.
-"""
+[rotation rad, translation m]. Source: docs/methods/pose.md#planar."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ class Observed:
     """Corners seen in n frames, at most p in each.
 
     points_m : (n, p, 3) world (or marker) coordinates;  ideal : (n, p, 2) normalised;  px_per_ideal : (n, p, 2, 2)
-    weight : (n, p) 1 / sigma_px^2, 0 = no corner
-    """
+    weight : (n, p) 1 / sigma_px^2, 0 = no corner"""
 
     points_m: np.ndarray
     ideal: np.ndarray
@@ -119,8 +117,7 @@ def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
 def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
     """IPPE's one or two solutions, best first.
 
-    corners_m : (4, 3) of a square, order of MarkerSpec.corners_m;  ideal : (4, 2) normalised, without lens distortion
-    """
+    corners_m : (4, 3) of a square, order of MarkerSpec.corners_m;  ideal : (4, 2) normalised, without lens distortion"""
     if not np.isfinite(ideal).all():
         return []
     count, rvecs, tvecs, _ = cv2.solvePnPGeneric(
@@ -158,8 +155,7 @@ def hypotheses(
 ) -> list[tuple[Hypothesis, ...]]:
     """Refined hypotheses of n sightings, best first; none where no direction leads to a corner.
 
-    corners_m : n times (4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
-    """
+    corners_m : n times (4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)"""
     out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)
     at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
     if not len(at):

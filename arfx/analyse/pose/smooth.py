@@ -4,8 +4,7 @@ Axes: rotation about the camera's x, y, z; the position of the markers' centre a
 Each linearised problem is a Gauss-Markov chain: Kalman filter, Rauch-Tung-Striebel smoother, and its noise by maximum likelihood.
 State per frame: 6 position-like and 6 velocity-like numbers, each axis accelerated by noise of its own density; a seventh density
 accelerates several axes at once (Links.shake). Measurements are information on the first six numbers. Covariance form: regular
-for a density of nearly zero, and for directions that no measurement fixes. Source: docs/methods/pose.md#smoothing.
-"""
+for a density of nearly zero, and for directions that no measurement fixes. Source: docs/methods/pose.md#smoothing."""
 
 from __future__ import annotations
 
@@ -51,8 +50,7 @@ class Links:
 
     move, gate : (n - 1, 12, 12);  shift : (n - 1, 12);  dt_s : (n - 1,)
     shake : (n - 1, 6, 6) covariance, per unit of its density, of what turns and moves the marker at once
-    Only the turns' blocks (3 x 3, of angles and of their velocities) are free: the other axes have constant velocity.
-    """
+    Only the turns' blocks (3 x 3, of angles and of their velocities) are free: the other axes have constant velocity."""
 
     move: np.ndarray
     gate: np.ndarray
@@ -77,8 +75,7 @@ def smooth_chain(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean (n, 12) and covariance (n, 12, 12) of every state given all measurements.
 
-    measured : (n, 6, 6) information;  info_vector : (n, 6) information times measured value;  density : (n - 1, 7)
-    """
+    measured : (n, 6, 6) information;  info_vector : (n, 6) information times measured value;  density : (n - 1, 7)"""
     n = len(measured)
     means, covs = np.empty((n, DIM)), np.empty((n, DIM, DIM))
     kernels.filter_and_smooth(_chain(measured, info_vector, links), np.array(density, float, order="C"), means, covs)
@@ -106,8 +103,7 @@ def learn_density(
     """(n - 1, AXES) densities.
 
     measured, info_vector, links : as for smooth_chain;  density : what was learned for the shot, None at first
-    local : also let it change with time
-    """
+    local : also let it change with time"""
     n = len(measured)
     if n < 3:
         return np.full((max(n - 1, 0), AXES), 1e-2)
@@ -196,8 +192,7 @@ def smooth_poses(
     """Smooth n frames of one shot.
 
     rotation, translation : start, also in frames without corners (any sensible in-between)
-    seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on the time scale, > 0
-    """
+    seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on the time scale, > 0"""
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
     dt = np.clip(np.diff(times_s), 1e-4, LONGEST_STEP_S)
@@ -329,8 +324,7 @@ def _links(rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt
 def _shake(position: np.ndarray) -> np.ndarray:
     """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at place (n, 3).
 
-    The hand that holds a camera turns it far more than it carries it: the marker turns and moves, both at once.
-    """
+    The hand that holds a camera turns it far more than it carries it: the marker turns and moves, both at once."""
     x, y, axes = position[:, 0], position[:, 1], np.zeros((len(position), 6, 2))
     axes[:, 0, 0] = axes[:, 1, 1] = 1
     axes[:, 3] = np.stack([-x * y, 1 + x * x], -1)

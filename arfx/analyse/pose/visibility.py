@@ -1,8 +1,7 @@
 """When the object is there: measured frames, bridged gaps, absence and the fades at its ends; where a new shot begins; where in
 each frame the model can be seen, and how much its position in the picture jitters.
 
-Source: docs/methods/pose.md#presence.
-"""
+Source: docs/methods/pose.md#presence."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ def without_flickers(present: Sequence[tuple[int, int]], measured: np.ndarray, s
     """The intervals without flickers: fewer than MIN_FRAMES measured frames with absence of the same shot on both sides.
 
     A square of texture that is misread as a marker lasts for a frame or two; an object that appears for as long would
-    only flash.
-    """
+    only flash."""
     n = len(measured)
     return [
         (a, b) for a, b in present
@@ -65,8 +63,7 @@ def frame_statuses(measured: np.ndarray, present: Sequence[tuple[int, int]]) -> 
 def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray, fade_frames: int) -> np.ndarray:
     """(n,) 0..1: 1 inside a stretch, ramping over its first and last frames where an absence follows in the same shot.
 
-    At the ends of the clip and at cuts the object is there at once: nothing was absent before.
-    """
+    At the ends of the clip and at cuts the object is there at once: nothing was absent before."""
     n = len(shot)
     out = np.zeros(n)
     for first, end in present:
@@ -110,8 +107,7 @@ def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
 def find_cuts(before: Sequence[float], before_last: Sequence[float], followed: Sequence[bool]) -> list[int]:
     """Frames that begin a new shot.
 
-    before, before_last : ShotDetector of every frame;  followed : a marker moved on smoothly from the frame before
-    """
+    before, before_last : ShotDetector of every frame;  followed : a marker moved on smoothly from the frame before"""
     cuts = []
     n = len(before)
     for k in range(1, n):
@@ -144,8 +140,7 @@ def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, .
     """The facts with `model_box` and `depth_range_m` filled in.
 
     model_box covers the projection of every vertex with a pixel to spare, clipped to the frame; EMPTY where the model is
-    out of view. A model that reaches behind the camera may cover the whole frame.
-    """
+    out of view. A model that reaches behind the camera may cover the whole frame."""
     points = _outline(scene.model_points_m)
     seen = [f for f in facts if f.camera_from_world is not None]
     regions: list[tuple[Rect, tuple[float, float]]] = []
@@ -164,8 +159,7 @@ def jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera,
 
     points_m : (n, 3) world, for instance scene.model_corners_m;  raw : of the poses before smoothing
     NaN but for the middle of unbroken triples of one shot in which raw and smoothed poses both exist, with a marker that is in
-    all three, and evenly spaced (to 20 %).
-    """
+    all three, and evenly spaced (to 20 %)."""
     posed = [f for f in facts if f.camera_from_world is not None and f.raw_camera_from_world is not None]
     projected = camera.project(_seen_from([f.raw_camera_from_world if raw else f.camera_from_world for f in posed], points_m))
     position = dict(zip((f.index for f in posed), projected, strict=True))
@@ -235,8 +229,7 @@ def _partly_seen(q: np.ndarray, px: np.ndarray, camera: Camera) -> tuple[Rect, t
     """Of one frame in which some points (n, 3) have no place px (n, 2) in the picture.
 
     Behind the camera or beyond the lens's fold: such a point says nothing about where the surface between it and a visible
-    one ends, so the frame bounds it. If none is visible the model is out of view or around the camera.
-    """
+    one ends, so the frame bounds it. If none is visible the model is out of view or around the camera."""
     ahead = q[:, 2] > EPS_DEPTH_M
     if not ahead.any():
         return EMPTY, (0.0, 0.0)

@@ -1,8 +1,7 @@
 """What one blur circle looks like on the pixel grid: rows of the disc, or of an n-blade polygon of the same area.
 
 A row is a run of pixels with fractional ends, in eighths of a pixel so that float32 sums of them stay exact (spread.py).
-A disc of at most half a pixel's radius lies within its own pixel: no blur.
-"""
+A disc of at most half a pixel's radius lies within its own pixel: no blur."""
 
 from __future__ import annotations
 
@@ -22,8 +21,7 @@ class Shape(NamedTuple):
     ends : (q, rows, 2) int32, first and last pixel of the row, from the centre; last > first
     fractions : (q, rows, 3) float32, multiples of 1/8 in 0..1: of the row's height; of the first and of the last pixel
     unit : (q,) float32, 1 / area to UNIT_BITS, so that a full pixel's weight is not rounded again when it is spread
-    half_rows : (q,) int32, rows beyond the centre's
-    """
+    half_rows : (q,) int32, rows beyond the centre's"""
 
     ends: np.ndarray
     fractions: np.ndarray

@@ -1,8 +1,7 @@
 """Compiled: blurred layers over one another.
 
 Two layers make the silhouette of the virtual object exact: behind it is the clean plate with the shadow, as the composite
-has it, so what a blurred edge lets through is known.
-"""
+has it, so what a blurred edge lets through is known."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg"
 from __future__ import annotations
@@ -61,8 +60,7 @@ def composite_occluder(
 
     first : number of the first of these rows in the layer;  own, occluded : its light and the weight of what it lets through
     state : set BLURRED where any of it is spread, else SHARP; returns whether any is set SHARP
-    real : the real scene, from row `top`, for pixels that are UNTOUCHED
-    """
+    real : the real scene, from row `top`, for pixels that are UNTOUCHED"""
     begin, end = columns
     radius, colour, coverage, opacity = pixels
     image, patch, box = real

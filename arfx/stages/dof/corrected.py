@@ -33,8 +33,7 @@ _NONE = np.empty((0, 0), np.float32)
 class OccluderLayer:
     """Something before the real scene, over `rect`: premultiplied colour, coverage, opacity; its light and its occluded weight.
 
-    sharp : outside of it nothing is sharp that covers
-    """
+    sharp : outside of it nothing is sharp that covers"""
 
     rect: Rect
     colour: np.ndarray
@@ -163,8 +162,7 @@ def _blurred_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarr
     """Columns of each strip outside which no pixel of the endless plane is blurred, from tile to tile: a pixel's dioptre lies
     between those of the nodes around.
 
-    on_nodes : (gh, gw) radius px on the direction grid
-    """
+    on_nodes : (gh, gw) radius px on the direction grid"""
     out, g0 = [], rect.x0 // GRID_PX
     blurred = on_nodes[:, g0 : (rect.x1 - 1) // GRID_PX + 2] > SHARP_PX
     for top, bottom in rows:
@@ -184,8 +182,7 @@ def _real_occluder(
 ) -> OccluderLayer:  # fmt: skip
     """Of a part of the real scene, over as much of `area` as it and its blur take. radius, coverage : over all of `area`
 
-    colour_of : premultiplied colour of a rectangle, px from the area's corner
-    """
+    colour_of : premultiplied colour of a rectangle, px from the area's corner"""
     largest, box = max(float(radius.max()), SHARP_PX), box_of(coverage)
     part = box.pad(int(np.ceil(2 * largest)) + 1).clip(Rect.of(area.width, area.height))
     colour, rect = np.ascontiguousarray(colour_of(part)), part.shift(area.x0, area.y0)

@@ -2,8 +2,7 @@
 
 The layer in the focus is sharp, so neither of the others may spread into it; the one before the focus is spread over
 both. What lies behind an edge is not in the picture; it is taken from beside the edge, nearest first (push-pull).
-Leaves out: edges between things of one layer.
-"""
+Leaves out: edges between things of one layer."""
 
 from __future__ import annotations
 
@@ -71,8 +70,7 @@ def depth_layers(colour: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
 def fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(h, w, c) float32: where not `known`, the mean of known values around, as near ones as there are.
 
-    Source: push-pull interpolation (Gortler et al. 1996) on halved pictures.
-    """
+    Source: push-pull interpolation (Gortler et al. 1996) on halved pictures."""
     sums = np.dstack([values * known[..., None], known.astype(np.float32)]).astype(np.float32)
     levels = [sums]
     while min(levels[-1].shape[:2]) > 1 and not (levels[-1][..., -1] > 0).all():

@@ -1,8 +1,7 @@
 """One layer of a frame (the real scene, or an occluder before it) on a pyramid: splatted once, read back for any rows.
 
 Light goes in as premultiplied colour and weight; what comes out is the same, spread. Pixels of at most SHARP_PX are left
-to the caller: their light stays where it is.
-"""
+to the caller: their light stays where it is."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ class BlurLayer:
     """Light of one layer over `rect`.
 
     radius : (h, w) float32 px, of every pixel, filled by the caller; -1 = nothing there
-    largest_px : no radius is larger
-    """
+    largest_px : no radius is larger"""
 
     def __init__(self, rect: Rect, pyramid: Pyramid, largest_px: float, blades: int, turn_deg: float) -> None:
         self.rect, self.pyramid, self.largest_px = rect, pyramid, largest_px

@@ -2,8 +2,7 @@
 
 Outside of the outline the radius of the nearest part is extrapolated. What the outline lets through is then spread with the
 same discs as what it covers: the two weights add up to 1, and coverage is right inside, at the edge, and where near parts
-stand before far ones.
-"""
+stand before far ones."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -42,8 +41,7 @@ def extrapolate_radius(radius: np.ndarray, coverage: np.ndarray, rect: Rect, cov
 
     covered : outside of it nothing is covered
     Tiles lie on a grid of the frame, so that a pixel gets the same from any rectangle that holds what is near it.
-    Farther away no light of the layer comes together with what is let through there.
-    """
+    Farther away no light of the layer comes together with what is let through there."""
     offset_x, offset_y = rect.x0 % TILE_PX, rect.y0 % TILE_PX
     part = covered.shift(-rect.x0, -rect.y0)
     mean, left_px, known = _tile_means(radius, coverage, offset_x, offset_y, (part.x0, part.y0, part.x1, part.y1))

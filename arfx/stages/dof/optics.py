@@ -21,8 +21,7 @@ _BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is 
 class CircleOfConfusion:
     """radius px = min(px_per_dioptre x |focus - 1/distance|, limit_px), dioptres in 1/m.
 
-    coc_mm_per_px : diameter on the sensor of a circle of 1 px radius
-    """
+    coc_mm_per_px : diameter on the sensor of a circle of 1 px radius"""
 
     px_per_dioptre: float
     focus: float
@@ -49,8 +48,7 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
 def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> CircleOfConfusion:
     """Of a frame with a pose. While the object fades in or out the aperture opens or closes with it.
 
-    Raises InputError where the focus lies within the focal length.
-    """
+    Raises InputError where the focus lies within the focal length."""
     width = scene.camera.width
     limit = params.max_radius_px or _BOUND_SHARE * width
     fade, mm_per_px = min(facts.opacity, 1.0), 2 * params.sensor_width_mm / width

@@ -33,8 +33,7 @@ class DofParams:
     blades : blades of the aperture, 3 or more; 0 = round
     blade_turn_deg : direction of the aperture's first corner, clockwise from the picture's right
     max_radius_px : largest radius of the blur, at most 1500; 0 = a tenth of the picture's width
-    highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored
-    """
+    highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored"""
 
     formula: str = field(default="corrected", init=False)
     scope: str = "all"

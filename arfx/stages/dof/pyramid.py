@@ -3,8 +3,7 @@
 Level k works on cells of 2^k x 2^k px: a large disc costs there what a small one costs at full resolution. Between two
 levels a pixel's light is shared, so that nothing pops when its radius changes. Averaging over a cell and interpolating back
 blur too; the disc of a level is made smaller by just that variance. A highlight far above white shows the disc itself: it
-is spread one level finer.
-"""
+is spread one level finer."""
 
 from __future__ import annotations
 
@@ -20,8 +19,7 @@ ALIGN_PX = 1 << (MAX_LEVELS - 1)  # cells of every level begin at multiples of t
 @dataclass(frozen=True, eq=False)
 class Pyramid:
     """fade : (n - 1, 2) float32, radius in px at which level k begins to hand over to k + 1, and at which it has done so
-    filter_px2 : (n,) float32, to be taken from a squared radius, px, for what the level's own cells blur
-    """
+    filter_px2 : (n,) float32, to be taken from a squared radius, px, for what the level's own cells blur"""
 
     fade: np.ndarray
     filter_px2: np.ndarray

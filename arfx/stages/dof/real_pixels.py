@@ -18,8 +18,7 @@ from arfx.stages.dof.spread import TILE_PX
 
 class RealPixels(NamedTuple):
     """image : (h, w, 3) of the composite;  patch : (bh, bw, 3), the real scene within `box` = x0, y0, x1, y1, px from the
-    picture's corner, whose borders are those of tiles (TILE_PX). All read-only, so that one kernel fits every frame.
-    """
+    picture's corner, whose borders are those of tiles (TILE_PX). All read-only, so that one kernel fits every frame."""
 
     image: np.ndarray
     patch: np.ndarray

@@ -4,8 +4,7 @@ The real scene: every pixel's light onto every pixel that its circle covers, cir
 pixel), sums in float64. The virtual object: rays from SAMPLES places of the lens through every pixel onto the model
 (embree); the fraction of rays that meet it is its coverage, and a point met has the colour that the pinhole picture has
 there. Cost: O(pixels x radius^2) and O(pixels of the object x SAMPLES). Leaves out: colours of points that the pinhole
-picture does not show (they take the mean of those met beside them), partly transparent materials.
-"""
+picture does not show (they take the mean of those met beside them), partly transparent materials."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -49,8 +49,7 @@ def splat_real(
 ):  # fmt: skip  # pragma: no cover - compiled
     """Rows top..bottom, columns begin..end (borders of tiles) of the real scene; returns whether any of it is blurred.
 
-    real : `flat`;  radius : (h, w) px, >= 0;  visibility : (h, w) fraction that no finite plane hides, (0, 0) = all
-    """
+    real : `flat`;  radius : (h, w) px, >= 0;  visibility : (h, w) fraction that no finite plane hides, (0, 0) = all"""
     image, patch, box = real
     fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
     whole = visibility.shape[0] == 0
@@ -121,8 +120,7 @@ def _to_cells(low, high, ya, xa, radius, part, work, buffers: SplatBuffers):  # 
 def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Tiles of the real scene that all go to level k: summed by columns first, which the compiler makes vectors of.
 
-    part : (rows, 3 columns) light from row ya, column xa;  work : (15, w) scratch, flat
-    """
+    part : (rows, 3 columns) light from row ya, column xa;  work : (15, w) scratch, flat"""
     side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
     bright = highlight(k) if k > 1 else np.float32(np.inf)
     offset_y = buffers.offset_y

@@ -1,8 +1,7 @@
 """Compiled: each pixel's light spread over its disc. Row ends are marked and summed along the rows, O(radius) a pixel.
 
 What is marked is a multiple of 2^-23 (light of 2^-17, fractions of a row in eighths): sums below 2 are exact in float32. So a
-row's running sum is exactly 0 behind the last disc, and neither the order nor the rectangle changes a bit of it.
-"""
+row's running sum is exactly 0 behind the last disc, and neither the order nor the rectangle changes a bit of it."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, assignment"
 from __future__ import annotations
@@ -28,8 +27,7 @@ class SplatBuffers(NamedTuple):
 
     finest : (h, w, 4) light of level 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `occupied` (th, tw) uint8
     cells : (n, 5) red, green, blue, weight, weight x radius of all further levels;  meta : (levels, 3) first cell, width,
-    height;  offset_y, offset_x : px by which the rectangle's corner lies in a cell of the last level
-    """
+    height;  offset_y, offset_x : px by which the rectangle's corner lies in a cell of the last level"""
 
     fade: np.ndarray
     cells: np.ndarray
@@ -44,8 +42,7 @@ class BlurredRows(NamedTuple):
     """Light of some rows of a layer, 0 outside of columns lo..hi. values : flat, of each level's rows, (rows, width + 1, 4)
 
     table : (n, 7), of each: level, first value, first row, height and width of the whole level, columns of the rectangle
-    offset_y, offset_x : as of `SplatBuffers`
-    """
+    offset_y, offset_x : as of `SplatBuffers`"""
 
     values: np.ndarray
     table: np.ndarray
@@ -79,7 +76,7 @@ def levels_of(smallest, largest, fade, levels):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def highlight(level):  # pragma: no cover - compiled
-    """Light above which a pixel goes one level lower; so that the sum of a cell's column tells whether there is any."""
+    """Light above which a pixel goes one level lower; so that the sum of a cell's column shows whether there is any."""
     return max(np.float32(4), np.float32(1.001) * np.float32(1 << level))
 
 
@@ -99,8 +96,7 @@ def to_cell(buffers: SplatBuffers, level, y, x, a, b, c, d, r):  # pragma: no co
 def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two levels that their radii ask for.
 
-    source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none
-    """
+    source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none"""
     fade, cells, meta, offset_y, offset_x, finest, occupied = buffers
     levels = meta.shape[0]
     smallest, largest = extremes(radius, y0, x0, y1, x1)
@@ -186,8 +182,7 @@ def _mark_ends(marks, at, light, fraction, first, last):  # pragma: no cover - c
 def _mark(marks, q, y, x, low, high, width, line, unit, shape: Shape):  # pragma: no cover - compiled
     """Mark the row ends of one disc, row q of `shape`, in rows low..high. marks : flat, (rows, width + 1, 4), from row low
 
-    line : (4 width,) light of the disc's row of cells;  unit : fraction of it that a pixel gets
-    """
+    line : (4 width,) light of the disc's row of cells;  unit : fraction of it that a pixel gets"""
     ends, fractions, n = shape.ends, shape.fractions, shape.half_rows[q]
     red, green, blue, weight = line[4 * x] * unit, line[4 * x + 1] * unit, line[4 * x + 2] * unit, line[4 * x + 3] * unit
     red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
@@ -220,8 +215,7 @@ def _mark_line(marks, y, low, high, width, size, line, area, run_light, shape: S
 
     size : (width,) row of the shape table, -1 = no light;  line : (4 width,) light;  area : 1 / pixels of a cell
     run_light : scratch, 4 (width + 2)
-    Neighbours of one size are marked together, row by row of their disc, which the compiler makes vectors of.
-    """
+    Neighbours of one size are marked together, row by row of their disc, which the compiler makes vectors of."""
     ends, fractions, unit, half_rows = shape
     stride = width + 1
     lo, hi = width, 0
@@ -342,8 +336,7 @@ def run_sums(marks, lo, hi):  # pragma: no cover - compiled
 def light_of_row(line, y, light: BlurredRows, lo, hi, between):  # pragma: no cover - compiled
     """line (4 w,) = light that reaches row y of the rectangle, columns lo..hi: all levels, bilinear between their cells.
 
-    between : scratch, 4 (w + ALIGN_PX): cells count from lead_x on
-    """
+    between : scratch, 4 (w + ALIGN_PX): cells count from lead_x on"""
     values, table, offset_y, offset_x, _, _ = light
     for n in range(4 * lo, 4 * hi):
         line[n] = 0

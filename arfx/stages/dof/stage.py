@@ -4,8 +4,7 @@ Every pixel's light is spread over its blur circle (disc or n-blade), energy kep
 size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
 Where the circle stays below 1 px nothing changes, bit for bit. While the object fades in or out the lens opens with it.
 Cost: O(blurred pixels), nearly independent of the radius. Leaves out: what real things hide behind their edges, lens
-aberrations, vignetting, motion. Source: docs/methods/dof.md.
-"""
+aberrations, vignetting, motion. Source: docs/methods/dof.md."""
 
 from __future__ import annotations
 

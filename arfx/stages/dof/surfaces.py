@@ -2,8 +2,7 @@
 
 Distances are kept as dioptres (1/m): of a plane they are affine in the viewing direction, so a grid of every GRID_PX-th
 pixel follows the lens, linear between. Leaves out: real things that stand on the plane. Where the frame has measured depth
-that stands in place of all planes.
-"""
+that stands in place of all planes."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -36,8 +35,7 @@ def direction_grid(camera: Camera) -> np.ndarray:
 class Plane:
     """A real plane. forms : (3, 3), times a viewing direction gives (X, Y, 1) / z: position on the plane, m, and dioptre
 
-    half_m : half its side; 0 = endless
-    """
+    half_m : half its side; 0 = endless"""
 
     forms: np.ndarray
     half_m: float
@@ -113,8 +111,7 @@ def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, optics
     """Rows top..bottom, columns begin..end of out (h, w): blur radius of the endless plane, px.
 
     x0, y0 : the rectangle's corner in the frame;  optics : px per dioptre, focus in dioptres, limit in px
-    nodes : (gh, gw) dioptres of the plane every GRID_PX pixels
-    """
+    nodes : (gh, gw) dioptres of the plane every GRID_PX pixels"""
     px_per_dioptre, focus, limit = optics
     step = np.float32(1.0 / GRID_PX)
     g0, g1 = (x0 + begin) // GRID_PX, (x0 + end - 1) // GRID_PX + 1
@@ -142,8 +139,7 @@ def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, optics
 def square_radius(radius, inside, x0, y0, positions, half, optics):  # pragma: no cover - compiled
     """Of a plane of limited size: radius (h, w) px and inside (h, w) float32, 1 where the pixel shows it.
 
-    positions : (gh, gw, 3) of `Plane.positions`
-    """
+    positions : (gh, gw, 3) of `Plane.positions`"""
     px_per_dioptre, focus, limit = optics
     h, w = radius.shape
     step = np.float32(1.0 / GRID_PX)

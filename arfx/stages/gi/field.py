@@ -4,8 +4,7 @@ Planes first lose what the object hides of their light. Then voxels: direct ligh
 shadow, surroundings and darkened planes by six cones, light between the object's own surfaces closed in place; everything
 leaves diffusely. Then planes gain what the object sends. Where there are several planes, each also stands before a part of the
 others' sky, and the object's shadow on one is missing from its light on another: gathered coarsely, by the planes' own cones.
-Source: docs/methods/gi.md#field.
-"""
+Source: docs/methods/gi.md#field."""
 
 from __future__ import annotations
 

@@ -6,8 +6,7 @@ finer voxels exchange one for the other. Rays are exact, and say which voxel's l
 weighted sum. Metal sends on what lies in the mirrored direction. Directions are a Fibonacci lattice, cosine-weighted, shifted
 from texel to texel. Source: form factors of radiosity (Goral et al. 1984), Monte Carlo.
 Cost: O(rays that meet the object's box), none per frame. Leaves out: parts that can be seen through (those keep their cones);
-lamps mirrored by metal (caustics).
-"""
+lamps mirrored by metal (caustics)."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -5,8 +5,7 @@ Diffuse: six cones. Gloss: one cone about the lobe's middle, as wide as the roug
 direction F0 x a + b is reflected, the split sum of GGX with Smith's height-correlated G and Schlick's F, over the microfacets
 that the viewer sees, as the reference traces it. Karis' fit of it (2014, for phones) is a fifth too dark for metal of roughness
 .4, and below zero for what is rough and dark. Cost: O(covered pixels x cones x steps). Source: docs/methods/gi.md#cones;
-Karis 2013 (split sum); Heitz 2014 (G), 2018 (visible normals). Leaves out: light from microfacet to microfacet.
-"""
+Karis 2013 (split sum); Heitz 2014 (G), 2018 (visible normals). Leaves out: light from microfacet to microfacet."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -4,8 +4,7 @@ The mirror image is one cone about the mirrored line of sight, only where it can
 the object is in the picture already; what the object sends takes its place, so the change is F x (object - (1 - left) x what is
 behind it), as a share of the pixel. F as for the object's own gloss.
 Source: docs/methods/gi.md#delta. Cost: O(pixels + pixels of the mirror image x steps). Leaves out: highlights of the lamps, and
-their shadow in the mirror image's place.
-"""
+their shadow in the mirror image's place."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

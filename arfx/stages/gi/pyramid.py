@@ -1,8 +1,7 @@
 """Voxels, and coarser and coarser ones, for six directions of view; stored in bricks, so that memory grows with the surface.
 
 Coarser voxels: for each axis direction the nearer child hides the farther one, then the four columns are averaged: a wall one
-voxel thick stays opaque. Radiance is premultiplied by opacity. Source: docs/methods/gi.md#pyramid.
-"""
+voxel thick stays opaque. Radiance is premultiplied by opacity. Source: docs/methods/gi.md#pyramid."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

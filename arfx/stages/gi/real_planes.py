@@ -1,8 +1,7 @@
 """The real scene as planes: the anchor's, and those of other markers that are not in it. The picture is their radiance.
 
 Where the object can change a plane by half a grey level: albedo x (r / d)^2 x the cosine at which it is seen from there.
-Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around the object.
-"""
+Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around the object."""
 
 from __future__ import annotations
 

@@ -4,8 +4,7 @@ Object pixels: cosine-weighted rays for diffuse light, microfacet normals (GGX) 
 rays; only those that meet the object count, as what it sends less what it hides. Bright parts of the environment and what
 glows are sampled as well (reference_sampling.py). Random numbers are keyed by pixel, sample and dimension, so that a part of
 the picture gets the same as the whole. Not denoised: the error of a plane pixel falls with the root of the samples.
-Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators).
-"""
+Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators)."""
 
 from __future__ import annotations
 

@@ -6,8 +6,7 @@ reflection suggests meets a small lamp once in hundreds, and then counts hundred
 parts of the environment and what glows are sampled as well, each sample weighted by its density over the sum of both (balance
 heuristic), which leaves the mean as it is.
 Source: O'Neill 2014 (PCG); Cranley and Patterson 1976; Heitz 2014 (Smith's G), 2018 (visible normals); Veach and Guibas 1995
-(multiple importance sampling).
-"""
+(multiple importance sampling)."""
 
 from __future__ import annotations
 

@@ -7,8 +7,7 @@ Voxels are made once per clip, their light once per light; planes see the object
 their own texels, so a still light costs a frame only the object's own cones and a look-up. `reference` traces rays (embree)
 and shares no kernel with the others.
 Source: docs/methods/gi.md. Cost: O(covered pixels x cones). Leaves out: real things that are no plane,
-caustics, refraction, light that the object sends through its own transparent parts.
-"""
+caustics, refraction, light that the object sends through its own transparent parts."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ class GiParams:
     strength : strength of the indirect light on the real planes: 0 = none, 1 = as computed
     plane_gloss : fraction of light that the real plane reflects like a mirror, seen from above: 0 = matt, .04 = varnish or glass
     plane_roughness : roughness of the plane's reflection, 0 (a mirror) to 1
-    samples : rays per pixel at level reference
-    """
+    samples : rays per pixel at level reference"""
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0

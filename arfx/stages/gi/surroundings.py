@@ -3,8 +3,7 @@
 The environment is kept on octahedral maps (a square per width of cone, no seam), looked up linear between texels and
 widths. Planes carry the picture's radiance as a texture with a mip chain, denser in the middle, where the object stands.
 Source: docs/methods/gi.md#environment; octahedral map: Engelhardt and Dachsbacher 2008. Leaves out: real things that are no
-plane.
-"""
+plane."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

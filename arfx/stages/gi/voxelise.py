@@ -2,8 +2,7 @@
 
 Axes are the anchor's (z out of the plane). Every triangle is sampled at less than half a voxel; samples carry their area,
 so large and small triangles count alike and the order does not matter. Memory and time grow with the surface: cells live
-in bricks of 4 x 4 x 4. Source: docs/methods/gi.md#voxels. Leaves out: textures of metalness and roughness.
-"""
+in bricks of 4 x 4 x 4. Source: docs/methods/gi.md#voxels. Leaves out: textures of metalness and roughness."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

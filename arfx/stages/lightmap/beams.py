@@ -1,7 +1,6 @@
 """The light of one frame as the shadows need it: directions in the plane's axes, sizes, and each part's share of the plane.
 
-Directions and sizes are quantised, finely, for shadows only: they are the keys by which shadows are cached.
-"""
+Directions and sizes are quantised, finely, for shadows only: they are the keys by which shadows are cached."""
 
 from __future__ import annotations
 

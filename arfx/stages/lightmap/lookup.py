@@ -2,8 +2,7 @@
 
 Cost: O(pixels x lights), of each GRID_PX lines only from the first to the last pixels that something is taken from. The
 lens is followed by viewing directions at every GRID_PX-th pixel, linear between; places on the plane are linear there, too, where
-perspective bends them by less than .02 px.
-"""
+perspective bends them by less than .02 px."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -2,8 +2,7 @@
 once per clip, and one of each directional light, kept while the light stands still.
 
 Each picture lies along its own light, so that a long shadow wastes no texels and its penumbra is a box in rows and
-columns. Values are the share of that light that is taken, 0..1; the border is 0, and so is everything outside.
-"""
+columns. Values are the share of that light that is taken, 0..1; the border is 0, and so is everything outside."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Where on the plane the shadow shows: points around it, for the rectangle of a frame. Found without the picture.
 
 A darkening shows when it takes more than `faint` of the plane's light. Ambient light: a coarse map of the plane, made
-once per clip with rays. Directional lights: the hull of the object, cast from the rim of the light's disc.
-"""
+once per clip with rays. Directional lights: the hull of the object, cast from the rim of the light's disc."""
 
 from __future__ import annotations
 

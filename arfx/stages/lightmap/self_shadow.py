@@ -3,8 +3,7 @@
 The blockers found within the light's cone give the width of the penumbra there, and so the radius of a second filtering
 (Fernando 2005, "Percentage-closer soft shadows"). Every answer is compared with the depth of the receiver's own
 tangent plane at that very texel, from a place lifted off the surface by more than the texels and facets are coarse: no acne,
-and nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high` and `reference` send rays.
-"""
+and nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high` and `reference` send rays."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -4,8 +4,7 @@ Diffuse: albedo times the light's radiance for the normal (soft harmonics and di
 directional light times what the object leaves of it. Gloss: Blinn and Phong's lobe of the half-vector, Schlick's Fresnel,
 metals and dielectrics as in glTF 2.0; a light of some size widens it. What a camera adds where no light falls is added to
 the object too.
-Cost: O(covered pixels). Leaves out: the surroundings' picture in metals, light from the plane onto the object.
-"""
+Cost: O(covered pixels). Leaves out: the surroundings' picture in metals, light from the plane onto the object."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -6,8 +6,7 @@ Every direction shifts the texels' sample points a little, so that the mean over
 the object touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the contour crosses)).
 
 K silhouettes leave K steps across a penumbra. Their distance grows with the height of what casts them, so a box of that
-width, its height read from a coarse map of the highest caster, turns the steps into a ramp and leaves the contact sharp.
-"""
+width, its height read from a coarse map of the highest caster, turns the steps into a ramp and leaves the contact sharp."""
 
 # mypy: disable-error-code="no-untyped-def, assignment"
 from __future__ import annotations

@@ -4,8 +4,7 @@ The light comes from the facts (measured, given or refused: `Light.source`), or 
 direction of their light: a still light costs nothing per frame but the look-up.
 Cost: O(pixels of the shadow + covered pixels x taps); a light that moves adds O(directions x edges) a frame.
 Leaves out: other real surfaces, transparent shadows, light from the plane onto the object, caustics.
-Source: docs/methods/light.md#shadow, docs/methods/light.md#shading.
-"""
+Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ class LightmapParams:
     self_shadow : strength of the object's shadow on itself: 0 = none, 1 = as computed
     faint : a shadow that takes less than this fraction of the plane's light is not drawn; up to 3 times that it fades out, 0..0.3
     plane_blocks : light from below the marker's plane does not reach the object
-    ambient : include light without a direction; a job with gi turns this off, because gi computes that light itself
-    """
+    ambient : include light without a direction; a job with gi turns this off, because gi computes that light itself"""
 
     formula: str = field(default="corrected", init=False)
     shadow_strength: float = 1.0

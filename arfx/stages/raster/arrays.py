@@ -1,7 +1,6 @@
 """What the compiled loops of this stage take: named tuples of arrays that belong together, each made in one place here.
 
-A loop is compiled again for each mix of types, so the makers fix dtype and order; no field is ever None.
-"""
+A loop is compiled again for each mix of types, so the makers fix dtype and order; no field is ever None."""
 
 from __future__ import annotations
 
@@ -19,8 +18,7 @@ COLUMNS = 13
 class Surfaces(NamedTuple):
     """What a hit's attributes are read from; fields as of `Mesh`. slots : how many of the three textures any material has
 
-    texels : (n, 4) uint16 in linear light;  table : of `TextureStack`
-    """
+    texels : (n, 4) uint16 in linear light;  table : of `TextureStack`"""
 
     faces: np.ndarray
     part: np.ndarray
@@ -64,8 +62,7 @@ class Hits(NamedTuple):
 class View(NamedTuple):
     """How pixels look into the world. lens : (h + 4, w + 4, 2) float32, directions of the pixels with two pixels of margin
 
-    rotation : (3, 3) float64, camera from world;  eye : (3,) float64, world;  pixel : footprint of a sample at depth 1
-    """
+    rotation : (3, 3) float64, camera from world;  eye : (3,) float64, world;  pixel : footprint of a sample at depth 1"""
 
     lens: np.ndarray
     rotation: np.ndarray

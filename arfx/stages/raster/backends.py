@@ -1,7 +1,6 @@
 """Which back ends exist, which open here, and why not.
 
-Probing OpenGL opens a context in this process, which keeps it; nothing is probed before it is asked for.
-"""
+Probing OpenGL opens a context in this process, which keeps it; nothing is probed before it is asked for."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ def choose_backend(wanted: str = "auto") -> Backend:
     """The back end to use. Raises RenderError where the one asked for by name cannot open, ConfigError if unknown.
 
     auto : pyrender where OpenGL runs on a graphics card, else rays. OpenGL in software is never taken unasked: at the same
-    edge quality it takes two to three times as long as rays (measured with llvmpipe).
-    """
+    edge quality it takes two to three times as long as rays (measured with llvmpipe)."""
     if wanted not in ("auto", *BACKENDS):
         raise ConfigError(f"unknown raster back end {wanted!r}", "one of auto, " + ", ".join(BACKENDS))
     if wanted == "rays":

@@ -1,8 +1,7 @@
 """Which pixels need more than one sample: those that an outline or a sharp edge of the model passes through.
 
 Outlines come from the geometry, so that features thinner than a pixel are not missed; what geometry does not tell
-(cut-outs, parts that pass through each other) comes from differences between neighbouring samples.
-"""
+(cut-outs, parts that pass through each other) comes from differences between neighbouring samples."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -26,8 +25,7 @@ def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarra
     """(h, w) bool, pixels of `rect` that a visible outline or sharp edge crosses.
 
     points : (n, 3) vertices in camera coordinates;  front : (m,) bool, face seen from its front
-    depth : (h, w) metres at the pixel centres
-    """
+    depth : (h, w) metres at the pixel centres"""
     mask = np.zeros((rect.height, rect.width), bool)
     low, high = _bounds(camera, rect)
     shown = _shown(mesh.edges, mesh.sharp, front, mesh.hidden)
@@ -55,8 +53,7 @@ def _bounds(camera: Camera, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
 def _points_along(edges, shown, points, low, high, fx, fy, longest, fold2):  # pragma: no cover - compiled
     """Points along the edges `shown` whose box meets low .. high: (n, 2) in the ideal picture, and their depths (n,).
 
-    longest : steps of one edge at most;  fold2 : squared radius from which on the lens shows nothing
-    """
+    longest : steps of one edge at most;  fold2 : squared radius from which on the lens shows nothing"""
     steps = np.zeros(edges.shape[0], np.int64)
     for k in range(edges.shape[0]):
         i, j = np.uintp(edges[k, 0]), np.uintp(edges[k, 1])
@@ -121,8 +118,7 @@ def _shown(edges, sharp, front, hidden):  # pragma: no cover - compiled
 def add_differences(edge, prim, depth, part, face_normal, lens, height, width, rotation, pixel):  # pragma: no cover - compiled
     """Mark both pixels of every neighbouring pair whose first hits differ in a way no marked edge between them explains.
 
-    lens : directions with one pixel of margin;  pixel : side of a pixel at depth 1
-    """
+    lens : directions with one pixel of margin;  pixel : side of a pixel at depth 1"""
     before = edge.copy()
     slack = np.float32(8.0 * pixel)
     parts = part.min() != part.max()

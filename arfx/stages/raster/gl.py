@@ -5,8 +5,7 @@ the ideal picture is made as wide as the rectangle needs, and every sample looks
 (gl_resolve.py). BLEND materials are peeled front to back, up to MAX_LAYERS. Textures: OpenGL's mipmaps, averaged in coded
 values. The near plane stands at 9/10 of the nearest vertex, at least NEAR_M; what is nearer is cut away.
 
-Any thread may render, several at once too: drawing alone waits for the OpenGL thread (gl_draw.py).
-"""
+Any thread may render, several at once too: drawing alone waits for the OpenGL thread (gl_draw.py)."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ T = TypeVar("T")
 class GlRenderer:
     """Renders rectangles of one mesh through one camera. samples : per pixel, rounded to a square k x k.
 
-    Raises RenderError where no OpenGL context opens, InputError for more than MAX_PARTS parts.
-    """
+    Raises RenderError where no OpenGL context opens, InputError for more than MAX_PARTS parts."""
 
     any_rectangle = False  # the driver's fixed-point edges depend on the viewport's corner
 

@@ -2,8 +2,7 @@
 
 A context is current in one thread at a time: all OpenGL work of a process is handed to a single thread, whoever asks.
 The context is opened on first use, stays current there, and is never deleted: EGL's displays are shared, so that ending one
-ends others, and a driver may be unloaded before Python is done. A spawned process opens its own; none survives a fork.
-"""
+ends others, and a driver may be unloaded before Python is done. A spawned process opens its own; none survives a fork."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ _LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",
 @dataclass
 class GlContext:
     """pyrender : the module;  platform : its EGL or OSMesa platform;  detail : for reports
-    software : rendered by the processor (llvmpipe and its kin)
-    """
+    software : rendered by the processor (llvmpipe and its kin)"""
 
     pyrender: Any
     platform: Any
@@ -48,8 +46,7 @@ _pid = os.getpid()
 def on_gl_thread(work: Callable[..., T], *args: Any) -> T:
     """work(*args) on the thread that has the context; returns what it returns, raises what it raises.
 
-    Not to be called from that thread. Raises RenderError in a forked process, which has neither thread nor context.
-    """
+    Not to be called from that thread. Raises RenderError in a forked process, which has neither thread nor context."""
     if _pid != os.getpid():
         raise RenderError("OpenGL was carried into a forked process", "start workers with the spawn method")
     return _thread.submit(_free_then, work, args).result()

@@ -1,7 +1,6 @@
 """What a renderer keeps in OpenGL, and one draw of it: runs on the OpenGL thread alone (gl_context.on_gl_thread).
 
-Meshes, textures and shader programs are pyrender's; the framebuffer is ours, as pyrender has none of floats.
-"""
+Meshes, textures and shader programs are pyrender's; the framebuffer is ours, as pyrender has none of floats."""
 
 from __future__ import annotations
 

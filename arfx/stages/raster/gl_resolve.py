@@ -1,8 +1,7 @@
 """From the float buffers that OpenGL filled to pixels: k x k samples each, looked up where the real lens sees them.
 
 Without distortion sample and buffer texel coincide. With it the buffer shows the ideal camera, and each sample takes the
-texel next to where its own exact direction points: attributes of two surfaces are never interpolated.
-"""
+texel next to where its own exact direction points: attributes of two surfaces are never interpolated."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -18,8 +17,7 @@ def texel_map(lens, height, width, k, scale, shift, rows, columns, exact):  # pr
     """(h * w * k * k,) int32 index of the texel of every sample, -1 = none. Buffers are stored bottom row first.
 
     lens : directions with one pixel of margin;  scale, shift : (2,) buffer position = direction * scale + shift
-    exact : no distortion: samples and texels coincide
-    """
+    exact : no distortion: samples and texels coincide"""
     out = np.empty(height * width * k * k, np.int32)
     n = 0
     for y in range(height):
@@ -52,8 +50,7 @@ def resolve_opaque(
 ):  # fmt: skip  # pragma: no cover - compiled
     """Means over the covering samples of each pixel; depth and number from the one next to the centre.
 
-    grid : (6,) scale x y, shift x y, columns, rows of the buffer; columns = 0 where texels lie on the samples
-    """
+    grid : (6,) scale x y, shift x y, columns, rows of the buffer; columns = 0 where texels lie on the samples"""
     geometry, colour, surface, glow = buffers
     coverage, depth, normal, position, albedo, material, emissive, object_id = out
     unit, (height, width) = np.float32(1.0 / 65535.0), coverage.shape

@@ -1,8 +1,7 @@
 """From samples along rays to pixels: compiled inner loops of the `rays` back end.
 
 One row of `sums` gathers a sample's layers front to back: columns 0 transmittance, 1-3 albedo, 4-6 normal, 7 metallic,
-8 roughness, 9 specular, 10-12 emissive.
-"""
+8 roughness, 9 specular, 10-12 emissive."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -57,8 +56,7 @@ def accumulate(
     """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `continuing`.
 
     z, values : depth and attributes of the hits;  start : (samples,) moved behind the hit where the ray goes on
-    masked : (samples,) bool, set where a cut-out material is met
-    """
+    masked : (samples,) bool, set where a cut-out material is met"""
     part, face_normal, ints = mesh.part, mesh.face_normal, mesh.ints
     acc, depth, ident = samples
     count = 0
@@ -95,8 +93,7 @@ def accumulate(
 def write_pixel(y, x, acc, z, ident, direction, eye, sums, out: GBuffer):  # pragma: no cover - compiled
     """Mean of a pixel's samples, acc (n, COLUMNS), over the covering ones. z, ident : its depth and number
 
-    sums : (12,) scratch
-    """
+    sums : (12,) scratch"""
     count = acc.shape[0]
     covered = np.float32(0)
     hits = 0
@@ -149,8 +146,7 @@ def resolve_edges(
 ):  # fmt: skip  # pragma: no cover - compiled
     """Pixels of many samples; numbered with one pixel of margin.
 
-    centre_depth, centre_ident : (pixels,) of the pixels' own centres;  order : (s,) sample numbers from the centre outwards
-    """
+    centre_depth, centre_ident : (pixels,) of the pixels' own centres;  order : (s,) sample numbers from the centre outwards"""
     acc, depth, ident = samples
     lens, rotation, eye, _ = view
     count, width = order.shape[0], lens.shape[1] - 2

@@ -2,8 +2,7 @@
 
 The exact inverse of the distortion costs microseconds a pixel. It is smooth, so it is solved on a grid of every 8th pixel
 and a cubic spline through the nodes gives the rest: off by less than 1e-3 px for every lens that is one-to-one over the
-frame (tested). Where it is not, every pixel is solved.
-"""
+frame (tested). Where it is not, every pixel is solved."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ class LensTable:
     def directions(self, rect: Rect) -> np.ndarray:
         """(h, w, 2) float32 (x/z, y/z) at the pixel centres of `rect`, which may pass the frame by MARGIN_PX.
 
-        NaN where no direction maps to the pixel.
-        """
+        NaN where no direction maps to the pixel."""
         c = self.camera
         if c.distorted:
             return self._table[rect.slices_in(c.rect.pad(MARGIN_PX))]

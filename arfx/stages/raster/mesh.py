@@ -27,8 +27,7 @@ class Mesh:
     vertices (n, 3) float64; normals (n, 3), uv (n, 2), colours (n, 4) float32; faces (m, 3), part (m,) int32
     face_normal (m, 3) float32; uv_per_m (m,) float32, side of the unit square of texture coordinates on a metre
     floats (p, 11) float32, ints (p, 5) int32 : material tables;  edges (e, 4) int32 : vertex, vertex, face, face or -1
-    sharp (e,) bool : an edge that shows whatever side it is seen from
-    """
+    sharp (e,) bool : an edge that shows whatever side it is seen from"""
 
     centre_m: np.ndarray
     vertices: np.ndarray

@@ -3,8 +3,7 @@
 First hits come from testing each ray against the faces near it (visibility.py), hits behind transparent ones from embree.
 More than one ray is sent only where an outline, a sharp edge or a cut-out passes through the pixel (edges.py). Directions
 are those of the distorted camera, so nothing is warped. Transparent layers are followed front to back, up to MAX_LAYERS.
-Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `Raster.levels`.
-"""
+Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `Raster.levels`."""
 
 from __future__ import annotations
 
@@ -115,8 +114,7 @@ class RayRenderer:
     ) -> tuple[Samples, np.ndarray]:
         """Samples along rays from `eye`, and which met a cut-out.
 
-        first_hits : of the rays;  pixel : footprint of a sample at depth 1, for texture filters
-        """
+        first_hits : of the rays;  pixel : footprint of a sample at depth 1, for texture filters"""
         m, n = self.mesh, len(directions)
         samples = no_samples(n)
         start, masked = np.zeros(n, np.float32), np.zeros(n, bool)

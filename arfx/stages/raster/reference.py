@@ -1,8 +1,7 @@
 """The reference level: many rays in every pixel, plain numpy, no filter but the average. Slow on purpose.
 
 Shares no kernel with the other levels: its own sample pattern (R2 sequence, Roberts 2018), interpolation, texture lookup
-(bilinear in the full picture) and means. What it shares is embree, the lens table and the mesh arrays.
-"""
+(bilinear in the full picture) and means. What it shares is embree, the lens table and the mesh arrays."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 Two back ends fill the same layers: `pyrender` (OpenGL) and `rays` (embree, no OpenGL). Edge pixels: COVERAGE is the
 fraction covered; colours, materials and normals are means over the covering samples only, never mixed with what is
 behind; DEPTH, POSITION and OBJECT_ID belong to the pixel's centre, or to the covering sample next to it. MASK materials
-are cut out; BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest layer's.
-"""
+are cut out; BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest layer's."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ from arfx.stages.raster.backends import BACKENDS, choose_backend
 @dataclass(frozen=True)
 class RasterParams:
     """backend : auto (pyrender where a graphics card runs OpenGL, else rays), pyrender or rays
-    samples : samples in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 16, 64; pyrender 4, 9, 16)
-    """
+    samples : samples in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 16, 64; pyrender 4, 9, 16)"""
 
     backend: str = "auto"
     samples: int = 0
@@ -43,8 +41,7 @@ class RasterParams:
 class Renderer(Protocol):
     """What a back end gives: all OUTPUTS over a rectangle inside the frame.
 
-    any_rectangle : a pixel comes out the same whatever rectangle it is rendered in
-    """
+    any_rectangle : a pixel comes out the same whatever rectangle it is rendered in"""
 
     any_rectangle: bool
 

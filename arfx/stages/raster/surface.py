@@ -1,7 +1,6 @@
 """Attributes of the model's surface where a ray meets it: colour, normal, material. Compiled, `rays` back end.
 
-Textures: trilinear in the pyramids of textures.py, repeated. Source of the level: the footprint's area (OpenGL 4.6, 8.14).
-"""
+Textures: trilinear in the pyramids of textures.py, repeated. Source of the level: the footprint's area (OpenGL 4.6, 8.14)."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, var-annotated"
 from __future__ import annotations
@@ -64,8 +63,7 @@ def _surface(face, b1, b2, z, dx, dy, dz, pixel, mesh: Surfaces):  # pragma: no 
     """Opacity, albedo (3), unit normal (3), metallic, roughness, specular, emissive (3) of one hit.
 
     dx, dy, dz : the ray, camera z = 1;  z : depth of the hit;  pixel : footprint of a sample at depth 1
-    Inlined: a call with a dozen arrays takes ten times as long as the arithmetic (reference counts).
-    """
+    Inlined: a call with a dozen arrays takes ten times as long as the arithmetic (reference counts)."""
     normals, uv, floats, ints, table = mesh.normals, mesh.uv, mesh.floats, mesh.ints, mesh.table
     face_normal, texels = mesh.face_normal, mesh.texels
     # unsigned indices spare numba the test for negative ones
@@ -135,8 +133,7 @@ def _surface(face, b1, b2, z, dx, dy, dz, pixel, mesh: Surfaces):  # pragma: no 
 def surfaces(hits: Hits, directions, pixel, mesh: Surfaces, values):  # pragma: no cover - compiled
     """Attributes of hits into values (n, 13), in the order of `_surface`. Rows of misses stay as they are.
 
-    directions : (n, 3) with camera z = 1;  pixel : as of `View`
-    """
+    directions : (n, 3) with camera z = 1;  pixel : as of `View`"""
     prim, bary_u, bary_v, depth = hits
     for k in range(prim.shape[0]):
         if prim[k] < 0:
@@ -155,8 +152,7 @@ def surfaces(hits: Hits, directions, pixel, mesh: Surfaces, values):  # pragma: 
 def write_centres(hits: Hits, edge, view: View, glows, mesh: Surfaces, out: GBuffer):  # pragma: no cover - compiled
     """All layers of an opaque mesh from one sample a pixel; those of misses and of `edge` pixels become neutral.
 
-    Hits cover one pixel more on each side than the layers do;  glows : else EMISSIVE is left alone
-    """
+    Hits cover one pixel more on each side than the layers do;  glows : else EMISSIVE is left alone"""
     prim, bary_u, bary_v, depth = hits
     lens, rotation, eye, pixel = view
     coverage, depth_out, normal, position, albedo, material, emissive, object_id = out
@@ -193,8 +189,7 @@ def write_edges(
 
     pixels (n,) : numbered with one pixel of margin;  samples (n, s, 2) : directions in the camera
     order (s,) : sample numbers from the centre outwards;  hits : of n * s samples
-    centre_prim, centre_depth (n,) : what the pixels' centres meet
-    """
+    centre_prim, centre_depth (n,) : what the pixels' centres meet"""
     prim, bary_u, bary_v, depth = hits
     lens, rotation, eye, pixel = view
     coverage, depth_out, normal, position, albedo, material, emissive, object_id = out

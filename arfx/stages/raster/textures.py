@@ -1,7 +1,6 @@
 """Textures as 8-bit mip pyramids in one flat array; hits.py looks them up.
 
-Averages are taken in linear light (colour) and stored sRGB coded again, as SRGB8_ALPHA8 does in OpenGL.
-"""
+Averages are taken in linear light (colour) and stored sRGB coded again, as SRGB8_ALPHA8 does in OpenGL."""
 
 from __future__ import annotations
 

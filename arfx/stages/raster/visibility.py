@@ -5,8 +5,7 @@ is three dot products with a x b, b x c, c x a (Olano and Greer 1997, with direc
 lens works). Neighbours compute the same plane with the sign turned, exactly, so no ray slips between them.
 Eight pixels are tested at once: the compiler does not turn a loop with a test and a store into vectors, so the test is given
 as one; unfused, with the bits of one direction after the other.
-Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for the coherent rays of a picture.
-"""
+Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for the coherent rays of a picture."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, var-annotated"
 from __future__ import annotations
@@ -49,8 +48,7 @@ def _bits(builder, flags):
 def inside_eight(typingctx, directions, i, j, ax, ay, az, bx, by, bz, cx, cy, cz):
     """Bit k: is directions[i, j + k] (x, y, 1) on the inner side, or on, of the planes a, b and c through the eye?
 
-    directions : (h, w, 2) float32 whose last axis is contiguous; holds [i, j + 7];  a, b, c : float64;  not a number = outside
-    """
+    directions : (h, w, 2) float32 whose last axis is contiguous; holds [i, j + 7];  a, b, c : float64;  not a number = outside"""
     signature = types.uint64(directions, types.uint64, types.uint64, *(9 * [types.float64]))
 
     def codegen(context, builder, signature, args):
@@ -106,8 +104,7 @@ def lowest_bit(typingctx, bits):
 def face_boxes(points: np.ndarray, pixels: np.ndarray, faces: np.ndarray, camera: Camera, rect: Rect) -> np.ndarray:
     """(m, 4) int32 half-open x0 y0 x1 y1 within `rect` (relative to it) of the pixels that a face may cover.
 
-    points (n, 3) camera coordinates; pixels (n, 2) their projections, NaN behind the camera or beyond the lens
-    """
+    points (n, 3) camera coordinates; pixels (n, 2) their projections, NaN behind the camera or beyond the lens"""
     box, long = _boxes(points, pixels, faces, camera.distorted, rect.x0, rect.y0, rect.width, rect.height, EPS_DEPTH_M)
     if long.any():
         at = np.flatnonzero(long)
@@ -166,8 +163,7 @@ def _planes(points, i, j, k):  # pragma: no cover - compiled
 def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pragma: no cover - compiled
     """Per pixel the nearest face (-1 = none), its barycentric u, v and depth; and per face whether its front is seen.
 
-    hidden : (m,) bool, faces that cannot be seen from behind;  lens : (h + 2, w + 2, 2) directions, one pixel of margin
-    """
+    hidden : (m,) bool, faces that cannot be seen from behind;  lens : (h + 2, w + 2, 2) directions, one pixel of margin"""
     prim = np.full(height * width, -1, np.int32)
     u, v = np.empty(height * width, np.float32), np.empty(height * width, np.float32)
     depth = np.full(height * width, np.inf, np.float32)
@@ -221,8 +217,7 @@ def nearest_faces_at(points, faces, hidden, box, slot, samples, width, near):  #
     """The same for several samples of some pixels.
 
     slot : (h * w,) int32, number of the pixel among those sampled, -1 = not sampled
-    samples : (pixels, s, 2) float32 directions;  returns face, u, v, depth (pixels * s,)
-    """
+    samples : (pixels, s, 2) float32 directions;  returns face, u, v, depth (pixels * s,)"""
     per = samples.shape[1]
     if per % LANES:
         samples = _widened(samples)

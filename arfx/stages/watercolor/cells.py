@@ -2,8 +2,7 @@
 
 A wash is what a painter lays on in one go: neighbouring cells of nearly one colour. Their colours are drawn together over
 the graph of neighbours, with a weight that falls with their difference, so that cells vanish in even areas and stay where
-the picture changes. Cost: O(pixels) once for the means, O(cells) after. Source: docs/methods/watercolor.md#cells.
-"""
+the picture changes. Cost: O(pixels) once for the means, O(cells) after. Source: docs/methods/watercolor.md#cells."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ _U = np.uint64  # an index of that type is not looked at for a minus: loops stay
 def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     """(count, 3) float32 mean linear RGB of each cell, black for cells without a pixel. Sums are float64.
 
-    image : (h, w, 3) float32;  labels : (h, w) int32, 0 ... count - 1
-    """
+    image : (h, w, 3) float32;  labels : (h, w) int32, 0 ... count - 1"""
     whole = Labels(labels, np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), count)
     return cell_colours(Picture(image), combine_labels(whole))[:, :3]
 
@@ -84,8 +82,7 @@ def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarr
     0..1).
 
     x, y, size (n,) float32 : sites and the sizes of cells there, 1/STEPS px. What counts is how far apart sites are, never the
-    pixels that their cells share: a border of a pixel or two comes and goes as the picture moves, and washes would with it.
-    """
+    pixels that their cells share: a border of a pixel or two comes and goes as the picture moves, and washes would with it."""
     n = len(x)
     near, weight = np.zeros((n, NEIGHBOURS), np.int32), np.zeros((n, NEIGHBOURS), np.float32)
     if n < 2:
@@ -145,8 +142,7 @@ def smooth_washes(
     """(n, 3) float32 square roots of the colours (near to what is coded), alike neighbours drawn together.
 
     colours : (n, 3) linear;  near, weight : of `neighbours`;  area (n,) : pixels of the cells: one of few counts little
-    contrast : difference of square roots at which the pull has fallen to a quarter
-    """
+    contrast : difference of square roots at which the pull has fallen to a quarter"""
     root = np.sqrt(np.clip(colours, 0, 1)).astype(np.float32)
     if not rounds or not near.shape[1]:
         return root
@@ -181,8 +177,7 @@ def adjust_tone(root: np.ndarray, lightness: float, saturation: float, deepest: 
     """(n, 3) float32 square roots of colours, thinner (paper shows through) and more or less saturated.
 
     lightness : v becomes 1 - (1 - v)^(1 + lightness);  saturation : factor on the distance from grey
-    deepest : square root that black becomes: no wash is black
-    """
+    deepest : square root that black becomes: no wash is black"""
     if (lightness, saturation, deepest) == (0, 1, 0):
         return root
     thin = deepest + (1 - deepest) * (1 - (1 - root) ** (1 + lightness))

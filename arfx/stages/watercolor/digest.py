@@ -1,7 +1,6 @@
 """A number for the content of arrays, to know a frame that was painted before. Equal by chance once in 10^9.
 
-Source: NH, the sum of products of UMAC (Black et al. 1999), over rows of 4 KB, which are then chained.
-"""
+Source: NH, the sum of products of UMAC (Black et al. 1999), over rows of 4 KB, which are then chained."""
 
 from __future__ import annotations
 

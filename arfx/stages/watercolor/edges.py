@@ -2,8 +2,7 @@
 
 The measure is taken on a smoothed picture of half the size, only its ridges (line width in px), faded in between two
 thresholds, kept where a line is strong somewhere (hysteresis). Edges of the virtual object also come from its coverage,
-normals and depth. Cost: O(pixels). Source: docs/methods/watercolor.md#edges.
-"""
+normals and depth. Cost: O(pixels). Source: docs/methods/watercolor.md#edges."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ def trace_lines(
 
     low, high : of the printed measure per px of the full picture: below low there is no line, a line that nowhere reaches
     high fades out;  width_px : of the full picture;  virtual : of `virtual_edges`, on the same grid, its first pixel at
-    (row, column) `at`
-    """
+    (row, column) `at`"""
     measure, dx, dy = made
     h, w = measure.shape
     if virtual is not None and virtual.size:
@@ -112,8 +110,7 @@ def virtual_edges(
     """(ceil(h / 2), ceil(w / 2)) float32, 0..1: silhouettes from coverage and depth, creases from normals.
 
     coverage (bh, bw), normal (bh, bw, 3), depth (bh, bw) metres; a depth that is not finite is none
-    shape (h, w) : of the part of the picture looked at, in which the arrays begin at (row, column) `at`, around them nothing
-    """
+    shape (h, w) : of the part of the picture looked at, in which the arrays begin at (row, column) `at`, around them nothing"""
     h, w = shape or coverage.shape
     out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
     if opacity > 0 and coverage.any():

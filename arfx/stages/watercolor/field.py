@@ -62,8 +62,7 @@ def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
 def depth_factor(field: SiteField, camera: Camera, pose: Pose, scene: Scene, strength: float) -> np.ndarray:
     """(gh, gw) factor on the size of cells: (depth of the marker's plane / depth of the marker) ^ strength, within bounds.
 
-    Where the plane is not seen it is taken for far.
-    """
+    Where the plane is not seen it is taken for far."""
     camera_from_anchor = pose @ scene.world_from_anchor
     normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
     gh, gw = field.u.shape

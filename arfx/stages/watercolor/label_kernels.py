@@ -2,8 +2,7 @@
 
 Places are whole numbers of 1/STEPS px, relative to a block's or a tile's middle, so that int32 holds every square and
 float32 every packed distance; what is too far or too much for that goes through float64. Source:
-docs/methods/watercolor.md#labels.
-"""
+docs/methods/watercolor.md#labels."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class Candidates(NamedTuple):
 def collect(buckets: Buckets, y0, x0, y1, x1, mx, my, out: LocalSites):  # pragma: no cover - compiled
     """How many sites lie in the buckets that (x0, y0) ... (x1, y1) touches; these, relative to (mx, my), by number.
 
-    Places from the first bucket's corner, 1/STEPS px; buckets at the border hold what lies beyond it.
-    """
+    Places from the first bucket's corner, 1/STEPS px; buckets at the border hold what lies beyond it."""
     position, _, start, side_px, gh, gw = buckets
     lx, ly, lw, number = out
     count, side = 0, side_px * STEPS

@@ -4,8 +4,7 @@ Distance is that of a power diagram, |p - s|^2 - weight; with all weights 0 the 
 on a grid of 1/8 px, so that distances are integers; of equal distances the site of the lower number wins. Pixels may be
 displaced (wobble) before they ask. A block of 2 x 2 tiles collects the sites around it once; its tiles prune them and compare
 what is left (label_kernels). Cost: O(pixels x some 10 candidates). Source: docs/methods/watercolor.md#labels; tiles in place of
-cones.
-"""
+cones."""
 
 from __future__ import annotations
 
@@ -51,8 +50,7 @@ _U = np.uint64
 class Labels:
     """first (h, w) int32 : the nearest site;  second (h, w) int32 : the next one, where it is near
     inside (h, w) uint8 : 0 on the border between both, SOLID from `blend_px` off it;  count : of sites
-    second and inside are (0, 0) where borders were not asked for.
-    """
+    second and inside are (0, 0) where borders were not asked for."""
 
     first: np.ndarray
     second: np.ndarray
@@ -74,8 +72,7 @@ class Wobble:
 
     tile (2, n, n) int8 : along x and y, 1/STEPS px;  x, y : where in it pixel (0, 0) of the frame lies
     positions (n/8, n/8, 2, PIXELS) float32 : displaced positions of each 8 x 8 pixels, 1/STEPS px from their middle
-    boxes (n/8, n/8, 4) int32 : around these: middle, half sides
-    """
+    boxes (n/8, n/8, 4) int32 : around these: middle, half sides"""
 
     tile: np.ndarray
     positions: np.ndarray
@@ -125,8 +122,7 @@ def label(
     """Labels of the pixels of `rect`.
 
     blend_px : as in Labels, 0 = no borders;  mask (h, w) bool : only these are asked for, the others hold anything
-    Without a site every pixel is labelled 0 and count is 1.
-    """
+    Without a site every pixel is labelled 0 and count is 1."""
     h, w = rect.height, rect.width
     n, borders = len(sites), blend_px > 0
     if n == 0 or h == 0 or w == 0:
@@ -192,8 +188,7 @@ def bucket_sites(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
 def _label(buckets: Buckets, ordered, displaced, blend, mask, x0, y0, y_first, y_last, out):  # pragma: no cover - compiled
     """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0). out : first, second, inside, of `Labels`
 
-    displaced : positions and boxes of a `Wobble`, row and column there of the first tile
-    """
+    displaced : positions and boxes of a `Wobble`, row and column there of the first tile"""
     order, (positions, boxes, row, column), (first, second, inside) = buckets.order, displaced, out
     h, w = first.shape
     k1, k2 = np.empty(PIXELS, np.float32), np.empty(PIXELS, np.float32)

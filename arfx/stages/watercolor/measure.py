@@ -1,7 +1,6 @@
 """The printed measure of edges on the smoothed picture of half the size, in one pass: a row is halved, smoothed, and measured
 while it is still in the cache. A Gaussian of few taps, in steps of a vector unit, takes a third of what cv2.GaussianBlur does.
-Borders are replicated. Cost: O(pixels). Source: as edges.py.
-"""
+Borders are replicated. Cost: O(pixels). Source: as edges.py."""
 
 from __future__ import annotations
 
@@ -21,8 +20,7 @@ _RING = 16  # rows in the buffer: more than the taps reach over
 def edge_measure(picture: Picture, yuv: np.ndarray, alpha: float, beta: float, smooth_px: float) -> np.ndarray:
     """(3, ceil(h / 2), ceil(w / 2)) float32: the printed measure, and the direction across the edge (x, y).
 
-    yuv : of `yuv_matrix`;  alpha, beta : as there;  smooth_px : of the full picture
-    """
+    yuv : of `yuv_matrix`;  alpha, beta : as there;  smooth_px : of the full picture"""
     sigma = max(smooth_px / 2, 0.3)
     h, w = ((n + 1) // 2 for n in picture.image.shape[:2])
     made, taps = np.empty((3, h, w), np.float32), gaussian_taps(sigma)

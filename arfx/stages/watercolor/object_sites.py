@@ -2,8 +2,7 @@
 
 The surface is strewn with points once; a point's importance is the coarsest level of a nested grid in space at which it is
 still its cell's first (docs/methods/watercolor.md#sites). Each picture takes those that the wanted density
-calls for. Cost: O(points) per set. Leaves out: which points other parts of the model hide; they add cells where they lie.
-"""
+calls for. Cost: O(points) per set. Leaves out: which points other parts of the model hide; they add cells where they lie."""
 
 from __future__ import annotations
 
@@ -115,8 +114,7 @@ def _sites(points, keep, fade, pixel, grown, scale):  # pragma: no cover - compi
 def _visible(points, normals, importance, max_cell, eye, row, at, size):  # pragma: no cover - compiled
     """(which points face the camera and count at this density (k,), how far each has appeared (k,), 0..1].
 
-    max_cell : of Surface.most_m;  row . point + at : depth, metres;  size : of a cell at depth 1 m, metres
-    """
+    max_cell : of Surface.most_m;  row . point + at : depth, metres;  size : of a cell at depth 1 m, metres"""
     which, fade = np.empty(points.shape[0], np.int64), np.empty(points.shape[0])
     k = 0
     for m in range(points.shape[0]):

@@ -2,8 +2,7 @@
 
 Paint knows of each cell two things of 64 bits each: the root of its colour with its turbulence, and its mean. A row is
 painted in steps: what the pixel's own cell and the next one hold is fetched, then all is computed in steps of a vector unit.
-Cost: O(pixels). Source: docs/methods/watercolor.md#pigment; the pigment itself is in pigment.py.
-"""
+Cost: O(pixels). Source: docs/methods/watercolor.md#pigment; the pigment itself is in pigment.py."""
 
 from __future__ import annotations
 
@@ -72,8 +71,7 @@ def paint(
     flow (n,) : their turbulence;  grain : of `paper_grain`
     line (ceil(h / 2), ceil(w / 2)) : strength of lines, 0..1; empty = none
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
-    ink_rgb (3,) : linear colour of lines;  x0, y0 : of the first pixel in the frame, to anchor the paper
-    """
+    ink_rgb (3,) : linear colour of lines;  x0, y0 : of the first pixel in the frame, to anchor the paper"""
     out = np.empty((*cells.first.shape, 3), np.float32)
     tinted, paper, lines = _table(root, flow), (grain, x0, y0), (line, strengths, ink_rgb.astype(np.float32))
     if not cells.second.size:
@@ -150,8 +148,7 @@ def _paint_plain(cells: Cells, tinted, paper, lines, ya, yb, out):  # pragma: no
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _paint_plain_row(cell_data, light, strengths, ink):  # pragma: no cover - compiled
     """One row of plain cells. cell_data (w,), as in _table : colour of a pixel's cell
-    light (5, w + 1) : height of the paper, line; red, green, blue that come out
-    """
+    light (5, w + 1) : height of the paper, line; red, green, blue that come out"""
     zero, one, unit = _F(0), _F(1), _F(1.0 / 65535)
     step = _F(2 * _FLOW / 65535)
     much_flow, much_grain, opacity, dry = strengths[2], strengths[3], strengths[4], strengths[5]
@@ -176,8 +173,7 @@ def _channel(v, shift):  # pragma: no cover - compiled
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _paint_row(cell_data, near, light, strengths, ink):  # pragma: no cover - compiled
     """One row. cell_data (4, w), as in _table : mean of a pixel's cell, of the next one, colour of its cell, of the next
-    light (8, w + 1) : red, green, blue, height of the paper, line; and the three that come out
-    """
+    light (8, w + 1) : red, green, blue, height of the paper, line; and the three that come out"""
     zero, one, half, unit = _F(0), _F(1), _F(0.5), _F(1.0 / 65535)
     step = _F(2 * _FLOW / 65535)
     dark, contrast, much_flow, much_grain, opacity, dry = strengths
@@ -228,8 +224,7 @@ def _grain_row(grain, y, x0, height):  # pragma: no cover - compiled
 def line_row(line, y, row, lines):  # pragma: no cover - compiled
     """One row of the picture's lines, bilinear between the centres of pixels of twice the size. Whether there are any.
 
-    row (lw,), lines (at least w + 1,) are written; lines not where there are none.
-    """
+    row (lw,), lines (at least w + 1,) are written; lines not where there are none."""
     lh, lw = line.shape
     w = lines.shape[0] - 1
     j = y // 2

@@ -34,8 +34,7 @@ class WatercolorParams:
     pigment : simulate pigment and paper with the settings below; false = flat cells
     edge_darkening : how much darker pigment gets at the border of a wash;  flow : strength of slow turbulence
     flow_px : size of the turbulence;  wobble_px : how far borders waver;  grain : strength of the paper's grain
-    grain_px : size of the grain;  dry_brush : how much the grain shows in lines
-    """
+    grain_px : size of the grain;  dry_brush : how much the grain shows in lines"""
 
     formula: str = field(default="corrected", init=False)
     cell_px: float = 7.0

@@ -2,8 +2,7 @@
 
 Thickness varies with a slow turbulence (carried with the sites, it belongs to the wash), with the paper's grain (fixed to
 the paper) and towards the border of a wash, where water leaves its pigment. Cost: O(pixels).
-Source: Bousseau et al. 2006, docs/methods/watercolor.md#pigment. Leaves out: wet-in-wet flow, drips, white gaps.
-"""
+Source: Bousseau et al. 2006, docs/methods/watercolor.md#pigment. Leaves out: wet-in-wet flow, drips, white gaps."""
 
 from __future__ import annotations
 

@@ -21,8 +21,7 @@ def nearest_labels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(first, second) (n,) int32: of the sites (k,), the nearest to the positions (n,) and the next, by |p - s|^2 - weight.
 
-    Of equal distances the lower number wins.
-    """
+    Of equal distances the lower number wins."""
     first, second = np.zeros(len(px), np.int32), np.zeros(len(px), np.int32)
     step = max(1, _AT_ONCE // max(len(x_px), 1))
     for a in range(0, len(px), step):
@@ -39,7 +38,7 @@ def nearest_labels(
 
 def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: float = 0.0) -> Labels:
     """The same as labels.label, in float64 and by other means: every pair of site and pixel, or where those are too many
-    a search tree (the weight as a third coordinate) whose nearest few are told apart exactly."""
+    a search tree (the weight as a third coordinate) whose nearest few are compared exactly."""
     h, w = rect.height, rect.width
     if not len(sites):
         return unlabelled(h, w, 1, blend_px > 0)

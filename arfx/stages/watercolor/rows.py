@@ -1,7 +1,6 @@
 """What the passes over the picture read: a row of the composite with the toon-shaded object in its place, and a row of labels
 with the object's own cells where it covers the background. Rows are put together in buffers that stay in the cache, so that
-no pass needs a copy of the picture. Kernels only.
-"""
+no pass needs a copy of the picture. Kernels only."""
 
 from __future__ import annotations
 

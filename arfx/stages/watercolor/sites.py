@@ -4,8 +4,7 @@ A cell of level k is 2^k cells wide and is parted into four of level k - 1. Its 
 by a hash of (seed, level, column, row), and so on down: a site is the same point at every level it belongs to, so making
 the grid finer adds sites and moves none. The other three appear one by one in a fixed order; while one appears its cell
 grows from nothing (the weight of a power diagram), so that nothing pops.
-Source: jittered sampling, docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cost: O(sites).
-"""
+Source: jittered sampling, docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cost: O(sites)."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ _HIGHEST = 24  # a site of this level is everywhere
 class Sites:
     """x, y (n,) float32 in 1/STEPS px of the frame, integers;  weight (n,) float32 <= 0, in 1/STEPS^2 px^2, integers
     key (n,) int64 : which site it is, the same in every frame
-    u, v (n,) float32 : position in the coordinates of the thing painted, px
-    """
+    u, v (n,) float32 : position in the coordinates of the thing painted, px"""
 
     x: np.ndarray
     y: np.ndarray
@@ -49,8 +47,7 @@ class SiteField:
     """What lies where. nodes every GRID_PX px from (x0, y0) of the frame.
 
     u, v (gh, gw) float64 : the node's position in the coordinates of the thing painted, px of its first picture
-    size (gh, gw) float64 : wanted size of a cell, px of the frame, > 0
-    """
+    size (gh, gw) float64 : wanted size of a cell, px of the frame, > 0"""
 
     x0: int
     y0: int
@@ -73,8 +70,7 @@ def still_field(width: int, height: int, size_px: float, pad_px: int) -> SiteFie
 def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) -> Sites:
     """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a level at a time.
 
-    unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest
-    """
+    unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest"""
     size = np.clip(field.size, 0.25, None)
     for _ in range(_HIGHEST):
         args = field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, unit_px
@@ -152,8 +148,7 @@ def _candidates(seed, level, pj, box, least, oi, oj, importance, key):  # pragma
 def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no cover - compiled
     """All sites of the field's triangles in rows row ... end - 1 of quads.
 
-    u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame
-    """
+    u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame"""
     gw = u.shape[1]
     sx, sy, sw = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.float32)
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)

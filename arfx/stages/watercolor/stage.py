@@ -11,8 +11,7 @@ transform costs four times the exact labels); high paints the patterns carried f
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 line_hold looks at the frame before as well (temporal.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
-Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow, depth of the real scene beyond its plane.
-"""
+Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow, depth of the real scene beyond its plane."""
 
 from __future__ import annotations
 

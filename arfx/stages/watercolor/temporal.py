@@ -2,8 +2,7 @@
 
 Half of it counts where both are alike, none where they are not: what comes into view, moves on its own or follows a cut is as
 it is now. Only the last frame's own measure is used, never what was mixed before, so that a frame is the same whoever paints
-it and wherever a stretch of work begins. Cost: O(pixels of the half-size grid). Source: docs/methods/watercolor.md#edges.
-"""
+it and wherever a stretch of work begins. Cost: O(pixels of the half-size grid). Source: docs/methods/watercolor.md#edges."""
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ _FAST = {"contract", "nsz", "arcp"}
 def backward_flow(now: SiteField, before: SiteField) -> np.ndarray | None:
     """(2, gh, gw) float32 px: what the nodes must be moved by along x and y to lie where they lay in the frame before.
 
-    None where the two fields have no node in common. Both in the same coordinates of the thing painted.
-    """
+    None where the two fields have no node in common. Both in the same coordinates of the thing painted."""
     if now.u.shape != before.u.shape or (now.x0, now.y0) != (before.x0, before.y0):
         return None
     # how u and v of the frame before change along x and y, per px

@@ -3,8 +3,7 @@
 Above the first threshold of n . l the colour is kept, above the second it is scaled, else scaled more (.5, .2; 1, .4, .1).
 Corrected: the steps are ramps a few degrees wide, so that they do not crawl, and only what comes from the light's side is
 scaled: in soft light no side is black. Cost: O(covered pixels).
-Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of the object on itself.
-"""
+Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of the object on itself."""
 
 from __future__ import annotations
 
@@ -24,8 +23,7 @@ _FAST = {"contract", "nsz", "arcp"}
 def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(direction (3,) unit towards the strongest light, radiance (3,) of a white surface that faces it), WORLD frame.
 
-    up : (3,) stands in for the direction where no light has one.
-    """
+    up : (3,) stands in for the direction where no light has one."""
     best, most = None, 0.0
     for li in light.lights:
         strength = float(np.sum(li.rgb))
@@ -69,8 +67,7 @@ def toon(
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
     radiance, even : (3,) of a white surface that faces the light, and the part of it that every tone has
-    ramp : of n . l over which a step is spread, 0 = hard
-    """
+    ramp : of n . l over which a step is spread, 0 = hard"""
     f32 = np.float32
     out: np.ndarray = image.copy()
     tones = _Tones(

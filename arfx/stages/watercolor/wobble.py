@@ -3,8 +3,7 @@
 A tile of smooth noise repeats over the picture and is moved as a whole: with the background by its median motion, on the object
 with its origin. Whole pixels would not do: the noise is so steep that borders would tremble by a ninth of a pixel (rms).
 The tile is made at each of 4 x 4 positions between pixels when it is first asked for. Cost: some 5 ms each, once; 11 MB together.
-Leaves out: how the picture turns or grows; the noise does neither.
-"""
+Leaves out: how the picture turns or grows; the noise does neither."""
 
 from __future__ import annotations
 
