@@ -35,7 +35,7 @@ _BLOCK = 64  # pixels
 def dim_luma(planes: Planes, rect, hole, transmittance, opacity, bias, curves, luma: Luma, chroma: Chroma):
     """Dims the luma plane in place; sets the chroma differences as `edit_luma` does, for `edit_chroma`.
     rect, hole : x0, y0, x1, y1, coded; inside `hole` nothing changes;  transmittance : (h, w, 3 or 1), of linear light
-    opacity : how much of that change is shown;  bias : (3,) linear, what is no light and stays, None = none
+    opacity : how much of that change is shown;  bias : (3,) linear, what is no light and stays
     curves : decoding, encoding, (2,) exponent of the encoding's power and its a"""
     scratch = line_scratch(16, rect[2] - rect[0])
     step = planes.steps[0]
@@ -48,7 +48,7 @@ def dim_luma(planes: Planes, rect, hole, transmittance, opacity, bias, curves, l
 def _dim_lines(planes: Planes, rect, hole, transmittance, opacity, bias, curves, luma: Luma, chroma: Chroma, work):
     (low_tap, high_tap, weights), wide, scratch = work
     lines, changed_columns = chroma
-    channels = transmittance.shape[2]
+    channels, biased = transmittance.shape[2], bias[0] != 0 or bias[1] != 0 or bias[2] != 0
     x0, y0, x1, y1 = rect
     sx, n = planes.steps[0], lines.shape[2]
     k, m, coded = scratch[:3], scratch[3:6], scratch[6:9]
@@ -75,16 +75,16 @@ def _dim_lines(planes: Planes, rect, hole, transmittance, opacity, bias, curves,
             coded_line(planes, row, x0 + a, samples[: c1 - c0], cb[:w], cr[:w], coded)
             for c in range(3):
                 one = 0 if grey else c
-                if bias is None:
-                    if one == c:
-                        power_of(k[c, :w], curves[2][0], base, mantissa, m[c])
-                    _dimmed(coded[c, :w], k[one], m[one], curves[2][1])
-                else:
+                if biased:
                     apply_curve(coded[c, :w], curves[0], base, mantissa, light)
                     _attenuate(light[:w], k[one], bias[c])
                     apply_curve(light[:w], curves[1], base, mantissa, m[c])
                     clipped_differences(coded[c, :w], m[c])
-            diff = coded if bias is None else m
+                else:
+                    if one == c:
+                        power_of(k[c, :w], curves[2][0], base, mantissa, m[c])
+                    _dimmed(coded[c, :w], k[one], m[one], curves[2][1])
+            diff = m if biased else coded
             _to_yuv(diff[0], diff[1], diff[2], luma.to_yuv, dy[:w], d_cb[a:], d_cr[a:])
             add_steps(planes.y[row, x0 + a : x0 + b], dy[:w], luma.factor, luma.low, luma.high)
         c0 = max(((x0 + first - high_tap + 1) >> sx) - (x0 >> sx), 0)

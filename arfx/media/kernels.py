@@ -249,10 +249,11 @@ def dim_yuv(
     """As `Frame.dimmed`, in place and coded."""
     _, _, alpha, power = f.transfer.curve
     curves = decode_curve(f.transfer), encode_curve(f.transfer), np.array([1 / power, alpha - 1], np.float32)
-    chroma = _chroma(r, f)
+    chroma, kept = _chroma(r, f), transmittance.view()
+    kept.flags.writeable = False  # as in `_bits`
     dim_luma(
-        _kernel_planes(planes, f), (r.x0, r.y0, r.x1, r.y1), (hole.x0, hole.y0, hole.x1, hole.y1), transmittance,
-        np.float32(opacity), bias.astype(np.float32) if bias.any() else None, curves, _luma(f), chroma,
+        _kernel_planes(planes, f), (r.x0, r.y0, r.x1, r.y1), (hole.x0, hole.y0, hole.x1, hole.y1), kept,
+        np.float32(opacity), bias.astype(np.float32), curves, _luma(f), chroma,
     )  # fmt: skip
     _edit_chroma(planes, f, r, chroma)
 

@@ -49,7 +49,7 @@ def reference(name: str, azimuth: float, elevation: float, size: float) -> tuple
     light = lamp(azimuth, elevation, size)
     s, pose = on_plane(MODELS[name](), light), from_above()
     points = ground_points(s, pose).reshape(-1, 3)
-    pick = np.random.default_rng(0).choice(len(points), 3000, replace=False)
+    pick = np.random.default_rng(0).choice(len(points), 1500, replace=False)
     pick = pick[np.isfinite(points[pick]).all(1)]
     eye = pose.inverse().translation_m
     to_eye = eye - points[pick]
