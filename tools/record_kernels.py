@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from arfx.run.kernels import DIMMING
 from arfx.stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,7 +85,9 @@ def run_all() -> dict[str, list[list[Any]]]:
 
 
 def part_of(module: str) -> str:
-    """The stage that a module belongs to; "" if to none."""
+    """The part that a module's kernels belong to, most often a stage; "" if to none."""
+    if module == "arfx.media.dimming":
+        return DIMMING
     package, _, rest = module.partition(".stages.")
     name = rest.partition(".")[0]
     return name if package == "arfx" and name in STAGES else ""

@@ -17,6 +17,7 @@ from arfx.config.sections import JobConfig, frozen, to_toml
 from arfx.core import interrupt
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
+from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.stage import Stage
@@ -29,7 +30,7 @@ from arfx.run.analysis import analyse_clip
 from arfx.run.executors import Task, run_processes, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, pick_previews, read_lines, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
+from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
 from arfx.run.place import Places
 from arfx.run.planned import ClipAnalysis, Job, JobPlan
@@ -118,10 +119,8 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
     parts = (JOB, *pipeline(config))
-    before = time.perf_counter()
-    compile_ahead(parts, options.progress, options.notice)
-    # the work began as if compiling had taken no time: later jobs are spared it
-    log = WorkLog(folder.timings, time.perf_counter() - (0.0 if started is None else before - started))
+    log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
+    _compile(parts, options, log)
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")
@@ -157,8 +156,18 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
+    writers = [[stages[s.stage] for s in p.steps if Layer.IMAGE in stages[s.stage].writes] for p in plans]
+    if any(Layer.SHADOW in those[-1].reads for those in writers if those):  # and no stage sees the plane under it
+        _compile((DIMMING,), options, log)
     plan = JobPlan(plans, document["levels"], document["predicted"], time.perf_counter() - start)
     return Job(inputs, folder, job_key, analysis_key, analysed, facts, scene, stages, prices, plan, log)
+
+
+def _compile(parts: Sequence[str], options: Options, log: WorkLog) -> None:
+    """Compile what is missing. The work began as if that had taken no time: later jobs are spared it."""
+    before = time.perf_counter()
+    compile_ahead(parts, options.progress, options.notice)
+    log.began += time.perf_counter() - before
 
 
 def _size(inputs: Inputs, analysed: ClipAnalysis, stages: Mapping[str, Stage], spent: TimeSpent, options: Options) -> JobSize:

@@ -28,7 +28,8 @@ from arfx.core.machine import usable_cores
 
 COMPILE = "compile"  # the phase that progress is reported for
 MANIFEST = Path(__file__).with_suffix(".json")
-JOB, SYNTH = "job", "synth"  # parts of the list; the others are named by the stage that brings them
+# Parts of the list; the others are named by the stage that brings them. DIMMING: frames whose shadow no stage reads
+JOB, SYNTH, DIMMING = "job", "synth", "dimming"
 PROCESS_S = 4.0  # of compiling, for each process: it takes one or two seconds to start
 Progress = Callable[[str, int, int | None], None]
 Notice = Callable[[str], None]

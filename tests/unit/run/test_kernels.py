@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from arfx.run import job, kernels
-from arfx.run.folder import JobFolder
-from arfx.run.kernels import JOB, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
+from arfx.run.kernels import DIMMING, JOB, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
+from arfx.run.times import WorkLog
 from arfx.stages import STAGES
 from arfx_cli.console import Progress
 from arfx_cli.demo import EFFECTS
@@ -116,7 +116,7 @@ def test_what_is_not_in_the_list_is_told_once(two: list[Kernel]) -> None:
 def test_the_list_fits_the_code() -> None:
     """Every function that it names is there, is kept on disk, and takes as many arguments as it says."""
     document = json.loads(kernels.MANIFEST.read_text(encoding="utf-8"))
-    assert {SYNTH, JOB, "lightmap", *EFFECTS} <= document.keys() <= {SYNTH, JOB, "bench", *STAGES}
+    assert {SYNTH, JOB, "lightmap", *EFFECTS} <= document.keys() <= {SYNTH, JOB, DIMMING, *STAGES}
     for kernel in listed_kernels():
         function = kernel.function
         assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, kernel
@@ -142,8 +142,7 @@ def test_types_are_read_as_they_are_written() -> None:
         assert not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
 
 
-@pytest.mark.parametrize("started", [None, 3.0])
-def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, started: float | None) -> None:
+def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [5.0]
 
     def compile_for_a_minute(*_: object) -> None:
@@ -151,17 +150,10 @@ def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, st
 
     monkeypatch.setattr(job, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     monkeypatch.setattr(job, "compile_ahead", compile_for_a_minute)
-    began: list[float] = []
-
-    def log(_: Path, start: float) -> None:
-        began.append(start)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(job, "pipeline", lambda _: ())
-    monkeypatch.setattr(job, "WorkLog", log)
-    with pytest.raises(KeyboardInterrupt):
-        job.plan_job(SimpleNamespace(config=None), JobFolder(Path("job")), job.Options(), started)  # type: ignore[arg-type]
-    assert clock[0] - began[0] == (0 if started is None else 5.0 - started)
+    log = WorkLog(Path("timings.jsonl"), 3.0)
+    for _ in range(2):
+        job._compile(("job",), job.Options(), log)
+    assert clock[0] - log.began == 5.0 - 3.0
 
 
 def test_what_is_compiled_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
