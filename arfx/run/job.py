@@ -6,7 +6,7 @@ import contextlib
 import json
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -120,7 +120,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     config = inputs.config
     parts = (JOB, *pipeline(config))
     log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
-    _compile(parts, options, log)
+    _compile((*parts, DIMMING) if _written_once(parts[1:]) else parts, options, log)
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")
@@ -156,8 +156,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
-    writers = [[stages[s.stage] for s in p.steps if Layer.IMAGE in stages[s.stage].writes] for p in plans]
-    if any(Layer.SHADOW in those[-1].reads for those in writers if those):  # and no stage sees the plane under it
+    if any(_written_once(step.stage for step in p.steps) for p in plans):
         _compile((DIMMING,), options, log)
     plan = JobPlan(plans, document["levels"], document["predicted"], time.perf_counter() - start)
     return Job(inputs, folder, job_key, analysis_key, analysed, facts, scene, stages, prices, plan, log)
@@ -168,6 +167,12 @@ def _compile(parts: Sequence[str], options: Options, log: WorkLog) -> None:
     before = time.perf_counter()
     compile_ahead(parts, options.progress, options.notice)
     log.began += time.perf_counter() - before
+
+
+def _written_once(stages: Iterable[str]) -> bool:
+    """Whether no stage reads the plane under its shadow, which then dims the stored samples."""
+    writers = [STAGES[name] for name in stages if Layer.IMAGE in STAGES[name].writes]
+    return len(writers) == 1 and Layer.SHADOW in writers[0].reads
 
 
 def _size(inputs: Inputs, analysed: ClipAnalysis, stages: Mapping[str, Stage], spent: TimeSpent, options: Options) -> JobSize:
