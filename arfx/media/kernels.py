@@ -249,11 +249,10 @@ def dim_yuv(
     """As `Frame.dimmed`, in place and coded."""
     _, _, alpha, power = f.transfer.curve
     curves = decode_curve(f.transfer), encode_curve(f.transfer), np.array([1 / power, alpha - 1], np.float32)
-    chroma, kept = _chroma(r, f), transmittance.view()
-    kept.flags.writeable = False  # as in `_bits`
+    chroma = _chroma(r, f)
     dim_luma(
-        _kernel_planes(planes, f), (r.x0, r.y0, r.x1, r.y1), (hole.x0, hole.y0, hole.x1, hole.y1), kept,
-        np.float32(opacity), bias.astype(np.float32), curves, _luma(f), chroma,
+        _kernel_planes(planes, f), (r.x0, r.y0, r.x1, r.y1), (hole.x0, hole.y0, hole.x1, hole.y1),
+        _read_only(transmittance), np.float32(opacity), bias.astype(np.float32), curves, _luma(f), chroma,
     )  # fmt: skip
     _edit_chroma(planes, f, r, chroma)
 
@@ -284,7 +283,12 @@ def _edit_chroma(planes: list[np.ndarray], f: FrameFormat, r: Rect, chroma: Chro
 
 
 def _bits(array: np.ndarray) -> np.ndarray:
-    """A contiguous array of 32 bits as int32, not to be written: whoever made it, it is one type to the compiler."""
-    out = array.view(np.int32)
+    """A contiguous array of 32 bits as int32, not to be written."""
+    return _read_only(array.view(np.int32))
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """A view that is not to be written: whoever made the array, it is one type to the compiler."""
+    out = array.view()
     out.flags.writeable = False
     return out

@@ -188,5 +188,5 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
             (one, zero, most),
         )  # fmt: skip
     near, far = depth_range(facts)
-    depth = np.clip(np.nan_to_num(now[Layer.DEPTH], nan=far, posinf=far), near, far)
+    depth = np.clip(now[Layer.DEPTH], near, far)
     return np.where(now[Layer.COVERAGE] >= 0.5, divide(1.0, depth), out)

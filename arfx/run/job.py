@@ -118,9 +118,10 @@ def worker_count(pixels: int, stated: int | None = None) -> tuple[int, bool]:
 def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Job:
     """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
-    parts = (JOB, *pipeline(config))
+    names = pipeline(config)
+    parts = (JOB, *names, *[DIMMING] * _written_once(names))
     log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
-    _compile((*parts, DIMMING) if _written_once(parts[1:]) else parts, options, log)
+    _compile(parts, options, log)
     assert config.input.clip is not None and config.model.file is not None
     tree = frozen(config)
     output = tree.pop("output")

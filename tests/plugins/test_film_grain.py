@@ -21,6 +21,7 @@ from tests.clips import MARKER, write_camera, write_clip, write_model
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 FRAMES = 31  # two chunks, so that two processes render
+JOB = ("clip.mp4", "--camera", "camera.yaml", "--marker", str(MARKER), "--model", "model.glb", "--fit", "8cm")
 SEVERAL = """
 import contextlib, io, json, sys
 from arfx_cli.main import main
@@ -63,9 +64,6 @@ def environment(site: Path, folder: Path) -> dict[str, str]:
     """Of a process that finds the plug-in, with a price list of its own."""
     path = os.pathsep.join([str(site), *(p for p in sys.path if p)])
     return {**os.environ, "PYTHONPATH": path, "XDG_CACHE_HOME": str(folder / "cache")}
-
-
-JOB = ("clip.mp4", "--camera", "camera.yaml", "--marker", str(MARKER), "--model", "model.glb", "--fit", "8cm")
 
 
 @pytest.fixture(scope="module")

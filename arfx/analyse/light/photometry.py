@@ -7,6 +7,7 @@ Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); docs/methods/light.md#bias. Co
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
@@ -60,20 +61,27 @@ class Photometry:
     ignored: int
 
 
+class Tolerances(NamedTuple):
+    """What is not exactly as stated. ink_sigma : standard deviation of the ink's albedo
+    transfer : range by which the exponent of the camera's curve may be off
+    steps : of 1/255 by which the coded values of all dark cells may be off together"""
+
+    ink_sigma: float = INK_SIGMA
+    transfer: float = TRANSFER
+    steps: float = STEPS
+
+
 def solve(
     intensity: np.ndarray, variance: np.ndarray | None = None, white: np.ndarray | None = None,
     albedo: np.ndarray | None = None, clipped: np.ndarray | None = None, albedos: str = "known",
-    ink: float = INK, paper: float = PAPER, ink_sigma: float = INK_SIGMA, transfer: float = TRANSFER,
-    steps: float = STEPS,
+    ink: float = INK, paper: float = PAPER, tolerances: Tolerances | None = None,
 ) -> Photometry:  # fmt: skip
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None = equal and unknown
     white : (p,) bool, or albedo : (p,) or (t, p) in its place;  clipped : (t, p) shares, for the report
     albedos : "known" (ink, paper); "normalised" (light from each frame's own difference of paper and ink, so that its
         ratios are right whatever the ink and the bias are; noisier; the bias still takes the ink's albedo); "unknown" (the
         ink's albedo is solved per channel beside b, which takes light that changes)
-    ink_sigma : standard deviation of the ink's albedo, goes into bias_95; 0 with `albedo` given
-    transfer : range by which the exponent of the camera's curve may be off, goes into bias_95
-    steps : of 1/255 by which the coded values of all dark cells may be off together; goes there too
+    tolerances : go into bias_95; None = the usual ones, with `albedo` given always none
     Raises ValueError for wrong shapes."""
     value = np.asarray(intensity, float)
     frames, patches, _ = value.shape
@@ -84,7 +92,8 @@ def solve(
             raise ValueError("white (p,) or albedo is needed")
         albedo = np.where(white, paper, ink)
     else:
-        ink_sigma = transfer = steps = 0.0
+        tolerances = Tolerances(0.0, 0.0, 0.0)
+    ink_sigma, transfer, steps = tolerances or Tolerances()
     rho = np.broadcast_to(np.asarray(albedo, float), (frames, patches))
     weight, known_noise, ignored = weights(value, variance, rho)
     fraction = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0

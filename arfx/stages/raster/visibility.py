@@ -45,11 +45,12 @@ def _bits(builder, flags):
 
 
 @intrinsic
-def inside_eight(typingctx, directions, i, j, ax, ay, az, bx, by, bz, cx, cy, cz):
-    """Bit k: is directions[i, j + k] (x, y, 1) on the inner side, or on, of the planes a, b and c through the eye?
+def inside_eight(typingctx, directions, i, j, planes):
+    """Bit k: is directions[i, j + k] (x, y, 1) on the inner side, or on, of three planes through the eye?
 
-    directions : (h, w, 2) float32 whose last axis is contiguous; holds [i, j + 7];  a, b, c : float64;  not a number = outside"""
-    signature = types.uint64(directions, types.uint64, types.uint64, *(9 * [types.float64]))
+    directions : (h, w, 2) float32 whose last axis is contiguous; holds [i, j + 7];  not a number = outside
+    planes : (9,) float64, their normals"""
+    signature = types.uint64(directions, types.uint64, types.uint64, types.UniTuple(types.float64, 9))
 
     def codegen(context, builder, signature, args):
         kind = signature.args[0]
@@ -67,8 +68,8 @@ def inside_eight(typingctx, directions, i, j, ax, ay, az, bx, by, bz, cx, cy, cz
             for part in range(2)
         )
         inside = None
-        for k in (3, 6, 9):
-            px, py, pz = (_broadcast(builder, a) for a in args[k : k + 3])
+        for k in (0, 3, 6):
+            px, py, pz = (_broadcast(builder, builder.extract_value(args[3], k + axis)) for axis in range(3))
             side = builder.fadd(builder.fadd(builder.fmul(px, x), builder.fmul(py, y)), pz)
             inner = builder.fcmp_ordered(">=", side, ir.Constant(_DOUBLES, LANES * [0.0]))
             inside = inner if inside is None else builder.and_(inside, inner)
@@ -181,7 +182,7 @@ def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pra
             for first in range(x0, x1, LANES):
                 column = np.uintp(first) + one
                 start = min(column, most)  # eight columns that the table holds
-                found = inside_eight(lens, np.uintp(y + one), start, pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz)
+                found = inside_eight(lens, np.uintp(y + one), start, (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz))
                 found = (found >> (column - start)) << (column - start)
                 if x1 + one - start < lanes:
                     found &= (one << (x1 + one - start)) - one
@@ -246,7 +247,7 @@ def nearest_faces_at(points, faces, hidden, box, slot, samples, width, near):  #
                     a = np.uintp(slot[start + lowest_bit(sampled)])
                     sampled &= sampled - one
                     for eight in range(0, samples.shape[1], LANES):
-                        found = inside_eight(samples, a, np.uintp(eight), pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz)
+                        found = inside_eight(samples, a, np.uintp(eight), (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz))
                         while found:
                             s = np.uintp(eight) + lowest_bit(found)
                             found &= found - one

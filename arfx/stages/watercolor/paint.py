@@ -61,19 +61,20 @@ def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
 
 
 def paint(
-    picture: Picture, cells: Cells, mean: np.ndarray, root: np.ndarray, flow: np.ndarray, grain: np.ndarray, line: np.ndarray,
-    strengths: np.ndarray, ink_rgb: np.ndarray, x0: int, y0: int,
+    picture: Picture, cells: Cells, mean: np.ndarray, root: np.ndarray, flow: np.ndarray,
+    paper: tuple[np.ndarray, int, int], line: np.ndarray, strengths: np.ndarray, ink_rgb: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 linear: the picture with pigment.
 
     cells : without borders each pixel has its own cell's colour
     mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
-    flow (n,) : their turbulence;  grain : of `paper_grain`
+    flow (n,) : their turbulence
+    paper : grain of `paper_grain`, and x and y of the first pixel in the frame, which anchor it
     line (ceil(h / 2), ceil(w / 2)) : strength of lines, 0..1; empty = none
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
-    ink_rgb (3,) : linear colour of lines;  x0, y0 : of the first pixel in the frame, to anchor the paper"""
+    ink_rgb (3,) : linear colour of lines"""
     out = np.empty((*cells.first.shape, 3), np.float32)
-    tinted, paper, lines = _table(root, flow), (grain, x0, y0), (line, strengths, ink_rgb.astype(np.float32))
+    tinted, lines = _table(root, flow), (line, strengths, ink_rgb.astype(np.float32))
     if not cells.second.size:
         parallel_rows(lambda ya, yb: _paint_plain(cells, tinted, paper, lines, ya, yb, out), len(out))
         return out

@@ -183,7 +183,8 @@ class Watercolor(Stage):
         if not p.pigment:
             return paint_cells(labels, root * root, lines(), p.lines, ink)
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
-        return paint(picture(), labels, colours, root, cells.flow, prepared.grain, lines(), strengths, ink, rect.x0, rect.y0)
+        paper = prepared.grain, rect.x0, rect.y0
+        return paint(picture(), labels, colours, root, cells.flow, paper, lines(), strengths, ink)
 
     def _lines(
         self, picture: BackgroundTask[Picture], view: View, content: Key, before: View | None, earlier: Key

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from arfx.run import job, kernels
+from arfx.run.folder import JobFolder
 from arfx.run.kernels import DIMMING, JOB, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
 from arfx.run.times import WorkLog
 from arfx.stages import STAGES
@@ -142,7 +143,8 @@ def test_types_are_read_as_they_are_written() -> None:
         assert not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
 
 
-def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("started", [None, 3.0])
+def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, started: float | None) -> None:
     clock = [5.0]
 
     def compile_for_a_minute(*_: object) -> None:
@@ -150,10 +152,25 @@ def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(job, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     monkeypatch.setattr(job, "compile_ahead", compile_for_a_minute)
-    log = WorkLog(Path("timings.jsonl"), 3.0)
-    for _ in range(2):
-        job._compile(("job",), job.Options(), log)
-    assert clock[0] - log.began == 5.0 - 3.0
+    logs: list[WorkLog] = []
+
+    def log(path: Path, began: float) -> WorkLog:
+        logs.append(WorkLog(path, began))
+        return logs[0]
+
+    def stop(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(job, "pipeline", lambda _: ())
+    monkeypatch.setattr(job, "WorkLog", log)
+    monkeypatch.setattr(job, "frozen", stop)
+    config = SimpleNamespace(input=SimpleNamespace(clip="clip.mp4"), model=SimpleNamespace(file="model.glb"))
+    with pytest.raises(KeyboardInterrupt):
+        job.plan_job(SimpleNamespace(config=config), JobFolder(Path("job")), job.Options(), started)  # type: ignore[arg-type]
+    since = 0 if started is None else 5.0 - started
+    assert clock[0] - logs[0].began == since
+    job._compile((DIMMING,), job.Options(), logs[0])
+    assert clock[0] - logs[0].began == since, "after the plan too"
 
 
 def test_what_is_compiled_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,9 +124,9 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(m
     assert seconds[0] < seconds[1]
 
 
-@pytest.mark.parametrize(("stage", "dimmed"), [("composite", "ahead"), ("dof", "after the plan"), ("watercolor", "")])
+@pytest.mark.parametrize(("stage", "dimmed"), [("composite", [True, True]), ("dof", [False, True]), ("watercolor", [False])])
 def test_what_dims_stored_samples_is_compiled_only_where_no_stage_reads_a_frames_shadow(
-    stage: str, dimmed: str, material: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stage: str, dimmed: list[bool], material: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiled: list[set[str]] = []
     monkeypatch.setattr("arfx.run.job.compile_ahead", lambda parts, *_: compiled.append(set(parts)))
@@ -134,9 +134,7 @@ def test_what_dims_stored_samples_is_compiled_only_where_no_stage_reads_a_frames
     folder.open(False)
     plan_job(open_inputs(job(material, tmp_path / "o.mkv", stages=["lightmap", stage])), folder, options(folder.path))
     assert compiled[0] >= {JOB, stage}
-    assert [DIMMING in parts for parts in compiled] == {"ahead": [True, True], "after the plan": [False, True], "": [False]}[
-        dimmed
-    ]
+    assert [DIMMING in parts for parts in compiled] == dimmed, "ahead, and after the plan"
 
 
 def test_two_ways_to_choose_levels_are_one_too_many(material: Path, tmp_path: Path) -> None:

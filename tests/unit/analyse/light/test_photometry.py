@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light.patches import WHITE, comparable
-from arfx.analyse.light.photometry import DEGENERATE, INK, MEASURED, PAPER, UNKNOWN_VARIANCE, Photometry, solve
+from arfx.analyse.light.photometry import DEGENERATE, INK, MEASURED, PAPER, UNKNOWN_VARIANCE, Photometry, Tolerances, solve
 from arfx.papers.s1_light import eq6_smallest_vector, gain_and_bias
 
 RHO = np.where(WHITE, PAPER, INK)
@@ -26,7 +26,7 @@ def clip(
     ), y  # fmt: skip
 
 
-EXACT: dict = {"ink_sigma": 0.0, "transfer": 0.0, "steps": 0.0}  # print and curve are as stated
+EXACT = Tolerances(0, 0, 0)  # print and curve are as stated
 
 
 def finite(p: Photometry) -> bool:
@@ -81,7 +81,7 @@ def test_the_interval_of_the_bias_holds_the_truth(noise: float) -> None:
     hit, wide = [], []
     for seed in range(150):
         grey, _ = clip(frames=6, noise=noise, seed=seed)
-        p = solve(grey, np.full(grey.shape, noise**2), WHITE, **EXACT)
+        p = solve(grey, np.full(grey.shape, noise**2), WHITE, tolerances=EXACT)
         assert p.verdict == MEASURED
         hit += list((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02))
         wide.append(np.ptp(p.bias_95, axis=1).mean())
@@ -92,17 +92,17 @@ def test_the_interval_of_the_bias_holds_the_truth(noise: float) -> None:
 def test_the_inks_tolerance_is_in_the_interval() -> None:
     """Light that rests cannot tell the ink from the bias: the interval is as wide as what is known of inks."""
     grey, _ = clip(rho=np.where(WHITE, 0.87, 0.044), noise=1e-4, low=0.6, high=0.6)  # other print than assumed
-    p = solve(grey, np.full(grey.shape, 1e-8), WHITE, transfer=0, steps=0)
+    p = solve(grey, np.full(grey.shape, 1e-8), WHITE, tolerances=Tolerances(transfer=0, steps=0))
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
     assert np.abs(p.bias - 0.02).max() > 1e-3 and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
-    exact = solve(grey, np.full(grey.shape, 1e-8), WHITE, **EXACT)
+    exact = solve(grey, np.full(grey.shape, 1e-8), WHITE, tolerances=EXACT)
     assert not ((exact.bias_95[:, 0] < 0.02) & (exact.bias_95[:, 1] > 0.02)).all()
 
 
 def test_another_ink_is_in_the_interval_where_the_light_changes_too() -> None:
     for known in (True, False):
         grey, _ = clip(rho=np.where(WHITE, PAPER, 0.067), noise=5e-4)
-        p = solve(grey, np.full(grey.shape, 2.5e-7) if known else None, WHITE, transfer=0, steps=0)
+        p = solve(grey, np.full(grey.shape, 2.5e-7) if known else None, WHITE, tolerances=Tolerances(transfer=0, steps=0))
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all() and np.ptp(p.bias_95, axis=1).max() < 0.02
 
 
@@ -111,16 +111,16 @@ def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
         grey, _ = clip(rho=np.where(WHITE, 0.85, 0.06), noise=2e-4)
         p = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE)
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all(), exponent
-        narrow = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE, transfer=0, steps=0)
+        narrow = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE, tolerances=Tolerances(transfer=0, steps=0))
         assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).any()
 
 
 def test_a_codecs_steps_are_in_the_interval() -> None:
     grey, _ = clip(noise=2e-4)
     off = grey + np.array([-0.0012, 0.0, 0.0012]) * ~WHITE[:, None]  # chroma off by half a step in every dark cell
-    p = solve(off, np.full(grey.shape, 4e-8), WHITE, ink_sigma=0, transfer=0)
+    p = solve(off, np.full(grey.shape, 4e-8), WHITE, tolerances=Tolerances(ink_sigma=0, transfer=0))
     assert np.abs(p.bias - 0.02).max() > 1e-3 and ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
-    narrow = solve(off, np.full(grey.shape, 4e-8), WHITE, **EXACT)
+    narrow = solve(off, np.full(grey.shape, 4e-8), WHITE, tolerances=EXACT)
     assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).all()
 
 
@@ -129,7 +129,7 @@ def test_the_ink_is_found_where_the_light_changes_and_refused_where_it_does_not(
     p = solve(grey, np.full(grey.shape, 0.0005**2), WHITE, albedos="unknown")
     assert p.verdict == MEASURED
     assert np.abs(p.ink - 0.11).max() < 2e-3 and np.abs(p.bias - 0.02).max() < 1e-3 and np.abs(p.y - y).max() < 5e-3
-    assert np.abs(solve(grey, None, WHITE, **EXACT).bias - 0.02).min() > 0.01  # with the usual ink assumed
+    assert np.abs(solve(grey, None, WHITE, tolerances=EXACT).bias - 0.02).min() > 0.01  # with the usual ink assumed
     flat = np.repeat(grey[:1], 30, 0) + np.random.default_rng(1).normal(0, 1e-5, (30, 8, 3))
     constant = solve(flat, np.full(flat.shape, 1e-10), WHITE, albedos="unknown")
     assert constant.verdict == DEGENERATE and not constant.bias.any() and finite(constant)
@@ -142,7 +142,7 @@ def test_normalised_albedos_give_ratios_of_light_whatever_the_print() -> None:
     p = solve(grey, None, WHITE, albedos="normalised")
     ratio = p.y / y
     assert p.verdict == MEASURED and np.abs(ratio / ratio[0, 0] - 1).max() < 1e-9
-    known = solve(grey, None, WHITE, **EXACT).y / y  # the wrong albedos are in the ratios
+    known = solve(grey, None, WHITE, tolerances=EXACT).y / y  # the wrong albedos are in the ratios
     assert np.abs(known / known[0, 0] - 1).max() > 0.1
     grey[3, WHITE], grey[4, 0] = np.nan, np.inf
     grey[5, 5] += 0.4  # one highlight among four
