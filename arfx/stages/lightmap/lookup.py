@@ -48,20 +48,12 @@ class _Dimming(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Borders of runs of a line and of those above and below it (6, n); of a line's pixels (n,), darkening (c, n)
-    spans (t, 2) : runs of each picture. Separate arrays: slices of one array made in the loop take half as long again."""
+    """Borders of runs (3, 6, n): of a line, of the lines above and below;  lines (6 + c, n), cell (n,) : of a line's pixels
+    spans (t, 2) : runs of each picture"""
 
-    ends: np.ndarray
-    above: np.ndarray
-    below: np.ndarray
-    px: np.ndarray
-    py: np.ndarray
+    borders: np.ndarray
+    lines: np.ndarray
     cell: np.ndarray
-    fu: np.ndarray
-    fv: np.ndarray
-    dark: np.ndarray
-    visibility: np.ndarray
-    darkening: np.ndarray
     spans: np.ndarray
 
 
@@ -133,12 +125,9 @@ def _look_up(
     channels = dimming.weights.shape[1]
     out = np.empty((height, width, channels), np.float32)
     runs = (x0 + width - 1) // GRID_PX + 1 - x0 // GRID_PX
-    ends, lines = np.empty((18, runs + 1), np.float32), np.empty((6 + channels, (runs + 1) * GRID_PX), np.float32)
+    borders, lines = np.empty((3, 6, runs + 1), np.float32), np.empty((6 + channels, (runs + 1) * GRID_PX), np.float32)
     cell, spans = np.empty((runs + 1) * GRID_PX, np.int32), np.zeros((pictures.meta.shape[0], 2), np.int64)
-    scratch = _Scratch(
-        ends[:6], ends[6:12], ends[12:], lines[0], lines[1], cell, lines[2], lines[3], lines[4], lines[5], lines[6:], spans
-    )
-    _look_up_lines(x0, y0, nodes, origin, pictures, dimming, scratch, out)
+    _look_up_lines(x0, y0, nodes, origin, pictures, dimming, _Scratch(borders, lines, cell, spans), out)
     return out
 
 
@@ -148,7 +137,9 @@ def _look_up_lines(
 ):  # fmt: skip  # pragma: no cover - compiled
     texels, meta, affine, dark_columns = pictures
     weights, blocked, faint, rise, strength = dimming
-    ends, above, below, px, py, cell, fu, fv, dark, visibility, darkening, spans = scratch
+    borders, lines, cell, spans = scratch
+    ends, above, below = borders[0], borders[1], borders[2]
+    px, py, fu, fv, dark, visibility, darkening = lines[0], lines[1], lines[2], lines[3], lines[4], lines[5], lines[6:]
     height, width, channels = out.shape
     zero, one = np.float32(0), np.float32(1)
     step, count = np.float32(1.0 / GRID_PX), weights.shape[0]
