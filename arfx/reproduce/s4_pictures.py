@@ -1,6 +1,7 @@
 """Pictures and rates of Yao, Tao, Wu 2018: what its object does to the real plane, and mirrors of both.
 
-The reference traces rays through the same scene (`gi` at level reference; in the short form cones take its place)."""
+The reference traces rays through the object and the plane (`gi` at level reference; in the short form cones take its place), and
+for a mirror ball through the whole synthetic room."""
 
 from __future__ import annotations
 
@@ -17,19 +18,22 @@ from arfx.measure.steps import chain_of
 from arfx.papers import CORRECTED as CORRECTED_FORMULA
 from arfx.papers import PAPER as PAPER_FORMULA
 from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, REFERENCE, UNDERIVED, Figure, Item, Row, bars
+from arfx.reproduce.s4_mirror import mirrored_room
 from arfx.reproduce.s4_scenes import FLAT_LAMP, LAMP, PAPER, Settings, flat_scene, room, said, settings, under
 from arfx.reproduce.work import Shot, Work, shot_of
 
 
 def pictures(work: Work) -> Iterator[Item]:
-    cones = "voxels leak and blur; cones are wide; the printed delta is turned round, and only lamps are in it"
     red, mirror, matte = work.scaled("red teapot", "red cube"), work.scaled("mirror", "cube"), {"plane_gloss": 0.0}
-    for item, title, model, fit, gi in (
-        ("step 4, indirect light of an object and the plane under it", "a red teapot on a desk", red, "13cm", matte),
-        ("step 4, the surroundings in a shiny object", "a mirror ball", mirror, "9cm", matte),
-        ("step 4, the object in a shiny real plane", "a varnished desk", red, "13cm", {"plane_gloss": 0.25}),
+    sent = "only lamps are in the printed volumes, so that nothing darkens the plane around the object; voxels leak and blur"
+    folded = "one picture does not show what is above it and behind the camera: both guess it from the same picture"
+    blurred = "as above; the printed mirror cone meets the volumes' voxels, and again lamps' light alone"
+    for item, title, model, fit, gi, why in (
+        ("step 4, indirect light of an object and the plane under it", "a red teapot on a desk", red, "13cm", matte, sent),
+        ("step 4, the surroundings in a shiny object", "a mirror ball", mirror, "9cm", matte, folded),
+        ("step 4, the object in a shiny real plane", "a varnished desk", red, "13cm", {"plane_gloss": 0.25}, blurred),
     ):
-        yield from beside_reference(work, item, title, settings(work, model, fit, LAMP, **gi), cones)
+        yield from beside_reference(work, item, title, model, settings(work, model, fit, LAMP, **gi), why)
     yield from rates(work)
 
 
@@ -71,7 +75,7 @@ def ring(coverage: np.ndarray) -> np.ndarray:
     return np.asarray((wide > 0) & (covered == 0))
 
 
-def beside_reference(work: Work, item: str, title: str, given: Settings, reason: str) -> Iterator[Item]:
+def beside_reference(work: Work, item: str, title: str, model: str, given: Settings, reason: str) -> Iterator[Item]:
     """One frame by both methods and by traced rays; the mean error where the effect touches the picture."""
     shots = {
         name: work.shot(room(work), 1, settings=under(work, formula, given))
@@ -81,6 +85,8 @@ def beside_reference(work: Work, item: str, title: str, given: Settings, reason:
     best = shots[CORRECTED]
     levels = {name: level_named(stage.levels, work.scaled("reference", "draft")) for name, stage in best.job.stages.items()}
     made[REFERENCE] = best.renderer.image(chain_of(best.renderer.plan, levels))
+    if model == "mirror":
+        made[REFERENCE] = mirrored_room(room(work), best, made[REFERENCE])
     before = shots[PRINTED].renderer.original()
     where = touched(*((before, picture) for picture in made.values()))
     off = [difference(made[REFERENCE], made[name], where).mean for name in (PRINTED, CORRECTED)]
