@@ -31,7 +31,7 @@ def test_printed_numbers(left: tuple, right: tuple, of_yuv: float, of_rgb: float
 
 
 def test_integer_labels_keep_cells_apart_that_colour_merges() -> None:
-    sites = eq1_sites(FRAME, 20, 1)
+    sites = eq1_sites(FRAME, 8, 10, 1)
     found = label(sites, FRAME).first
     assert len(np.unique(found)) == len(sites)
     _, count = named_by_colour(np.full((150, 200, 3), 0.5, np.float32), found, sites, FRAME)
