@@ -42,7 +42,7 @@ LEAST = 0.05  # of a cone's size: OpenGL cuts off what is before the near clip p
 
 @dataclass(frozen=True)
 class PrintedWatercolorParams(WatercolorParams):
-    """m, n : rows and columns of cells; 0 = as many as make cells of cell_px
+    """m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
     near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones alike
     line_threshold : coded value from which an edge is drawn"""
 
@@ -106,10 +106,8 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
     h, w = labels.shape
     for k in range(x.shape[0]):
         radius, slope = length * size[k], 1 / (size[k] * size[k])
-        top, bottom = np.int64(np.ceil(y[k] - radius)), np.int64(np.floor(y[k] + radius))
-        left, right = np.int64(np.ceil(x[k] - radius)), np.int64(np.floor(x[k] + radius))
-        for j in range(max(top, 0), min(bottom + 1, h)):
-            for i in range(max(left, 0), min(right + 1, w)):
+        for j in range(max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)):
+            for i in range(max(int(np.ceil(x[k] - radius)), 0), min(int(np.floor(x[k] + radius)) + 1, w)):
                 z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
                 if z < depth[j, i]:
                     depth[j, i], labels[j, i] = z, k

@@ -40,7 +40,7 @@ def advection_directions(facts: FrameFacts, anchored: bool, both: bool) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class RealDioptre:
-    """Measured depth of a frame. mean : (h, w) float32, 1/m, around every _EVERY_PX-th pixel of `rect`"""
+    """Measured depth of a frame. mean : (h, w) float32, 1/m, from node to node around every _EVERY_PX-th pixel of `rect`"""
 
     rect: Rect
     mean: np.ndarray
@@ -49,7 +49,7 @@ class RealDioptre:
     def of(depth_m: np.ndarray, rect: Rect) -> RealDioptre:
         """depth_m : (h, w) over `rect`; what is not finite is infinitely far"""
         dioptre = divide(1.0, np.maximum(depth_m[::_EVERY_PX, ::_EVERY_PX], EPS_DEPTH_M)).astype(np.float32)
-        side = GRID_PX // _EVERY_PX + 1
+        side = 2 * GRID_PX // _EVERY_PX + 1
         return RealDioptre(rect, cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE))
 
     def at_nodes(self, field: SiteField) -> np.ndarray:
@@ -78,8 +78,9 @@ def frame_field(
             size *= detail_factor(found.detail_at_nodes(), detail)
         field = SiteField(*found.origin, *found.places(direction), size)
         pose = found.pose
-    if nearer_finer > 0 and (real is not None or pose is not None):
-        field = replace(field, size=field.size * nearness_factor(nearness(field, scene, pose, real), nearer_finer))
+    near = nearness(field, scene, pose, real) if nearer_finer > 0 else None
+    if near is not None:
+        field = replace(field, size=field.size * nearness_factor(near, nearer_finer))
     return field, pose
 
 
@@ -90,11 +91,13 @@ def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
     return out
 
 
-def nearness(field: SiteField, scene: Scene, pose: Pose | None, real: RealDioptre | None) -> np.ndarray:
-    """(gh, gw) depth of the marker / depth at the nodes; without a marker 1 is what the picture shows in the mean."""
+def nearness(field: SiteField, scene: Scene, pose: Pose | None, real: RealDioptre | None) -> np.ndarray | None:
+    """(gh, gw) depth of the marker / depth at the nodes, without a marker their mean / depth; None where nothing is known."""
     if pose is None:
-        assert real is not None
-        return divide(real.at_nodes(field), float(real.mean.mean()), where_zero=1.0)
+        if real is None:
+            return None
+        dioptre = real.at_nodes(field)
+        return divide(dioptre, float(dioptre.mean()), where_zero=1.0)
     camera_from_anchor = pose @ scene.world_from_anchor
     if real is not None:
         dioptre = real.at_nodes(field)
