@@ -8,8 +8,9 @@
    volume, and what their cones let through of the environment. Here.
 
 Deviations. Not stated and therefore settings: voxels a side, the plane's albedo, how much it mirrors. With the printed labels
-V_delta has its sign turned round: it is subtracted here. Only light with a direction is in the voxels, so where the frame has
-none nothing changes on the planes. The picture is changed by a ratio, so black pixels of it gain little. Processor instead of
+V_delta has its sign turned round: it is subtracted here. The environment is said once to be for real and once for virtual
+surfaces: the picture of real ones holds it already. Only light with a direction is in the voxels, so where the frame has none
+nothing changes on the planes. The picture is changed by a ratio, so black pixels of it gain little. Processor instead of
 graphics card. The gloss of materials is the corrected stage's (split sum). Its errors: docs/methods/gi.md#errata."""
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from arfx.run.predict import without_level
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.cones import six_cones, steps_of
 from arfx.stages.gi.voxelise import Volume
+from tests.unit.stages import gi_scenes
 from tests.unit.stages.gi_scenes import (
     BLACK,
     CAMERA,
@@ -98,6 +99,18 @@ def test_the_object_is_mirrored_in_the_plane_unless_that_is_switched_off() -> No
         middles.append(np.array([(w * x).sum(), (w * y).sum()]) / w.sum())
     assert np.linalg.norm(middles[0] - middles[1]) < 1.5, "px"
     assert 0.3 < mirrored.sum() / truth.sum() < 0.8 and np.corrcoef(mirrored.ravel(), truth.ravel())[0, 1] > 0.85
+
+
+def test_what_stands_before_the_plane_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = on_plane(box(MATT_RED), FROM_VIEWER, CAMERA)
+    whole = run_gi(s, pose=POSE, params=small())
+    depth = POSE.apply(ground_points(s, POSE))[..., 2].astype(np.float32)
+    depth[:, :80] -= 0.1
+    bare = gi_scenes.surface
+    monkeypatch.setattr(gi_scenes, "surface", lambda scene, f: bare(scene, f) | {Layer.REAL_DEPTH: depth})
+    made = run_gi(s, pose=POSE, params=small())[Layer.SHADOW]
+    assert (made[:, :80] == 1).all() and not (whole[Layer.SHADOW][:, :80] == 1).all()
+    assert np.array_equal(made[:, 80:], whole[Layer.SHADOW][:, 80:])
 
 
 def test_no_light_is_taken_that_is_not_there() -> None:
