@@ -36,22 +36,28 @@ def _cone_trace(tree: Octree, V, steps, start, directions):  # pragma: no cover 
     """`cone_trace` of some. start (m, 3) : voxels"""
     out = np.empty((start.shape[0], directions.shape[1], 4), np.float32)
     size, half, one = np.float32(1 << tree.depth), np.float32(0.5), np.float32(1)
+    around = half * np.float32(1 << int(steps[-1, 1])) if steps.shape[0] else half
     for i in range(start.shape[0]):
         for c in range(directions.shape[1]):
             d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
             r, g, b, transmittance = np.float32(0), np.float32(0), np.float32(0), one
+            enters, leaves = np.float32(0), np.float32(1e30)
+            for axis in range(3):  # the cube, and how far around it the coarsest voxels are felt
+                slope = d[axis] if abs(d[axis]) > np.float32(1e-9) else np.float32(1e-9)
+                a, e = (-around - start[i, axis]) / slope, (size + around - start[i, axis]) / slope
+                enters, leaves = max(enters, min(a, e)), min(leaves, max(a, e))
             for k in range(steps.shape[0]):
                 t, level, exponent = steps[k, 0], int(steps[k, 1]), steps[k, 2]
+                if t < enters:
+                    continue
+                if t > leaves:
+                    break
                 s = np.float32(1 << level)
-                inside, leaves = True, False
+                outside = False
                 for axis in range(3):
                     p = start[i, axis] + t * d[axis]
-                    low, high = p < -half * s, p > size + half * s
-                    inside = inside and not low and not high
-                    leaves = leaves or (low and d[axis] <= 0) or (high and d[axis] >= 0)
-                if leaves:
-                    break
-                if not inside:
+                    outside = outside or p < -half * s or p > size + half * s
+                if outside:
                     continue
                 at = (start[i, 0] + t * d[0]) / s - half, (start[i, 1] + t * d[1]) / s - half, (start[i, 2] + t * d[2]) / s - half
                 vr, vg, vb, alpha = sample(tree, V, level, at, d)

@@ -163,5 +163,5 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
 def test_a_quality_that_the_paper_does_not_have_is_said() -> None:
     stages = {name: stage_of(name, params) for name, params in (("gi", PrintedGiParams()), ("lightmap", None))}
     assert without_level(stages, "standard") == ""
-    assert without_level(stages, "reference") == "--quality reference: gi as printed, which is one level, standard"
+    assert without_level(stages, "reference") == "--quality reference: gi as printed, which has one level, standard"
     assert without_level({"gi": stage_of("gi", GiParams())}, "reference") == ""
