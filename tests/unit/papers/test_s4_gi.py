@@ -10,14 +10,14 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
 from arfx.errors import ConfigError
-from arfx.papers.s4_cones import cone_trace
+from arfx.papers.s4_cones import cone_steps, cone_trace
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGiParams, Surfels, wide_cones
 from arfx.papers.s4_volumes import octree_of
 from arfx.run.parameters import stage_of
 from arfx.run.predict import without_level
 from arfx.stages.gi import GiParams
-from arfx.stages.gi.cones import six_cones, steps_of
+from arfx.stages.gi.cones import six_cones
 from arfx.stages.gi.voxelise import Volume
 from tests.unit.stages import gi_scenes
 from tests.unit.stages.gi_scenes import (
@@ -153,7 +153,7 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
     at = Surfels(np.array([[8.0, 8.0, 8.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))
     got = wide_cones(made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3))[0]
     six, weights, tan_half = six_cones()
-    left = cone_trace(made, V, steps_of(tan_half, n), at.position, six[None])[0, :, 3]
+    left = cone_trace(made, V, cone_steps(tan_half, n), at.position, six[None])[0, :, 3]
     assert weights[0] == pytest.approx(0.25) and weights[1:] == pytest.approx([0.15] * 5)
     assert (
         left.max() < 1 and got[:3] == pytest.approx(0.5 * (weights @ left), rel=1e-3) and got[3] == pytest.approx(weights @ left)
