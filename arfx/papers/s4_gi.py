@@ -8,8 +8,9 @@
    volume, and what their cones let through of the environment. Here.
 
 Deviations. Not stated and therefore settings: voxels a side, the plane's albedo, how much it mirrors. With the printed labels
-V_delta has its sign turned round: it is subtracted here. Only light with a direction is in the voxels, so where the frame has
-none nothing changes on the planes. The picture is changed by a ratio, so black pixels of it gain little. Processor instead of
+V_delta has its sign turned round: it is subtracted here. The environment is said once to be for real and once for virtual
+surfaces: the picture of real ones holds it already. Only light with a direction is in the voxels, so where the frame has none
+nothing changes on the planes. The picture is changed by a ratio, so black pixels of it gain little. Processor instead of
 graphics card. The gloss of materials is the corrected stage's (split sum). Its errors: docs/methods/gi.md#errata."""
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, View
 from arfx.errors import ConfigError, require_within
-from arfx.papers.s4_cones import cone_trace
+from arfx.papers.s4_cones import cone_steps, cone_trace
 from arfx.papers.s4_environment import FACE_PX, step3_environment, step3_mipmap, step4_environment
 from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import Gi, GiParams
-from arfx.stages.gi.cones import LOBES, Lobes, around_normals, lobes, six_cones, steps_of
+from arfx.stages.gi.cones import LOBES, around_normals, mirror_tangent, six_cones
 from arfx.stages.gi.frame_light import rounded
 from arfx.stages.gi.pixels import split_sum
 from arfx.stages.gi.plane_pixels import DARKEST, measured
@@ -68,13 +69,12 @@ class PrintedGiParams(GiParams):
 @dataclass(frozen=True, eq=False)
 class PrintedPrepared:
     """Of one clip and worker. real, virtual : what rays meet of the mesh of step 1, and of the object
-    volumes : of step 2;  grid : viewing directions;  mirror_cones : by roughness"""
+    volumes : of step 2;  grid : viewing directions"""
 
     real: RayScene
     virtual: RayScene
     volumes: Volumes
     grid: np.ndarray
-    mirror_cones: Lobes
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +114,7 @@ class PrintedGi(Gi):
     def prepare(self, scene: Scene, level: str) -> Any:
         parts = step1_mesh(planes_of(scene), self.params.plane_albedo)
         volumes = step2_volumes(real_and_virtual(scene, parts), scene, self.params.voxels)
-        grid, cones = direction_grid(scene.camera), lobes(self.params.voxels)
-        return PrintedPrepared(RayScene(real_scene(scene, parts)), RayScene(scene), volumes, grid, cones)
+        return PrintedPrepared(RayScene(real_scene(scene, parts)), RayScene(scene), volumes, direction_grid(scene.camera))
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         light = rounded(view.light)
@@ -142,7 +141,7 @@ class PrintedGi(Gi):
         out = self.params.plane_albedo * six[..., :3]
         if self.params.plane_gloss > 0:
             rough = np.full(len(out), self.params.plane_roughness)
-            mirrored, _ = mirror_cones(volumes, radiance.V_delta, at, rough, prepared.mirror_cones)
+            mirrored, _ = mirror_cones(volumes, radiance.V_delta, at, rough)
             a, b = fresnel(rough, at)
             out = out + (self.params.plane_gloss * a + b) * mirrored[:, :3]
         return out
@@ -155,7 +154,7 @@ class PrintedGi(Gi):
         camera_from_anchor = (view.pose @ view.scene.world_from_anchor).rotation
         metal, roughness = material[:, :1], material[:, 1]
         six = wide_cones(prepared.volumes, radiance.V_mu, at, environment, camera_from_anchor)
-        mirrored, half_deg = mirror_cones(prepared.volumes, radiance.V_mu, at, roughness, prepared.mirror_cones)
+        mirrored, half_deg = mirror_cones(prepared.volumes, radiance.V_mu, at, roughness)
         for deg in np.unique(half_deg):
             k = half_deg == deg
             mirrored[k, :3] += mirrored[k, 3:] * step4_environment(environment, at.mirrored[k] @ camera_from_anchor.T, deg)
@@ -215,24 +214,21 @@ def wide_cones(
     behind them. turn (3, 3) : camera from anchor axes"""
     six, weights, tan_half = six_cones()
     d = around_normals(at.normal.astype(np.float32), six)
-    out = cone_trace(volumes, V, steps_of(tan_half, volumes.volume.n), at.position, d)
+    out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), at.position, d)
     if environment is not None and turn is not None:
         half_deg = float(np.degrees(np.arctan(tan_half)))
         out[..., :3] += out[..., 3:] * step4_environment(environment, d.reshape(-1, 3) @ turn.T, half_deg).reshape(d.shape)
     return np.asarray((weights[:, None] * out).sum(1))
 
 
-def mirror_cones(
-    volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray, cones: Lobes
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle)."""
-    lobe = np.clip(np.rint(roughness * (LOBES - 1)), 0, LOBES - 1).astype(int)
-    out = np.zeros((len(lobe), 4), np.float32)
-    for k in np.unique(lobe):
-        rows = lobe == k
-        steps = cones.steps[k, : cones.counts[k]]
+def mirror_cones(volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle). roughness (m,) : in steps"""
+    tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
+    out = np.zeros((len(tangent), 4), np.float32)
+    for one in np.unique(tangent):
+        rows, steps = tangent == one, cone_steps(float(one), volumes.volume.n)
         out[rows] = cone_trace(volumes, V, steps, at.position[rows], at.mirrored[rows][:, None])[:, 0]
-    return out, np.degrees(np.arctan(cones.tangents))[lobe]
+    return out, np.degrees(np.arctan(tangent))
 
 
 def fresnel(roughness: np.ndarray, at: Surfels) -> tuple[np.ndarray, np.ndarray]:

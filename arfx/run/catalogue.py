@@ -81,10 +81,12 @@ def _of_formulas(kinds: Mapping[str, type]) -> list[dict[str, Any]]:
     """The settings under every formula, those of the usual one first; the others say theirs, where it or its default is new."""
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     usual = next(iter(kinds.values()))
+    texts = {row["name"]: row["text"] for row in _of_dataclass(usual)}
     for formula, kind in kinds.items():
         for row in _of_dataclass(kind):
             default = "" if row["name"] == "formula" else repr(row["default"])
-            rows.setdefault((row["name"], default), row if kind is usual else {**row, "formula": formula})
+            own = {**row, "text": row["text"] or texts.get(row["name"], ""), "formula": formula}
+            rows.setdefault((row["name"], default), row if kind is usual else own)
     return list(rows.values())
 
 

@@ -157,7 +157,7 @@ def level_policy(config: JobConfig, stages: Mapping[str, Stage], prices: Prices)
 def without_level(stages: Mapping[str, Stage], quality: str) -> str:
     """What to say of printed methods, which do not have the quality that was asked for; "" where there is nothing to say."""
     names = [n for n, s in stages.items() if getattr(s.params, "formula", "") == PAPER and quality not in s.levels]
-    return f"--quality {quality}: {', '.join(names)} as printed, which is one level, standard" if names else ""
+    return f"--quality {quality}: {', '.join(names)} as printed, which has one level, standard" if names else ""
 
 
 def choose(

@@ -10,15 +10,16 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
 from arfx.errors import ConfigError
-from arfx.papers.s4_cones import cone_trace
+from arfx.papers.s4_cones import cone_steps, cone_trace
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGiParams, Surfels, wide_cones
 from arfx.papers.s4_volumes import octree_of
 from arfx.run.parameters import stage_of
 from arfx.run.predict import without_level
 from arfx.stages.gi import GiParams
-from arfx.stages.gi.cones import six_cones, steps_of
+from arfx.stages.gi.cones import six_cones
 from arfx.stages.gi.voxelise import Volume
+from tests.unit.stages import gi_scenes
 from tests.unit.stages.gi_scenes import (
     BLACK,
     CAMERA,
@@ -100,6 +101,18 @@ def test_the_object_is_mirrored_in_the_plane_unless_that_is_switched_off() -> No
     assert 0.3 < mirrored.sum() / truth.sum() < 0.8 and np.corrcoef(mirrored.ravel(), truth.ravel())[0, 1] > 0.85
 
 
+def test_what_stands_before_the_plane_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = on_plane(box(MATT_RED), FROM_VIEWER, CAMERA)
+    whole = run_gi(s, pose=POSE, params=small())
+    depth = POSE.apply(ground_points(s, POSE))[..., 2].astype(np.float32)
+    depth[:, :80] -= 0.1
+    bare = gi_scenes.surface
+    monkeypatch.setattr(gi_scenes, "surface", lambda scene, f: bare(scene, f) | {Layer.REAL_DEPTH: depth})
+    made = run_gi(s, pose=POSE, params=small())[Layer.SHADOW]
+    assert (made[:, :80] == 1).all() and not (whole[Layer.SHADOW][:, :80] == 1).all()
+    assert np.array_equal(made[:, 80:], whole[Layer.SHADOW][:, 80:])
+
+
 def test_no_light_is_taken_that_is_not_there() -> None:
     """The picture never loses more than it shows."""
     s = on_plane(box(BLACK), FROM_VIEWER, CAMERA)
@@ -140,7 +153,7 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
     at = Surfels(np.array([[8.0, 8.0, 8.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))
     got = wide_cones(made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3))[0]
     six, weights, tan_half = six_cones()
-    left = cone_trace(made, V, steps_of(tan_half, n), at.position, six[None])[0, :, 3]
+    left = cone_trace(made, V, cone_steps(tan_half, n), at.position, six[None])[0, :, 3]
     assert weights[0] == pytest.approx(0.25) and weights[1:] == pytest.approx([0.15] * 5)
     assert (
         left.max() < 1 and got[:3] == pytest.approx(0.5 * (weights @ left), rel=1e-3) and got[3] == pytest.approx(weights @ left)
@@ -150,5 +163,5 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
 def test_a_quality_that_the_paper_does_not_have_is_said() -> None:
     stages = {name: stage_of(name, params) for name, params in (("gi", PrintedGiParams()), ("lightmap", None))}
     assert without_level(stages, "standard") == ""
-    assert without_level(stages, "reference") == "--quality reference: gi as printed, which is one level, standard"
+    assert without_level(stages, "reference") == "--quality reference: gi as printed, which has one level, standard"
     assert without_level({"gi": stage_of("gi", GiParams())}, "reference") == ""
