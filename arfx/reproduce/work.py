@@ -155,7 +155,9 @@ class Work:
         return shot_of(self.planned(clip, formula, settings), index)
 
     def timed(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> Timed:
-        """The whole job in a process of its own, so that its memory is its own."""
+        """The whole job in a process of its own, so that its memory is its own; the short form saves it."""
+        if self.short:
+            return timed_job(clip.folder, clip.scene.clip.fps, formula, settings or {})
         return self.apart(timed_job, clip.folder, clip.scene.clip.fps, formula, settings or {})
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
