@@ -109,8 +109,8 @@ def equation_4() -> Iterator[Item]:
         grey, _ = clip(0, frames)
         b = {p: 255 * float(gain_and_bias(three(grey), white=WHITE, printed_bias=p).bias[0]) for p in (True, False)}
         corrected = 255 * float(solve(three(grey), white=WHITE).bias[0])
-        yield compared("s1", f"equation (4), b = 1/b', {frames} frames", f"{BIAS:.0f}", b[True], corrected, "of 255", FREE)
-    yield compared("s1", "equation (4), b = b'/g', 40 frames", f"{BIAS:.0f}", b[False], corrected, "of 255", "", 1e-6)
+        yield compared("s1", f"equation (4), b = 1/b', {frames} frames, true 12 of 255", f"{BIAS:.0f}", b[True], corrected, "of 255", FREE)
+    yield compared("s1", "equation (4), b = b'/g', 40 frames, true 12 of 255", f"{BIAS:.0f}", b[False], corrected, "of 255", "", 1e-6)
 
 
 def equations_5_6(seeds: int) -> Iterator[Item]:
@@ -133,7 +133,7 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         yield compared("s1", f"{item}: solutions", "1", nullity, 1 if one else "refused", "dimensions", lacks)
     exact = 255 * eq6_smallest_vector(grey, RHO).bias
     corrected = 255 * float(solve(three(grey), white=WHITE).bias[0])
-    yield compared("s1", "equation (6), bias without noise", f"{BIAS:.0f}", exact, corrected, "of 255", "", 1e-6)
+    yield compared("s1", "equation (6), bias without noise, true 12 of 255", f"{BIAS:.0f}", exact, corrected, "of 255", "", 1e-6)
     rho = np.linspace(0.45, 0.55, 8)
     found: dict[str, list[float]] = {"255": [], "1": [], "corrected": []}
     for seed in range(seeds):
@@ -149,7 +149,7 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         f"squares, refused in {seeds - len(found['corrected'])} of {seeds} clips of 6 frames"
     )
     for unit in ("255", "1"):
-        item = f"equation (6), bias with noise of 2 of 255, albedos .45 to .55, I up to {unit}"
+        item = f"equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up to {unit}"
         yield compared("s1", item, f"{BIAS:.0f}", b[unit], b["corrected"], "of 255", why)
 
 
