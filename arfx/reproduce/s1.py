@@ -203,7 +203,7 @@ def figure_3(situations: list[Situation]) -> Iterator[Item]:
 
 
 def table_1(work: Work) -> Iterator[Item]:
-    size_px, frames = work.scaled((640, 480), (160, 120)), work.scaled(20, 5)
+    size_px, frames = work.scaled((640, 480), (128, 96)), work.scaled(20, 4)
     clip = work.clip(turned_card(SITUATIONS[0], size_px, frames, samples=1))
     rates: dict[str, list[Any]] = {"printed": [], "printed method": [], "corrected": []}
     memory: dict[str, list[Any]] = {name: [] for name in rates}
