@@ -66,11 +66,8 @@ class Situation:
     def pictures(self, settings: Settings) -> dict[str, np.ndarray]:
         if (key := repr(settings)) not in self._pictures:
             given = {"given": [self.lamp.azimuth_deg, self.lamp.elevation_deg, *self.lamp.rgb], "size_deg": 2.0}
-            best: dict[str, Any] = {
-                **settings,
-                "light": given,
-                "pipeline": {"quality": self.work.scaled("reference", "standard")},
-            }
+            quality = self.work.scaled("reference", "standard")
+            best: dict[str, Any] = {**settings, "light": given, "pipeline": {"quality": quality}}
             self._pictures[key] = {
                 BEFORE: self.clip.frames()[self.last],
                 PRINTED_PICTURE: self.shot(PAPER, settings).picture(),
@@ -79,15 +76,15 @@ class Situation:
             }
         return self._pictures[key]
 
-    def in_room(self, shot: Shot, direction: np.ndarray) -> np.ndarray:
-        """From the card's axes in the last frame to the room's, which are the card's in the first: the camera rests."""
+    def lamp_in_world(self, shot: Shot) -> np.ndarray:
+        """In the card's axes in the last frame; the room's are the card's in the first. The camera rests."""
         first, last = (shot.job.facts[k].pose.rotation for k in (0, self.last))
-        return np.asarray(first.T @ last @ direction)
+        return np.asarray(last.T @ first @ self.lamp.towards)
 
     def off_deg(self, shot: Shot) -> float:
         """Of the brightest light."""
         light = max(facts_light(shot).lights, key=lambda li: sum(li.rgb))
-        return float(np.degrees(angle_between(self.in_room(shot, light.unit), self.lamp.towards)))
+        return float(np.degrees(angle_between(light.unit, self.lamp_in_world(shot))))
 
 
 def model_file(work: Work, name: str) -> Settings:
@@ -134,7 +131,7 @@ def figure_1(situation: Situation) -> Iterator[Item]:
     cube, map_from_world = found
     middles = hemisphere(level)  # the map's axes
     world = middles @ map_from_world
-    true = Light(AMBIENT, (DirectionalLight(triple(world_of(situation, printed)), situation.lamp.rgb),))
+    true = Light(AMBIENT, (DirectionalLight(triple(situation.lamp_in_world(printed)), situation.lamp.rgb),))
     values = {
         PRINTED_PICTURE: look_up(cube, middles),
         CORRECTED_PICTURE: facts_light(shots[CORRECTED_PICTURE]).radiance(world),
@@ -149,12 +146,6 @@ def figure_1(situation: Situation) -> Iterator[Item]:
             for name, M in values.items()
         },
     )  # fmt: skip
-
-
-def world_of(situation: Situation, shot: Shot) -> np.ndarray:
-    """The lamp's direction in the card's axes in the last frame."""
-    first, last = (shot.job.facts[k].pose.rotation for k in (0, situation.last))
-    return np.asarray(last.T @ first @ situation.lamp.towards)
 
 
 def drawn_hemisphere(level: int, M: np.ndarray, lights: np.ndarray, side_px: int = 320) -> np.ndarray:

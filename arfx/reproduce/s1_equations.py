@@ -109,8 +109,12 @@ def equation_4() -> Iterator[Item]:
         grey, _ = clip(0, frames)
         b = {p: 255 * float(gain_and_bias(three(grey), white=WHITE, printed_bias=p).bias[0]) for p in (True, False)}
         corrected = 255 * float(solve(three(grey), white=WHITE).bias[0])
-        yield compared("s1", f"equation (4), b = 1/b', {frames} frames, true 12 of 255", f"{BIAS:.0f}", b[True], corrected, "of 255", FREE)
-    yield compared("s1", "equation (4), b = b'/g', 40 frames, true 12 of 255", f"{BIAS:.0f}", b[False], corrected, "of 255", "", 1e-6)
+        yield compared(
+            "s1", f"equation (4), b = 1/b', {frames} frames, true 12 of 255", f"{BIAS:.0f}", b[True], corrected, "of 255", FREE
+        )
+    yield compared(
+        "s1", "equation (4), b = b'/g', 40 frames, true 12 of 255", f"{BIAS:.0f}", b[False], corrected, "of 255", "", 1e-6
+    )
 
 
 def equations_5_6(seeds: int) -> Iterator[Item]:
