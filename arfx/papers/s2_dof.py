@@ -211,20 +211,23 @@ class PrintedDof(Dof):
         return out.pad(len(self.weights) // 2 + 1).clip(scene.camera.rect)
 
     def run(self, view: View, prepared: np.ndarray) -> Mapping[Layer, Any]:
-        facts, now, p = view.facts, view.layers, self.params
+        facts, now = view.facts, view.layers
         image = now[Layer.IMAGE]
         if not facts.present or super().demand(facts, view.scene, view.scene.camera.rect).rect.empty:
             return {Layer.IMAGE: image.copy()}
-        at, real = self._frame(facts, view.scene)
-        dioptre = dioptres(now, facts, real, prepared)
-        sharp = sharp_range(at, focal_mm(p, facts, view.scene), p.coc_mm)
-        a = blur_factor(dioptre, self._clip_planes(facts, real, prepared), at)
-        a = a * within_depth_of_field(dioptre, sharp, p.border) * min(facts.opacity, 1.0)
-        if p.scope == "virtual":
-            a = a * (now[Layer.COVERAGE] > 0)
+        dioptre, a = self.depth_and_blur(now, facts, view.scene, prepared)
         coded = SRGB.encode(image).astype(np.float32)
         out = SRGB.decode(eq9_blend(a, self.blurred(coded, dioptre), coded))
         return {Layer.IMAGE: np.where(a[..., None] > 0, out, image).astype(np.float32)}
+
+    def depth_and_blur(self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What one texture of Figure 6 holds: (h, w) dioptre, 1/m, and factor of the blend. grid : what `prepare` made"""
+        p, (at, real) = self.params, self._frame(facts, scene)
+        dioptre = dioptres(now, facts, real, grid)
+        sharp = sharp_range(at, focal_mm(p, facts, scene), p.coc_mm)
+        a = blur_factor(dioptre, self._clip_planes(facts, real, grid), at)
+        a = a * within_depth_of_field(dioptre, sharp, p.border) * min(facts.opacity, 1.0)
+        return dioptre, a * (now[Layer.COVERAGE] > 0) if p.scope == "virtual" else a
 
     def _clip_planes(self, facts: FrameFacts, real: Real, grid: np.ndarray) -> tuple[float, float]:
         """Dioptres of the far and of the near clip plane."""
