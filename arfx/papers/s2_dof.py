@@ -75,7 +75,8 @@ def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray
 
 def blur_factor(dioptre: np.ndarray, clip: tuple[float, float], at: CircleOfConfusion) -> np.ndarray:
     """a = C / max(C_near, C_far), 0..1. clip : dioptres of both clip planes"""
-    return np.minimum(divide(eq7_circle(dioptre, at), max(float(eq7_circle(d, at)) for d in clip)), 1.0)
+    largest = max(float(eq7_circle(d, at)) for d in clip)
+    return np.minimum(eq7_circle(dioptre, at) * float(divide(1.0, largest)), 1.0)
 
 
 def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float]:
@@ -177,7 +178,7 @@ def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compi
 def within_depth_of_field(dioptre: np.ndarray, sharp: tuple[float, float], border: float) -> np.ndarray:
     """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly between around them."""
     focus, reach = 0.5 * (sharp[0] + sharp[1]), 0.5 * (sharp[1] - sharp[0])
-    place = divide(np.abs(dioptre - focus), reach)  # 1 on both limits
+    place = np.abs(dioptre - focus) / reach if np.isfinite(reach) else np.zeros_like(dioptre)  # 1 on both limits
     if border == 0:
         return np.where(place <= 1, INSIDE, 1.0)
     t = np.clip(0.5 + (place - 1) / (2 * border), 0.0, 1.0)
