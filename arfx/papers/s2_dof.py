@@ -13,7 +13,7 @@ While the object fades in or out so does the blur. Its errors: docs/methods/dof.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -189,6 +189,17 @@ def eq9_blend(a: np.ndarray, blur: np.ndarray, original: np.ndarray) -> np.ndarr
     return original + (blur - original) * a[..., None].astype(np.float32)
 
 
+def _blended(a: np.ndarray, blur: np.ndarray, coded: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """(9) in linear light; what is exactly in the focus stays bit for bit. image : `coded` in linear light"""
+    return np.where(a[..., None] > 0, SRGB.decode(eq9_blend(a, blur, coded)), image)
+
+
+def _by_rows(work: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
+    """work(arrays), a band of rows on each thread."""
+    done = parallel_rows(lambda top, bottom: work(*(array[top:bottom] for array in arrays)), len(arrays[0]))
+    return np.concatenate(done).astype(np.float32, copy=False)
+
+
 class PrintedDof(Dof):
     levels = ("standard",)
     Params = PrintedDofParams
@@ -217,9 +228,8 @@ class PrintedDof(Dof):
         if not facts.present or super().demand(facts, view.scene, view.scene.camera.rect).rect.empty:
             return {Layer.IMAGE: image.copy()}
         dioptre, a = self.depth_and_blur(now, facts, view.scene, prepared)
-        coded = SRGB.encode(image).astype(np.float32)
-        out = SRGB.decode(eq9_blend(a, self.blurred(coded, dioptre), coded))
-        return {Layer.IMAGE: np.where(a[..., None] > 0, out, image).astype(np.float32)}
+        coded = _by_rows(SRGB.encode, image)
+        return {Layer.IMAGE: _by_rows(_blended, a, self.blurred(coded, dioptre), coded, image)}
 
     def depth_and_blur(self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What one texture of Figure 6 holds: (h, w) dioptre, 1/m, and factor of the blend. grid : what `prepare` made"""

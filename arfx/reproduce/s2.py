@@ -127,16 +127,7 @@ def _example() -> Iterator[Item]:
         f"{printed.total_mm:.3f} mm; it is said to come from the camera's matrix, which is not stated"
     )
     yield compared("s2", f"{of}depth of field of the composited scene", "126.746", None, None, "mm", why)
-    yield Row(
-        "s2",
-        f"{of}matrix of the camera",
-        "found by OpenCV",
-        None,
-        None,
-        "",
-        UNDERIVED,
-        "its elements are not known",
-    )
+    yield Row("s2", f"{of}matrix of the camera", "found by OpenCV", None, None, "", UNDERIVED, "its elements are not known")
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
     apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
