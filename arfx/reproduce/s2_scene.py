@@ -127,7 +127,7 @@ def _ball(centre: tuple[float, float, float], radius: float, colour: Colour) -> 
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
-    return coloured(ball.vertices + np.array(centre), ball.faces, colour)
+    return coloured(ball.vertices + np.array(centre), ball.faces, colour, roughness=1.0)
 
 
 def _written(path: Path, meshes: list[Any], extent_m: float) -> Mapping[str, Any]:
