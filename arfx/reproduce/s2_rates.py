@@ -9,7 +9,7 @@ from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
 from arfx.reproduce.rows import DIFFERS, UNDERIVED, Item, Row, bars, compared, shown
 from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, room_model
-from arfx.reproduce.work import Timed, Work, frames_of, median_s, timed_job
+from arfx.reproduce.work import Timed, Work, frames_of, median_s
 
 PC_MB = 2048.0
 HERE = "another machine: here the method runs on the cores of a CPU and writes a file without loss"
@@ -21,11 +21,7 @@ def rows(work: Work) -> Iterator[Item]:
     timed: dict[tuple[str, str], Timed] = {}
     for mode, model in models.items():
         for formula in (PAPER, CORRECTED):
-            settings = moving_settings(model, formula)
-            if work.short:  # a process of its own takes longer than the job
-                timed[mode, formula] = timed_job(clip.folder, clip.scene.clip.fps, CORRECTED, settings)
-            else:
-                timed[mode, formula] = work.timed(clip, settings=settings)
+            timed[mode, formula] = work.timed(clip, settings=moving_settings(model, formula))
     augmented = [timed["augmented", f].frames_per_s for f in (PAPER, CORRECTED)]
     # nothing is filmed and nothing is tracked: the stages alone
     virtual = [1 / sum(timed["all virtual", f].stage_s.values()) for f in (PAPER, CORRECTED)]
