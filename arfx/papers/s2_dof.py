@@ -8,7 +8,8 @@ Distances are kept as dioptres, 1/L: there (5) has no pole, and beyond the hyper
 Deviations. Not stated, hence settings: the size of the mean filter (Figure 8's block holds 4 px around its own, so at most 7 px
 with (8)), and how the border of the depth of field is smoothed; here the factor 2/3 rises to 1 across it. A clip plane that is
 not set stands at the nearest or farthest thing of the frame. The depth of the real scene is that of its planes, or measured.
-While the object fades in or out so does the blur. Its errors: docs/methods/dof.md#errata."""
+In front is what is nearer by more than 1 %, on one surface at a grazing angle too. While the object fades in or out so does the
+blur. Its errors: docs/methods/dof.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
