@@ -121,11 +121,10 @@ def _points(shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray) 
     yield Figure("s2", "figure 12", "the Gaussian filter that the paper compares itself with", {
         BEFORE: before, "by dof.formula = gaussian": after[GAUSSIAN], REFERENCE: photo,
     })  # fmt: skip
-    why = (
-        f"holds against the Gaussian ({area[GAUSSIAN]:.0f} px), but (8) reaches one pixel: an open lens makes "
-        f"{area['photograph']:.0f} px of {area['before']:.0f}"
-    )
-    yield shown("s2", "figure 13", "bright points spread more than in figure 12", words[PAPER], words[BY_CORRECTED], False, why)
+    more = min(area[PAPER], area[BY_CORRECTED]) > area[GAUSSIAN]
+    found = f"{words[PAPER]}, Gaussian {area[GAUSSIAN]:.0f} px"
+    true = f"{words[BY_CORRECTED]}, photograph {area['photograph']:.0f} px"
+    yield shown("s2", "figure 13", "bright points spread more than in figure 12", found, true, more, "they do not spread more")
     low, high = at.min(0), at.max(0)
     pad = 0.06 * before.shape[1]
     x0, y0, x1, y1 = (int(v) for v in (*np.maximum(low - pad, 0), *(high + pad)))
@@ -162,7 +161,7 @@ def _out_of_focus(shot: Shot, before: np.ndarray, after: Pictures, photo: np.nda
     pictures = {BEFORE: before, PRINTED: after[PAPER], CORRECTED: after[BY_CORRECTED], REFERENCE: photo}
     (x0, y0), (x1, y1) = (np.array(before.shape[1::-1]) * f for f in ((0.1, 0.4), (0.7, 0.85)))
     near = {name: np.ascontiguousarray(p[int(y0) : int(y1), int(x0) : int(x1)]) for name, p in pictures.items()}
-    yield Figure("s2", "figure 15", "the same out of focus", near)
+    yield Figure("s2", "figure 15", "the same out of focus (the virtual ball has a faint sheen, which the real one lacks)", near)
     yield Row("s2", "figure 16", "a photograph", None, None, "", UNDERIVED, NO_CAMERA)
     yield Figure("s2", "figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
 
