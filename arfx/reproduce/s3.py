@@ -93,6 +93,8 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     item = "equation (1), sites"
     here = f"in {inside:.0%} of {m * n}", f"{dense:.2f} per rectangle"
     yield stated(item, "one in each of m × n rectangles", here, False, why)
+    item, why = "equation (1), every site in its own cell", "a corrected site that is just appearing has no cell yet"
+    yield stated(item, "1", (measure.own_cell_share(sites), measure.own_cell_share(ours)), False, why, "share of sites")
     away, far = (measure.farthest(s, found) / np.hypot(w, h) for s, found in ((sites, labels), (ours, own)))
     item = "equation (1), farthest pixel from its site"
     yield stated(item, "at most 1", (away, far), max(away, far) <= 1, unit="diagonal of a rectangle")

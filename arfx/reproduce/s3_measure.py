@@ -216,6 +216,14 @@ def nearest_share(sites: Sites, labels: np.ndarray) -> float:
     return float(np.mean(first == labels.ravel()))
 
 
+def own_cell_share(sites: Sites) -> float:
+    """Of some sites, those that are the nearest to themselves."""
+    some = slice(None, None, max(len(sites) // 400, 1))
+    x, y, weight = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
+    first, _ = nearest_labels(x, y, weight, x[some], y[some])
+    return float(np.mean(first == np.arange(len(sites))[some]))
+
+
 def farthest(sites: Sites, labels: np.ndarray) -> float:
     """px from a pixel to its site, at most."""
     y, x = np.mgrid[: labels.shape[0], : labels.shape[1]]
