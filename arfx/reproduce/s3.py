@@ -32,7 +32,7 @@ from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, pr
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.cells import means
 from arfx.stages.watercolor.labels import label
-from arfx.stages.watercolor.sites import STEPS, make_sites, still_field
+from arfx.stages.watercolor.sites import make_sites, still_field
 from arfx.stages.watercolor.toon import RAMP, ObjectLayers
 from arfx.stages.watercolor.toon import toon as corrected_toon
 
@@ -83,35 +83,30 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     labels, own = paper.cones(sites, np.ones(m * n), rect, m, n), label(ours, rect).first
 
     yield _not_stated("m and n", "settings; 0 = cells of cell_px", "cell_px, for cells of any density")
-    left, top = sites.x / STEPS + 0.5 - w * (np.arange(m * n) % n), sites.y / STEPS + 0.5 - h * (np.arange(m * n) // n)
-    inside = float(np.mean((abs(left - w / 2) <= w / 2 + 1 / STEPS) & (abs(top - h / 2) <= h / 2 + 1 / STEPS)))
-    in_picture = (abs(ours.x / STEPS - rect.width / 2) < rect.width / 2) & (
-        abs(ours.y / STEPS - rect.height / 2) < rect.height / 2
-    )
-    dense = float(np.sum(in_picture & (ours.weight == 0)) / (m * n))
-    why = "corrected sites are those of a nested grid that moves with the things: one to a rectangle in the mean alone"
-    item = "equation (1), sites"
-    here = f"in {inside:.0%} of {m * n}", f"{dense:.2f} per rectangle"
-    yield stated(item, "one in each of m × n rectangles", here, False, why)
-    item, why = "equation (1), every site in its own cell", "a corrected site that is just appearing has no cell yet"
-    yield stated(item, "1", (measure.own_cell_share(sites), measure.own_cell_share(ours)), False, why, "share of sites")
+    shares = measure.rectangles_with_site(sites, rect, m, n), measure.rectangles_with_site(ours, rect, m, n)
+    why = "corrected sites are those of a nested grid that moves with the things: as many, one to a rectangle in the mean alone"
+    item = "equation (1), a site in each of m × n rectangles"
+    yield number(item, "1", shares, "share of the rectangles", why, tolerance=1e-9)
+    item, shares = "equation (1), every site in its own cell", (measure.own_cell_share(sites), measure.own_cell_share(ours))
+    yield number(item, "1", shares, "share of sites", tolerance=1e-9)
     away, far = (measure.farthest(s, found) / np.hypot(w, h) for s, found in ((sites, labels), (ours, own)))
     item = "equation (1), farthest pixel from its site"
     yield stated(item, "at most 1", (away, far), max(away, far) <= 1, unit="diagonal of a rectangle")
 
     item = "figure 2, Voronoi diagram"
     yield number(f"{item}, polygons", str(m * n), (float(len(np.unique(labels))), None))
-    yield number(item, "1", (measure.convex_share(labels), measure.convex_share(own)), "share of cells that are convex")
+    shares = measure.convex_share(labels), measure.convex_share(own)
+    yield number(item, "1", shares, "share of cells that are convex", tolerance=1e-9)
     yield figure(item, "each cell in a colour by chance", _templates(labels, own))
     nearest = measure.nearest_share(sites, labels[:64, :96]), measure.nearest_share(ours, own[:64, :96])
-    yield number("section 3.1.2, cones give Voronoi cells", "1", nearest, "share of pixels with the nearest site")
+    yield number("section 3.1.2, cones give Voronoi cells", "1", nearest, "share of pixels with the nearest site", tolerance=1e-9)
 
     _, even = paper.named_by_colour(np.full(frame.image.shape, 0.5, np.float32), labels, sites, rect)
     _, many = paper.named_by_colour(frame.image, labels, sites, rect)
     why = (
         f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on an even picture; corrected: integers"
     )
-    numbers = len(np.unique(own)) / int((np.bincount(own.ravel()) > 0).sum())
+    numbers = len(np.unique(ours.key)) / len(ours)
     item = "section 3.1.2, a cell is known by the colour at its site"
     yield stated(item, "unique", (many / (m * n), numbers), False, why, "names per cell")
 
@@ -141,7 +136,7 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     item, unit = "section 3.1.2, nearer is finer", f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m"
     ratios = float(by_cones[-1] / by_cones[0]), float(by_density[-1] / by_density[0])
-    yield stated(item, "below 1", ratios, False, why, unit)
+    yield stated(item, "nearer is finer", ratios, False, why, unit)
     yield _areas(item, depth, by_cones, by_density)
     buffer, labels = measure.printed_cells(frame)
     share = measure.convex_share(labels)

@@ -216,6 +216,17 @@ def nearest_share(sites: Sites, labels: np.ndarray) -> float:
     return float(np.mean(first == labels.ravel()))
 
 
+def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
+    """Of m x n rectangles, those in which a site lies, to the half step that sites are rounded by."""
+    held = np.zeros((m, n), bool)
+    for dx, dy in itertools.product((-0.5, 0.5), repeat=2):
+        j = np.floor(((sites.x + dx) / STEPS - rect.x0 + 0.5) * (n / rect.width)).astype(int)
+        i = np.floor(((sites.y + dy) / STEPS - rect.y0 + 0.5) * (m / rect.height)).astype(int)
+        inside = (i >= 0) & (j >= 0) & (i < m) & (j < n)
+        held[i[inside], j[inside]] = True
+    return float(held.mean())
+
+
 def own_cell_share(sites: Sites) -> float:
     """Of some sites, those that are the nearest to themselves."""
     some = slice(None, None, max(len(sites) // 400, 1))
