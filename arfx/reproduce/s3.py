@@ -209,12 +209,12 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     item, toon_shaded = "figure 5, edges of the frame", frame.toon_shaded(printed(frame))
     edges, lines = measure.printed_edges(toon_shaded, p), measure.corrected_lines(frame)
     why = "what stands before nearly its own colour is below the threshold; corrected, the object's layers are looked at too"
-    outlines = {f"outline of the {name}": measure.outline(where) for name, where in frame.objects().items()}
-    for name, where in {**outlines, "outlines of real things": frame.real_outlines()}.items():
-        found = [measure.share_near(where, e) for e in (edges, lines > DRAWN)]
-        yield stated(
-            f"{item}, {name}", "found", (found[0], found[1]), min(found) > 0.95, why, "share of it with an edge within 2 px"
-        )
+    outlines = {f"outline of the {name}": (measure.outline(where), why) for name, where in frame.objects().items()}
+    why = "what stands before nearly its own colour is below the thresholds; corrected, a line that is nowhere strong fades"
+    outlines["outlines of real things"] = frame.real_outlines(), why
+    for name, (where, why) in outlines.items():
+        found = measure.share_near(where, edges), measure.share_near(where, lines > DRAWN)
+        yield stated(f"{item}, {name}", "found", found, min(found) > 0.95, why, "share of it with an edge within 2 px")
     black = float(edges.mean()), float((lines > DRAWN).mean())
     yield stated(item, "outlines of virtual and real things", black, min(black) > 0, unit="share of the frame's pixels")
     drawn = {BEFORE: picture(toon_shaded), PRINTED: picture(1.0 - edges), CORRECTED: picture(1 - lines)}
@@ -257,7 +257,8 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
             f"coherence in a pan, {name}",
         )
         yield stated(f"section 2, {item}", "good", errors, False, why, "squared error along the motion, noise 2/255")
-    rates = [1 / median_s(partial(frame.painted, stage), work.scaled(5, 1)) for stage in (printed(frame), corrected())]
+    both = (frame.ready(stage) for stage in (printed(frame), corrected()))
+    rates = [1 / median_s(partial(frame.paint_anew, ready), work.scaled(5, 1)) for ready in both]
     rect = frame.layers.rect
     why = (
         f"no rate, size or machine is printed; the values are of the stage alone, at {rect.width} × {rect.height} on a processor"

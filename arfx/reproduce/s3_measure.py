@@ -135,16 +135,18 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
     strength = corrected().params.nearer_finer
     field = replace(field, size=field.size * nearness_factor(near[:, None], strength))
     areas = np.zeros((2, bands, 2))  # of each formula: pixels, cells
-    edges = np.linspace(0, height, bands + 1)
+    border = 3 * CELL_PX  # cells there are cut off
+    edges = np.linspace(border, height - border, bands + 1)
     for key in range(repeats):
         sites = paper.eq1_sites(_SIZE, height // CELL_PX, width // CELL_PX, key)
         found = paper.cones(sites, paper.at_sites(depth, sites, _SIZE), _SIZE, height // CELL_PX, width // CELL_PX)
         other = make_sites(field, key, 10**6, CELL_PX)
         for k, (at, labels) in enumerate(((sites, found), (other, label(other, _SIZE).first))):
             area = np.bincount(labels.ravel(), minlength=len(at))
-            band = np.clip(np.digitize(at.y / STEPS, edges) - 1, 0, bands - 1)[area > 0]
-            areas[k, :, 0] += np.bincount(band, area[area > 0], bands)
-            areas[k, :, 1] += np.bincount(band, minlength=bands)
+            x, band = at.x / STEPS, np.digitize(at.y / STEPS, edges) - 1
+            counted = (area > 0) & (x > border) & (x < width - border) & (band >= 0) & (band < bands)
+            areas[k, :, 0] += np.bincount(band[counted], area[counted], bands)
+            areas[k, :, 1] += np.bincount(band[counted], minlength=bands)
     middle = 1 / np.interp((edges[1:] + edges[:-1]) / 2, np.arange(height), dioptre)
     return middle, *(areas[..., 0] / areas[..., 1])
 

@@ -112,6 +112,11 @@ class Shown:
         made = (ready or self.ready(stage)).run(self.layers, self.facts)[Layer.IMAGE]
         return SRGB.encode(np.clip(np.asarray(made), 0, 1)).astype(np.float32)
 
+    def paint_anew(self, ready: ReadyStage) -> None:
+        """For timing."""
+        ready.memo.of_frame.clear()
+        ready.run(self.layers, self.facts)
+
     def toon_shaded(self, stage: Watercolor) -> np.ndarray:
         """(h, w, 3) float32 coded: the frame with the objects toon-shaded by either formula."""
         if isinstance(stage, PrintedWatercolor):
