@@ -217,8 +217,9 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
         yield stated(f"{item}, {name}", "found", found, min(found) > 0.95, why, "share of it with an edge within 2 px")
     black = float(edges.mean()), float((lines > DRAWN).mean())
     yield stated(item, "outlines of virtual and real things", black, min(black) > 0, unit="share of the frame's pixels")
-    drawn = {BEFORE: picture(toon_shaded), PRINTED: picture(1.0 - edges), CORRECTED: picture(1 - lines)}
-    yield figure(item, "of the toon-shaded frame", drawn)
+    true = np.any([where for where, _ in outlines.values()], axis=0)
+    drawn = {BEFORE: toon_shaded, PRINTED: 1.0 - edges, CORRECTED: 1 - lines, "outlines by depth": 1.0 - true}
+    yield figure(item, "of the toon-shaded frame", {name: picture(a) for name, a in drawn.items()})
 
 
 def picture_rows(frame: Shown) -> Iterator[Item]:
@@ -247,16 +248,17 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
     """What sections 2 and 4 say of time."""
     frames, lineless = work.scaled(5, 3), {"toon": False, "line_threshold": 2.0}
     flat, rest = {"toon": False, **FLAT}, {"grain": 0.0, "dry_brush": 0.0}  # the paper's grain rests on the screen
+    at_rest = "new random numbers in every frame; corrected sites are a hash of (seed, cell)"
+    in_pan = "even fixed on the screen, cells let the picture swim; corrected ones move with the things"
     for name, of_printed, of_corrected in (("cells", lineless, flat), ("whole picture", {}, rest)):
-        errors = measure.still_errors(frame, frames, of_printed, of_corrected)
-        why, item = "new random numbers in every frame; corrected sites are a hash of (seed, cell)", f"coherence at rest, {name}"
-        yield stated(f"section 2, {item}", "good", errors, False, why, "squared error between frames, noise 2/255")
+        made, ours = measure.still_frames(frame, frames, of_printed, of_corrected)
+        item, errors = f"section 2, coherence at rest, {name}", (measure.mean_squared(made), measure.mean_squared(ours))
+        yield stated(item, "good", errors, False, at_rest, "squared error between frames, noise 2/255")
+        change = {PRINTED: 8 * abs(made[1] - made[0]), CORRECTED: 8 * abs(ours[1] - ours[0])}
+        yield figure(item, "change from a frame to the next, × 8", {f"change, {k}": picture(a) for k, a in change.items()})
         errors = measure.pan_errors(frame.scene, frames, of_printed, of_corrected)
-        why, item = (
-            "even fixed on the screen, cells let the picture swim; corrected ones move with the things",
-            f"coherence in a pan, {name}",
-        )
-        yield stated(f"section 2, {item}", "good", errors, False, why, "squared error along the motion, noise 2/255")
+        item = f"section 2, coherence in a pan, {name}"
+        yield stated(item, "good", errors, False, in_pan, "squared error along the motion, noise 2/255")
     both = (frame.ready(stage) for stage in (printed(frame), corrected()))
     rates = [1 / median_s(partial(frame.paint_anew, ready), work.scaled(5, 1)) for ready in both]
     rect = frame.layers.rect

@@ -80,17 +80,20 @@ def flips(frames: int) -> tuple[float, float]:
     return worst[0], worst[1]
 
 
-def still_errors(shown: Shown, frames: int, of_printed: Settings, of_corrected: Settings) -> tuple[float, float]:
-    """Mean squared difference of coded values from frame to frame of a resting, noisy camera: printed, corrected."""
+def still_frames(
+    shown: Shown, frames: int, of_printed: Settings, of_corrected: Settings
+) -> tuple[list[np.ndarray], list[np.ndarray]]:  # fmt: skip
+    """(h, w, 3) coded frames of a resting, noisy camera, printed and corrected."""
     moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
     out = []
     for stage in (printed(shown, **of_printed), corrected(**of_corrected)):
         ready = shown.ready(stage)
-        out.append(_mean_squared([moment.painted(stage, ready) for moment in moments]))
+        out.append([moment.painted(stage, ready) for moment in moments])
     return out[0], out[1]
 
 
-def _mean_squared(frames: Sequence[np.ndarray]) -> float:
+def mean_squared(frames: Sequence[np.ndarray]) -> float:
+    """Mean squared difference from frame to frame."""
     return float(np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(frames)]))
 
 
