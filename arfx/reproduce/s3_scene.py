@@ -34,11 +34,10 @@ fps = 24
 [lens]
 fov_deg = 52
 [[shot]]
-frames = 3
+frames = 1
 [shot.path]
-kind = "dolly"
+kind = "static"
 position_m = [-0.02, -0.46, 0.27]
-end_m = [0.0, -0.46, 0.27]
 target_m = [0.0, 0.02, 0.05]
 [[plane]]
 name = "desk"
@@ -147,14 +146,14 @@ class Shown:
         return (farther > 1.1 * depth) & (cv2.dilate(own, np.ones((9, 9), np.uint8)) == 0)
 
 
-def shown(work: Work, index: int = 1) -> Shown:
-    """A frame of the scene up to the composite, lit by the corrected method: both formulas' classes paint the same picture."""
+def shown(work: Work) -> Shown:
+    """The scene's frame up to the composite, lit by the corrected method: both formulas' classes paint the same picture."""
     width, height = work.scaled((640, 360), (240, 136))
     file = work.folder / "teapot-cube-rabbit.glb"
     if not file.exists():
         write_model("group", file)
     clip = work.clip(SCENE.format(width=width, height=height))
-    shot = work.shot(clip, index, settings={"model": {"file": str(file), "fit": "26cm"}})
+    shot = work.shot(clip, settings={"model": {"file": str(file), "fit": "26cm"}})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(Watercolor.reads | {Layer.OBJECT_ID}, shot.renderer.window)
     return Shown(layers, shot.renderer.facts, shot.job.scene, shot.renderer.original())
 
