@@ -97,7 +97,7 @@ def flat_scene(work: Work) -> Clip:
 
 def room(work: Work) -> Clip:
     size = work.scaled(
-        {"width": 480, "height": 270, "frames": 4, "samples": 2}, {"width": 128, "height": 72, "frames": 2, "samples": 1}
+        {"width": 480, "height": 270, "frames": 2, "samples": 2}, {"width": 128, "height": 72, "frames": 2, "samples": 1}
     )
     return work.clip(_ROOM.format(**size))
 
@@ -105,7 +105,7 @@ def room(work: Work) -> Clip:
 def settings(work: Work, model: str, fit: str, light: Sequence[float], **gi: object) -> Settings:
     """light : configured, as in the paper: azimuth, elevation, R, G, B of the scene's lamp"""
     return {
-        "model": {"file": work.model(model), "fit": fit}, "gi": {"samples": 32, **gi},
+        "model": {"file": work.model(model), "fit": fit}, "gi": {"samples": 16, **gi},
         "pipeline": {"stages": ["lightmap", "gi"], "quality": work.scaled("standard", "draft")}, "light": {"given": list(light)},
     }  # fmt: skip
 

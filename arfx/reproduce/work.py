@@ -173,14 +173,19 @@ class Work:
         return timed
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """What a module's function returns in a new process; arguments and result can be pickled. `Memory` measures there."""
+        """What a module's function returns in a new process; arguments and result can be pickled. `Memory` measures there.
+        Raises RenderError where the process dies."""
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
+        from concurrent.futures.process import BrokenProcessPool
 
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), interrupt.in_worker) as pool:
             with interrupt.starting_workers():
                 running = pool.submit(function, *arguments)
-            return running.result()
+            try:
+                return running.result()
+            except BrokenProcessPool:
+                raise RenderError("a process that measures was killed (out of memory?)", "give it more memory") from None
 
     def _checked(self, phase: str, done: int, total: int | None) -> None:
         interrupt.check()

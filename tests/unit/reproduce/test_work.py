@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from arfx.errors import RenderError
 from arfx.reproduce.work import Clip, Memory, Work
 from arfx.synth.description import parse_scene
 
@@ -67,6 +68,8 @@ def test_a_frame_of_a_job_is_what_the_job_makes(made: tuple[Work, Clip]) -> None
 def test_what_runs_apart_has_a_process_of_its_own(made: tuple[Work, Clip]) -> None:
     work, _ = made
     assert work.apart(os.getpid) != os.getpid()
+    with pytest.raises(RenderError, match="was killed"):
+        work.apart(os._exit, 1)
 
 
 def test_memory_is_seen_while_it_is_held() -> None:
