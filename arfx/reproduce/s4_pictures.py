@@ -103,7 +103,7 @@ def rates(work: Work) -> Iterator[Item]:
     why = (
         "the paper names real time as its aim, and no rate, picture size or machine; it uses a graphics card, here there is none"
     )
-    unit = f"frames/s at {size}"
+    unit = f"frames/s at {size}, 64³ voxels"
     yield Row(PAPER, "frame rate", "real time", printed.frames_per_s, corrected.frames_per_s, unit, UNDERIVED, why)
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
     yield Row(PAPER, "memory", words, printed.peak_mb, corrected.peak_mb, unit, UNDERIVED, why)

@@ -105,12 +105,12 @@ def room(work: Work) -> Clip:
 def settings(work: Work, model: str, fit: str, light: Sequence[float], **gi: object) -> Settings:
     """light : configured, as in the paper: azimuth, elevation, R, G, B of the scene's lamp"""
     return {
-        "model": {"file": work.model(model), "fit": fit}, "gi": {"samples": 16, **gi},
+        "model": {"file": work.model(model), "fit": fit}, "gi": {"samples": 32, **gi},
         "pipeline": {"stages": ["lightmap", "gi"], "quality": work.scaled("standard", "draft")}, "light": {"given": list(light)},
     }  # fmt: skip
 
 
 def under(work: Work, formula: str, given: Settings) -> Settings:
     """Indirect light by one formula, all else by the corrected one: only this paper's methods differ."""
-    coarse: dict[str, object] = {"voxels": 32} if work.short and formula == PAPER_FORMULA else {}
-    return {**given, "gi": {**given["gi"], **coarse, "formula": formula}}
+    voxels: dict[str, object] = {"voxels": work.scaled(64, 32)} if formula == PAPER_FORMULA else {}  # as many as the other has
+    return {**given, "gi": {**given["gi"], **voxels, "formula": formula}}
