@@ -95,7 +95,9 @@ FILES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "way"), [*((name, "digit") for name in FILES), *(("all", way) for way in WAYS)])
+@pytest.mark.parametrize(
+    ("name", "way"), [*((name, "digit") for name in FILES), ("environment.maps", "cut"), *(("all", way) for way in WAYS)]
+)
 def test_a_damaged_piece_is_made_anew(done: Path, tmp_path: Path, name: str, way: str) -> None:
     job, out = tmp_path / "job", done / "out.mp4"
     shutil.copytree(done / "job", job)
