@@ -117,7 +117,7 @@ class Analysis:
     notices: tuple[str, ...] = ()
     anchor: MarkerSpec = PLANE_MARKER
     real_planes: tuple[RealPlane, ...] = ()
-    environment_maps: Mapping[str, np.ndarray] = field(default_factory=dict)
+    environment_maps: Mapping[str, np.ndarray] = field(default_factory=dict, compare=False)  # the facts name their contents
     frame_span: tuple[list[float], int, bool] = ([], 0, True)
 
     @property

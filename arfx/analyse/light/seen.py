@@ -9,7 +9,7 @@ the object; its radius is the one at which the pictures agree best, infinite whe
 
 Radiance is a share of the frame's light (`Light.mean_radiance`), so exposure does not matter. A lamp that is a light of its own
 is cut out. Source: docs/methods/gi.md#environment; the radius: plane sweep (Collins 1996), with spheres. Leaves out: things at
-several distances, people who walk through. Cost: some 5 ms for a look, some 0.2 s for a shot's radius."""
+several distances, people who walk through. Cost: some 10 ms for a look, some 30 ms for a shot's radius."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from arfx.core.numerics import divide
 FACE_PX = 64  # of a map
 LOOK_PX = 128  # width of the pictures that are kept
 KEY_S = 1.0  # from map to map
-MOST_MAPS = 64  # in a clip: beyond that they lie farther apart
+MOST_MAPS = 64  # in a clip, beside one for each shot: beyond that they lie farther apart
 NEAR_S = 1.0  # time in which a look's weight falls to 1 / e, before and after it
 LASTING = 1e-3  # weight of any other look of the shot
 EDGE = 0.12  # of a picture's shorter side, along which its weight falls to 0
-NEARNESSES = (0.0, 0.05, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6)  # the camera's distance over the surroundings'
+NEARNESSES = (0.0, 0.05, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6)  # the camera's mean distance over the radius
 SWEEP_PX, SWEEP_LOOKS = 24, 10
 BETTER, ALIKE = 0.95, 1e-4  # nearer surroundings have to bring the disagreement down to this share of it, and by that much
 COARSEST_PX, GROWS = 4, 3.0  # how far, and how much at each step to coarser texels, what was seen reaches beyond its border
@@ -69,10 +69,10 @@ def with_seen(
     keys: dict[int, tuple[np.ndarray, list[str]]] = {}
     apart_s = max(KEY_S, sum(p[-1].time_s - p[0].time_s for p in by_shot.values()) / MOST_MAPS)
     for shot, posed in by_shot.items():
-        nearness = 0.0 if still_camera else _nearness(posed, up)
+        inverse_radius = 0.0 if still_camera else _inverse_radius(posed, up)
         first, last = posed[0].time_s, posed[-1].time_s
         times = np.linspace(first, last, 1 + int(np.ceil((last - first) / apart_s)))
-        made = [rgba.astype(np.float16) for rgba in _maps(posed, times, nearness)]
+        made = [rgba.astype(np.float16) for rgba in _maps(posed, times, inverse_radius)]
         keys[shot] = times, [_named(m, maps) for m in made]
     out = []
     for f in facts:
@@ -127,13 +127,13 @@ class _Posed:
         rotation = np.eye(3) if still_camera else pose.rotation
         return _Posed(f.time_s, picture.astype(np.float32), level, camera, rotation, pose.apply(centre_m), lamps)
 
-    def seen(self, directions: np.ndarray, nearness: float) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self, directions: np.ndarray, inverse_radius: float) -> tuple[np.ndarray, np.ndarray]:
         """((n, 3) shares, (n,) weight 0..1) in directions (n, 3), axes at rest, from the anchor.
 
-        nearness : of what is there, the anchor's distance from the camera over its own"""
+        inverse_radius : 1/m, of the sphere about the anchor on which everything lies"""
         h, w = self.picture.shape[:2]
         along = directions @ self.camera_from_static.T
-        at = self.camera.project(along + nearness / max(float(np.linalg.norm(self.centre_m)), 1e-9) * self.centre_m)
+        at = self.camera.project(along + inverse_radius * self.centre_m)
         x, y = (np.where(np.isfinite(v), v, -1e4) for v in at.T)
         x, y = (x + 0.5) * (w / self.camera.width) - 0.5, (y + 0.5) * (h / self.camera.height) - 0.5
         inside = np.min([x + 0.5, w - 0.5 - x, y + 0.5, h - 0.5 - y], 0) / (EDGE * min(w, h))
@@ -153,16 +153,16 @@ def _smooth(t: np.ndarray) -> np.ndarray:
     return np.asarray(t * t * (3 - 2 * t))
 
 
-def _nearness(looks: Sequence[_Posed], up: np.ndarray) -> float:
-    """Of NEARNESSES the one with which the looks agree best on what is above the plane; the farthest of those as good."""
+def _inverse_radius(looks: Sequence[_Posed], up: np.ndarray) -> float:
+    """1/m: that of NEARNESSES with which the looks agree best on what is above the plane; the farthest of those as good."""
     chosen = [looks[i] for i in np.unique(np.linspace(0, len(looks) - 1, SWEEP_LOOKS).astype(int))]
     d = face_directions(SWEEP_PX).reshape(-1, 3)
     d = d[d @ up > 0]
-    cost = []
-    for nearness in NEARNESSES:
+    cost, inverse = [], np.array(NEARNESSES) / max(float(np.mean([np.linalg.norm(look.centre_m) for look in looks])), 1e-9)
+    for inverse_radius in inverse:
         total, first, second, several = np.zeros(len(d)), np.zeros((len(d), 3)), np.zeros((len(d), 3)), np.zeros(len(d))
         for look in chosen:
-            rgb, weight = look.seen(d, nearness)
+            rgb, weight = look.seen(d, inverse_radius)
             total += weight
             several += weight > 0
             first += weight[:, None] * np.sqrt(rgb)  # as it looks: a lamp does not outweigh the room
@@ -171,16 +171,16 @@ def _nearness(looks: Sequence[_Posed], up: np.ndarray) -> float:
         twice = several > 1
         cost.append(float(divide(varied[twice].sum(), total[twice].sum(), where_zero=np.inf)))
     best = min(cost)
-    return next(n for n, c in zip(NEARNESSES, cost, strict=True) if c * BETTER <= best + ALIKE or c == best)
+    return next(float(i) for i, c in zip(inverse, cost, strict=True) if c * BETTER <= best + ALIKE or c == best)
 
 
-def _maps(looks: Sequence[_Posed], times: np.ndarray, nearness: float) -> list[np.ndarray]:
+def _maps(looks: Sequence[_Posed], times: np.ndarray, inverse_radius: float) -> list[np.ndarray]:
     """(6, n, n, 4) float32 at each of `times`: radiance times the fourth, how well it is known."""
     d = face_directions(FACE_PX).reshape(-1, 3)
     sums, lasting = np.zeros((len(times), len(d), 4), np.float32), np.zeros((len(d), 4), np.float32)
     known = np.zeros(len(d))
     for look in looks:
-        rgb, weight = look.seen(d, nearness)
+        rgb, weight = look.seen(d, inverse_radius)
         known = np.maximum(known, weight)
         row = np.concatenate([weight[:, None] * rgb, weight[:, None]], 1).astype(np.float32)
         lasting += np.float32(LASTING) * row

@@ -143,9 +143,15 @@ def from_light(light: Light, size: int = 8) -> np.ndarray:
 
 def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(3,) radiance of a white diffuse surface of unit normal (3,), axes of the cube, under all of its hemisphere."""
-    d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
-    weight = np.clip(d @ normal, 0, None) * solid
-    return (weight[..., None] * cube).sum((0, 1, 2)) / weight.sum()
+    weight = _facing(cube.shape[1], *(float(v) for v in normal))
+    return np.asarray(weight @ cube.reshape(-1, cube.shape[-1]))
+
+
+@lru_cache(maxsize=8)
+def _facing(size: int, *normal: float) -> np.ndarray:
+    """(6 size^2) weights of a cube's texels on a surface of that normal, sum 1."""
+    weight = (np.clip(face_directions(size) @ np.array(normal), 0, None) * solid_angles(size)).ravel()
+    return np.asarray(weight / weight.sum())
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")

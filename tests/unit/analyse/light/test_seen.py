@@ -78,7 +78,7 @@ def test_a_mirror_ball_shows_the_room(name: str) -> None:
 def test_the_rooms_distance_is_where_the_pictures_agree(name: str, radius_m: float) -> None:
     clip = CLIPS[name]
     posed = [seen._Posed.of(look, clip.facts[look.frame], CAMERA, False, np.zeros(3)) for look in clip.looks]
-    assert seen._nearness(posed, UP) == pytest.approx(clip.distance_m / radius_m, rel=0.35)
+    assert seen._inverse_radius(posed, UP) == pytest.approx(1 / radius_m, rel=0.35)
 
 
 def test_a_grey_room_is_grey_without_a_seam() -> None:
