@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.analyse.light.static_frame import light_from_panorama
 from arfx.analyse.light.surroundings import from_panorama, turned
 from arfx.core.camera import Camera
 from arfx.core.codec import serialisable
@@ -89,8 +88,8 @@ def with_seen(
 
 def given_everywhere(facts: Sequence[FrameFacts], panorama: np.ndarray, world_from_anchor: np.ndarray) -> Seen:
     """The same of a picture of all surroundings, as surroundings.from_panorama takes it. world_from_anchor : (3, 3)"""
-    shares = divide(from_panorama(panorama, FACE_PX), light_from_panorama(panorama).mean_radiance)
-    faces = np.clip(turned(shares, np.asarray(world_from_anchor).T), 0, 6e4)
+    faces = turned(from_panorama(panorama, FACE_PX), np.asarray(world_from_anchor).T)
+    faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
     maps: dict[str, np.ndarray] = {}
     name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1).astype(np.float16), maps)
     seen = SeenEnvironment((name, name), 0.0)

@@ -96,7 +96,8 @@ def surroundings_of(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.n
     if not ((factor >= 0).all() and (factor < 1e3).all()):  # black, or without a colour that the plane shows
         cube, factor = environment_cube(facts, scene, light)
         wide = resampled(cube, n)
-    return narrow, wide * factor.astype(np.float32)
+    wide = wide * factor.astype(np.float32)
+    return narrow if known.min() < 1 else wide, wide  # where all is known, only its scale is not
 
 
 @lru_cache(maxsize=8)

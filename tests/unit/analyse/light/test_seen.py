@@ -21,7 +21,7 @@ from arfx.core.scene import Scene
 from arfx.errors import RenderError
 from arfx.stages.gi.frame_light import seen_map, surroundings_of
 from arfx.stages.gi.health import seam_ratio
-from arfx.stages.gi.surroundings import octahedral
+from arfx.stages.gi.surroundings import irradiance, octahedral
 from tests.unit.analyse.light.seen_rooms import CAMERA, UP, Clip, sky, walls
 from tests.unit.stages.gi_scenes import MIRROR, ball, facts, inner, on_plane, run_gi, surface
 
@@ -184,6 +184,9 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     side, other = look_up(rgba.astype(float), np.array([[0, 1.0, 0], [0, -1.0, 0]]))[:, 0]
     assert side / other == pytest.approx(4, rel=0.1)
     assert {f.seen_environment for f in found} == {found[0].seen_environment}
+    given = with_environment(found, [], False, picture, np.eye(3))[0]
+    narrow, wide = surroundings_of(given, scene(maps), given.light)  # type: ignore[arg-type]
+    assert narrow is wide and irradiance(narrow, UP) == pytest.approx(given.light.soft_radiance(UP), rel=1e-4)  # type: ignore[union-attr]
 
 
 def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
