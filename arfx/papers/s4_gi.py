@@ -20,6 +20,7 @@ import cv2
 import numba
 import numpy as np
 
+from arfx.analyse.fold import Analysis
 from arfx.analyse.light.fold import Environment
 from arfx.analyse.light.surroundings import SIZE, foldable
 from arfx.core.layers import Layer
@@ -79,6 +80,9 @@ def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
 
 class PrintedEnvironment(Environment):
     folded = staticmethod(step3_environment)
+
+    def seen(self, clip: Analysis) -> Analysis:
+        return clip
 
 
 class PrintedGi(Gi):
