@@ -222,5 +222,5 @@ def group() -> list[Any]:
 MODELS: dict[str, Callable[[], list[Any]]] = {
     "teapot": teapot, "apple": apple, "aeroplane": aeroplane, "cube": cube, "rabbit": rabbit, "group": group,
     "red teapot": lambda: teapot((0.55, 0.04, 0.03)), "red cube": lambda: cube((0.7, 0.03, 0.02)),
-    "black cube": lambda: cube((0.0, 0.0, 0.0)), "mirror": ball,
+    "black cube": lambda: cube((0.0, 0.0, 0.0)), "mirror": ball, "ball": lambda: ball((0.7, 0.7, 0.7), 0.8, 0.0),
 }  # fmt: skip

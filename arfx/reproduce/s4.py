@@ -1,7 +1,7 @@
 """Rows of Yao, Tao, Wu 2018: environment map from the one camera and delta voxel cone tracing.
 
-In the order of the paper's four steps. It prints no table and few numbers: measured is what each statement claims.
-Pictures and rates are in `s4_pictures`."""
+In the order of the paper's four steps: 1 and 3 here, 2 in `s4_volumes`, 4 in `s4_cones`; pictures and rates are in `s4_pictures`.
+The paper prints no table and few numbers: measured is what each of its statements claims."""
 
 from __future__ import annotations
 
@@ -12,25 +12,28 @@ import numpy as np
 from arfx.analyse.depth.planes import cloud_of, find_planes, scene_planes
 from arfx.analyse.light.surroundings import fold
 from arfx.core.camera import Camera
+from arfx.core.colour import SRGB
+from arfx.core.cube import CubeMap, look_up
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.papers.s4_gi import step2_mean, step3_environment
-from arfx.reproduce.rows import Item, Row, bars, compared
-from arfx.reproduce.s4_pictures import PAPER, flat_scene, pictures, said
+from arfx.papers.s4_environment import FACE_PX, mip_level, step3_environment, step3_mipmap
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row
+from arfx.reproduce.s4_cones import cones
+from arfx.reproduce.s4_pictures import on_the_plane, pictures
+from arfx.reproduce.s4_scenes import LAMP, PAPER, room, said, settings
+from arfx.reproduce.s4_volumes import volumes
 from arfx.reproduce.work import Work
-from arfx.stages.gi.cones import six_cones, trace_many
 from arfx.stages.gi.health import seam_ratio
-from arfx.stages.gi.pyramid import Downsample, atlas_of, front_to_back, levels_of, structure_of
-from arfx.stages.gi.voxelise import voxelise
 
-SIDE = 16  # texels of an environment's face, and voxels of the small volumes
+SIDE = 16  # texels of an environment's face
 
 
 def rows(work: Work) -> Iterator[Item]:
     yield from plane()
-    yield from filtering()
-    yield from memory(work)
+    yield from volumes(work)
+    yield from on_the_plane(work)
     yield from environment()
-    yield from cones()
+    yield panoramas(work)
+    yield from cones(work)
     yield from pictures(work)
 
 
@@ -49,77 +52,44 @@ def plane() -> Iterator[Row]:
     depth += np.random.default_rng(4).normal(0, 0.003, depth.shape)
     cloud = cloud_of(depth, camera)
     assert cloud is not None
-    table = find_planes(cloud)[0]
-    up = pose.rotation[:, 2]
+    table, up = find_planes(cloud)[0], pose.rotation[:, 2]
     angle = float(np.degrees(np.arccos(min(float(table.normal @ up), 1.0))))
     lower = float(np.abs(table.offset_m - up @ pose.translation_m)) * 1e3
-    marker = (
-        "with a marker the plane is the marker's; measured depth gives several planes, found with thresholds in units of noise"
-    )
+    off = "the plane that was found is not the table"
     yield said(
-        "step 1, the dominant plane: its normal", "normals of points, checked against k neighbours", (angle, angle),
-        angle < 0.5, marker, "degrees off",
+        "step 1, the likeliest plane: its normal", "normals of points, checked against k neighbours", (angle, angle), angle < 0.5,
+        off, "degrees off",
     )  # fmt: skip
-    yield said("step 1, the dominant plane: its height", "the likeliest plane", (lower, lower), lower < 3, marker, "mm off")
-    away = np.abs(cloud.points[table.inliers] @ table.normal - table.offset_m)
-    moved = cloud.points[table.inliers] - np.outer(cloud.points[table.inliers] @ table.normal - table.offset_m, table.normal)
-    after = float(np.abs(moved @ table.normal - table.offset_m).max()) * 1e3
+    yield said("step 1, the likeliest plane: its height", "the likeliest plane", (lower, lower), lower < 3, off, "mm off")
+    away = cloud.points[table.inliers] @ table.normal - table.offset_m
+    after = (cloud.points[table.inliers] - np.outer(away, table.normal)) @ table.normal - table.offset_m
+    moved, before = (float(np.abs(d).max()) * 1e3 for d in (after, away))
     yield said(
-        "step 1, points moved onto the plane", "points are moved towards the plane and joined to a mesh",
-        (after, after), after < 1e-6 < float(away.max()), "points stayed off the plane", "mm off it, at most",
+        "step 1, points moved onto the plane and joined to a mesh", "moved towards the plane", (moved, moved),
+        moved < 1e-6 < before, "points stayed off the plane", f"mm off it at most; {before:.3g} before",
     )  # fmt: skip
     found = scene_planes([(depth, pose)], camera)[0].real_plane()
     centre = float(np.linalg.norm(found.world_from_plane.translation_m[:2])) * 1e2
     yield said(
         "step 1, where the object stands", "in the middle of the plane", (centre, centre), centre < 8,
-        "the middle of what is seen is taken where it is well inside, so that the object stands on nothing's edge",
-        "cm from the table's middle",
+        "the middle of what is seen, moved to where it is well inside", "cm from the table's middle",
     )  # fmt: skip
 
 
-def wall(downsample: Downsample) -> list[float]:
-    """Opacity along its normal of a wall one voxel thick, by level."""
-    cells = np.argwhere(np.ones((1, SIDE, SIDE))) + np.array([8, 0, 0])
-    values = np.zeros((len(cells), 4), np.float32)
-    values[:, 3] = 1
-    return [float(v[:, 0, 3].mean()) for v in levels_of(structure_of(cells, SIDE, downsample), values)[:4]]
-
-
-def filtering() -> Iterator[Row]:
-    layers = structure_of(np.zeros((1, 3), int), 64).layers
-    yield compared(PAPER, "step 2, filter steps of an octree of 7 levels", "6", float(len(layers) - 1), float(len(layers) - 1))
-    leaks = (
-        "a mean of the children lets light through a wall; in six directions children first hide each other, then are averaged"
-    )
-    for level, (printed, corrected) in enumerate(zip(wall(step2_mean), wall(front_to_back), strict=True)):
-        yield said(
-            f"step 2, opacity of a wall of one voxel at level {level}", "mean of the children", (printed, corrected),
-            printed == corrected, leaks,
-        )  # fmt: skip
-
-
-def memory(work: Work) -> Iterator[Item]:
-    """The sparse octree of a teapot beside arrays of all voxels."""
-    clip = flat_scene(work)
-    scene = work.planned(clip, settings={"model": {"file": work.model("teapot"), "fit": "12cm"}}).scene
-    sides = (64, 128, 256)
-    sparse, dense = [], []
-    for n in sides:
-        structure = structure_of(voxelise(scene, n).cells, n)
-        sparse.append((4 * structure.floats + structure.brick_of.nbytes) / 2**20)
-        dense.append(sum(4 * (4 if k == 0 else 24) * layer.n**3 for k, layer in enumerate(structure.layers)) / 2**20)
-        yield said(
-            f"step 2, memory of an octree of {n}³ voxels", "empty voxels are not stored", (sparse[-1],) * 2,
-            sparse[-1] < dense[-1], "as much as an array of all voxels", f"MB; an array of all {dense[-1]:.4g}",
-        )  # fmt: skip
-    yield bars(
-        PAPER, "step 2, memory of an octree of 256³ voxels", "a teapot in voxels, all levels", "MB", [f"{n}³" for n in sides],
-        {"array of all voxels": dense, "printed method": sparse, "corrected": sparse},
-    )  # fmt: skip
+def panoramas(work: Work) -> Figure:
+    """The environments of one picture, all around: its middle column is straight ahead."""
+    frame = work.shot(room(work), 0, settings=settings(work, "cube", "8cm", LAMP)).renderer
+    elevation, azimuth = np.meshgrid(*(np.radians(np.linspace(-a, a, n)) for a, n in ((90, 120), (180, 240))), indexing="ij")
+    around = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], -1)
+    pictures = {BEFORE: frame.original()}
+    for name, folded in ((PRINTED, step3_environment), (CORRECTED, fold)):
+        radiance = look_up(folded(frame.plate, 64), around.reshape(-1, 3)).reshape(around.shape)
+        pictures[name] = np.rint(255 * SRGB.encode(np.clip(radiance, 0, 1))).astype(np.uint8)
+    return Figure(PAPER, "step 3, seams of the environment", "all that is around, out of one picture", pictures)
 
 
 def environment() -> Iterator[Row]:
-    """Step 3: each third of a picture of nine colours on its face, no change of a constant one, seams."""
+    """Step 3: each third of a picture of nine colours on its face, no change of a constant one, seams, levels."""
     colours = np.random.default_rng(3).uniform(0.1, 0.9, (3, 3, 3))
     image = np.kron(colours, np.ones((40, 60, 1)))
     printed, corrected = step3_environment(image, SIDE), fold(image, SIDE)
@@ -133,14 +103,20 @@ def environment() -> Iterator[Row]:
     )  # fmt: skip
     for words, face, part in faces:
         off = [float(np.abs(f[face] - colours[part]).max()) for f in (printed, corrected)]
-        yield said(f"step 3 {words}", "that part of the picture, and no other", off, max(off) < 1e-6, why, "at most off, of 1")
+        yield said(f"step 3 {words}", "that part of the picture", off, max(off) < 1e-6, why, "at most off, of 1")
+    mipmap, kept = step3_mipmap(step3_environment(image, FACE_PX)), CubeMap.of(corrected).faces()
+    formats = [f"{a.shape[-1]} x {a.dtype.itemsize * 8} bit {a.dtype.kind}" for a in (mipmap[0], kept)]
+    yield said(
+        "step 3, format of the cube", "RGBA16", formats, formats[0] == "4 x 16 bit u" == formats[1],
+        "alpha is always 1; floating point holds what is brighter than white",
+    )  # fmt: skip
     flat = [float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE))) for f in (step3_environment, fold)]
     yield said(
         "step 3, environment of a constant picture",
-        "follows: constant",
+        "constant, as follows",
         flat,
         max(flat) < 1e-6,
-        "",
+        "it is not",
         "largest difference",
     )
     y, x = np.mgrid[0:180, 0:240] / 40
@@ -151,38 +127,16 @@ def environment() -> Iterator[Row]:
         "sides that were cut out of the picture do not meet the mirrored back; the corrected fold is continuous",
         "steps across edges of the cube / within faces",
     )  # fmt: skip
-
-
-def block(alpha: float, exponents: list[float]) -> float:
-    """What voxels of an opacity, all around, take of a ray whose samples are so long, in voxels."""
-    cells = np.argwhere(np.ones((8, 8, 8)))
-    values = np.zeros((len(cells), 4), np.float32)
-    values[:, 3] = alpha
-    steps = np.array([[1.0 + k, 0, e] for k, e in enumerate(exponents)], np.float32)
-    ray = np.array([[[1.0, 0, 0]]], np.float32)
-    start, normal = np.array([[1.0, 4, 4]], np.float32), np.zeros((1, 3), np.float32)
-    return float(1 - trace_many(atlas_of(structure_of(cells, 8), values), steps, start, ray, normal, np.float32(0), False)[0, 3])
-
-
-def cones() -> Iterator[Row]:
-    """Step 4."""
-    directions, weights, tangent = six_cones()
-    total, half_deg = float(weights.sum()), float(np.degrees(np.arctan(tangent)))
-    yield compared(PAPER, "step 4, weights of the wide cones together", "1", total, total, tolerance=1e-6)
-    z = (np.arange(200_000) + 0.5) / 200_000
-    turn = np.arange(200_000) * np.pi * (3 - np.sqrt(5))
-    flat = np.sqrt(1 - z**2)
-    hemisphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
-    covered = float(((hemisphere @ directions.T).max(1) > np.cos(np.radians(half_deg))).mean())
     yield said(
-        "step 4, share of the hemisphere within the wide cones", "cover the whole hemisphere", (covered, covered), covered > 0.99,
-        "cones of 60 degrees that cover it would overlap; these are tilted and weighted so that they leave as much of coarse and "
-        "fine light as a cosine does", "of 1",
-    )  # fmt: skip
-    half, two = block(0.5, [0.5]), block(0.5, [0.5, 0.5])
-    why = "the length of a step is not spoken of in print"
-    yield said(
-        "step 4, half a step through an opacity of a half", "weighted by what the cone hides", (half, half),
-        abs(half - 0.29289) < 1e-4, why,
-    )  # fmt: skip
-    yield said("step 4, two such half steps", "weighted by what the cone hides", (two, two), abs(two - 0.5) < 1e-5, why)
+        f"step 3, levels of the mip chain of {FACE_PX}² texels a face",
+        "several",
+        (float(len(mipmap)), None),
+        len(mipmap) == 8,
+        "some are missing",
+    )
+    for half_deg in (1, 5, 15, 30):
+        level = mip_level(half_deg, FACE_PX)
+        texel, cone = 4**level * 4 * np.pi / (6 * FACE_PX**2), 2 * np.pi * (1 - np.cos(np.radians(half_deg)))
+        item = f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels"
+        wrong = "a texel of that level is not as large as the cone"
+        yield said(item, "by the aperture of the cone", (level, None), abs(texel / cone - 1) < 1e-9, wrong)

@@ -1,11 +1,12 @@
 """Pictures and rates of Yao, Tao, Wu 2018: what its object does to the real plane, and mirrors of both.
 
-The reference traces rays through the same scene (`gi` at level reference; in the short form cones take its place)."""
+The reference traces rays through the object and the plane (`gi` at level reference; in the short form cones take its place), and
+for a mirror ball through the whole synthetic room."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -16,124 +17,23 @@ from arfx.measure.difference import difference, touched
 from arfx.measure.steps import chain_of
 from arfx.papers import CORRECTED as CORRECTED_FORMULA
 from arfx.papers import PAPER as PAPER_FORMULA
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, REFERENCE, UNDERIVED, Figure, Item, Row, bars, shown
-from arfx.reproduce.work import Clip, Shot, Work, shot_of
-
-PAPER = "s4"
-_FLAT = """
-samples = 1
-[clip]
-width = 160
-height = 120
-[lens]
-fov_deg = 50
-[[shot]]
-frames = 3
-[shot.path]
-position_m = [0.1, -0.32, 0.26]
-end_m = [0.1, -0.32, 0.26]
-target_m = [0, 0, "2cm"]
-[[plane]]
-size_m = [3, 3]
-position_m = [0, 0, "-0.2mm"]
-texture = {{ kind = "plain", colour = [0.5, 0.5, 0.5] }}
-[[marker]]
-spec = "36h11:3:120mm"
-[light]
-ambient_rgb = [0.4, 0.4, 0.4]
-lamps = [{{ azimuth_deg = 60, elevation_deg = 45, rgb = [0.5, 0.5, 0.5], angular_size_deg = 6 }}]
-"""
-_ROOM = """
-samples = {samples}
-[clip]
-width = {width}
-height = {height}
-[lens]
-fov_deg = 55
-[[shot]]
-frames = {frames}
-[shot.path]
-kind = "orbit"
-target_m = [0, 0, "3cm"]
-radius_m = "46cm"
-azimuth_deg = [-110, -95]
-elevation_deg = [38, 40]
-[[plane]]
-name = "desk"
-size_m = [1.6, 1.2]
-position_m = [0, 0.1, "-0.2mm"]
-texture = {{ kind = "wood", colour = [0.30, 0.18, 0.10], second = [0.62, 0.46, 0.30], feature_m = "2cm" }}
-[[plane]]
-name = "wall"
-size_m = [9, 2.6]
-position_m = [0, 1.5, 0.6]
-rotate_deg = [90, 0, 0]
-texture = {{ kind = "poster", feature_m = "7cm" }}
-[[plane]]
-name = "floor"
-size_m = [8, 8]
-position_m = [0, 0, -0.75]
-texture = {{ kind = "carpet", colour = [0.10, 0.11, 0.14], second = [0.30, 0.30, 0.33], feature_m = "3cm" }}
-[[box]]
-name = "book"
-size_m = ["12cm", "17cm", "4cm"]
-position_m = [-0.21, 0.12, 0]
-rotate_deg = [0, 0, 18]
-texture = {{ kind = "noise", colour = [0.05, 0.08, 0.35], second = [0.10, 0.16, 0.60], feature_m = "1cm" }}
-[[sphere]]
-radius_m = "4cm"
-position_m = [0.18, 0.13, 0.04]
-colour = [0.75, 0.28, 0.03]
-[[marker]]
-spec = "36h11:3:120mm"
-[light]
-ambient_rgb = [0.38, 0.39, 0.40]
-lamps = [{{ azimuth_deg = 148, elevation_deg = 52, rgb = [0.42, 0.40, 0.36], angular_size_deg = 6 }}]
-"""
-LAMP, FLAT_LAMP = (148, 52, 0.42, 0.40, 0.36), (60, 45, 0.5, 0.5, 0.5)  # of the two scenes
-Settings = dict[str, dict[str, object]]
-
-
-def said(item: str, printed: str, values: Sequence[float], holds: bool, reason: str = "", unit: str = "") -> Row:
-    """values : by the printed and by the corrected method;  otherwise as `shown`"""
-    return shown(PAPER, item, printed, values[0], values[1], holds, reason, unit)
-
-
-def flat_scene(work: Work) -> Clip:
-    """A grey plane, a marker, one lamp."""
-    return work.clip(_FLAT.format())
-
-
-def room(work: Work) -> Clip:
-    size = work.scaled(
-        {"width": 480, "height": 270, "frames": 12, "samples": 2}, {"width": 128, "height": 72, "frames": 2, "samples": 1}
-    )
-    return work.clip(_ROOM.format(**size))
-
-
-def settings(work: Work, model: str, fit: str, light: Sequence[float], **gi: object) -> Settings:
-    """light : configured, as in the paper: azimuth, elevation, R, G, B of the scene's lamp"""
-    return {
-        "model": {"file": work.model(model), "fit": fit}, "gi": {"samples": 32, **gi},
-        "pipeline": {"stages": ["lightmap", "gi"], "quality": work.scaled("standard", "draft")}, "light": {"given": list(light)},
-    }  # fmt: skip
-
-
-def under(formula: str, given: Settings) -> Settings:
-    """Indirect light by one formula, all else by the corrected one: only this paper's methods differ."""
-    return {**given, "gi": {**given["gi"], "formula": formula}}
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, REFERENCE, UNDERIVED, Figure, Item, Row, bars
+from arfx.reproduce.s4_mirror import mirrored_room
+from arfx.reproduce.s4_scenes import FLAT_LAMP, LAMP, PAPER, Settings, flat_scene, room, said, settings, under
+from arfx.reproduce.work import Shot, Work, shot_of
 
 
 def pictures(work: Work) -> Iterator[Item]:
-    yield from on_the_plane(work)
-    cones = "voxels leak and blur; cones are wide; the printed delta is turned round, and is light, not a share of the plane's"
-    red = work.scaled("red teapot", "red cube")
-    for item, title, model, fit, gi in (
-        ("step 4, indirect light of an object and the plane under it", "a red teapot on a desk", red, "13cm", {}),
-        ("step 4, the surroundings in a shiny object", "a mirror ball", work.scaled("mirror", "cube"), "9cm", {}),
-        ("step 4, the object in a shiny real plane", "a varnished desk", red, "13cm", {"plane_gloss": 0.25}),
+    red, mirror, matte = work.scaled("red teapot", "red cube"), work.scaled("mirror", "cube"), {"plane_gloss": 0.0}
+    sent = "only lamps are in the printed volumes, so that nothing darkens the plane around the object; voxels leak and blur"
+    folded = "one picture does not show what is above it and behind the camera: both guess it from the same picture"
+    blurred = "as above; the printed mirror cone meets the volumes' voxels, and again lamps' light alone"
+    for item, title, model, fit, gi, why in (
+        ("step 4, indirect light of an object and the plane under it", "a red teapot on a desk", red, "13cm", matte, sent),
+        ("step 4, the surroundings in a shiny object", "a mirror ball", mirror, "9cm", matte, folded),
+        ("step 4, the object in a shiny real plane", "a varnished desk", red, "13cm", {"plane_gloss": 0.25}, blurred),
     ):
-        yield from beside_reference(work, item, title, settings(work, model, fit, LAMP, **gi), cones)
+        yield from beside_reference(work, item, title, model, settings(work, model, fit, LAMP, **gi), why)
     yield from rates(work)
 
 
@@ -141,22 +41,22 @@ def on_the_plane(work: Work) -> Iterator[Row]:
     """What indirect light alone changes of a grey plane beside a cube: linear light, mean of the pixels around the cube."""
     changes = {}
     for model in ("black cube", "red cube"):
+        given = settings(work, model, "8cm", FLAT_LAMP, plane_gloss=0.0)
         for formula in (PAPER_FORMULA, CORRECTED_FORMULA):
-            shot = work.shot(flat_scene(work), 1, settings=under(formula, settings(work, model, "8cm", FLAT_LAMP)))
-            beside = ring(shot.layer(Layer.COVERAGE))
+            shot = work.shot(flat_scene(work), 1, settings=under(work, formula, given))
             changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
-            changes[model, formula] = changed[beside].mean(0)
-    red = {f: float(changes["red cube", f][0] - changes["red cube", f][1]) for f in (PAPER_FORMULA, CORRECTED_FORMULA)}
+            changes[model, formula] = changed[ring(shot.layer(Layer.COVERAGE))].mean(0)
+    printed, corrected = (float(changes["red cube", f] @ [1, -1, 0]) for f in (PAPER_FORMULA, CORRECTED_FORMULA))
     yield said(
-        "step 2, delta volume: red that a red cube gives the plane", "V_Δ = V_ρ - V_μ",
-        (-red[PAPER_FORMULA], red[CORRECTED_FORMULA]), red[PAPER_FORMULA] < 0,
+        "step 2, delta volume: red that a red cube gives the plane", "V_Δ = V_ρ - V_μ", (-printed, corrected), printed < 0,
         "with ρ the real scene alone the difference is that without the object less that with it: added as printed, it takes red "
         "from the plane; the printed method here subtracts it", "red less green, linear light",
     )  # fmt: skip
-    black = [float(changes["black cube", f].mean()) for f in (PAPER_FORMULA, CORRECTED_FORMULA)]
+    printed, corrected = (float(changes["black cube", f].mean()) for f in (PAPER_FORMULA, CORRECTED_FORMULA))
     yield said(
-        "step 4, darkening of the plane by a black cube", "the real surface is lit through V_Δ", black, black[0] < -0.003,
-        "points of one plane send each other no light, so V_Δ holds nothing that a black object could take away; corrected: what "
+        "step 2, delta volume: what a black cube takes from the plane", "the object's shadow is in V_Δ", (printed, corrected),
+        printed < corrected / 2,
+        "points of one plane send each other no light, so V_Δ holds little that a black object could take away; corrected: what "
         "it hides of the surroundings", "linear light",
     )  # fmt: skip
 
@@ -175,16 +75,18 @@ def ring(coverage: np.ndarray) -> np.ndarray:
     return np.asarray((wide > 0) & (covered == 0))
 
 
-def beside_reference(work: Work, item: str, title: str, given: Settings, reason: str) -> Iterator[Item]:
+def beside_reference(work: Work, item: str, title: str, model: str, given: Settings, reason: str) -> Iterator[Item]:
     """One frame by both methods and by traced rays; the mean error where the effect touches the picture."""
     shots = {
-        name: work.shot(room(work), 1, settings=under(formula, given))
+        name: work.shot(room(work), 1, settings=under(work, formula, given))
         for name, formula in ((PRINTED, PAPER_FORMULA), (CORRECTED, CORRECTED_FORMULA))
     }  # fmt: skip
     made = {name: shot.picture() for name, shot in shots.items()}
     best = shots[CORRECTED]
     levels = {name: level_named(stage.levels, work.scaled("reference", "draft")) for name, stage in best.job.stages.items()}
     made[REFERENCE] = best.renderer.image(chain_of(best.renderer.plan, levels))
+    if model == "mirror":
+        made[REFERENCE] = mirrored_room(room(work), best, made[REFERENCE])
     before = shots[PRINTED].renderer.original()
     where = touched(*((before, picture) for picture in made.values()))
     off = [difference(made[REFERENCE], made[name], where).mean for name in (PRINTED, CORRECTED)]
@@ -195,7 +97,7 @@ def beside_reference(work: Work, item: str, title: str, given: Settings, reason:
 def rates(work: Work) -> Iterator[Item]:
     """Whole jobs with a teapot."""
     given = settings(work, work.scaled("red teapot", "red cube"), "13cm", LAMP)
-    timed = {f: work.timed(room(work), settings=under(f, given)) for f in (PAPER_FORMULA, CORRECTED_FORMULA)}
+    timed = {f: work.timed(room(work), settings=under(work, f, given)) for f in (PAPER_FORMULA, CORRECTED_FORMULA)}
     size = f"{room(work).scene.clip.width} x {room(work).scene.clip.height}"
     printed, corrected = timed.values()
     why = (

@@ -38,7 +38,7 @@ from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
 Progress = Callable[[str, int, int | None], None]
-WARM_FRAMES = 3  # of a timed job: rendered before, so that imports, compiled code and first contacts are not counted
+WARM_FRAMES = 2  # of a timed job: rendered before, so that imports, compiled code and first contacts are not counted
 SAMPLED_S = 0.01  # how often memory is looked at
 
 

@@ -19,7 +19,6 @@ from arfx.core.stage import View
 from arfx.errors import RenderError
 from arfx.stages.gi.field import Field, VoxelModel, make_field, upsampled, with_texture
 from arfx.stages.gi.plane_pixels import measured
-from arfx.stages.gi.pyramid import Downsample, front_to_back
 from arfx.stages.gi.real_planes import bounding_ball, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import COARSE_PX, HALF_ANGLES_DEG, Background, Planes, from_light, irradiance, octahedral
 
@@ -33,8 +32,7 @@ class LevelSettings:
     """voxels a side;  plane_side : texels of a plane's change, a power of two, plane_cones each
     texture_side : texels of the picture on it, a power of two
     plane_rays : of each texel towards the object, 0 = cones alone
-    block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels
-    downsample : of the pyramid;  sent_alone : as field.make_field"""
+    block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels"""
 
     voxels: int
     plane_side: int
@@ -45,8 +43,6 @@ class LevelSettings:
     sharp: float
     gloss_floor: float
     plane_rays: int = 0
-    downsample: Downsample = front_to_back
-    sent_alone: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,6 +235,6 @@ def frame_field(view: View, model: VoxelModel, planes: Planes, incoming: Incomin
     def make() -> Field:
         maps = memo.get(cube.tobytes(), lambda: octahedral(cube))
         background = incoming.background._replace(maps=factor.astype(np.float32) * maps)
-        return make_field(model, view.scene, coarse, planes, background, incoming.mean, at.bounce, at.sent_alone)
+        return make_field(model, view.scene, coarse, planes, background, incoming.mean, at.bounce)
 
     return memo.get(key, make)

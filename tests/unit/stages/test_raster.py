@@ -225,7 +225,7 @@ def test_standard_is_near_the_reference(backend: str) -> None:
 def test_the_references_positions_lie_on_the_surface() -> None:
     """Not in it: rays that indirect light sends from there would meet the object at once, and find it dark."""
     scene = scene_of([square(0.4)])
-    out = render(scene, in_front(1.0, 50, 20), "rays", "reference")
+    out = render(scene, in_front(1.0, 50, 20), "rays", "reference", rect=Rect(120, 100, 190, 150))
     inside = cv2.erode((out[Layer.COVERAGE] == 1).astype(np.uint8), np.ones((3, 3))) > 0
     assert inside.sum() > 1000 and np.abs(out[Layer.POSITION][inside][:, 2]).max() < 1e-6
 
