@@ -20,7 +20,7 @@ from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.static_frame import LightReading, Readings, StaticFrameLight, light_from_direction, light_from_panorama
-from arfx.analyse.light.surroundings import EnvironmentSample, Folded, environment_sample, fold, with_environment
+from arfx.analyse.light.surroundings import EnvironmentSample, environment_sample, with_environment
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
@@ -71,9 +71,7 @@ class LightOfMarkers(Fold):
             corners_px, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
 
             def sample(small: np.ndarray) -> EnvironmentSample:
-                return environment_sample(
-                    frame.index, small, (corners_px + 0.5) * (small.shape[1] / width) - 0.5, folded(self.job)
-                )
+                return environment_sample(frame.index, small, (corners_px + 0.5) * (small.shape[1] / width) - 0.5)
 
             self._surroundings.step(frame.time_s, picture, sample)
 
@@ -123,7 +121,7 @@ class LightOnPlane(Fold):
             quad = None if pose is None else camera.project(pose.apply(clip.anchor.corners_m))
             if quad is not None and np.isfinite(quad).all():
                 quad = (quad + 0.5) * (small.shape[1] / camera.width) - 0.5
-                self.samples.append(environment_sample(k, small, quad, folded(self.job)))
+                self.samples.append(environment_sample(k, small, quad))
         return with_light(clip, (), self.samples, self.job.light, self.job.panorama)
 
 
@@ -152,7 +150,6 @@ class Environment(Fold):
 
     name = "environment"
     needs = ("light",)
-    folded = staticmethod(fold)
 
     def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
         super().__init__(job)
@@ -184,11 +181,6 @@ class Environment(Fold):
                 anchor.rotation[:, 2],
             )
         return replace(clip.adding(facts), environment_maps=maps)
-
-
-def folded(job: AnalysisJob) -> Folded:
-    """How a picture becomes a cube."""
-    return job.kinds.get(Environment.name, Environment).folded
 
 
 def solve_patches(
