@@ -25,8 +25,7 @@ from arfx.analyse.light.fit import MEASURED, REFUSED
 from arfx.analyse.light.fold import LightOfMarkers, with_light
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import UNKNOWN, Observation
-from arfx.analyse.light.patches import WHITE
-from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, weights
+from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, of_channels, weights
 from arfx.analyse.light.static_frame import Lights, StaticFrameLight, light_report
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
@@ -124,11 +123,11 @@ def gain_and_bias(
     value = np.asarray(intensity, float)
     if albedo is None:
         albedo = np.where(np.asarray(white), paper, ink)
-    rho = np.broadcast_to(np.asarray(albedo, float), value.shape[:2])
-    w, _, ignored = weights(value, None, rho)
+    every = of_channels(albedo, value.shape)
+    w, _, ignored = weights(value, None, every)
     parts = []
     for c in range(3):
-        grey, weight = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c]
+        grey, weight, rho = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c], every[..., c]
         if not weight.any():
             parts.append(fallback(grey, weight, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12))
             continue
@@ -308,8 +307,10 @@ class PrintedLight(LightOfMarkers):
             parts.append(PrintedStaticFrameLight(*of))
             return parts[-1]
 
-        def solve(grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, p: LightParams) -> tuple[Photometry, None]:
-            return gain_and_bias(grey, WHITE, clipped=clipped, ink=p.ink, paper=p.paper), None
+        def solve(
+            grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, rho: np.ndarray, p: LightParams
+        ) -> tuple[Photometry, None]:
+            return gain_and_bias(grey, albedo=rho, clipped=clipped), None
 
         clip = with_light(clip, self.readings, self.samples, self.job.light, self.job.panorama, solve, printed_part)
         maps = {k: CubeMap.of(cube, part.static_from_world[k]) for part in parts for k, cube in part.maps.items()}
