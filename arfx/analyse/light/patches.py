@@ -83,8 +83,10 @@ def pattern_meter(picture: np.ndarray, ink: float, paper: float) -> Meter:
     chosen, albedo, scale = np.full((GRID, GRID), -1, np.int8), np.zeros((PATCHES, 3)), np.ones((GRID, GRID, FINE, FINE, 3))
     for q in range(PATCHES // 2):
         rows, columns = slice(q // 2 * half, (q // 2 + 1) * half), slice(q % 2 * half, (q % 2 + 1) * half)
-        for white, score in ((0, -level - rough), (1, level - rough)):
-            at = np.unravel_index(np.argsort(-score[rows, columns], axis=None, kind="stable")[:CHOSEN], (half, half))
+        order = np.argsort(level[rows, columns], axis=None, kind="stable")
+        for white, part, sign in ((0, order[: half**2 // 2], -1), (1, order[half**2 // 2 :], 1)):
+            score = (sign * level - rough)[rows, columns].ravel()[part]
+            at = np.unravel_index(part[np.argsort(-score, kind="stable")[:CHOSEN]], (half, half))
             mean = 1 / inverse[rows, columns][at].mean(0)
             chosen[rows, columns][at], scale[rows, columns][at] = white, mean / split[rows, columns][at]
             albedo[PATCHES // 2 * white + q] = mean
@@ -131,7 +133,8 @@ class SamplePoints:
 
 
 def place_samples(
-    quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, int], scale: np.ndarray | None = None
+    quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, int],
+    scale: np.ndarray | None = None,
 ) -> SamplePoints:  # fmt: skip
     """Samples of a print in a picture of shape (rows, columns); none for a quad that is bent.
 

@@ -9,6 +9,7 @@ Source: docs/methods/pose.md#patterns. Cost: `align` 2 to 5 ms, `find` 30 to 60 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -31,6 +32,7 @@ SHARE = 0.3  # of the corners in view that must agree
 _FAINT = 0.02  # SIFT's threshold of contrast: half of the usual one, for prints that are small or blurred
 _POINTS, _WINDOW_PX, _EVEN_PX = 160, 15, 25
 _REACH = 3  # further halvings of the images for a homography that is only about right
+_BLURRED = 2  # levels coarser
 _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
 _CORNERS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])  # order of MarkerSpec.corners_m
 # Scale, direction and factor of foreshortening of the views whose features are matched.
@@ -111,24 +113,22 @@ class PatternPicture:
 
     def align(self, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray) -> Alignment | None:
         """The print where it is, from where it is about; None where it is not there."""
-        found: Alignment | None = None
-        for reach in (_REACH, 0):
-            level = self._level_for(camera, ideal_from_unit)
-            if level is None:
-                return None
-            found = _aligned(level, luma, camera, ideal_from_unit, reach)
-            if found is None:
-                return None
-            ideal_from_unit = found.ideal_from_unit
-        return found
+        for level in self._levels_for(camera, ideal_from_unit):
+            near = _aligned(level, luma, camera, ideal_from_unit, _REACH)
+            there = near and _aligned(level, luma, camera, near.ideal_from_unit, 0)
+            if there:
+                return there
+        return None
 
-    def _level_for(self, camera: Camera, ideal_from_unit: np.ndarray) -> Level | None:
-        """The coarsest level that is hardly coarser than the print in the frame; None for a quad that no print can show."""
+    def _levels_for(self, camera: Camera, ideal_from_unit: np.ndarray) -> Sequence[Level]:
+        """The coarsest level that is hardly coarser than the print in the frame, and one of half its size, where the print is
+        blurred; none for a quad that no print can show."""
         quad = _pixels(camera, ideal_from_unit, _CORNERS)
         if not plausible(quad):
-            return None
+            return ()
         side = float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).max())
-        return next((k for k in reversed(self.levels) if max(k.even.shape) >= 0.9 * side), self.levels[0])
+        finest = max((i for i, k in enumerate(self.levels) if max(k.even.shape) >= 0.9 * side), default=0)
+        return self.levels[finest::_BLURRED][:2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +185,8 @@ def plausible(quad: np.ndarray) -> bool:
     side = np.roll(quad, -1, 0) - quad
     after = np.roll(side, -1, 0)
     cross = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
-    length = np.linalg.norm(side, axis=1)
-    return bool((cross > 0).all() and length.max() >= LEAST_SIDE_PX and np.sqrt(cross.min()) >= LEAST_SIDE_PX / 4)
+    longest = float(np.linalg.norm(side, axis=1).max())
+    return bool(longest >= LEAST_SIDE_PX and cross.min() >= LEAST_SIDE_PX / 4 * longest)
 
 
 def homography_of(quad: np.ndarray) -> np.ndarray:
