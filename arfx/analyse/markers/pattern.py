@@ -10,7 +10,7 @@ Source: docs/methods/pose.md#patterns. Cost: `align` 2 to 5 ms, `find` 30 to 60 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,11 +28,12 @@ LEAST_SIDE_PX = 20.0  # of the print in the frame: smaller ones tell no pose
 FEATURES, LEAST_FEATURES, FRAME_FEATURES = 250, 40, 1200
 RATIO = 0.8  # nearest over second nearest descriptor
 LEAST_MATCHES, LEAST_POINTS = 8, 12
+MOST_SIGMA_PX = 2.0  # of the print's corners
 SHARE = 0.3  # of the corners in view that must agree
 _FAINT = 0.02  # SIFT's threshold of contrast: half of the usual one, for prints that are small or blurred
 _POINTS, _WINDOW_PX, _EVEN_PX = 160, 15, 25
 _REACH = 3  # further halvings of the images for a homography that is only about right
-_BLURRED = 2  # levels coarser
+_BLURRED, _SHARED = 2, 2.0  # levels coarser; factor on the deviation there: neighbouring corners err alike under blur
 _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
 _CORNERS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])  # order of MarkerSpec.corners_m
 # Scale, direction and factor of foreshortening of the views whose features are matched.
@@ -113,11 +114,11 @@ class PatternPicture:
 
     def align(self, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray) -> Alignment | None:
         """The print where it is, from where it is about; None where it is not there."""
-        for level in self._levels_for(camera, ideal_from_unit):
+        for level, factor in zip(self._levels_for(camera, ideal_from_unit), (1.0, _SHARED), strict=False):
             near = _aligned(level, luma, camera, ideal_from_unit, _REACH)
             there = near and _aligned(level, luma, camera, near.ideal_from_unit, 0)
-            if there:
-                return there
+            if there and factor * there.sigma_px <= MOST_SIGMA_PX:
+                return replace(there, sigma_px=factor * there.sigma_px)
         return None
 
     def _levels_for(self, camera: Camera, ideal_from_unit: np.ndarray) -> Sequence[Level]:
