@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 from arfx.errors import ConfigError, require_within
 
 STATIC = ("auto", "camera", "marker")
-ALBEDOS = ("known", "normalised", "unknown")
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,17 @@ class LightParams:
     size_deg : angular diameter of the given light
     environment : HDR picture of the surroundings, equirectangular: its top is the anchor marker's z, its middle column is x
     ink : linear albedo of a print's dark cells;  paper : linear albedo of a print's bright cells
-    albedos : known (ink and paper hold), normalised (light from each frame's own contrast) or unknown (ink is estimated)
-    most_lights : most directional lights that are looked for, 0 to 2; 1 if there is only one lamp
+    albedos : known (ink and paper hold), normalised (light from each frame's own contrast) or unknown (ink is estimated);
+        as printed: known, or brightness, the default there (each patch as bright as in the first picture of the print)
+    most_lights : most directional lights that are looked for, 0 to 2; 1 if there is only one lamp. This and the next three
+        settings have no effect with formula = "paper"
     limit_deg : widest confidence cone with which a direction counts as measured
     drift_per_s : relative change of the light that is expected in one second
     window_s : longest interval over which changing light is treated as constant
     map_level : resolution of the light map, 2 to 5 (16, 8, 4, 2 degrees between directions)
     map_blur_rad : s of the light map's update (8)"""
+
+    ALBEDOS: ClassVar[tuple[str, ...]] = ("known", "normalised", "unknown")
 
     formula: str = field(default="corrected", init=False)
     given: tuple[float, ...] = ()
@@ -83,8 +87,10 @@ class LightParams:
     map_blur_rad: float = 0.2
 
     def __post_init__(self) -> None:
-        if self.albedos not in ALBEDOS:
-            raise ConfigError(f"light.albedos {self.albedos!r} is unknown", f"one of {', '.join(ALBEDOS)}")
+        if self.albedos not in self.ALBEDOS:
+            raise ConfigError(
+                f'light.albedos {self.albedos!r} is unknown with formula = "{self.formula}"', f"one of {', '.join(self.ALBEDOS)}"
+            )
         if self.given and len(self.given) not in (2, 5):
             raise ConfigError(f"light.given has {len(self.given)} numbers", "azimuth, elevation in degrees; or these and R, G, B")
         if self.given and not abs(self.given[0]) <= 1e6:

@@ -80,7 +80,7 @@ class FrameFacts(Document):
     light : of this frame, WORLD frame, None = the scene's;  bias_rgb : linear light that the camera adds where none falls
     model_box : pixels the object can touch, EMPTY when out of view;  depth_range_m : nearest, farthest point of it
     real_depth : measured;  lens : of the footage;  environment : radiance of the surroundings, WORLD axes
-    light_map : the printed method's, without its lights' own cosine lobes;  plane_shadow : real, on the anchor's plane
+    light_map : M of the printed method;  plane_shadow : real, on the anchor's plane
     advection : how the background moved since the clip's first frame"""
 
     index: int

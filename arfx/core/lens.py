@@ -1,4 +1,4 @@
-"""A thin lens: blur circle, depth of field and hyperfocal distance; limits as printed: papers/s2_dof.py.
+"""A thin lens: blur circle, depth of field and hyperfocal distance; limits as printed: papers/s2_lens.py.
 
 Distances run along the optical axis from the lens. In dioptres (1 / distance) the blur circle is affine: there is no
 pole at infinity and none at the hyperfocal distance. Source: docs/methods/dof.md#lens."""

@@ -1,4 +1,4 @@
-"""The one light model that every effect shares: ambient and up to two directional lights."""
+"""The one light model that every effect shares: ambient and directional lights, any number."""
 
 from __future__ import annotations
 

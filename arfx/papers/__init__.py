@@ -22,5 +22,6 @@ FORMULAS: Mapping[str, Mapping[str, Any]] = {
             "gi": "arfx.papers.s4_gi.PrintedGi",
             "watercolor": "arfx.papers.s3_watercolor.PrintedWatercolor",
         }
-    )
+    ),
+    "gaussian": Classes({"dof": "arfx.papers.s2_gaussian.GaussianDof"}),  # what Zhao et al. compare themselves with
 }

@@ -1,12 +1,14 @@
 """Shading by a dynamic light map, as printed: Tan, Chen, Sun 2009, equation (3) and the shadows of section 2.3.
 The map itself, (2) and (4) to (9), is made by the analysis: s1_light.py.
 
-Lights are those at the peaks of the map M, without a size; what they give is taken out of M (s1_light), so that a surface with
-everything in its light shows M. Shadows are hard.
+Lights are those at the peaks of the map M, without a size. A surface that all of them reach shows M. Shadows are hard.
 
-Deviations. M comes from s1_light, with its own. Phong's model is named, not written down: its lobe is here as wide as the
-material's roughness makes it, its strength what glTF's materials mirror seen from above. Where the analysis has no map (a light
-that is given) the light's own soft part is in its place."""
+Not printed, chosen here: what a shadow takes. On the object as on the plane it is the hidden lights' share of all lights and of
+the even light beside them. Phong's model is named, not written down: its lobe is here as wide as the material's roughness makes
+it, its strength what glTF's materials mirror seen from above.
+
+Deviations. M comes from s1_light, with its own. Where the analysis has no map (a light that is given) the light's own soft part
+and its lights are in its place."""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ from arfx.core.cube import CubeMap, look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.light import harmonics
-from arfx.core.numerics import normalise
+from arfx.core.numerics import divide, normalise
 from arfx.errors import RenderError
 from arfx.stages.lightmap import Lightmap
 from arfx.stages.lightmap.beams import FrameLight
@@ -36,7 +38,7 @@ class PrintedLightmapParams(LightmapParams):
 
 
 def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | None:
-    """(cube (6, n, n, 3), map_from_world (3, 3)) of M beside its lights' own cosine lobes; None where no map was written."""
+    """(cube (6, n, n, 3), map_from_world (3, 3)) of M; None where no map was written."""
     if light_map_ is None:
         return None
     cube, axes = light_map_.faces(), np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
@@ -62,28 +64,27 @@ class PrintedLightmap(Lightmap):
     def shaded(
         self, now: Layers, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
     ) -> np.ndarray:
-        """(3): I(v) = g rho_v M(n_v) + b, with g = 1, and the lights' part of M where they reach."""
+        """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is not hidden."""
         covered = now[Layer.COVERAGE] > 0
-        n, rho, position, glow, material = (
+        n, rho_v, position, glow, material = (
             now[name][covered] for name in (Layer.NORMAL, Layer.ALBEDO, Layer.POSITION, Layer.EMISSIVE, Layer.MATERIAL)
         )
         metal, roughness, specular = material[:, 0, None], material[:, 1], material[:, 2, None]
-        mirrored = 0.08 * specular * (1 - metal) + rho * metal
-        rho, v = rho * (1 - metal), normalise(eye - position)
-        light_map_ = printed_map(facts.light_map) if self.params.ambient else None
+        mirrored = 0.08 * specular * (1 - metal) + rho_v * metal
+        rho_v, v = rho_v * (1 - metal), normalise(eye - position)
+        even = np.clip(harmonics(n) @ light.soft, 0, None) if len(light.soft) else np.broadcast_to(light.ambient, n.shape)
+        received, highlight = even * self.params.ambient, np.zeros(n.shape)
+        for k, visible in zip(reaching, visibility, strict=True):
+            d, arrives = light.towards[k], light.rgb[k] * light.on_object[k] * visible[covered][:, None]
+            received = received + arrives * np.maximum(n @ d, 0)[:, None]
+            highlight += arrives * phong(n, v, d, roughness)[:, None]
+        light_map_ = printed_map(facts.light_map)
         if light_map_ is not None:
             cube, map_from_world = light_map_
-            I_v = rho * look_up(cube, n @ map_from_world.T)
-        elif self.params.ambient:
-            I_v = rho * (np.clip(harmonics(n) @ light.soft, 0, None) if len(light.soft) else light.ambient)
-        else:
-            I_v = np.zeros(rho.shape)
-        for k, visible in zip(reaching, visibility, strict=True):
-            d = light.towards[k]
-            reflected = rho * np.maximum(n @ d, 0)[:, None] + mirrored * phong(n, v, d, roughness)[:, None]
-            I_v += light.rgb[k] * light.on_object[k] * visible[covered][:, None] * reflected
-        if light_map_ is not None:  # what the lights' lobes have more than the map is not left in the shade
-            I_v = np.maximum(I_v, 0)
+            M = np.maximum(look_up(cube, n @ map_from_world.T), 0)
+            unhidden = even + np.maximum(n @ light.towards.T, 0) @ light.rgb
+            received = M * divide(received, unhidden, where_zero=float(self.params.ambient))
+        I_v = rho_v * received + mirrored * highlight
         virtual = np.zeros(now[Layer.NORMAL].shape, np.float32)
         virtual[covered] = now[Layer.COVERAGE][covered][:, None] * (I_v + glow + np.array(facts.bias_rgb))
         return virtual

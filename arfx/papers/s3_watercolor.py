@@ -1,53 +1,69 @@
 """Watercolour from Voronoi cells, as printed: Jia, Tang 2013.
 
-The object is toon-shaded; the picture is split into the cells of a jittered grid, new in every frame, each with the mean colour
-of its pixels; what an edge measure in RGB and Y'UV finds above a threshold is black.
+The object is toon-shaded; the picture is split into the cells of a jittered grid, new in every frame, drawn as cones into a
+depth buffer, each with the mean colour of its pixels; what an edge measure in RGB and Y'UV finds above a threshold is black.
+All of it works on coded values, as a frame buffer holds them.
 
-Deviations. Cells do not get finer with nearness (section 3.1.2, the cones' size by depth). Labels are those of the nearest
-site, which cones of sufficient height give too. The printed listing of the toon shader does not compile: its first threshold is
-`toon_thresholds`' first. m, n, alpha, beta and the threshold are not stated: they are settings. Edges are drawn black.
+Not stated, and settings here: m, n, alpha, beta, the threshold, and the near clip plane of the depth buffer; the far one is at
+infinity. How a cone's size follows from the depth: in proportion. Cones are round and as long as it takes to leave no hole.
+The printed listing of the toon shader does not compile: its first threshold is `toon_thresholds`' first. Its `myColor` is the
+model's own colour at each pixel, `lightDir` points to the strongest light. Edges are drawn black.
 Its errors: docs/methods/watercolor.md#errata."""
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
+import numba
 import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.noise import noise
+from arfx.core.numerics import normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
 from arfx.errors import require_within
+from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import means
 from arfx.stages.watercolor.edges import yuv_matrix
-from arfx.stages.watercolor.labels import label
+from arfx.stages.watercolor.field import plane_dioptre
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.sites import STEPS, Sites
+from arfx.stages.watercolor.toon import toon_light
+
+LEAST = 0.05  # of a cone's size: OpenGL cuts off what is before the near clip plane
 
 
 @dataclass(frozen=True)
 class PrintedWatercolorParams(WatercolorParams):
-    """line_threshold : coded value from which an edge is drawn"""
+    """m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
+    near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones alike
+    line_threshold : coded value from which an edge is drawn"""
 
     formula: str = field(default="paper", init=False)
+    m: int = 0
+    n: int = 0
+    near_m: float = 0.1
     line_threshold: float = 0.12
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_within("watercolor", self, line_threshold=(0, 2))
+        require_within("watercolor", self, m=(0, 4096), n=(0, 4096), near_m=(0, 1e3), line_threshold=(0, 2))
 
 
-def eq1_sites(rect: Rect, cell_px: float, key: int) -> Sites:
+# 3.1.1 Voronoi diagram
+
+
+def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
     """V(i, j) = (W/n (j + 1/2 + r), H/m (i + 1/2 + r')), r in (-1/2, 1/2). In the pixels' own coordinates.
 
     key : of the random numbers, as core.noise takes it"""
-    n, m = max(round(rect.width / cell_px), 1), max(round(rect.height / cell_px), 1)
     r = [noise(Rect.of(n, m), key, channel) for channel in (0, 1)]
     x = rect.x0 - 0.5 + rect.width / n * (np.arange(n) + r[0])
     y = rect.y0 - 0.5 + rect.height / m * (np.arange(m)[:, None] + r[1])
@@ -56,13 +72,74 @@ def eq1_sites(rect: Rect, cell_px: float, key: int) -> Sites:
     return Sites(position[0], position[1], zero, np.arange(m * n), position[0] / STEPS, position[1] / STEPS)
 
 
-def named_by_colour(coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect) -> tuple[np.ndarray, int]:
-    """(labels, count) in which cells whose sites show one 8-bit colour are one cell. coded : (h, w, 3) 0..1."""
+# 3.1.2 Stylised frame
+
+
+def depth_buffer(view: View, near_m: float) -> np.ndarray:
+    """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1 - near_m / depth. Of the
+    object, around it of the measured depth or the marker's plane; 1, as it is cleared, where nothing is known."""
+    now, facts, rect = view.layers, view.facts, view.rect
+    dioptre = np.zeros((rect.height, rect.width), np.float32)
+    if facts.real_depth is not None:
+        dioptre = dioptre_of(now[Layer.REAL_DEPTH])
+    elif facts.camera_from_world is not None:
+        x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)[:, None]
+        dioptre = plane_dioptre(x, y, view.scene.camera, facts.camera_from_world @ view.scene.world_from_anchor)
+    dioptre = np.where(now[Layer.COVERAGE] >= 0.5, dioptre_of(now[Layer.DEPTH]), dioptre)
+    return np.clip(1 - near_m * dioptre, LEAST, 1).astype(np.float32)
+
+
+def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndarray:
+    """(h, w) int32: whose cone is nearest. A cone's apex is at its site and at depth 0; where it is as wide as its size, (m n,),
+    its depth is 1. Of m x n sites in a jittered grid."""
+    # no pixel is farther from the site of its own cell of the grid than that cell's diagonal: no cone need be longer
+    length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(size.min())
+    labels = np.zeros((rect.height, rect.width), np.int32)
+    x, y = (a.astype(np.float64) for a in (sites.x / STEPS - rect.x0, sites.y / STEPS - rect.y0))
+    _draw_cones(x, y, size.astype(np.float64), length, np.full(labels.shape, np.inf), labels)
+    return labels
+
+
+@numba.njit(cache=True, nogil=True)
+def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compiled
+    """depth (h, w) : the depth buffer, squared, and labels are written; of equal depths the first one stays."""
+    h, w = labels.shape
+    for k in range(x.shape[0]):
+        radius, slope = length * size[k], 1 / (size[k] * size[k])
+        for j in range(max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)):
+            for i in range(max(int(np.ceil(x[k] - radius)), 0), min(int(np.floor(x[k] + radius)) + 1, w)):
+                z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
+                if z < depth[j, i]:
+                    depth[j, i], labels[j, i] = z, k
+
+
+def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
+    """(m n, ...) what the picture holds at the sites."""
     x = np.clip(np.round(sites.x / STEPS) - rect.x0, 0, rect.width - 1).astype(int)
     y = np.clip(np.round(sites.y / STEPS) - rect.y0, 0, rect.height - 1).astype(int)
-    colour = np.round(np.clip(coded[y, x], 0, 1) * 255).astype(np.int64) @ np.array([65536, 256, 1])
+    return pixels[y, x]
+
+
+def named_by_colour(coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect) -> tuple[np.ndarray, int]:
+    """(labels, count) in which cells whose sites show one 8-bit colour are one cell. coded : (h, w, 3) 0..1."""
+    colour = np.round(np.clip(at_sites(coded, sites, rect), 0, 1) * 255).astype(np.int64) @ np.array([65536, 256, 1])
     unique, number = np.unique(colour, return_inverse=True)
     return number.ravel().astype(np.int32)[labels], len(unique)
+
+
+# 3.2 Edges
+
+
+def toon(
+    myColor: np.ndarray, normal: np.ndarray, lightDir: np.ndarray, threshold: tuple[float, float],
+    factor: tuple[float, float, float],
+) -> np.ndarray:  # fmt: skip
+    """The listing. (h, w, 3) coded: the colour itself where n . l is above the first threshold, .4 of it above .2, else .1.
+
+    myColor : (h, w, 3) coded;  threshold, factor : `toon_thresholds` and `toon_factors`"""
+    intensity = normalise(normal) @ normalise(lightDir)
+    tone = np.where(intensity > threshold[0], factor[0], np.where(intensity > threshold[1], factor[1], factor[2]))
+    return tone[..., None] * myColor
 
 
 def eq2_yuv(coded: np.ndarray, alpha: float, matrix: str) -> np.ndarray:
@@ -90,11 +167,12 @@ def gradient(a: np.ndarray) -> np.ndarray:
     return np.sqrt(dx * dx + dy * dy)
 
 
+# 3.3 The picture
+
+
 class PrintedWatercolor(Watercolor):
     levels = ("standard",)
     Params = PrintedWatercolorParams
-    even: ClassVar[float] = 0.0  # the tones are of all the light, and hard
-    ramp: ClassVar[float] = 0.0
 
     def __init__(self, params: PrintedWatercolorParams | None = None) -> None:
         super().__init__(params)
@@ -105,10 +183,24 @@ class PrintedWatercolor(Watercolor):
 
     def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
         p, rect = self.params, view.rect
-        image = self.with_toon(view).whole()
-        coded = SRGB.encode(np.clip(image, 0, 1)).astype(np.float32)
-        sites = eq1_sites(rect, p.cell_px, view.key)
-        number, count = named_by_colour(coded, label(sites, rect).first, sites, rect)
-        out = means(image, number, count)[number]
+        coded = self.frame(view)
+        m, n = p.m or max(round(rect.height / p.cell_px), 1), p.n or max(round(rect.width / p.cell_px), 1)
+        sites = eq1_sites(rect, m, n, view.key)
+        labels = cones(sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n)
+        number, count = named_by_colour(coded, labels, sites, rect)
+        out = means(coded, number, count)[number]
         out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
-        return {Layer.IMAGE: out}
+        return {Layer.IMAGE: SRGB.decode(out).astype(np.float32)}
+
+    def frame(self, view: View) -> np.ndarray:
+        """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""
+        p, now, image = self.params, view.layers, view[Layer.IMAGE]
+        box = now.extent(Layer.COVERAGE)
+        if p.toon and view.facts.present and not box.empty:
+            part, image = now.crop(box), image.copy()
+            lightDir, _ = toon_light(view.light, view.scene.world_from_anchor.rotation[:, 2])
+            myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
+            shaded = SRGB.decode(toon(myColor, part[Layer.NORMAL], lightDir, p.toon_thresholds, p.toon_factors))
+            covered = part[Layer.COVERAGE][..., None] * shaded
+            image[box.slices_in(view.rect)] += view.facts.opacity * (covered - part[Layer.VIRTUAL])
+        return SRGB.encode(np.clip(image, 0, 1)).astype(np.float32)

@@ -19,7 +19,7 @@ from arfx.stages import STAGES, stages_with
 def parameters() -> Mapping[str, Mapping[str, type]]:
     """Section name -> formula -> frozen dataclass, for every stage, the analysis and the light that it reads; the usual formula
     first."""
-    printed = {formula: table["light"].Params for formula, table in FORMULAS.items()}
+    printed = {formula: table["light"].Params for formula, table in FORMULAS.items() if "light" in table}
     analysis: dict[str, dict[str, type]] = {"analyse": {CORRECTED: AnalyseParams}, "light": {CORRECTED: LightParams, **printed}}
     return analysis | {name: {f: stage.Params for f, stage in _classes(name).items()} for name in STAGES}
 

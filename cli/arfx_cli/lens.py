@@ -37,7 +37,7 @@ def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) 
     from arfx.core.lens import Lens, depth_of_field
     from arfx.core.units import length_m
     from arfx.papers import CORRECTED, PAPER
-    from arfx.papers.s2_dof import printed_limits
+    from arfx.papers.s2_lens import printed_limits
 
     lens = Lens(1e3 * length_m(focal, "--focal"), fnumber, 1e3 * length_m(distance, "--distance"))
     coc_mm = 1e3 * length_m(coc, "--coc")

@@ -31,6 +31,7 @@ COMMANDS = {
     "target": ("arfx_cli.target", "A printable marker, marker sheet or board, true to scale."),
     "synth": ("arfx_cli.synth", "A synthetic clip with exact truth."),
     "verify": ("arfx_cli.verify", "Run a synthetic scene and report errors against its truth."),
+    "reproduce": ("arfx_cli.reproduce", "Every equation, number and figure of the four papers, beside what arfx gives."),
     "stages": ("arfx_cli.stages", "Every stage and every setting: what it does, its default, its levels."),
     "report": ("arfx_cli.report", "The report of a finished job."),
     "lens": ("arfx_cli.lens", "Depth-of-field limits of a thin lens, as printed and corrected."),

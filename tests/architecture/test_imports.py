@@ -24,7 +24,8 @@ ALLOWED: dict[str, set[str]] = {
 ALLOWED["papers"] = FIRST | {"stages", "analyse"}
 ALLOWED["run"] = FIRST | {"config", "media", "calibrate", "synth", "stages", "analyse", "papers", "plan"}
 ALLOWED["measure"] = ALLOWED["run"] | {"run"}
-ALLOWED["arfx_cli"] = ALLOWED["measure"] | {"measure"}
+ALLOWED["reproduce"] = ALLOWED["measure"] | {"measure"}
+ALLOWED["arfx_cli"] = ALLOWED["reproduce"] | {"reproduce"}
 EMPTY_NAMES = {"utils", "util", "helpers", "helper", "manager", "base", "misc", "common"}
 MODULES = sorted([*(ROOT / "arfx").rglob("*.py"), *(ROOT / "cli" / "arfx_cli").rglob("*.py")])
 

@@ -49,6 +49,36 @@ def test_the_papers_formula_runs(material: Material, arfx: Run) -> None:
     assert found["formula"] == "paper" and "no confidence" in found["reason"]
 
 
+def three_markers(path: Path) -> Path:
+    """A scene of 2 frames: markers of three tilts, 45 degrees and more apart."""
+    stand = {1: ([0, -0.03, 0], [0, 0, 0]), 2: ([-0.15, 0.12, 0.065], [48, 0, 24]), 5: ([0.16, 0.1, 0.065], [60, 0, -28])}
+    markers = "".join(
+        f'[[marker]]\nspec = "36h11:{k}:75mm"\nposition_m = {at}\nrotate_deg = {turn}\n' for k, (at, turn) in stand.items()
+    )
+    path.write_text(
+        "seed = 3\n[clip]\nwidth = 256\nheight = 144\nfps = 24\n[lens]\nfov_deg = 50\n"
+        '[[shot]]\nframes = 2\n[shot.path]\nkind = "dolly"\n'
+        "position_m = [-0.02, -0.42, 0.36]\nend_m = [0.02, -0.42, 0.36]\ntarget_m = [0, 0.02, 0.03]\n"
+        '[[plane]]\nname = "desk"\nsize_m = [1.6, 1.2]\nposition_m = [0, 0.1, -0.0002]\n'
+        'texture = { kind = "plain", colour = [0.3, 0.25, 0.2] }\n'
+        f"{markers}[light]\nambient_rgb = [0.3, 0.3, 0.3]\n"
+        "lamps = [{ azimuth_deg = -150, elevation_deg = 48, rgb = [0.5, 0.5, 0.5], angular_size_deg = 3 }]\n"
+        '[model]\nshape = "robot"\nfit = "7cm"\n[job]\nstages = ["lightmap"]\n'
+    )
+    return path
+
+
+def test_every_effect_takes_more_than_two_lights(arfx: Run, tmp_path: Path) -> None:
+    """The paper's map has as many lights as peaks: here one for each marker."""
+    made = arfx("synth", str(three_markers(tmp_path / "scene.toml")), "-o", "clip")
+    assert made.code == 0, made.err
+    r = arfx("process", "--config", "clip/job.toml", "--set", "light.formula=paper", "--set", "light.peak=0.1",
+             "--pipeline", "lightmap,gi,watercolor", "-o", "out.mkv", "--report", "report", "--json")  # fmt: skip
+    assert r.code == 0, r.err
+    assert len(r.json["light"]["lights"]) == 3
+    assert {s["name"] for s in r.json["stages"] if s["frames_run"] == 2} >= {"lightmap", "gi", "watercolor"}
+
+
 @pytest.mark.parametrize(
     ("options", "says", "code"),
     [

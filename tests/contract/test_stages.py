@@ -20,7 +20,7 @@ from tests.scenes import camera, facts, scene
 
 SCENE = scene(camera(160, 120, (0.05, -0.02, 0.001, 0.0005)))
 FACTS = facts(SCENE)
-PRINTED = {f"printed {name}": stage for name, stage in FORMULAS["paper"].items() if name in STAGES}
+PRINTED = {f"{formula} {name}": table[name] for formula, table in FORMULAS.items() for name in STAGES if name in table}
 CLASSES = {**STAGES, **PRINTED}
 CASES = [(name, level) for name, stage in CLASSES.items() for level in range(len(stage.levels))]
 IDS = [f"{name}-{CLASSES[name].levels[level]}" for name, level in CASES]
@@ -38,7 +38,7 @@ def made(name: str, level: int) -> ReadyStage:
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_declares_what_the_contract_asks(name: str, level: int) -> None:
     stage = made(name, level).stage
-    assert isinstance(stage, Stage) and stage.name == name.removeprefix("printed ")
+    assert isinstance(stage, Stage) and stage.name == name.rpartition(" ")[2]
     assert list(stage.levels) == [level for level in LEVELS if level in stage.levels] and stage.history >= 0
     demand = stage.demand(FACTS, SCENE, SCENE.camera.rect)
     assert demand.reason and SCENE.camera.rect.contains(demand.rect)

@@ -23,8 +23,9 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec, rotvec_from_rotation
 from arfx.errors import ArfxError
-from arfx.papers.s1_light import eq8_weight, gain_and_bias
-from arfx.papers.s2_dof import printed_limits
+from arfx.papers.s1_gain import gain_and_bias
+from arfx.papers.s1_light import eq8_weight
+from arfx.papers.s2_lens import printed_limits
 from arfx.papers.s4_gi import step2_mean
 from arfx.stages.gi.pyramid import front_to_back, levels_of, structure_of
 

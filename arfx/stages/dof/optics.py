@@ -12,7 +12,7 @@ from arfx.core.lens import Lens
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.scene import Scene
 from arfx.errors import ConfigError
-from arfx.stages.dof.params import MARKER, OBJECT, DofParams, fnumber_keys, focus_keys, interpolate
+from arfx.stages.dof.params import MARKER, OBJECT, DofParams, fnumber_keys, focal_keys, focus_keys, interpolate, interpolate_ratio
 
 _BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is set
 
@@ -56,14 +56,19 @@ def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> C
         assert facts.lens is not None
         return CircleOfConfusion(facts.lens.px_per_dioptre * fade, facts.lens.focus, limit, mm_per_px)
     focus = focus_dioptre(params, facts, scene)
-    focal_mm = params.focal_mm or scene.camera.fx * params.sensor_width_mm / width
     if params.aperture_px > 0:
         px_per_dioptre = 0.5 * params.aperture_px / max(focus, 1e-3)  # focus beyond 1 km: as at 1 km
     else:
-        fnumber = 2.0 ** interpolate([(t, math.log2(n)) for t, n in fnumber_keys(params.fnumber)], facts.time_s)
-        lens = Lens(focal_mm, fnumber, 1e3 / focus if focus > 0 else math.inf)
+        fnumber = interpolate_ratio(fnumber_keys(params.fnumber), facts.time_s)
+        lens = Lens(focal_mm(params, facts, scene), fnumber, 1e3 / focus if focus > 0 else math.inf)
         px_per_dioptre = 0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
     return CircleOfConfusion(px_per_dioptre * fade, focus, limit, mm_per_px)
+
+
+def focal_mm(params: DofParams, facts: FrameFacts, scene: Scene) -> float:
+    """Focal length at the frame's time."""
+    calibrated = scene.camera.fx * params.sensor_width_mm / scene.camera.width
+    return interpolate_ratio([(t, f or calibrated) for t, f in focal_keys(params.focal_mm)], facts.time_s)
 
 
 def focus_dioptre(params: DofParams, facts: FrameFacts, scene: Scene) -> float:

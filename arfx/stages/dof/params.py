@@ -19,10 +19,12 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class DofParams:
-    """formula : corrected, or paper: Zhao et al. 2012 as printed
+    """formula : corrected, or paper: Zhao et al. 2012 as printed, or gaussian: their Figure 12, a Gaussian filter, with the
+        settings of paper
     scope : all (the lens blurs the whole picture) or virtual (the footage is blurred already; the lens blurs only the object)
     lens : given (by the settings below) or footage (the lens that the analysis measured; needs scope virtual)
-    focal_mm : focal length; 0 = from the calibration and sensor_width_mm
+    focal_mm : focal length, or key frames such as "35@0s, 85@2s" (interpolated evenly in ratio); 0 = from the calibration and
+        sensor_width_mm. It changes the blur, not what the picture shows
     fnumber : f-number, or key frames such as "2.8@0s, 11@3s" (interpolated evenly in stops)
     sensor_width_mm : width of the part of the sensor that the picture shows
     aperture_px : blur circle's diameter for something infinitely far, in place of focal length and f-number; 0 = use those
@@ -38,7 +40,7 @@ class DofParams:
     formula: str = field(default="corrected", init=False)
     scope: str = "all"
     lens: str = "given"
-    focal_mm: float = 0.0
+    focal_mm: float | str = 0.0
     fnumber: float | str = 2.8
     sensor_width_mm: float = 36.0
     aperture_px: float = 0.0
@@ -57,10 +59,13 @@ class DofParams:
             raise ConfigError("dof.lens = footage would blur the footage twice", "use it with dof.scope = virtual")
         if not 0 < self.sensor_width_mm <= 1e4:
             raise ConfigError(f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}")
-        lengths = ("focal_mm", "aperture_px", "plane_extent_m", "background_m", "highlight_boost")
+        lengths = ("aperture_px", "plane_extent_m", "background_m", "highlight_boost")
         require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MAX_RADIUS_PX))
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
+        for time, focal_mm in focal_keys(self.focal_mm):
+            if not 0 <= focal_mm <= 1e6:
+                raise ConfigError(f"dof.focal_mm must be between 0 and 1000000, is {focal_mm:g} at {time:g} s")
         for time, fnumber in fnumber_keys(self.fnumber):
             if not fnumber >= 1e-3:
                 raise ConfigError(f"dof.fnumber must be above 0 (0.001 or more), is {fnumber:g} at {time:g} s")
@@ -72,16 +77,21 @@ def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
         raise ConfigError(f"dof.{name} {value!r} is unknown", "one of " + ", ".join(allowed))
 
 
+def focal_keys(value: float | str) -> list[tuple[float, float]]:
+    """[(time s, focal length mm, 0 = the calibration's)] in order of time. Raises ConfigError."""
+    return _keys(str(value), "focal_mm", lambda text: _number(text, text.lower().removesuffix("mm"), "focal_mm", "35@0s, 85@2s"))
+
+
 def fnumber_keys(value: float | str) -> list[tuple[float, float]]:
     """[(time s, f-number)] in order of time. Raises ConfigError."""
+    return _keys(str(value), "fnumber", lambda text: _number(text, text.lower().removeprefix("f/"), "fnumber", "2.8@0s, 11@3s"))
 
-    def read(text: str) -> float:
-        try:
-            return float(text.lower().removeprefix("f/"))
-        except ValueError:
-            raise ConfigError(f"dof.fnumber: {text!r} is not a number", "2.8, or key frames 2.8@0s, 11@3s") from None
 
-    return _keys(str(value), "fnumber", read)
+def _number(text: str, bare: str, name: str, example: str) -> float:
+    try:
+        return float(bare)
+    except ValueError:
+        raise ConfigError(f"dof.{name}: {text!r} is not a number", f"such as 50, or key frames {example}") from None
 
 
 def focus_keys(value: int | float | str) -> list[tuple[float, str | float]]:
@@ -128,3 +138,8 @@ def interpolate(keys: list[tuple[float, float]], time: float) -> float:
         if time < t1:
             return a + (b - a) * (time - t0) / (t1 - t0)
     return keys[-1][1]
+
+
+def interpolate_ratio(keys: list[tuple[float, float]], time: float) -> float:
+    """The same, evenly in the logarithm: by the same factor in the same time. Values above 0."""
+    return 2.0 ** interpolate([(t, math.log2(value)) for t, value in keys], time)

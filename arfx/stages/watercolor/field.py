@@ -1,21 +1,27 @@
-"""The site field of a frame: of the advection in its facts, or a still one whose cells are finer where the plane is near."""
+"""The site field of a frame: of the advection in its facts, or a still one; its cells are finer where things are near.
+
+How near: by the measured depth of the scene around each node, else by the marker's plane. Noise and holes of a depth map hardly
+move the mean around a node, and sizes follow it without a threshold: a cell appears or goes slowly, as under a zoom."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.numerics import divide
+from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.pose import Pose
+from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import GRID_PX, SiteField, still_field
 
 _MUCH = 0.35  # detail that counts as all
 _EVEN_LEVELS, _DETAIL_LEVELS = 0.3, 0.9  # by how many doublings cells grow and shrink with it
 _FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may give
+_EVERY_PX = 4  # of a depth map, in rows and columns
 
 
 def pad_px(cell_px: float) -> int:
@@ -32,11 +38,36 @@ def advection_directions(facts: FrameFacts, anchored: bool, both: bool) -> tuple
     return tuple((name, weight) for name, weight in pairs if weight > 0)
 
 
+@dataclass(frozen=True, eq=False)
+class RealDioptre:
+    """Measured depth of a frame. mean : (h, w) float32, 1/m, from node to node around every _EVERY_PX-th pixel of `rect`"""
+
+    rect: Rect
+    mean: np.ndarray
+
+    @staticmethod
+    def of(depth_m: np.ndarray, rect: Rect) -> RealDioptre:
+        """depth_m : (h, w) over `rect`; what is not finite is infinitely far"""
+        dioptre = divide(1.0, np.maximum(depth_m[::_EVERY_PX, ::_EVERY_PX], EPS_DEPTH_M)).astype(np.float32)
+        side = 2 * GRID_PX // _EVERY_PX + 1
+        return RealDioptre(rect, cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE))
+
+    def at_nodes(self, field: SiteField) -> np.ndarray:
+        """(gh, gw) 1/m; outside the picture that of its border."""
+        (h, w), (gh, gw) = self.mean.shape, field.u.shape
+        i = (field.y0 - self.rect.y0 + GRID_PX * np.arange(gh)) // _EVERY_PX
+        j = (field.x0 - self.rect.x0 + GRID_PX * np.arange(gw)) // _EVERY_PX
+        out: np.ndarray = self.mean[np.clip(i, 0, h - 1)[:, None], np.clip(j, 0, w - 1)].astype(float)
+        return out
+
+
 def frame_field(
     facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool, direction: str = "nodes",
-    detail: float = 0.0,
+    detail: float = 0.0, real: RealDioptre | None = None,
 ) -> tuple[SiteField, Pose | None]:  # fmt: skip
-    """The field, and the pose that goes with it: the same as long as the field is. direction : of `advection_directions`"""
+    """The field, and the pose that goes with it: the same as long as the field is.
+
+    direction : of `advection_directions`;  real : measured depth, None = that of the marker's plane is taken"""
     camera, pose = scene.camera, facts.camera_from_world
     found = facts.advection if anchored else None
     if found is None or found.pitch != GRID_PX:
@@ -47,8 +78,9 @@ def frame_field(
             size *= detail_factor(found.detail_at_nodes(), detail)
         field = SiteField(*found.origin, *found.places(direction), size)
         pose = found.pose
-    if pose is not None and nearer_finer > 0:
-        field = replace(field, size=field.size * depth_factor(field, camera, pose, scene, nearer_finer))
+    near = nearness(field, scene, pose, real) if nearer_finer > 0 else None
+    if near is not None:
+        field = replace(field, size=field.size * nearness_factor(near, nearer_finer))
     return field, pose
 
 
@@ -59,19 +91,43 @@ def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
     return out
 
 
-def depth_factor(field: SiteField, camera: Camera, pose: Pose, scene: Scene, strength: float) -> np.ndarray:
-    """(gh, gw) factor on the size of cells: (depth of the marker's plane / depth of the marker) ^ strength, within bounds.
-
-    Where the plane is not seen it is taken for far."""
+def nearness(field: SiteField, scene: Scene, pose: Pose | None, real: RealDioptre | None) -> np.ndarray | None:
+    """(gh, gw) depth of the marker / depth at the nodes, without a marker their mean / depth; None where nothing is known."""
+    if pose is None:
+        if real is None:
+            return None
+        dioptre = real.at_nodes(field)
+        return divide(dioptre, float(dioptre.mean()), where_zero=1.0)
     camera_from_anchor = pose @ scene.world_from_anchor
+    if real is not None:
+        dioptre = real.at_nodes(field)
+    else:
+        gh, gw = field.u.shape
+        x, y = field.x0 + GRID_PX * np.arange(gw), field.y0 + GRID_PX * np.arange(gh)[:, None]
+        dioptre = plane_dioptre(x, y, scene.camera, camera_from_anchor)
+    return dioptre * marker_depth_m(camera_from_anchor)
+
+
+def marker_depth_m(camera_from_anchor: Pose) -> float:
+    return max(float(camera_from_anchor.translation_m[2]), 1e-6)
+
+
+def plane_dioptre(x: np.ndarray, y: np.ndarray, camera: Camera, camera_from_anchor: Pose) -> np.ndarray:
+    """(h, w) 1 / depth of the marker's plane at columns x (w,) and rows y (h, 1), not above 0 where it is not seen.
+
+    Linear along the picture: lens distortion is left out."""
     normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
-    gh, gw = field.u.shape
-    # normal . ray of each node: linear along the picture
-    across = (field.x0 + GRID_PX * np.arange(gw) - camera.cx) * (normal[0] / camera.fx)
-    down = (field.y0 + GRID_PX * np.arange(gh) - camera.cy) * (normal[1] / camera.fy) + normal[2]
-    facing = across + down[:, None]
-    # depth of the plane over that of the marker, upside down: 0 = as far as can be, or behind the camera
-    nearness = facing * float(divide(max(float(at[2]), 1e-6), float(normal @ at)))
+    facing = (x - camera.cx) * (normal[0] / camera.fx) + ((y - camera.cy) * (normal[1] / camera.fy) + normal[2])
+    return divide(facing, float(normal @ at))
+
+
+def nearness_limits(strength: float) -> tuple[float, float]:
+    """Least and greatest nearness that counts: a cell is _COARSEST and _FINEST times as large there."""
     low, high = (b ** min(1 / strength, 100.0) for b in (_FINEST, _COARSEST))  # below a strength of 0.01 sizes hardly differ
-    out: np.ndarray = np.clip(nearness, 1 / high, 1 / low) ** -strength
+    return 1 / high, 1 / low
+
+
+def nearness_factor(near: np.ndarray, strength: float) -> np.ndarray:
+    """Factor on the size of cells. near : depth of the marker / depth;  strength : > 0, 1 = size in proportion to depth"""
+    out: np.ndarray = np.clip(near, *nearness_limits(strength)) ** -strength
     return out

@@ -1,21 +1,23 @@
 """Sites on the model's surface: they move with it, whatever it does.
 
 The surface is strewn with points once; a point's importance is the coarsest level of a nested grid in space at which it is
-still its cell's first (docs/methods/watercolor.md#sites). Each picture takes those that the wanted density
-calls for. Cost: O(points) per set. Leaves out: which points other parts of the model hide; they add cells where they lie."""
+still its cell's first (docs/methods/watercolor.md#sites). Each picture takes those that the wanted density calls for, which is
+higher where the surface is nearer than the marker. Cost: O(points) per set. Leaves out: which points other parts of the model
+hide; they add cells where they lie."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M, normalise
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
+from arfx.stages.watercolor.field import marker_depth_m, nearness_limits
 from arfx.stages.watercolor.sites import FADE, STEPS, Sites
 
 POINTS = 16000
@@ -80,16 +82,36 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
     return out
 
 
-def object_sites(surface: Surface, camera: Camera, camera_from_world: Pose, cell_px: float, flow_px: float) -> Sites:
-    """Sites of the points that face the camera, at about one per cell_px^2. Places u, v are in px at which the model is
-    four wavelengths of the flow wide, whatever its size in the picture."""
-    row, at = camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
+class _CellSize(NamedTuple):
+    """Size of a cell at a depth. at_marker_m : at 1 m, where nothing is nearer or farther than the marker, metres
+    marker_m : depth of the marker;  strength : of `nearer_finer`;  least, most : nearness that counts"""
+
+    at_marker_m: float
+    marker_m: float
+    strength: float
+    least: float
+    most: float
+
+
+def object_sites(
+    surface: Surface, scene: Scene, camera_from_world: Pose, cell_px: float, flow_px: float, nearer_finer: float
+) -> tuple[Sites, np.ndarray]:  # fmt: skip
+    """(sites of the points that face the camera, at about one per cell; (points,) float32 size of the cell of each, px).
+
+    cell_px : where the surface is as far as the marker;  a site's key is its point. Places u, v are in px at which the model
+    is four wavelengths of the flow wide, whatever its size in the picture."""
+    camera, row, at = scene.camera, camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
     eye = camera_from_world.inverse().translation_m
-    points, size = (surface.points, surface.normals, surface.importance, surface.max_cell_m), cell_px / camera.fx
-    keep, fade = _visible(*points, eye, row, at, size)
+    limits = nearness_limits(nearer_finer) if nearer_finer > 0 else (1.0, 1.0)
+    marker_m = marker_depth_m(camera_from_world @ scene.world_from_anchor)
+    wanted = _CellSize(cell_px / camera.fx, marker_m, float(nearer_finer), *limits)
+    points = surface.points, surface.normals, surface.importance, surface.max_cell_m
+    keep, fade, factor = _visible(*points, eye, row, at, wanted)
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
-    grown = np.float64((1.2 * cell_px * STEPS) ** 2)
-    return Sites(*_sites(surface.points, keep, fade, pixel, grown, 4 * flow_px / surface.extent_m))
+    size = np.zeros(len(surface.points), np.float32)
+    size[keep] = cell_px * factor
+    grown = (1.2 * STEPS * cell_px * factor) ** 2
+    return Sites(*_sites(surface.points, keep, fade, pixel, grown, 4 * flow_px / surface.extent_m)), size
 
 
 @numba.njit(cache=True, nogil=True)
@@ -103,7 +125,7 @@ def _sites(points, keep, fade, pixel, grown, scale):  # pragma: no cover - compi
         if not (np.isfinite(px) and np.isfinite(py)):
             continue
         x[k], y[k] = np.rint(min(max(px, -1e5), 1e5) * STEPS), np.rint(min(max(py, -1e5), 1e5) * STEPS)
-        weight[k], key[k] = -np.rint((1 - fade[m]) * grown), keep[m]
+        weight[k], key[k] = -np.rint((1 - fade[m]) * grown[m]), keep[m]
         qx, qy, qz = points[keep[m], 0] * scale, points[keep[m], 1] * scale, points[keep[m], 2] * scale
         u[k], v[k] = qx + 0.6 * qz, qy + 0.4 * qz
         k += 1
@@ -111,23 +133,28 @@ def _sites(points, keep, fade, pixel, grown, scale):  # pragma: no cover - compi
 
 
 @numba.njit(cache=True, nogil=True)
-def _visible(points, normals, importance, max_cell, eye, row, at, size):  # pragma: no cover - compiled
-    """(which points face the camera and count at this density (k,), how far each has appeared (k,), 0..1].
+def _visible(points, normals, importance, max_cell, eye, row, at, wanted: _CellSize):  # pragma: no cover - compiled
+    """(which points face the camera and count at this density (k,), how far each has appeared (k,), 0..1], factor on the size
+    of its cell (k,)).
 
-    max_cell : of Surface.most_m;  row . point + at : depth, metres;  size : of a cell at depth 1 m, metres"""
-    which, fade = np.empty(points.shape[0], np.int64), np.empty(points.shape[0])
+    max_cell : of Surface.max_cell_m;  row . point + at : depth, metres"""
+    n = points.shape[0]
+    which, fade, factor = np.empty(n, np.int64), np.empty(n), np.empty(n)
+    finest = wanted.at_marker_m * wanted.most**-wanted.strength
     k = 0
-    for m in range(points.shape[0]):
+    for m in range(n):
         depth = points[m, 0] * row[0] + points[m, 1] * row[1] + points[m, 2] * row[2] + at
-        if depth * size >= max_cell[m]:  # has not begun to appear
+        if depth * finest >= max_cell[m]:  # has not begun to appear, whatever the size
             continue
         x, y, z = eye[0] - points[m, 0], eye[1] - points[m, 1], eye[2] - points[m, 2]
         facing = x * normals[m, 0] + y * normals[m, 1] + z * normals[m, 2]
         if not (depth > EPS_DEPTH_M and facing > 0):
             continue
-        grown = (importance[m] - np.log2(depth * size)) / FADE + 0.5
+        near = min(max(wanted.marker_m / depth, wanted.least), wanted.most)
+        factor[k] = near**-wanted.strength
+        grown = (importance[m] - np.log2(depth * wanted.at_marker_m * factor[k])) / FADE + 0.5
         turned = facing / np.sqrt(x * x + y * y + z * z) / _GRAZING  # facing > 0: the distance is not 0
         if grown > 0:
             which[k], fade[k] = m, min(grown, 1.0) * min(turned, 1.0)
             k += 1
-    return which[:k].copy(), fade[:k].copy()
+    return which[:k].copy(), fade[:k].copy(), factor[:k].copy()

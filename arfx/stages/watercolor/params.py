@@ -14,7 +14,8 @@ from arfx.errors import ConfigError, require_within
 class WatercolorParams:
     """formula : corrected, or paper: Jia, Tang 2013 as printed
     cell_px : size of a cell, px of the picture
-    nearer_finer : how strongly cells on the marker's plane get finer as it comes nearer: 0 = all the same size, 1 = in proportion
+    nearer_finer : how strongly cells get finer as what they lie on comes nearer (the object; the real scene where its depth is
+    measured, else the marker's plane): 0 = all the same size, 1 = in proportion
     detail : how strongly cells shrink where the picture has detail, and grow where it has none
     anchored : cells move with the things under them; false = they stay fixed on the screen
     wash : how readily similar neighbours merge into one wash: 0 = single cells, 1 = large washes

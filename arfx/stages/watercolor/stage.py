@@ -11,7 +11,7 @@ transform costs four times the exact labels); high paints the patterns carried f
 them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
 line_hold looks at the frame before as well (temporal.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
-Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow, depth of the real scene beyond its plane."""
+Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of real things off the plane."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from arfx.core.stage import Demand, Stage, View
 from arfx.stages.watercolor.cells import adjust_tone, cell_colours, neighbours, smooth_washes
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
-from arfx.stages.watercolor.field import advection_directions, frame_field
+from arfx.stages.watercolor.field import RealDioptre, advection_directions, frame_field
 from arfx.stages.watercolor.labels import Labels, Wobble, label, sort_sites
 from arfx.stages.watercolor.measure import edge_measure
 from arfx.stages.watercolor.object_sites import Surface, object_sites, sample_surface
@@ -76,14 +76,12 @@ class Prepared:
 
 class Watercolor(Stage):
     name = "watercolor"
-    reads = frozenset({Layer.IMAGE, *_VIRTUAL})
+    reads = frozenset({Layer.IMAGE, *_VIRTUAL, Layer.REAL_DEPTH})
     writes = frozenset({Layer.IMAGE})
     levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
     facts = frozenset({"flow", "light"})
     Params = WatercolorParams
     without_object = True
-    even: ClassVar[float] = EVEN  # of toon shading
-    ramp: ClassVar[float] = RAMP
 
     def __init__(self, params: WatercolorParams | None = None) -> None:
         super().__init__(params)
@@ -133,15 +131,20 @@ class Watercolor(Stage):
     def _field(self, view: View, direction: str) -> tuple[SiteField, Any, Key]:
         """(site field, the pose that goes with it, a key for the field's content)."""
         p, facts, cell_px = self.params, view.facts, self._cell_px(view.level)
+        real = None
+        if p.nearer_finer > 0 and facts.real_depth is not None:
+            real = RealDioptre.of(view[Layer.REAL_DEPTH], view.rect)
 
         def make() -> tuple[SiteField, Any, Key]:
-            field, pose = frame_field(facts, view.scene, cell_px, p.nearer_finer, p.anchored, direction, p.detail)
+            field, pose = frame_field(facts, view.scene, cell_px, p.nearer_finer, p.anchored, direction, p.detail, real)
             return field, pose, (field.x0, field.y0, *(digest(a) for a in (field.u, field.v, field.size)))
 
         found = facts.advection if p.anchored else None
         key: Key = (_pose_key(facts.camera_from_world),)
         if found is not None:
             key = (getattr(found, direction), found.detail, _pose_key(found.pose))
+        if real is not None:
+            key = (*key, digest(real.mean))
         made: tuple[SiteField, Any, Key] = view.memo.of_frame.get(key, make, "field", _MEMO_SETS)
         return made
 
@@ -159,10 +162,10 @@ class Watercolor(Stage):
             return Picture(image)
         light = view.light
         direction, radiance = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
-        even = self.even * np.clip(light.ambient_rgb, 0, radiance)
+        even = EVEN * np.clip(light.ambient_rgb, 0, radiance)
         layers, opacity = ObjectLayers(*(part[Layer(name)] for name in ObjectLayers._fields)), view.facts.opacity
         patch = toon(
-            part[Layer.IMAGE], layers, direction, radiance, even, p.toon_thresholds, p.toon_factors, opacity, self.ramp
+            part[Layer.IMAGE], layers, direction, radiance, even, p.toon_thresholds, p.toon_factors, opacity, RAMP
         )  # fmt: skip
         return Picture(image, patch, *offset(box, view.rect))
 
@@ -264,10 +267,10 @@ class Watercolor(Stage):
             return combine_labels(cells.labels), cells
 
         def make() -> CellSet:
-            sites = object_sites(prepared.surface, scene.camera, pose, cell, self.params.flow_px)
+            p = self.params
+            sites, size_px = object_sites(prepared.surface, scene, pose, cell, p.flow_px, p.nearer_finer)
             wobble = prepared.wobbles.of_object(scene.camera, pose, scene.world_from_anchor.translation_m)
-            size_at = lambda ordered: np.full(len(ordered), cell, np.float32)  # noqa: E731
-            return self._cells(sites, box, wobble, level, scene.seed + 1, size_at, inside)
+            return self._cells(sites, box, wobble, level, scene.seed + 1, lambda ordered: size_px[ordered.key], inside)
 
         key = ("object", _pose_key(pose), box, digest(inside.view(np.uint8)))
         own = view.memo.of_frame.get(key, make, "cells", _MEMO_SETS)

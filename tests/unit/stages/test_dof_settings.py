@@ -12,11 +12,12 @@ from arfx.core.lens_fit import LensFit
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, InputError
+from arfx.papers.s2_dof import PrintedDof
 from arfx.stages.dof import Dof
 from arfx.stages.dof.aperture import shape
-from arfx.stages.dof.optics import circle_of_confusion, focus_dioptre
-from arfx.stages.dof.params import DofParams, fnumber_keys, focus_keys, interpolate
+from arfx.stages.dof.optics import circle_of_confusion, focal_mm, focus_dioptre
+from arfx.stages.dof.params import DofParams, fnumber_keys, focal_keys, focus_keys, interpolate
 from arfx.stages.dof.surfaces import direction_grid, plane_of, plane_radius, real_scene, square_radius
 from tests.scenes import facts, look_at, scene
 from tests.unit.stages.dof_scenes import Shot, blurred, shot
@@ -29,6 +30,12 @@ from tests.unit.stages.dof_scenes import Shot, blurred, shot
         ({"lens": "footage"}, "blur the footage twice"),
         ({"fnumber": 0.0}, "must be above 0"),
         ({"fnumber": "wide"}, "is not a number"),
+        ({"focal_mm": -5.0}, "between 0 and 1000000, is -5"),
+        ({"focal_mm": "50@0s, 2e6@1s"}, "is 2e.06 at 1 s"),
+        ({"focal_mm": "nan"}, "between 0 and 1000000"),
+        ({"focal_mm": "long"}, "'long' is not a number"),
+        ({"focal_mm": "50, 85@1s"}, "has no time"),
+        ({"focal_mm": "50@1s, 85@1s"}, "must rise"),
         ({"sensor_width_mm": 0.0}, "must be above 0"),
         ({"aperture_px": -1.0}, "between 0 and"),
         ({"blades": 2}, "3 to 32"),
@@ -52,6 +59,7 @@ def test_key_frames() -> None:
     assert focus_keys("object@0s, 36h11:3@1.5s, 2m@3s, inf@4s") == [(0, "object"), (1.5, "id:36h11:3"), (3, 2.0), (4, np.inf)]
     assert focus_keys(3) == [(0.0, "id:3")]
     assert fnumber_keys("f/2.8@1s, 11@3s") == [(1.0, 2.8), (3.0, 11.0)]
+    assert focal_keys("35mm@1s, 0@3s") == [(1.0, 35.0), (3.0, 0.0)]
     assert [interpolate([(1.0, 2.0), (3.0, 6.0)], t) for t in (0.0, 1.0, 2.0, 3.0, 9.0)] == [2.0, 2.0, 4.0, 6.0, 6.0]
 
 
@@ -88,8 +96,29 @@ def test_circles_are_those_of_the_lens() -> None:
     assert own.px_per_dioptre == pytest.approx(
         circle_of_confusion(DofParams(focal_mm=focal, focus="80cm", max_radius_px=1500), f, s).px_per_dioptre
     )
+    zoom = DofParams(focal_mm="0@0s, 100@2s", focus="80cm")
+    at_s = [focal_mm(zoom, f.with_(time_s=t), s) for t in (0.0, 1.0, 2.0, 3.0)]
+    assert at_s == pytest.approx([focal, np.sqrt(focal * 100), 100, 100])
     px = circle_of_confusion(DofParams(aperture_px=30.0, focus="80cm"), f, s)
     assert 2 * px.radius_px(0.0) == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("made", [Dof, PrintedDof])
+def test_lens_and_focus_move_by_key_frames(made: type[Dof]) -> None:
+    """A frame between two key frames looks as under the lens that they give there, set once for all."""
+    at, fixed = shot(), {"focal_mm": 40.0, "fnumber": 4.0, "focus": "50cm", "plane_extent_m": 0.4, "background_m": 2.0}
+    half = Shot(at.scene, at.facts.with_(time_s=1.0), at.layers)
+
+    def of(where: Shot, **more: object) -> np.ndarray:
+        return blurred(where, "standard", made=made, **{**fixed, **more})
+
+    for name, keys, between in (
+        ("focal_mm", "20@0s, 80@2s", 40.0), ("fnumber", "1@0s, 16@2s", 4.0), ("focus", "40cm@0s, 66.66666667cm@2s", "50cm"),
+    ):  # fmt: skip
+        np.testing.assert_allclose(of(half, **{name: keys}), of(half, **{name: between}), atol=1e-6, err_msg=name)
+        assert np.abs(of(at, **{name: keys}) - of(half, **{name: keys})).max() > 5e-3, name
+    with pytest.raises(InputError, match="lens of 500 mm cannot be focused at 500 mm"):
+        of(half, focal_mm="20@0s, 500@0.5s")
 
 
 def test_the_real_plane_has_the_depth_of_its_points() -> None:

@@ -112,7 +112,7 @@ def test_no_sites() -> None:
 
 
 def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None:
-    sites = eq1_sites(FRAME, 10, 4)
+    sites = eq1_sites(FRAME, 15, 20, 4)
     found = label(sites, FRAME).first
     x, y = np.round(sites.x / STEPS).astype(int), np.round(sites.y / STEPS).astype(int)
     inside = (x >= 0) & (y >= 0) & (x < 200) & (y < 150)
@@ -188,7 +188,7 @@ def test_more_cells_than_pixels_and_one_cell() -> None:
     assert 0 < len(tiny) <= 500
     found = label(tiny, Rect.of(12, 9))
     assert np.array_equal(found.first, brute(tiny, Rect.of(12, 9), None)[0])
-    one = eq1_sites(Rect.of(30, 20), 4000, 0)
+    one = eq1_sites(Rect.of(30, 20), 1, 1, 0)
     assert len(one) == 1 and not label(one, Rect.of(30, 20)).first.any()
 
 

@@ -14,10 +14,12 @@ import pytest
 from arfx.analyse.motion.advection import with_advection
 from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.core.advection import AdvectionField, pack_detail, pack_positions
+from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.core.real_depth import TYPICAL_NOISE, RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
@@ -25,9 +27,12 @@ from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.run.parameters import stage_of
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
+from arfx.stages.watercolor.labels import label
+from arfx.stages.watercolor.object_sites import object_sites, sample_surface
 from arfx.stages.watercolor.params import WatercolorParams
-from arfx.stages.watercolor.sites import SiteField, still_field
-from tests.scenes import camera, facts, layers_of, scene
+from arfx.stages.watercolor.sites import SiteField, make_sites, still_field
+from tests.contract import stage_laws as laws
+from tests.scenes import camera, facts, layers_of, look_at, scene
 
 SCENE = scene(camera(160, 120))
 SEEN = facts(SCENE)
@@ -82,7 +87,8 @@ def test_noise_only_and_light_beyond_white() -> None:
 def test_one_cell_and_more_cells_than_pixels() -> None:
     image = picture()
     whole = painted(image, PrintedWatercolorParams(toon=False, cell_px=4096, line_threshold=2))
-    np.testing.assert_allclose(whole, np.broadcast_to(image.mean((0, 1)), whole.shape), atol=1e-5)
+    mean = SRGB.decode(SRGB.encode(image).mean((0, 1)))
+    np.testing.assert_allclose(whole, np.broadcast_to(mean, whole.shape), atol=1e-4)
     fine = painted(image, dataclasses.replace(PLAIN, cell_px=0.5, nearer_finer=0))
     assert np.abs(fine - image).mean() < 0.01
 
@@ -230,6 +236,76 @@ def test_nearer_parts_of_the_plane_have_finer_cells() -> None:
     out = painted(image, dataclasses.replace(PLAIN, nearer_finer=1.0, cell_px=6), SEEN)
     rough = [float(np.mean(np.any(out[y : y + 40, 1:] != out[y : y + 40, :-1], -1))) for y in (0, 80)]
     assert rough[1] > 1.15 * rough[0]  # below is nearer: more borders
+
+
+def deep(f: FrameFacts, depth_m: np.ndarray) -> FrameFacts:
+    return f.with_(real_depth=RealDepth.of(0, 1.0, "", tile_ranges(depth_m, (160, 120))))
+
+
+@pytest.mark.parametrize("f", [ABSENT, SEEN], ids=["without a marker", "with one"])
+def test_where_measured_depth_is_near_cells_are_finer(f: FrameFacts) -> None:
+    image = np.random.default_rng(0).random((120, 160, 3))
+    depth = np.where(np.arange(160) < 80, 0.3, 1.2) * np.ones((120, 1))
+    params = dataclasses.replace(PLAIN, nearer_finer=1.0, cell_px=7)
+    borders = lambda a: np.mean(np.any(a[:, 1:] != a[:, :-1], -1))  # noqa: E731
+    for real, expected in ((depth, 1.6), (depth[:, ::-1], 1 / 1.6)):
+        out = painted(image, params, deep(f, real), real_depth=real)
+        share = borders(out[:, :60]) / borders(out[:, 100:])
+        assert share > expected if expected > 1 else share < expected
+    even = dataclasses.replace(params, nearer_finer=0.0)
+    assert np.array_equal(painted(image, even, deep(f, depth), real_depth=depth), painted(image, even, f))
+
+
+def test_a_job_without_depth_never_looks_at_it() -> None:
+    image, ready = picture(), ReadyStage.of(Watercolor(), SCENE, "standard")
+    bare = Layers(SCENE.camera.rect, {k: v for k, v in layers(image).written.items() if k is not Layer.REAL_DEPTH})
+    assert np.array_equal(ready.run(bare, SEEN)[Layer.IMAGE], painted(image, f=SEEN))
+
+
+def test_cells_stay_what_they_are_though_measured_depth_is_noisy_and_has_holes() -> None:
+    """A still camera: noise of a depth camera, and 3 % of the map filled from beside, anew in every frame, about a near box."""
+    g = np.random.default_rng(4)
+    true = np.full((120, 160), 1.1) + np.linspace(0.5, 0, 120)[:, None]
+    true[40:100, 50:100] = 0.45
+    image, ready = picture(), ReadyStage.of(Watercolor(PLAIN), SCENE, "standard")
+    keys, ours, printed = [], [], []
+    for k in range(3):
+        noisy = true * (1 + g.normal(0, TYPICAL_NOISE, true.shape))
+        holes = np.kron(g.random((30, 40)) < 0.03, np.ones((4, 4))) > 0
+        noisy[holes] = np.roll(noisy, 6, axis=1)[holes]
+        f, depth = dataclasses.replace(deep(SEEN, noisy), index=k), noisy.astype(np.float32)
+        view = ready.view(layers(image, real_depth=depth), f)
+        field, *_ = ready.stage._field(view, "nodes")  # type: ignore[attr-defined]
+        sites = make_sites(field, SCENE.seed, 10**5, PLAIN.cell_px)
+        keys.append(sites.key[label(sites, view.rect).first])
+        ours.append(np.sqrt(painted(image, f=f, ready=ready, real_depth=depth)))
+        printed.append(np.sqrt(painted(image, PrintedWatercolorParams(line_threshold=2), f, real_depth=depth)))
+    error = [np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(out)]) for out in (ours, printed)]
+    assert 0 < error[0] < error[1] / 50
+    assert max(np.mean(a != b) for a, b in itertools.pairwise(keys)) < 0.005
+
+
+@pytest.mark.parametrize("kind", [Watercolor, PrintedWatercolor])
+def test_the_laws_hold_with_measured_depth(kind: type[Watercolor]) -> None:
+    at, f = ReadyStage.of(kind(), SCENE, "standard"), deep(SEEN, np.ones((120, 160)))
+    laws.check_roi_law(at, f, 1, atol=0)
+    laws.check_pure(at, f)
+    laws.check_finite(at, f)
+
+
+def test_cells_of_the_objects_near_parts_are_finer() -> None:
+    big, pose = scene(camera(160, 120), fit_m=0.25), look_at(1.0)
+    surface = sample_surface(big, 0)
+    depth = pose.apply(surface.points)[:, 2]
+    even, size = object_sites(surface, big, pose, 4.0, 160.0, 0.0)
+    assert (size[even.key] == 4).all()
+    sites, size = object_sites(surface, big, pose, 4.0, 160.0, 1.0)
+    np.testing.assert_allclose(size[sites.key], 4 * depth[sites.key], rtol=1e-6)
+    middle = np.median(depth[even.key])
+    near, far = (np.sum(s(depth[sites.key])) / np.sum(s(depth[even.key])) for s in (lambda d: d < middle, lambda d: d >= middle))
+    assert near > 1.1 * far > 1.1
+    growing = sites.weight < 0
+    assert growing.any() and (sites.weight >= -((1.2 * 8 * size[sites.key]) ** 2) - 1).all()
 
 
 def test_cells_that_hardly_differ_with_nearness_are_those_that_do_not() -> None:

@@ -17,7 +17,7 @@ from arfx.analyse.params import LightParams
 from arfx.core.marker import PatternSpec
 from arfx.core.rect import Rect
 from arfx.papers import FORMULAS
-from arfx.papers.s1_light import gain_and_bias
+from arfx.papers.s1_gain import gain_and_bias
 from tests.unit.analyse.synthetic import background, camera, hung, poster, tilted
 
 INK, PAPER = 0.05, 0.88
@@ -104,7 +104,7 @@ def test_the_whole_analysis_reads_the_light_from_a_print(formula: str, monkeypat
     kinds, params = {}, LightParams()
     if formula == "paper":
         kinds = {"light": FORMULAS["paper"]["light"]}
-        params = kinds["light"].Params(albedos="known")
+        params = kinds["light"].Params()
     solved: list[Photometry] = []
     kept = light_fold._readings
 

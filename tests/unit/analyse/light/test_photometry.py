@@ -9,7 +9,7 @@ import pytest
 
 from arfx.analyse.light.patches import WHITE, comparable
 from arfx.analyse.light.photometry import DEGENERATE, INK, MEASURED, PAPER, UNKNOWN_VARIANCE, Photometry, Tolerances, solve
-from arfx.papers.s1_light import eq6_smallest_vector, gain_and_bias
+from arfx.papers.s1_gain import eq6_smallest_vector, gain_and_bias
 
 RHO = np.where(WHITE, PAPER, INK)
 

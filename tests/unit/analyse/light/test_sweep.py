@@ -17,7 +17,7 @@ from arfx.analyse.light.patches import WHITE, comparable, cut_off
 from arfx.analyse.light.photometry import INK, PAPER, solve
 from arfx.analyse.light.static_frame import LightReading, fit_temporal_model
 from arfx.core.numerics import normalise
-from arfx.papers.s1_light import gain_and_bias
+from arfx.papers.s1_gain import gain_and_bias
 
 SCENES = int(os.environ.get("ARFX_SWEEP", "8"))
 FRAMES, SAMPLES = 90, 40

@@ -1,0 +1,260 @@
+"""Scenes, jobs and times for the papers' modules: synthetic clips, whole jobs under either formula, single frames of them.
+
+Everything lies in a temporary folder. What two items need is made once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import psutil
+
+from arfx.config.load import load, merge
+from arfx.config.sections import JobConfig
+from arfx.core import interrupt
+from arfx.core.layers import Layer
+from arfx.core.plan import FramePlan
+from arfx.errors import RenderError
+from arfx.measure.bench import WALL
+from arfx.measure.steps import Chain, FrameRenderer, PreparedStages
+from arfx.media.clip import probe
+from arfx.media.frames import ClipReader
+from arfx.papers import CORRECTED, PAPER
+from arfx.run.folder import JobFolder
+from arfx.run.inputs import open_inputs
+from arfx.run.job import Options, plan_job, process
+from arfx.run.parameters import parameters
+from arfx.run.planned import Job
+from arfx.run.source import real_depth_layer
+from arfx.synth.clip import make_clip
+from arfx.synth.description import SceneFile, parse_scene
+
+Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
+Progress = Callable[[str, int, int | None], None]
+WARM_FRAMES = 3  # of a timed job: rendered before, so that imports, compiled code and first contacts are not counted
+SAMPLED_S = 0.01  # how often memory is looked at
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A synthetic clip. folder : clip, camera, model, job.toml and truth (`arfx synth`);  scene : what it shows"""
+
+    folder: Path
+    scene: SceneFile
+
+    @property
+    def file(self) -> Path:
+        return self.folder / self.scene.clip.file
+
+    def frames(self) -> list[np.ndarray]:
+        return frames_of(self.file)
+
+
+@dataclass(frozen=True)
+class JobRun:
+    """A job that was run to its end. report : report.json;  output : lossless"""
+
+    report: dict[str, Any]
+    output: Path
+
+    def frames(self) -> list[np.ndarray]:
+        return frames_of(self.output)
+
+
+class Timed(NamedTuple):
+    """frames_per_s : decoding, analysing, rendering and encoding by one worker; start-up, planning and what is prepared once per
+    clip left out;  stage_s : seconds a frame by stage;  peak_mb : most memory of the process;  start_mb : before the job"""
+
+    frames_per_s: float
+    stage_s: dict[str, float]
+    peak_mb: float
+    start_mb: float
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame of a planned job, ready to be rendered step by step. chain : all its steps, at the job's levels"""
+
+    job: Job
+    renderer: FrameRenderer
+    chain: Chain
+
+    def picture(self) -> np.ndarray:
+        """(h, w, 3) uint8 sRGB of the whole frame after all steps."""
+        return self.renderer.image(self.chain)
+
+    def layer(self, name: Layer) -> np.ndarray:
+        return np.asarray(self.renderer.after(self.chain).view(frozenset({name}), self.renderer.window)[name])
+
+    def up_to(self, stage: str) -> Chain:
+        names = [name for name, _ in self.chain]
+        return self.chain[: names.index(stage) + 1]
+
+    def seconds(self, stage: str, repeats: int = 5) -> float:
+        """Median wall-clock time of one stage on this frame; what it prepares and keeps is not counted."""
+        chain = self.up_to(stage)
+        run, out = self.renderer.run(chain), self.renderer.out(chain)
+        return median_s(lambda: run.rerun(out), repeats)
+
+
+@dataclass
+class Work:
+    """folder : for whatever is made;  short : small pictures, few frames and repeats: times then mean nothing"""
+
+    folder: Path
+    short: bool = False
+    progress: Progress = lambda phase, done, total: None
+    notice: Callable[[str], None] = lambda message: None
+    _made: dict[str, Any] = field(default_factory=dict)
+
+    def scaled(self, full: Any, short: Any) -> Any:
+        """A size or count, by how much is wanted."""
+        return short if self.short else full
+
+    def clip(self, scene: str | SceneFile, truth_pictures: bool = False) -> Clip:
+        """The clip of a scene, as TOML text (arfx/synth/description.py) or read. The same scene is made once."""
+        read = parse_scene(scene, "scene") if isinstance(scene, str) else scene
+        name = f"clip-{_digest(read.model_dump_json(), truth_pictures)}"
+        if not (self.folder / name).exists():
+            make_clip(read, self.folder / name, None, self._checked, truth_pictures=truth_pictures)
+        return Clip(self.folder / name, read)
+
+    def config(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> JobConfig:
+        """The clip's job with every section under `formula`. settings : further ones; {"model": {"file": …}} for another model"""
+        return _config(clip.folder, formula, settings or {}, self.folder / "out.mkv")
+
+    def job(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> JobRun:
+        """The whole job, run; the same is run once. The output is lossless."""
+        key = self._key("job", clip, formula, settings)
+        if key not in self._made:
+            output = self.folder / f"{key}.mkv"
+            report = process(_config(clip.folder, formula, settings or {}, output), self._options())
+            interrupt.resume()
+            self._made[key] = JobRun(report, output)
+        made: JobRun = self._made[key]
+        return made
+
+    def planned(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> Job:
+        """The job analysed and planned, nothing rendered."""
+        key = self._key("plan", clip, formula, settings)
+        if key not in self._made:
+            folder = JobFolder(self.folder / key)
+            folder.open(resume=False)
+            self._made[key] = plan_job(open_inputs(self.config(clip, formula, settings)), folder, self._options())
+        job: Job = self._made[key]
+        return job
+
+    def shot(self, clip: Clip, index: int = 0, formula: str = CORRECTED, settings: Settings | None = None) -> Shot:
+        """One frame of the clip under these settings. Raises RenderError where nothing would be rendered in it."""
+        return shot_of(self.planned(clip, formula, settings), index)
+
+    def timed(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> Timed:
+        """The whole job in a process of its own, so that its memory is its own."""
+        return self.apart(timed_job, clip.folder, clip.scene.clip.fps, formula, settings or {})
+
+    def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """What a module's function returns in a new process; arguments and result can be pickled. `Memory` measures there."""
+        import multiprocessing
+        from concurrent.futures import ProcessPoolExecutor
+
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), interrupt.in_worker) as pool:
+            with interrupt.starting_workers():
+                running = pool.submit(function, *arguments)
+            return running.result()
+
+    def _checked(self, phase: str, done: int, total: int | None) -> None:
+        interrupt.check()
+        self.progress(phase, done, total)
+
+    def _options(self) -> Options:
+        return Options(overwrite=True, progress=self.progress, notice=self.notice)
+
+    def _key(self, kind: str, clip: Clip, formula: str, settings: Settings | None) -> str:
+        return f"{kind}-{_digest(str(clip.folder), formula, settings or {})}"
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    """Every frame of a clip, (h, w, 3) uint8 R'G'B'."""
+    with ClipReader(probe(path)) as reader:
+        return [frame.rgb8() for frame in reader.frames()]
+
+
+def shot_of(job: Job, index: int) -> Shot:
+    facts, plan = job.facts[index], job.plan.frames[index]
+    if not plan.steps:
+        raise RenderError(f"frame {index} of {job.inputs.info.path} shows no object: nothing is rendered in it")
+    camera = job.inputs.camera
+    with ClipReader(job.inputs.info) as reader:
+        frame = next(f for f in reader.frames() if f.pts == job.analysed.pts[index])
+        depth = None if job.inputs.depth is None else real_depth_layer(job.inputs.depth, facts, frame, camera, camera.rect)
+        plate = frame.linear(camera.rect)
+    renderer = FrameRenderer(facts, plate, plan, camera.rect, PreparedStages(job.scene, job.stages), real_depth_m=depth)
+    return Shot(job, renderer, _chain(plan))
+
+
+def median_s(work: Callable[[], Any], repeats: int = 5) -> float:
+    """Median wall-clock time of `repeats` runs, after one that is not counted; less what numba compiles."""
+    work()
+    return float(np.median([WALL.of(work) for _ in range(repeats)]))
+
+
+def timed_job(folder: Path, fps: float, formula: str, settings: Settings) -> Timed:
+    """Runs the job of a clip's folder twice, first its beginning alone; in the process that it is called in."""
+    start_mb = psutil.Process().memory_info().rss / 2**20
+    report: dict[str, Any] = {}
+    with Memory() as memory:
+        for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
+            config = _config(folder, formula, merge(settings, more), folder.parent / f"timed-{formula}.mkv")
+            report = process(config, Options(overwrite=True, workers=1, notice=lambda message: None))
+            interrupt.resume()
+    spent, frames = report["timing"], report["output"]["frames"]
+    seconds = sum(spent[f"{phase}_s"] for phase in ("decode", "analyse", "render", "encode"))
+    stages = {s["name"]: s["measured_s"] / frames for s in report["stages"] if s["frames_run"]}
+    return Timed(frames / seconds, stages, memory.peak_mb, start_mb)
+
+
+class Memory:
+    """Most memory that this process holds while the body runs: resident set, looked at every SAMPLED_S. A context manager.
+
+    What the system records (ru_maxrss) counts the parent's memory of a process that was just started."""
+
+    def __init__(self) -> None:
+        self.peak_mb = 0.0
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
+
+    def __enter__(self) -> Memory:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        process = psutil.Process()
+        while True:
+            self.peak_mb = max(self.peak_mb, process.memory_info().rss / 2**20)
+            if self._done.wait(SAMPLED_S):
+                return
+
+
+def _config(folder: Path, formula: str, settings: Settings, output: Path) -> JobConfig:
+    kinds = parameters()
+    formulas: dict[str, Any] = {name: {"formula": formula} for name, by_formula in kinds.items() if PAPER in by_formula}
+    tree = merge(formulas, settings)
+    return load(folder / "job.toml", merge(tree, {"output": {"path": str(output), "codec": "ffv1"}}), kinds)
+
+
+def _chain(plan: FramePlan) -> Chain:
+    return tuple((step.stage, step.level) for step in plan.steps)
+
+
+def _digest(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, default=str, sort_keys=True).encode()).hexdigest()[:12]

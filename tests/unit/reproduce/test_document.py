@@ -1,0 +1,66 @@
+"""The document and the pages."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from arfx.reproduce import PAPERS, Paper
+from arfx.reproduce.document import items_of, reproduce
+from arfx.reproduce.rows import Figure, Item, bars, compared
+from arfx.reproduce.work import Work
+
+GREY = np.full((24, 32, 3), 90, np.uint8)
+
+
+@pytest.fixture
+def items(monkeypatch: pytest.MonkeyPatch) -> list[Item]:
+    """What the module of s1 yields."""
+    found: list[Item] = []
+
+    def rows(work: Work) -> Iterator[Item]:
+        yield from found
+
+    module = ModuleType("rows_of_a_paper")
+    module.rows = rows  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(PAPERS, "s1", Paper("Some <One> 2009", "A title", module.__name__))
+    return found
+
+
+def test_a_page_holds_rows_pictures_and_error_maps(items: list[Item], tmp_path: Path) -> None:
+    items += [
+        compared("s1", "figure 1", "a & b", "a & b"),
+        compared("s1", "table 1, apple", "9–13", 4.25, unit="fps", reason="another machine <here>"),
+        Figure("s1", "figure 1", "lights", {"before": GREY, "printed": GREY, "corrected": GREY + 8, "reference": GREY + 9}),
+        bars("s1", "table 1, apple", "Rates", "fps", ["apple"], {"printed": [(9, 13)]}),
+    ]
+    document = reproduce(["s1"], tmp_path / "new", Work(tmp_path))
+    assert [r["item"] for r in document["rows"]] == ["figure 1", "table 1, apple"]
+    assert set(document["rows"][1]) == {
+        "paper", "item", "printed", "paper_formula", "corrected", "unit", "verdict", "reason",
+    }  # fmt: skip
+    html = (tmp_path / "new" / "s1.html").read_text(encoding="utf-8")
+    assert "another machine &lt;here&gt;" in html and "Some &lt;One&gt; 2009" in html and "a &amp; b" in html
+    assert html.count("data:image/jpeg") == 6 and html.count("data:image/png") == 1
+    assert "printed: 9.00 grey levels from reference" in html and "corrected: 1.00 grey levels" in html
+    assert "<link" not in html and "src=" in html and "http" not in html
+
+
+def test_an_item_has_one_row_and_no_figure_is_without(items: list[Item], tmp_path: Path) -> None:
+    items.append(compared("s1", "figure 1", "a", "a"))
+    assert items_of("s1", Work(tmp_path)) == items
+    for wrong, words in (
+        (compared("s1", "figure 1", "b", "b"), "two rows"),
+        (Figure("s1", "figure 2", "", {"before": GREY}), "no row"),
+        (compared("s2", "figure 3", "b", "b"), "of s2"),
+    ):
+        items.append(wrong)
+        with pytest.raises(ValueError, match=words):
+            items_of("s1", Work(tmp_path))
+        items.pop()

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.reproduce.rows import DIFFERS, HOLDS, UNDERIVED, Figure, Row, bars, compared, half_digit
+
+
+@pytest.mark.parametrize(
+    ("printed", "half"), [("58.7", 0.05), ("2.4413", 0.00005), ("60", 0.5), ("5.4e-3", 0.05e-3), ("1", 0.5), ("0.035", 0.0005)]
+)
+def test_digits_printed_give_the_tolerance(printed: str, half: float) -> None:
+    assert half_digit(printed) == pytest.approx(half)
+
+
+def test_a_verdict_follows_from_the_values() -> None:
+    assert compared("s2", "a", "58.7", 58.7428, 58.6512).verdict == HOLDS
+    assert compared("s2", "a", "58.7", 58.7428, reason="of no use").reason == ""
+    assert compared("s2", "a", "58.7", 58.7428, 54.1451, reason="why").verdict == DIFFERS
+    assert compared("s2", "a", "58.7", 58.76, reason="why").verdict == DIFFERS
+    assert compared("s2", "a", "126.746", None, 120.38, reason="its inputs are not stated").verdict == UNDERIVED
+    assert compared("s2", "a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS
+    assert compared("s2", "a", "left", "left", "left").verdict == HOLDS
+    assert compared("s2", "a", "left", "left", "right", reason="why").verdict == DIFFERS
+
+
+def test_a_row_that_does_not_hold_says_why() -> None:
+    with pytest.raises(ValueError, match="no reason"):
+        compared("s2", "a", "58.7", 58.7428, 54.1451)
+    with pytest.raises(ValueError, match="no reason"):
+        compared("s2", "a", "126.746", None, reason=" ")
+    with pytest.raises(ValueError, match="none of"):
+        Row("s2", "a", 1.0, 1.0, 1.0, "", "maybe")
+    with pytest.raises(ValueError, match="not finite"):
+        Row("s2", "a", 1.0, float("inf"), 1.0, "", HOLDS)
+
+
+def test_pictures_that_are_compared_have_one_size() -> None:
+    small, large = np.zeros((4, 5, 3), np.uint8), np.zeros((8, 5, 3), np.uint8)
+    assert Figure("s1", "a", "", {"before": large, "printed": small, "corrected": small})
+    with pytest.raises(ValueError, match="one size"):
+        Figure("s1", "a", "", {"printed": small, "corrected": large})
+    with pytest.raises(ValueError, match="float"):
+        Figure("s1", "a", "", {"before": small.astype(float)})
+
+
+def test_bars_draw_ranges_and_leave_out_what_is_not_known() -> None:
+    plot = bars("s1", "table 1", "Rates", "fps", ["a", "b"], {"printed": [(9, 13), None], "here": [4.0, 5.0]})
+    first = plot.figure.axes[0].patches[0]
+    assert (first.get_x(), first.get_width()) == (9, 4)
+    assert [t.get_text() for t in plot.figure.axes[0].texts] == ["9–13", "4", "5"]

@@ -1,0 +1,80 @@
+"""Scenes, jobs and times for the papers' modules."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from arfx.reproduce.work import Clip, Memory, Work
+from arfx.synth.description import parse_scene
+
+SCENE = """
+samples = 1
+[clip]
+width = 160
+height = 96
+[lens]
+fov_deg = 50
+[[shot]]
+frames = 3
+[[plane]]
+size_m = [1.4, 1.2]
+position_m = [0, 0, "-0.2mm"]
+[[marker]]
+spec = "36h11:3:150mm"
+[model]
+shape = "block"
+fit = "12cm"
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Work, Clip]:
+    work = Work(tmp_path_factory.mktemp("work"), short=True)
+    return work, work.clip(SCENE)
+
+
+def test_a_clip_is_made_once_for_each_scene(made: tuple[Work, Clip]) -> None:
+    work, clip = made
+    assert work.clip(parse_scene(SCENE)).folder == clip.folder != work.clip(SCENE.replace("150mm", "140mm")).folder
+    assert len(clip.frames()) == 3 and clip.frames()[0].shape == (96, 160, 3)
+
+
+def test_a_job_runs_under_either_formula(made: tuple[Work, Clip]) -> None:
+    work, clip = made
+    printed, corrected = work.job(clip, "paper"), work.job(clip)
+    assert work.config(clip, "paper").params["lightmap"].formula == "paper"
+    pictures = [run.frames()[1] for run in (printed, corrected)]
+    assert pictures[0].shape == (96, 160, 3) and np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
+    assert work.job(clip, "paper") is printed
+
+
+def test_a_frame_of_a_job_is_what_the_job_makes(made: tuple[Work, Clip]) -> None:
+    work, clip = made
+    shot = work.shot(clip, 1)
+    made_apart, changed = (
+        np.abs(shot.picture().astype(int) - other).mean() for other in (work.job(clip).frames()[1], clip.frames()[1])
+    )
+    assert made_apart < changed / 3  # the job's output has its colour at half the resolution
+    assert shot.up_to("raster")[-1][0] == "raster" and shot.seconds("raster", 2) > 0
+
+
+def test_what_runs_apart_has_a_process_of_its_own(made: tuple[Work, Clip]) -> None:
+    work, _ = made
+    assert work.apart(os.getpid) != os.getpid()
+
+
+def test_memory_is_seen_while_it_is_held() -> None:
+    with Memory() as idle:
+        pass
+    with Memory() as memory:
+        held = np.ones(40_000_000 // 8)
+        memory._done.wait(0.05)
+    assert memory.peak_mb > idle.peak_mb + 20 and held.size
+
+
+def test_the_scale_of_work(tmp_path: Path) -> None:
+    assert (Work(tmp_path).scaled(9, 1), Work(tmp_path, short=True).scaled(9, 1)) == (9, 1)
