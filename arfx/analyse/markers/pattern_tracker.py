@@ -19,6 +19,7 @@ from arfx.analyse.params import AnalyseParams
 from arfx.core.camera import Camera
 from arfx.core.codec import serialisable
 
+WHOLE_PX = 2.1e6  # of a frame that is searched at full resolution; larger ones are reduced to so many
 _TRUSTED_S = 0.1  # for so long a print moves on as it did
 _PAIR_S = 0.3  # longest time between two sightings that tell a speed
 
@@ -62,7 +63,7 @@ class PatternTracker(Stateful):
         whole = bool(missing) and time_s - self.last_whole_s >= self._params.search_interval_s
         lost = any(p.name in self.tracks and self.tracks[p.name].missing < self._params.loss_search_frames for p in missing)
         if missing and (whole or lost or self.frames % self._params.reduced_search_every == 0):
-            features = frame_features(luma, math.inf if whole else self._params.reduced_px)
+            features = frame_features(luma, WHOLE_PX if whole else self._params.reduced_px)
             self.last_whole_s = time_s if whole else self.last_whole_s
             for picture in missing:
                 about = picture.find(features, camera)
