@@ -50,7 +50,7 @@ class Patches:
 
 WHITE = np.arange(PATCHES) >= PATCHES // 2
 GRID, CHOSEN = 10, 8  # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
-ROUGH = 2.0  # deviations within a cell by which it counts as less bright, or less dark
+ROUGH = 4.0  # deviations within a cell by which it counts as less bright, or less dark
 FINE = 8  # points of the albedo map along a cell's side
 DIM = 0.2  # albedo: a quarter of a pattern whose bright cells are darker tells no shadow
 
