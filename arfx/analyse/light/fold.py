@@ -50,8 +50,9 @@ class LightOfMarkers(Fold):
         super().__init__(job)
         self._markers = markers
         ink, paper = job.light.ink, job.light.paper
-        self._meters = {m.key: patches.marker_meter(m) for m in job.markers if isinstance(m, MarkerSpec)}
-        self._meters |= {key: patches.pattern_meter(print_, ink, paper) for key, print_ in job.prints.items()}
+        self._meters = {m.key: [patches.marker_meter(m)] for m in job.markers if isinstance(m, MarkerSpec)}
+        for key, print_ in job.prints.items():
+            self._meters[key] = [patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT]
         self.readings: list[Reading] = []
         self._surroundings = EnvironmentSamples()
 
@@ -66,8 +67,8 @@ class LightOfMarkers(Fold):
         for s in seen:
             if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
                 continue
-            cells, albedo, scale = self._meters[s.key]
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
+            cells, albedo, scale = patches.meter_for(self._meters[s.key], s.side_px, blur)
             shape = (picture.rect.height, picture.rect.width)
             points = patches.place_samples(s.corners_px, cells, s.inverted, blur, shape, scale)
             self.readings.append((frame.index, s.key, patches.reduced(picture.linear_at(points.pixels()), points, albedo)))

@@ -52,6 +52,7 @@ WHITE = np.arange(PATCHES) >= PATCHES // 2
 GRID, CHOSEN = 10, 8  # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
 ROUGH = 4.0  # deviations within a cell by which it counts as less bright, or less dark
 FINE = 8  # points of the albedo map along a cell's side
+SOFT = (0.0, 0.35, 0.7, 1.4)  # deviations, in these points, by which the map is blurred: one meter for each
 DIM = 0.2  # albedo: a quarter of a pattern whose bright cells are darker tells no shadow
 
 
@@ -69,13 +70,21 @@ def marker_meter(spec: MarkerSpec) -> Meter:
     return Meter(cells(spec.family, spec.id).astype(np.int8))
 
 
-def pattern_meter(picture: np.ndarray, ink: float, paper: float) -> Meter:
+def meter_for(meters: Sequence[Meter], side_px: float, blur_px: float) -> Meter:
+    """The one of a print whose map is blurred as the print is in the frame, where its side is so long."""
+    soft = np.array(SOFT[: len(meters)])
+    return meters[int(np.abs(soft - blur_px * GRID * FINE / max(side_px, 1.0)).argmin())]
+
+
+def pattern_meter(picture: np.ndarray, ink: float, paper: float, soft: float = 0.0) -> Meter:
     """Of a print by its picture (h, w, 3), linear: in every quarter the brightest and the darkest cells, even ones first.
 
     Its white is the paper's albedo and its black the ink's. Between these printers differ: so the ends are read. A patch has the
     harmonic mean of its albedos, so that scaling what is seen to it leaves the camera's bias as it is."""
     size, half = GRID * FINE, GRID // 2
-    map_ = ink + (paper - ink) * cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA).astype(float)
+    seen = cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA)
+    seen = cv2.GaussianBlur(seen, (0, 0), soft, borderType=cv2.BORDER_REPLICATE) if soft else seen
+    map_ = ink + (paper - ink) * seen.astype(float)
     split = map_.reshape(GRID, FINE, GRID, FINE, 3).transpose(0, 2, 1, 3, 4)  # (row, column, y, x, channel)
     grey = split.mean(-1)
     level, rough = grey.mean((2, 3)), ROUGH * grey.std((2, 3))

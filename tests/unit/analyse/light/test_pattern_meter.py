@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,7 +12,17 @@ from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.analyse.light import fold as light_fold
 from arfx.analyse.light.fold import solve_patches
-from arfx.analyse.light.patches import Patches, albedos, pattern_meter, place_samples, quadrant_radiance, reduced, stack
+from arfx.analyse.light.patches import (
+    SOFT,
+    Patches,
+    albedos,
+    meter_for,
+    pattern_meter,
+    place_samples,
+    quadrant_radiance,
+    reduced,
+    stack,
+)
 from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.params import LightParams
 from arfx.core.marker import PatternSpec
@@ -65,6 +76,23 @@ def test_light_and_bias_come_out_of_its_patches(formula: str) -> None:
     assert solved.determined.all()
     np.testing.assert_allclose(solved.y, LIGHTS, rtol=0.01)
     np.testing.assert_allclose(solved.bias, BIAS, atol=0.003)
+
+
+def test_the_map_is_blurred_as_the_print_is() -> None:
+    meters = [pattern_meter(PRINTED, INK, PAPER, soft) for soft in SOFT]
+    assert meter_for(meters, 1000.0, 0.7) is meters[0] and meter_for(meters, 80.0, 0.7) is meters[2]
+    assert meter_for(meters[:1], 80.0, 0.7) is meters[0], "a marker has one"
+    w, h = 88, 60
+    small = cv2.GaussianBlur(cv2.resize(ALBEDO, (w, h), interpolation=cv2.INTER_AREA), (0, 0), 0.7)
+    quad = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
+    off = []
+    for meter in (meters[0], meter_for(meters, (w + h) / 2, 0.7)):
+        points = place_samples(quad, meter.cells, False, 0.7, (h, w), meter.scale)
+        at = points.pixels()
+        p = reduced(small[at[:, 1], at[:, 0]].astype(np.float32), points, meter.albedo)
+        assert meter.albedo is not None and (p.count > 0).all()
+        off.append(np.abs(p.mean - meter.albedo)[:4].mean())
+    assert off[1] < 0.7 * off[0]
 
 
 def test_texture_within_a_patch_is_no_noise() -> None:
