@@ -108,6 +108,7 @@ class Analysis:
     facts : one per frame;  world_from_marker : by key, of markers that could be placed
     anchor : what the object stands on;  static : "camera", "marker" or "both" (both move), see pose/at_rest.py
     summary : figures for the report, JSON-able;  notices : sentences for the user;  real_planes : measured
+    environment_maps : of the facts' `seen_environment` (core.scene.Scene)
     frame_span : which of the clip's frames these are: seconds of each after the clip's first, how many lie before, whether they
         reach to its end"""
 
@@ -118,6 +119,7 @@ class Analysis:
     notices: tuple[str, ...] = ()
     anchor: Marker = PLANE_MARKER
     real_planes: tuple[RealPlane, ...] = ()
+    environment_maps: Mapping[str, np.ndarray] = field(default_factory=dict, compare=False)  # the facts name their contents
     frame_span: tuple[list[float], int, bool] = ([], 0, True)
 
     @property

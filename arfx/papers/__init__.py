@@ -18,7 +18,6 @@ FORMULAS: Mapping[str, Mapping[str, Any]] = {
             "light": "arfx.papers.s1_light.PrintedLight",
             "lightmap": "arfx.papers.s1_lightmap.PrintedLightmap",
             "dof": "arfx.papers.s2_dof.PrintedDof",
-            "environment": "arfx.papers.s4_gi.PrintedEnvironment",
             "gi": "arfx.papers.s4_gi.PrintedGi",
             "watercolor": "arfx.papers.s3_watercolor.PrintedWatercolor",
         }

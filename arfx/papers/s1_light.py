@@ -16,9 +16,10 @@ Its errors: docs/methods/light.md#errata."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -177,14 +178,13 @@ def lights_of(seen: Sequence[Observation], params: PrintedLightParams) -> tuple[
 
 
 class PrintedStaticFrameLight(StaticFrameLight):
-    """maps : M by frame, WORLD axes"""
+    """maps : M by frame, WORLD axes; none where the light is given"""
 
     params: PrintedLightParams
-    maps: dict[int, CubeMap]
+    maps: Mapping[int, CubeMap] = MappingProxyType({})
 
     def from_markers(self, rests: bool, samples: Sequence[EnvironmentSample]) -> tuple[Lights, dict[str, Any]]:
         """Each frame's light map and its peaks; frames without a reading have those before them."""
-        self.maps = {}
         if not self.lit:
             return super().from_markers(rests, samples)
         solution, cubes, turn = lights_of(self.observations, self.params)

@@ -41,7 +41,8 @@ def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | N
     """(cube (6, n, n, 3), map_from_world (3, 3)) of M; None where no map was written."""
     if light_map_ is None:
         return None
-    cube, axes = light_map_.faces(), np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
+    cube = light_map_.faces().astype(np.float32)
+    axes = np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
     if cube.shape[1] < 2 or not np.isfinite(cube).all() or not np.isfinite(axes).all():
         raise RenderError("facts: the light map needs faces of finite numbers, 2 x 2 or more")
     return cube, axes

@@ -8,12 +8,13 @@ Distances are kept as dioptres, 1/L: there (5) has no pole, and beyond the hyper
 Deviations. Not stated, hence settings: the size of the mean filter (Figure 8's block holds 4 px around its own, so at most 7 px
 with (8)), and how the border of the depth of field is smoothed; here the factor 2/3 rises to 1 across it. A clip plane that is
 not set stands at the nearest or farthest thing of the frame. The depth of the real scene is that of its planes, or measured.
-While the object fades in or out so does the blur. Its errors: docs/methods/dof.md#errata."""
+In front is what is nearer by more than 1 %, on one surface at a grazing angle too. While the object fades in or out so does the
+blur. Its errors: docs/methods/dof.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,7 +76,8 @@ def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray
 
 def blur_factor(dioptre: np.ndarray, clip: tuple[float, float], at: CircleOfConfusion) -> np.ndarray:
     """a = C / max(C_near, C_far), 0..1. clip : dioptres of both clip planes"""
-    return np.minimum(divide(eq7_circle(dioptre, at), max(float(eq7_circle(d, at)) for d in clip)), 1.0)
+    largest = max(float(eq7_circle(d, at)) for d in clip)
+    return np.minimum(eq7_circle(dioptre, at) * float(divide(1.0, largest)), 1.0)
 
 
 def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float]:
@@ -177,7 +179,7 @@ def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compi
 def within_depth_of_field(dioptre: np.ndarray, sharp: tuple[float, float], border: float) -> np.ndarray:
     """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly between around them."""
     focus, reach = 0.5 * (sharp[0] + sharp[1]), 0.5 * (sharp[1] - sharp[0])
-    place = divide(np.abs(dioptre - focus), reach)  # 1 on both limits
+    place = np.abs(dioptre - focus) / reach if np.isfinite(reach) else np.zeros_like(dioptre)  # 1 on both limits
     if border == 0:
         return np.where(place <= 1, INSIDE, 1.0)
     t = np.clip(0.5 + (place - 1) / (2 * border), 0.0, 1.0)
@@ -186,6 +188,17 @@ def within_depth_of_field(dioptre: np.ndarray, sharp: tuple[float, float], borde
 
 def eq9_blend(a: np.ndarray, blur: np.ndarray, original: np.ndarray) -> np.ndarray:
     return original + (blur - original) * a[..., None].astype(np.float32)
+
+
+def _blended(a: np.ndarray, blur: np.ndarray, coded: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """(9) in linear light; what is exactly in the focus stays bit for bit. image : `coded` in linear light"""
+    return np.where(a[..., None] > 0, SRGB.decode(eq9_blend(a, blur, coded)), image)
+
+
+def _by_rows(work: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
+    """work(arrays), a band of rows on each thread."""
+    done = parallel_rows(lambda top, bottom: work(*(array[top:bottom] for array in arrays)), len(arrays[0]))
+    return np.concatenate(done).astype(np.float32, copy=False)
 
 
 class PrintedDof(Dof):
@@ -211,20 +224,22 @@ class PrintedDof(Dof):
         return out.pad(len(self.weights) // 2 + 1).clip(scene.camera.rect)
 
     def run(self, view: View, prepared: np.ndarray) -> Mapping[Layer, Any]:
-        facts, now, p = view.facts, view.layers, self.params
+        facts, now = view.facts, view.layers
         image = now[Layer.IMAGE]
         if not facts.present or super().demand(facts, view.scene, view.scene.camera.rect).rect.empty:
             return {Layer.IMAGE: image.copy()}
-        at, real = self._frame(facts, view.scene)
-        dioptre = dioptres(now, facts, real, prepared)
-        sharp = sharp_range(at, focal_mm(p, facts, view.scene), p.coc_mm)
-        a = blur_factor(dioptre, self._clip_planes(facts, real, prepared), at)
+        dioptre, a = self.depth_and_blur(now, facts, view.scene, prepared)
+        coded = _by_rows(SRGB.encode, image)
+        return {Layer.IMAGE: _by_rows(_blended, a, self.blurred(coded, dioptre), coded, image)}
+
+    def depth_and_blur(self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What one texture of Figure 6 holds: (h, w) dioptre, 1/m, and factor of the blend. grid : what `prepare` made"""
+        p, (at, real) = self.params, self._frame(facts, scene)
+        dioptre = dioptres(now, facts, real, grid)
+        sharp = sharp_range(at, focal_mm(p, facts, scene), p.coc_mm)
+        a = blur_factor(dioptre, self._clip_planes(facts, real, grid), at)
         a = a * within_depth_of_field(dioptre, sharp, p.border) * min(facts.opacity, 1.0)
-        if p.scope == "virtual":
-            a = a * (now[Layer.COVERAGE] > 0)
-        coded = SRGB.encode(image).astype(np.float32)
-        out = SRGB.decode(eq9_blend(a, self.blurred(coded, dioptre), coded))
-        return {Layer.IMAGE: np.where(a[..., None] > 0, out, image).astype(np.float32)}
+        return dioptre, a * (now[Layer.COVERAGE] > 0) if p.scope == "virtual" else a
 
     def _clip_planes(self, facts: FrameFacts, real: Real, grid: np.ndarray) -> tuple[float, float]:
         """Dioptres of the far and of the near clip plane."""

@@ -1,101 +1,245 @@
 """Environment from the one camera and delta voxel cone tracing, as printed: Yao, Tao, Wu 2018.
 
-1. The real scene is a plane. 2. It is voxelised with and without the object; coarser voxels are the mean of their children; what
-the two differ in, V_delta, changes the real picture. 3. The environment is folded out of the picture. 4. Cones gather the light
-of voxels and environment.
+1. The real scene is a mesh of its planes: s4_plane.py.
+2. It is voxelised with the object; light of reflective shadow maps goes into V_rho, V_mu and V_delta, the coarser voxels are the
+   mean of their children: s4_volumes.py, s4_shadow_maps.py.
+3. The environment is folded out of the picture: s4_environment.py.
+4. Cones gather the light of voxels and environment: s4_cones.py. Real surfaces read V_delta, virtual ones V_mu, the rebuilt
+   volume, and what their cones let through of the environment. Here.
 
-Deviations. There are no reflective shadow maps and no virtual point lights: voxels hold the light that cones bring them. V_delta
-exists as texels of the planes alone, real pixels do not trace it. With the printed labels its sign is turned round: it is
-subtracted here. The light is the frame's, not configured. The rest of step 4 is the corrected stage's: its cones, their
-weights and steps. The plane's albedo, which a difference needs, is not stated: `plane_albedo`.
-Its errors: docs/methods/gi.md#errata."""
+Deviations. Not stated and therefore settings: voxels a side, the plane's albedo, how much it mirrors. With the printed labels
+V_delta has its sign turned round: it is subtracted here. The environment is said once to be for real and once for virtual
+surfaces: the picture of real ones holds it already. Only light with a direction is in the voxels, so where the frame has none
+nothing changes on the planes. The picture is changed by a ratio, so black pixels of it gain little. Processor instead of
+graphics card. The gloss of materials is the corrected stage's (split sum). Its errors: docs/methods/gi.md#errata."""
 
-# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
-import cv2
-import numba
 import numpy as np
 
-from arfx.analyse.light.fold import Environment
-from arfx.analyse.light.surroundings import SIZE, foldable
+from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.rect import Rect
-from arfx.core.stage import View
-from arfx.errors import require_within
+from arfx.core.light import Light
+from arfx.core.numerics import normalise
+from arfx.core.rect import EMPTY, Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import Check, Demand, JobView, View
+from arfx.errors import ConfigError, require_within
+from arfx.papers.s4_cones import cone_steps, cone_trace
+from arfx.papers.s4_environment import FACE_PX, step3_environment, step3_mipmap, step4_environment
+from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
+from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
+from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import Gi, GiParams
-from arfx.stages.gi.field import Field
-from arfx.stages.gi.stage import LEVELS
+from arfx.stages.gi.cones import LOBES, around_normals, mirror_tangent, six_cones
+from arfx.stages.gi.frame_light import rounded
+from arfx.stages.gi.pixels import split_sum
+from arfx.stages.gi.plane_pixels import DARKEST, measured
+from arfx.stages.gi.real_planes import planes_of
+from arfx.stages.gi.reference_scene import RayScene
+from arfx.stages.viewing import direction_grid, seen_rect, viewing
+
+VOXELS = (32, 64, 128, 256)
+LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
+BATCH = 1 << 16  # pixels at once: bounds memory
 
 
 @dataclass(frozen=True)
 class PrintedGiParams(GiParams):
-    """plane_albedo : of the real plane, 0..1"""
+    """voxels : of a side of the octree's lowest level: 32, 64, 128 or 256
+    plane_albedo : of the real plane, 0..1
+    plane_gloss : as under the corrected formula, but the planes mirror the object unless this is 0"""
 
     formula: str = field(default="paper", init=False)
+    plane_gloss: float = 0.1
+    voxels: int = 128
     plane_albedo: float = 0.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_within("gi", self, plane_albedo=(0, 1))
+        if self.voxels not in VOXELS:
+            raise ConfigError(f"gi.voxels is {self.voxels}", f"one of {', '.join(map(str, VOXELS))}")
 
 
-@numba.njit(cache=True, nogil=True)
-def step2_mean(below, children, out):  # pragma: no cover - compiled
-    """A voxel is the mean of its eight children. Through a wall one voxel thick 1 - 2^-L of the light leaks at level L."""
-    directed = below.shape[1] == 6
-    for p in range(children.shape[0]):
-        for d in range(6):
-            for s in range(8):
-                c = children[p, s]
-                if c >= 0:
-                    for k in range(4):
-                        out[p, d, k] += np.float32(0.125) * below[c, d if directed else 0, k]
+@dataclass(frozen=True, eq=False)
+class PrintedPrepared:
+    """Of one clip and worker. real, virtual : what rays meet of the mesh of step 1, and of the object
+    volumes : of step 2;  grid : viewing directions"""
+
+    real: RayScene
+    virtual: RayScene
+    volumes: Volumes
+    grid: np.ndarray
 
 
-def step2_delta(field: Field) -> np.ndarray:
-    """V_delta = V_rho - V_mu, real alone less real and virtual, on the planes: the light that the object adds, with the sign
-    turned round. A lone plane sends itself no light, so a black object leaves it as it is."""
-    return -field.gain
+@dataclass(frozen=True, eq=False)
+class Surfels:
+    """Points of surfaces that are shaded. position (m, 3), metres, normal (m, 3) and seen (m, 3), unit direction from the camera:
+    anchor axes"""
 
+    position: np.ndarray
+    normal: np.ndarray
+    seen: np.ndarray
 
-def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) radiance as `surroundings.fold`: the picture in thirds, its middle the front and, mirrored, the back,
-    the parts beside the middle the sides. There is a seam where those meet the back."""
-    picture = foldable(image)
-    h, w = picture.shape[:2]
-    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
-    part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
-    shrink = lambda p: cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)  # noqa: E731
-    # a side's first line is the one that touches the front
-    right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
-    down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
-    front = shrink(part(1, 1))
-    return np.stack([right, left, down, up, front, front])
-
-
-class PrintedEnvironment(Environment):
-    folded = staticmethod(step3_environment)
+    @property
+    def mirrored(self) -> np.ndarray:
+        return self.seen - 2 * (self.seen * self.normal).sum(-1, keepdims=True) * self.normal
 
 
 class PrintedGi(Gi):
     levels = ("standard",)
-    settings = {"standard": replace(LEVELS["standard"], plane_rays=0, downsample=step2_mean, sent_alone=True)}
+    facts = frozenset({"pose", "light"})
     Params = PrintedGiParams
 
-    def on_planes(
-        self, field: Field, virtual: np.ndarray, shadow: np.ndarray, view: View,
-        add_change: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        changed = add_change(virtual, step2_delta(field), -self.params.strength * self.params.plane_albedo)
-        return virtual + (1 - view[Layer.COVERAGE][..., None]) * (changed - virtual), shadow
+    def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
+        model, mesh = facts.raster_box.clip(frame), self._mesh_rect(facts, scene, frame)
+        if model.empty and mesh.empty:
+            return Demand(EMPTY, "model and planes out of view")
+        return Demand(model.union(mesh), "model and the real planes' mesh, as printed")
 
-    def in_mirrors(
-        self, change: np.ndarray, light: np.ndarray, virtual: np.ndarray, shadow: np.ndarray, view: View, within: Rect
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        out, at = virtual.copy(), within.slices_in(view.rect)
-        out[at] += (1 - view[Layer.COVERAGE][at][..., None]) * change
-        return out, shadow
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
+        return scene.camera.rect  # all of the picture is in the environment
+
+    def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
+        return {"new_lights": None if facts.light is None else repr(rounded(facts.light))}
+
+    def health(self, job: JobView) -> Iterable[Check]:
+        return ()  # its environment has a seam, and its furnace is not white: as printed
+
+    def prepare(self, scene: Scene, level: str) -> Any:
+        parts = step1_mesh(planes_of(scene), self.params.plane_albedo)
+        volumes = step2_volumes(real_and_virtual(scene, parts), scene, self.params.voxels)
+        return PrintedPrepared(RayScene(real_scene(scene, parts)), RayScene(scene), volumes, direction_grid(scene.camera))
+
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+        light = rounded(view.light)
+        radiance = view.memo.of_light.get(repr(light), lambda: step2_of(prepared, light, view.scene))
+        virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
+        picture = np.clip(view[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32), 0, None)
+        wanted = view.out.clip(view.rect)
+        if self.params.strength > 0 and radiance.V_delta.any():
+            within = wanted.clip(self._mesh_rect(view.facts, view.scene, view.scene.camera.rect))
+            for band in bands(within):
+                at, surfels = real_surfels(view, prepared, band)
+                change, light = -self.step4_real(prepared, radiance, surfels), picture[at]
+                shadow[at] += self.params.strength * np.maximum(change, -light) / np.maximum(light, DARKEST)
+        environment = step3_mipmap(step3_environment(picture, FACE_PX))
+        rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
+        virtual[rows] += view[Layer.COVERAGE][rows][:, None] * self.step4_virtual(
+            view, prepared, radiance, environment, surfels, view[Layer.ALBEDO][rows], view[Layer.MATERIAL][rows]
+        )
+        return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
+
+    def step4_real(self, prepared: PrintedPrepared, radiance: Radiance, at: Surfels) -> np.ndarray:
+        """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which the object is reflected."""
+        volumes, six = prepared.volumes, wide_cones(prepared.volumes, radiance.V_delta, at)
+        out = self.params.plane_albedo * six[..., :3]
+        if self.params.plane_gloss > 0:
+            rough = np.full(len(out), self.params.plane_roughness)
+            mirrored, _ = mirror_cones(volumes, radiance.V_delta, at, rough)
+            a, b = fresnel(rough, at)
+            out = out + (self.params.plane_gloss * a + b) * mirrored[:, :3]
+        return out
+
+    def step4_virtual(
+        self, view: View, prepared: PrintedPrepared, radiance: Radiance, environment: list[np.ndarray], at: Surfels,
+        rho: np.ndarray, material: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's surfaces."""
+        camera_from_anchor = (view.pose @ view.scene.world_from_anchor).rotation
+        metal, roughness = material[:, :1], material[:, 1]
+        six = wide_cones(prepared.volumes, radiance.V_mu, at, environment, camera_from_anchor)
+        mirrored, half_deg = mirror_cones(prepared.volumes, radiance.V_mu, at, roughness)
+        for deg in np.unique(half_deg):
+            k = half_deg == deg
+            mirrored[k, :3] += mirrored[k, 3:] * step4_environment(environment, at.mirrored[k] @ camera_from_anchor.T, deg)
+        a, b = fresnel(roughness, at)
+        f0 = 0.08 * material[:, 2:3] * (1 - metal)
+        gloss = np.where(f0 + metal > 0, (f0 + rho * metal) * a + b, 0)
+        return rho * (1 - metal) * (1 - np.where(f0 > 0, f0 * a + b, 0)) * six[..., :3] + gloss * mirrored[:, :3]
+
+    def _mesh_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
+        """Pixels in which the mesh of the real planes can be seen."""
+        if self.params.strength <= 0:
+            return EMPTY
+        corners = np.concatenate([p.vertices for p in step1_mesh(planes_of(scene), self.params.plane_albedo)])
+        return seen_rect(scene.camera, (facts.pose @ scene.world_from_anchor).apply(corners), 1.0).clip(frame)
+
+
+def step2_of(prepared: PrintedPrepared, light: Light, scene: Scene) -> Radiance:
+    """V_rho, V_mu and V_delta of a light, WORLD axes."""
+    turn = scene.world_from_anchor.rotation
+    lamps = [(li.unit @ turn, np.clip(li.rgb, 0, None)) for li in light.lights]
+    return step2_radiance(prepared.volumes, prepared.real, prepared.virtual, lamps)
+
+
+def real_surfels(view: View, prepared: PrintedPrepared, within: Rect) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+    """(rows and columns, points) where the picture shows the mesh and not the object alone."""
+    anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
+    d = viewing(prepared.grid, within)  # z = 1: distances are depths
+    seen = d.reshape(-1, 3) @ anchor_from_camera.rotation.T
+    hit = prepared.real.first(np.broadcast_to(anchor_from_camera.translation_m, seen.shape), seen)
+    on = hit.met & ((hit.normal * seen).sum(-1) < 0) & (view[Layer.COVERAGE][within.slices_in(view.rect)].ravel() < 1)
+    if (real := measured(view[Layer.REAL_DEPTH])).size:
+        depth = real[within.slices_in(view.rect)].ravel()
+        with np.errstate(invalid="ignore"):
+            on &= ~(np.isfinite(depth) & (np.abs(depth - hit.distance) > LIFT * hit.distance))
+    row, column = np.unravel_index(np.flatnonzero(on), d.shape[:2])
+    rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
+    return rows, Surfels(hit.position[on], hit.normal[on], normalise(seen[on]))
+
+
+def virtual_surfels(view: View, within: Rect) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+    """The same of the object's pixels."""
+    slices = within.slices_in(view.rect)
+    lengths = np.linalg.norm(view[Layer.NORMAL][slices], axis=-1)
+    row, column = np.nonzero((view[Layer.COVERAGE][slices] > 0) & (lengths > 1e-3))
+    rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
+    anchor = view.scene.world_from_anchor.inverse()
+    eye = anchor.apply(view.pose.inverse().translation_m)
+    position = anchor.apply(view[Layer.POSITION][rows].astype(float))
+    normal = normalise(view[Layer.NORMAL][rows].astype(float)) @ anchor.rotation.T
+    return rows, Surfels(position, normal, normalise(position - eye))
+
+
+def wide_cones(
+    volumes: Volumes, V: np.ndarray, at: Surfels, environment: list[np.ndarray] | None = None, turn: np.ndarray | None = None
+) -> np.ndarray:
+    """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five around, and of the environment
+    behind them. turn (3, 3) : camera from anchor axes"""
+    six, weights, tan_half = six_cones()
+    d = around_normals(at.normal.astype(np.float32), six)
+    out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), at.position, d)
+    if environment is not None and turn is not None:
+        half_deg = float(np.degrees(np.arctan(tan_half)))
+        out[..., :3] += out[..., 3:] * step4_environment(environment, d.reshape(-1, 3) @ turn.T, half_deg).reshape(d.shape)
+    return np.asarray((weights[:, None] * out).sum(1))
+
+
+def mirror_cones(volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle). roughness (m,) : in steps"""
+    tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
+    out = np.zeros((len(tangent), 4), np.float32)
+    for one in np.unique(tangent):
+        rows, steps = tangent == one, cone_steps(float(one), volumes.volume.n)
+        out[rows] = cone_trace(volumes, V, steps, at.position[rows], at.mirrored[rows][:, None])[:, 0]
+    return out, np.degrees(np.arctan(tangent))
+
+
+def fresnel(roughness: np.ndarray, at: Surfels) -> tuple[np.ndarray, np.ndarray]:
+    """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected."""
+    table = split_sum()
+    cosine = np.clip(-(at.seen * at.normal).sum(-1), 0, 1)
+    i, j = (np.rint(np.clip(v, 0, 1) * (n - 1)).astype(int) for v, n in zip((roughness, cosine), table.shape[:2], strict=True))
+    return table[i, j, :1], table[i, j, 1:]
+
+
+def bands(rect: Rect) -> Iterable[Rect]:
+    """The rectangle in bands of about BATCH pixels."""
+    rows = max(BATCH // max(rect.width, 1), 1)
+    return (replace(rect, y0=y, y1=min(y + rows, rect.y1)) for y in range(rect.y0, rect.y1, rows))

@@ -1,7 +1,7 @@
 """The models of the papers' tables and figures, made by rule: written as GLB, y up, about one unit wide.
 
 teapot 6,000 faces, apple 4,000, aeroplane 21,000 (table 1 of Tan, Chen, Sun 2009); cube, rabbit, and teapot, cube and rabbit
-side by side (figure 5 of Jia, Tang 2013)."""
+side by side (figure 5 of Jia, Tang 2013); and what shows indirect light."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def write_model(name: str, path: Path) -> int:
     return sum(len(m.faces) for m in meshes)
 
 
-def lofted(rings: np.ndarray, colour: Colour, first: Any = None, last: Any = None, roughness: float = 0.6) -> Any:
+def lofted(
+    rings: np.ndarray, colour: Colour, first: Any = None, last: Any = None, roughness: float = 0.6, metallic: float = 0.0
+) -> Any:
     """A mesh through closed rings, its faces outward: 2 (k - 1) n faces, and n for each end that is closed.
 
     rings : (k, n, 3) points;  first, last : (3,) point that closes the tube there, None = it is open;  z up"""
@@ -48,10 +50,10 @@ def lofted(rings: np.ndarray, colour: Colour, first: Any = None, last: Any = Non
     centres = np.repeat(rings.mean(1), n, 0)  # of the ring where a face begins
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     outward = np.einsum("ij,ij->", normal, corner.mean(1) - np.concatenate([centres[: (k - 1) * n]] * 2))
-    return coloured(vertices, triangles if outward > 0 else triangles[:, ::-1], colour, roughness)
+    return coloured(vertices, triangles if outward > 0 else triangles[:, ::-1], colour, roughness, metallic)
 
 
-def coloured(vertices: np.ndarray, faces: np.ndarray, colour: Colour, roughness: float = 0.6) -> Any:
+def coloured(vertices: np.ndarray, faces: np.ndarray, colour: Colour, roughness: float = 0.6, metallic: float = 0.0) -> Any:
     """A mesh from points with z up."""
     import trimesh
     from trimesh.visual import TextureVisuals
@@ -60,7 +62,7 @@ def coloured(vertices: np.ndarray, faces: np.ndarray, colour: Colour, roughness:
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.apply_transform(Y_UP)
     material = PBRMaterial(
-        baseColorFactor=[*colour, 1.0], metallicFactor=0.0, roughnessFactor=roughness, doubleSided=True, name=f"{colour}"
+        baseColorFactor=[*colour, 1.0], metallicFactor=metallic, roughnessFactor=roughness, doubleSided=True, name=f"{colour}"
     )
     mesh.visual = TextureVisuals(uv=np.zeros((len(vertices), 2)), material=material)
     return mesh
@@ -165,6 +167,14 @@ def cube(colour: Colour = (0.1, 0.3, 0.65)) -> list[Any]:
     return [coloured(np.add(box.vertices, (0, 0, 0.25)), box.faces, colour)]
 
 
+def ball(colour: Colour = (0.95, 0.95, 0.95), roughness: float = 0.0, metallic: float = 1.0) -> list[Any]:
+    """12,160 faces; a mirror, unless its material is another."""
+    t, angle = np.linspace(0, np.pi, 97)[1:-1], np.arange(64) * np.pi / 32
+    across, up = np.sin(t)[:, None] / 2, (1 - np.cos(t))[:, None] / 2
+    rings = np.stack([across * np.cos(angle), across * np.sin(angle), up + 0 * angle], -1)
+    return [lofted(rings, colour, (0, 0, 0), (0, 0, 1), roughness, metallic)]
+
+
 # Of the rabbit: centre, half axes, and turn about y in degrees; it sits, looking towards x
 _RABBIT = (
     ((-0.1, 0, 0.25), (0.28, 0.2, 0.23), 15),  # body
@@ -211,4 +221,6 @@ def group() -> list[Any]:
 
 MODELS: dict[str, Callable[[], list[Any]]] = {
     "teapot": teapot, "apple": apple, "aeroplane": aeroplane, "cube": cube, "rabbit": rabbit, "group": group,
+    "red teapot": lambda: teapot((0.55, 0.04, 0.03)), "red cube": lambda: cube((0.7, 0.03, 0.02)),
+    "black cube": lambda: cube((0.0, 0.0, 0.0)), "mirror": ball, "ball": lambda: ball((0.7, 0.7, 0.7), 0.8, 0.0),
 }  # fmt: skip

@@ -15,8 +15,8 @@ from arfx.reproduce.rows import CORRECTED, HOLDS, PRINTED, REFERENCE, UNDERIVED,
 
 _CLASS = {HOLDS: "ok", UNDERIVED: "bad"}
 _STYLE = """<style>.side { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: 10px; }
-.side figure { cursor: default; } .plot { max-width: 760px; } .item { min-width: 11em; } .say { min-width: 18em; }
-td.value { min-width: 7em; }</style>"""
+.side figure { cursor: default; } .plot { max-width: 760px; }
+td:first-child { min-width: 12em; } td:last-child { min-width: 17em; }</style>"""
 
 
 def page(paper: Paper, items: Sequence[Item], machine: str, short: bool) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,6 +91,12 @@ def shown(
     holds : whether what is printed was found, by both methods;  reason : why not"""
     verdict = HOLDS if holds else DIFFERS
     return Row(paper, item, printed, paper_formula, corrected, unit, verdict, "" if holds else reason)
+
+
+def both(values: Iterable[float]) -> tuple[float, float]:
+    """The printed method's value and the corrected one's."""
+    printed, corrected = values
+    return printed, corrected
 
 
 def as_number(text: str) -> float | None:

@@ -26,6 +26,7 @@ from arfx.measure.steps import Chain, FrameRenderer, PreparedStages
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.papers import CORRECTED, PAPER
+from arfx.reproduce.models import write_model
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
@@ -37,7 +38,7 @@ from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
 Progress = Callable[[str, int, int | None], None]
-WARM_FRAMES = 3  # of a timed job: rendered before, so that imports, compiled code and first contacts are not counted
+WARM_FRAMES = 2  # of a timed job: rendered before, so that imports, compiled code and first contacts are not counted
 SAMPLED_S = 0.01  # how often memory is looked at
 
 
@@ -125,6 +126,13 @@ class Work:
             make_clip(read, self.folder / name, None, self._checked, truth_pictures=truth_pictures)
         return Clip(self.folder / name, read)
 
+    def model(self, name: str) -> str:
+        """Path of one of arfx.reproduce.models, for settings: {"model": {"file": work.model("cube"), "fit": "12cm"}}"""
+        path = self.folder / f"{name}.glb"
+        if not path.exists():
+            write_model(name, path)
+        return str(path)
+
     def config(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> JobConfig:
         """The clip's job with every section under `formula`. settings : further ones; {"model": {"file": …}} for another model"""
         return _config(clip.folder, formula, settings or {}, self.folder / "out.mkv")
@@ -155,8 +163,14 @@ class Work:
         return shot_of(self.planned(clip, formula, settings), index)
 
     def timed(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> Timed:
-        """The whole job in a process of its own, so that its memory is its own."""
-        return self.apart(timed_job, clip.folder, clip.scene.clip.fps, formula, settings or {})
+        """The whole job in a process of its own, so that its memory is its own. In the short form one frame's stages in this."""
+        if self.short:
+            shot = self.shot(clip, 0, formula, settings)
+            seconds = {stage: shot.seconds(stage, 1) for stage, _ in shot.chain}
+            held_mb = psutil.Process().memory_info().rss / 2**20
+            return Timed(1 / sum(seconds.values()), seconds, held_mb, held_mb)
+        timed: Timed = self.apart(timed_job, clip.folder, clip.scene.clip.fps, formula, settings or {})
+        return timed
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """What a module's function returns in a new process; arguments and result can be pickled. `Memory` measures there."""
@@ -205,7 +219,8 @@ def median_s(work: Callable[[], Any], repeats: int = 5) -> float:
 
 
 def timed_job(folder: Path, fps: float, formula: str, settings: Settings) -> Timed:
-    """Runs the job of a clip's folder twice, first its beginning alone; in the process that it is called in."""
+    """Runs the job of a clip's folder in the process that it is called in. The clip's first frames are processed once before, so
+    that nothing is imported, compiled or loaded while time is taken. fps : of the clip"""
     start_mb = psutil.Process().memory_info().rss / 2**20
     report: dict[str, Any] = {}
     with Memory() as memory:

@@ -79,12 +79,15 @@ def _about(kind: type) -> str:
 
 
 def _of_formulas(kinds: Mapping[str, type]) -> list[dict[str, Any]]:
-    """The settings under every formula, those of the usual one first; the others say theirs."""
-    rows: dict[str, dict[str, Any]] = {}
+    """The settings under every formula, those of the usual one first; the others say theirs, where it or its default is new."""
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
     usual = next(iter(kinds.values()))
+    texts = {row["name"]: row["text"] for row in _of_dataclass(usual)}
     for formula, kind in kinds.items():
         for row in _of_dataclass(kind):
-            rows.setdefault(row["name"], row if kind is usual else {**row, "formula": formula})
+            default = "" if row["name"] == "formula" else repr(row["default"])
+            own = {**row, "text": row["text"] or texts.get(row["name"], ""), "formula": formula}
+            rows.setdefault((row["name"], default), row if kind is usual else own)
     return list(rows.values())
 
 

@@ -88,9 +88,9 @@ def with_machine_settings(config: JobConfig) -> JobConfig:
 
 
 def fold_classes(config: JobConfig) -> dict[str, Any]:
-    """Classes of folds in place of the usual ones, by name. How the picture becomes an environment is gi's formula."""
-    formulas = {"light": config.params["light"].formula, "environment": config.params["gi"].formula}
-    return {name: FORMULAS[f][name] for name, f in formulas.items() if f in FORMULAS}
+    """Classes of folds in place of the usual ones, by name."""
+    formula = config.params["light"].formula
+    return {"light": FORMULAS[formula]["light"]} if formula in FORMULAS else {}
 
 
 def required_folds(config: JobConfig) -> frozenset[str]:

@@ -17,6 +17,7 @@ from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
+from arfx.papers import PAPER
 from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
 from arfx.plan.explain import without_price
@@ -153,6 +154,12 @@ def level_policy(config: JobConfig, stages: Mapping[str, Stage], prices: Prices)
     return LevelPolicy(p.quality, p.budget, p.max_error)
 
 
+def without_level(stages: Mapping[str, Stage], quality: str) -> str:
+    """What to say of printed methods, which do not have the quality that was asked for; "" where there is nothing to say."""
+    names = [n for n, s in stages.items() if getattr(s.params, "formula", "") == PAPER and quality not in s.levels]
+    return f"--quality {quality}: {', '.join(names)} as printed, which has one level, standard" if names else ""
+
+
 def choose(
     config: JobConfig, stages: Mapping[str, Stage], facts: Sequence[FrameFacts], scene: Scene, policy: LevelPolicy,
     errors: Errors, prices: Prices, size: JobSize, notice: Callable[[str], None],
@@ -177,6 +184,8 @@ def choose(
     plan = plan_clip(list(stages.values()), facts, scene, policy, errors, prices, upper_s, config.pipeline.skip, prepare_cost)
     if not plan.choice.met:
         notice(plan.choice.why)
+    if policy.budget_s is None and policy.max_error is None and (printed := without_level(stages, policy.quality)):
+        notice(printed)
     if policy.budget_s is not None and not prices.calibrated:
         notice("the budget rests on shipped prices, wide intervals: `arfx bench --calibrate` measures this machine's")
     by = "budget" if policy.budget_s is not None else "error" if policy.max_error is not None else "quality"

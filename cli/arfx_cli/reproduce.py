@@ -29,6 +29,7 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool, as_json: boo
     Example:
       arfx reproduce all -o reproduced"""
     from arfx.core.guard import Guard
+    from arfx.errors import JobInterruptedError
     from arfx.reproduce import PAPERS
     from arfx.reproduce.document import page_name, reproduce
     from arfx.reproduce.work import Work
@@ -37,10 +38,13 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool, as_json: boo
 
     papers = list(PAPERS) if paper == "all" else [paper]
     pages = {page_name(name): PAGE_START.encode() for name in papers}
-    with files_locked(Guard((), overwrite), folder, pages), Progress("steps") as progress:
-        compile_ahead((SYNTH,), progress, note)
-        with tempfile.TemporaryDirectory(prefix="arfx-reproduce-") as scratch:
-            document = reproduce(papers, folder, Work(Path(scratch), short, progress, detail))
+    try:
+        with files_locked(Guard((), overwrite), folder, pages), Progress("steps") as progress:
+            compile_ahead((SYNTH,), progress, note)
+            with tempfile.TemporaryDirectory(prefix="arfx-reproduce-") as scratch:
+                document = reproduce(papers, folder, Work(Path(scratch), short, progress, detail))
+    except JobInterruptedError:  # its message says that the job can be resumed
+        raise KeyboardInterrupt from None
     if as_json:
         emit_json(document)
         return

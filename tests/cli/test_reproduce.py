@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from arfx.errors import JobInterruptedError
 from arfx.reproduce import PAPERS, s1
-from arfx.reproduce.rows import compared
+from arfx.reproduce.rows import Row, compared
+from arfx.reproduce.work import Work
 from tests.cli.conftest import Run
 
 
@@ -36,6 +39,15 @@ def test_what_is_not_arfxs_is_not_replaced(arfx: Run, tmp_path: Path) -> None:
     (tmp_path / "s1.html").write_text("mine")
     done = arfx("reproduce", "s1", "-o", ".", "--overwrite")
     assert done.code == 2 and "was not written by arfx" in done.err and (tmp_path / "s1.html").read_text() == "mine"
+
+
+def test_what_is_interrupted_is_not_said_to_be_resumable(arfx: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(work: Work) -> Iterator[Row]:
+        raise JobInterruptedError("kept in a folder", "the same command with --resume goes on")
+
+    monkeypatch.setattr(s1, "rows", interrupted)
+    done = arfx("reproduce", "s1", "-o", "out")
+    assert done.code == 130 and "resume" not in done.err and not (tmp_path / "out").exists()
 
 
 def test_a_paper_that_is_not_there_is_refused(arfx: Run) -> None:

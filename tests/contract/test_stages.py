@@ -26,7 +26,8 @@ CASES = [(name, level) for name, stage in CLASSES.items() for level in range(len
 IDS = [f"{name}-{CLASSES[name].levels[level]}" for name, level in CASES]
 
 
-QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}}  # the laws hold for any number of rays
+# the laws hold for any number of rays and voxels
+QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}, "printed gi": {"voxels": 32}}
 
 
 @cache

@@ -26,8 +26,9 @@ from arfx.errors import ArfxError
 from arfx.papers.s1_gain import gain_and_bias
 from arfx.papers.s1_light import eq8_weight
 from arfx.papers.s2_lens import printed_limits
-from arfx.papers.s4_gi import step2_mean
-from arfx.stages.gi.pyramid import front_to_back, levels_of, structure_of
+from arfx.papers.s4_volumes import octree_of
+from arfx.stages.gi.pyramid import levels_of, structure_of
+from arfx.stages.gi.voxelise import Volume
 
 DELTAS = tuple(10.0**-k for k in range(1, 13))
 Round = Callable[[Any], Any]
@@ -255,8 +256,12 @@ def _wall(delta: float, formula: str, rounded: Round) -> float:
     """A wall of opacity 1 - delta, one voxel thick, at the mip level of eight voxels: what leaks beside what should."""
     values = np.zeros((len(_WALL), 4), np.float32)
     values[:, 3] = rounded(1 - delta)
-    level = levels_of(structure_of(_WALL, 16, front_to_back if formula == "corrected" else step2_mean), values)[3]
-    return abs(float(level[:, 0, 3].max()) - (1 - delta))
+    if formula == "paper":
+        tree = octree_of(Volume(16, (0.0, 0.0, 0.0), 1.0), _WALL, np.zeros((len(_WALL), 3)), values[:, 3])
+        opacity = tree.tree.eta[tree.rows_of(3), 3]
+    else:
+        opacity = levels_of(structure_of(_WALL, 16), values)[3][:, 0, 3]
+    return abs(float(opacity.max()) - (1 - delta))
 
 
 BOTH = ("corrected", "paper")

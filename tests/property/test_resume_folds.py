@@ -84,7 +84,7 @@ class Shown:
         return light[..., None] * np.array([1.0, 0.9, 0.7], np.float32)
 
 
-KINDS = {name: FORMULAS["paper"][name] for name in ("light", "environment")}
+KINDS = {"light": FORMULAS["paper"]["light"]}
 CLIP = [Shown(k) for k in range(FRAMES)]
 
 

@@ -7,6 +7,7 @@ Source: docs/methods/light.md#cues."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from arfx.analyse.light.fit import MEASURED as LIT
 from arfx.analyse.light.fit import REFUSED
 from arfx.analyse.light.photometry import Photometry, Tolerances
 from arfx.analyse.light.photometry import solve as photometry_of
+from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.static_frame import LightReading, Readings, StaticFrameLight, light_from_direction, light_from_panorama
 from arfx.analyse.light.surroundings import EnvironmentSample, Folded, environment_sample, fold, with_environment
 from arfx.analyse.markers.fold import Markers
@@ -139,11 +141,12 @@ class EnvironmentSamples(Stateful):
         self.samples: list[Any] = []
         self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
 
-    def step(self, time_s: float, picture: Picture, sample: Callable[[np.ndarray], Any]) -> None:
+    def step(self, time_s: float, picture: Picture, sample: Callable[[np.ndarray], Any], width: int = SURROUNDINGS_PX) -> None:
+        """width : of the small picture, at most"""
         if time_s < self._next_s:
             return
         self._next_s = time_s + self._interval_s
-        small = picture.reduced(SURROUNDINGS_PX)
+        small = picture.reduced(width)
         if min(small.shape[:2]) >= 3:
             self.samples.append(sample(small))
         if len(self.samples) > MOST_ENVIRONMENT_SAMPLES:
@@ -152,7 +155,7 @@ class EnvironmentSamples(Stateful):
 
 
 class Environment(Fold):
-    """The surroundings' picture, for reflections."""
+    """The surroundings, for reflections: a guess of all of them, and what was seen of them."""
 
     name = "environment"
     needs = ("light",)
@@ -161,10 +164,33 @@ class Environment(Fold):
     def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
         super().__init__(job)
         self._light = light
+        self._looks = EnvironmentSamples()
+
+    def step(self, frame: AnalysisFrame) -> None:
+        if frame.picture is not None:
+            self._looks.step(frame.time_s, frame.picture, lambda small: Look(frame.index, small.astype(np.float16)), LOOK_PX)
 
     def finish(self, clip: Analysis) -> Analysis:
         upright = clip.world_from_anchor.rotation
-        return clip.adding(with_environment(clip.facts, self._light.samples, clip.static == "camera", self.job.panorama, upright))
+        return self.seen(
+            clip.adding(with_environment(clip.facts, self._light.samples, clip.static == "camera", self.job.panorama, upright))
+        )
+
+    def seen(self, clip: Analysis) -> Analysis:
+        """The clip with `seen_environment`."""
+        anchor = clip.world_from_anchor
+        if self.job.panorama is not None:
+            facts, maps = given_everywhere(clip.facts, self.job.panorama, anchor.rotation)
+        else:
+            facts, maps = with_seen(
+                clip.facts,
+                self._looks.samples,
+                self.job.camera,
+                clip.static == "camera",
+                anchor.translation_m,
+                anchor.rotation[:, 2],
+            )
+        return replace(clip.adding(facts), environment_maps=maps)
 
 
 def folded(job: AnalysisJob) -> Folded:

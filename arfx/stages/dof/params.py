@@ -122,7 +122,7 @@ def _keys(text: str, name: str, read: Callable[[str], _T]) -> list[tuple[float, 
     for part in text.split(","):
         value, at, moment = part.strip().partition("@")
         if not at and "," in text:
-            raise ConfigError(f"dof.{name}: key frame {part.strip()!r} has no time", "write it as VALUE@TIME: object@2s")
+            raise ConfigError(f"dof.{name}: key frame {part.strip()!r} has no time", f"write it as VALUE@TIME: {part.strip()}@2s")
         keys.append((time_s(moment, f"dof.{name}") if at else 0.0, read(value.strip())))
     times = [t for t, _ in keys]
     if times != sorted(set(times)):

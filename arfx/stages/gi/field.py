@@ -18,7 +18,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 from arfx.stages.gi.cones import START, Bricks, around_normals, cosine_cones, six_cones, steps_of, trace_many
 from arfx.stages.gi.form_factors import Factors, factors_of, gather, solid
-from arfx.stages.gi.pyramid import Downsample, Structure, atlas_of, front_to_back, structure_of
+from arfx.stages.gi.pyramid import Structure, atlas_of, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texel_positions
 from arfx.stages.gi.surroundings import Background, Planes, background_radiances
 from arfx.stages.gi.voxelise import Volume, Voxels, voxelise
@@ -87,25 +87,21 @@ class VoxelModel:
 @dataclass(frozen=True, eq=False)
 class Field:
     """atlas : radiance;  delta (p, side, side, 3) : indirect light that the object adds to the planes, as a share of all
-    their light;  gain : the same as radiance of a white plane;  direct (p, side, side, 3) : share of all their light that it
-    leaves, direct light counted too
+    their light;  direct (p, side, side, 3) : share of all their light that it leaves, direct light counted too
     extra_occlusion (p, side, side, 3) : by how much more a lamp's shadow takes, as other planes hide some of the soft light
     that is left in it; none where there is one plane;  brightest : no voxel sends more"""
 
     atlas: Bricks
     delta: np.ndarray
-    gain: np.ndarray
     direct: np.ndarray
     extra_occlusion: np.ndarray
     brightest: float
 
 
-def make_voxel_model(
-    scene: Scene, n: int, planes: Planes, side: int, cones: int, rays: int = 0, downsample: Downsample = front_to_back
-) -> VoxelModel:  # fmt: skip
+def make_voxel_model(scene: Scene, n: int, planes: Planes, side: int, cones: int, rays: int = 0) -> VoxelModel:
     """n : voxels a side;  side : texels of a plane;  cones : of each of them;  rays : of each, 0 = cones alone"""
     voxels = voxelise(scene, n)
-    structure = structure_of(voxels.cells, n, downsample)
+    structure = structure_of(voxels.cells, n)
     values = np.zeros((len(voxels.cells), 4), np.float32)
     values[:, 3] = voxels.opacity
     opaque = atlas_of(structure, values)
@@ -172,11 +168,9 @@ def _traced(
 
 
 def make_field(
-    model: VoxelModel, scene: Scene, light: Light, planes: Planes, background: Background, mean: np.ndarray, bounce: bool,
-    sent_alone: bool = False,
+    model: VoxelModel, scene: Scene, light: Light, planes: Planes, background: Background, mean: np.ndarray, bounce: bool
 ) -> Field:  # fmt: skip
-    """mean (3,) : radiance of the planes without the object;  bounce : False leaves the voxels black (occlusion alone).
-    sent_alone : the planes change by what the voxels send them, not by what the object hides, nor by each other's light"""
+    """mean (3,) : radiance of the planes without the object;  bounce : False leaves the voxels black (occlusion alone)"""
     rotation = scene.world_from_anchor.rotation.T
     lights = [(rotation @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
     total = [light.radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
@@ -194,7 +188,7 @@ def make_field(
     without, visibility = shaded.copy(), model.visibility
     values = np.zeros((len(model.voxels.cells), 4), np.float32)
     values[:, 3] = model.voxels.opacity
-    occluded = np.zeros((len(occlusion), side, side, 3)) if sent_alone else np.stack(occlusion)
+    occluded = np.stack(occlusion)
     gain, atlas = occluded.copy(), model.opaque
     for turn in range(ROUNDS if bounce else 0):
         darkened = np.clip(shaded, 0, None)
@@ -208,7 +202,7 @@ def make_field(
             gain[k] = received + occluded[k]
             shaded[k] = without[k] + divide(received, total[k])
     extra_occlusion = np.zeros((0, side, side, 3), np.float32)
-    if len(planes.axes) > 1 and not sent_alone:
+    if len(planes.axes) > 1:
         darkened = np.clip(shaded, 0, None) * visibility[..., None]
         ends = [
             with_texture(background, (t * mean).astype(np.float32), visibility, mean) for t in (darkened, np.ones_like(shaded))
@@ -221,7 +215,7 @@ def make_field(
         extra_occlusion = np.array([divide(a, w, where_zero=1.0) - 1 for a, w in zip(alone, total, strict=True)], np.float32)
     delta = np.stack([divide(g, w) for g, w in zip(gain, total, strict=True)])
     return Field(
-        atlas, delta.astype(np.float32), gain.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), extra_occlusion,
+        atlas, delta.astype(np.float32), np.clip(shaded, 0, None).astype(np.float32), extra_occlusion,
         float(values[:, :3].max(initial=0.0)),
     )  # fmt: skip
 

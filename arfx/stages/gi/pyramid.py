@@ -6,7 +6,6 @@ voxel thick stays opaque. Radiance is premultiplied by opacity. Source: docs/met
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
@@ -14,7 +13,6 @@ import numpy as np
 
 from arfx.stages.gi.cones import Bricks
 
-Downsample = Callable[[np.ndarray, np.ndarray, np.ndarray], None]
 BRICK = 4  # cells a side; a brick stores one more, so that values between cells need one brick
 _SIDE = BRICK + 1
 SAMPLES = _SIDE**3
@@ -35,13 +33,12 @@ class Structure:
 
     brick_of : int32, all levels' grids of bricks, -1 = empty
     meta (levels, 4) int64 : cells a side, bricks a side, first entry in brick_of, first float in the atlas
-    floats : of the atlas;  downsample(below, children, out) : makes the voxels of a level from those below, (v, 6, 4) out"""
+    floats : of the atlas"""
 
     layers: tuple[PyramidLevel, ...]
     brick_of: np.ndarray
     meta: np.ndarray
     floats: int
-    downsample: Downsample
 
 
 @numba.njit(cache=True, nogil=True)
@@ -68,7 +65,7 @@ def front_to_back(below, children, out):  # pragma: no cover - compiled
                         out[p, d, k] += quarter * transmittance * below[far, source, k]
 
 
-def structure_of(cells: np.ndarray, n: int, downsample: Downsample = front_to_back) -> Structure:
+def structure_of(cells: np.ndarray, n: int) -> Structure:
     """cells (v, 3) int of level 0;  n : voxels a side, a power of two. n levels need log2 n filter passes."""
     layers = [PyramidLevel(n, np.ascontiguousarray(cells, np.int32), np.zeros((0, 8), np.int32))]
     while layers[-1].n > 1:
@@ -84,7 +81,7 @@ def structure_of(cells: np.ndarray, n: int, downsample: Downsample = front_to_ba
         grids.append(grid)
         start += len(grid)
         floats += len(used) * SAMPLES * (4 if k == 0 else 24)
-    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats, downsample)
+    return Structure(tuple(layers), np.concatenate(grids), np.array(meta, np.int64), floats)
 
 
 def levels_of(structure: Structure, values: np.ndarray) -> list[np.ndarray]:
@@ -94,7 +91,7 @@ def levels_of(structure: Structure, values: np.ndarray) -> list[np.ndarray]:
     out = [np.ascontiguousarray(values, np.float32)[:, None, :]]
     for layer in structure.layers[1:]:
         out.append(np.zeros((len(layer.cells), 6, 4), np.float32))
-        structure.downsample(out[-2], layer.children, out[-1])
+        front_to_back(out[-2], layer.children, out[-1])
     return out
 
 

@@ -11,7 +11,7 @@ caustics, refraction, light that the object sends through its own transparent pa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, ClassVar
@@ -122,7 +122,7 @@ class Gi(Stage):
         if level == "reference":
             return None
         planes, at = planes_of(scene), self.settings[level]
-        model = make_voxel_model(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays, at.downsample)
+        model = make_voxel_model(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays)
         return Prepared(
             planes, direction_grid(scene.camera), model, diffuse_cones(at.voxels), lobes(at.voxels),
             texel_positions(planes, _texture_side(scene, at)),
@@ -151,41 +151,25 @@ class Gi(Stage):
             disc = disc_rect(scene, planes, radius, pose, frame)
             nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(f32)
 
-            def add_change(layer: np.ndarray, delta: np.ndarray, weight: float) -> np.ndarray:
-                """The layer and `weight` times what lies on the planes."""
-                return add_delta(
-                    layer, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
-                    anchor_from_camera.translation_m.astype(f32), planes.axes,
-                    PlaneChange(delta, indirect.extra_occlusion, f32(planes.half_m), f32(radius), f32(weight)), real,
-                )  # fmt: skip
-
-            virtual, shadow = self.on_planes(indirect, virtual, shadow, view, add_change)
+            change = PlaneChange(
+                indirect.delta, indirect.extra_occlusion, f32(planes.half_m), f32(radius), f32(self.params.strength)
+            )  # fmt: skip
+            shadow = add_delta(
+                shadow, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
+                anchor_from_camera.translation_m.astype(f32), planes.axes, change, real,
+            )  # fmt: skip
         if not (mirror := mirror.clip(view.rect)).empty:
             plate, bias = np.ascontiguousarray(now.crop(mirror)[Layer.PLATE]), np.array(facts.bias_rgb, f32)
             bricks, low_m, voxel_m = prepared.model.traced(indirect.atlas)
             gloss = gloss_of(self.params.plane_gloss, self.params.plane_roughness, prepared.lobes, SHOWS)
             rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, mirror)
-            change = self.params.strength * mirror_in_planes(
+            mirrored = self.params.strength * mirror_in_planes(
                 plate, rays, anchor_from_camera.translation_m.astype(f32), bias, gloss, bricks, low_m,
                 voxel_m, background, np.ascontiguousarray(real[mirror.slices_in(view.rect)]) if real.size else real,
             )  # fmt: skip
-            virtual, shadow = self.in_mirrors(change, plate - bias, virtual, shadow, view, mirror)
+            shadow, at_mirror = shadow.copy(), mirror.slices_in(view.rect)
+            shadow[at_mirror] = np.clip(shadow[at_mirror] + mirrored / np.maximum(plate - bias, DARKEST), 0, None)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
-
-    def on_planes(
-        self, field: Field, virtual: np.ndarray, shadow: np.ndarray, view: View,
-        add_change: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """VIRTUAL and SHADOW with what the object does to the planes: a share of the pixel."""
-        return virtual, add_change(shadow, field.delta, self.params.strength)
-
-    def in_mirrors(
-        self, change: np.ndarray, light: np.ndarray, virtual: np.ndarray, shadow: np.ndarray, view: View, within: Rect
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """The same of its mirror image, by which the planes' light changes within a rectangle."""
-        out, at = shadow.copy(), within.slices_in(view.rect)
-        out[at] = np.clip(out[at] + change / np.maximum(light, DARKEST), 0, None)
-        return virtual, out
 
     def _virtual(self, view: View, prepared: Prepared, field: Field, background: Background, soft: float) -> np.ndarray:
         """soft : least channel of the light without a direction, of a white surface on the plane"""

@@ -80,12 +80,12 @@ def volume_around(points_m: np.ndarray, n: int) -> Volume:
     return Volume(n, (float(low[0]), float(low[1]), float(low[2])), voxel)
 
 
-def voxelise(scene: Scene, n: int) -> Voxels:
+def voxelise(scene: Scene, n: int, within: Volume | None = None) -> Voxels:
     """Every part of the scene's model. n : voxels a side, a power of two. Triangles without area or not finite count for
-    nothing."""
+    nothing. within : a cube, what is outside is left out; None = the smallest that holds the model"""
     anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
     used = np.concatenate([p.vertices[np.unique(p.faces)] for p in scene.model.parts])
-    volume = volume_around(used @ anchor[:3, :3].T + anchor[:3, 3], n)
+    volume = within or volume_around(used @ anchor[:3, :3].T + anchor[:3, 3], n)
     per_side = -(-n // BRICK)
     linear = anchor[:3, :3] / np.cbrt(abs(np.linalg.det(anchor[:3, :3])))
     tables = []

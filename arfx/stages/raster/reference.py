@@ -24,10 +24,13 @@ _STRIP_PX = 4096
 
 
 def r2_sequence(count: int) -> np.ndarray:
-    """(count, 2) offsets in px, -0.5..0.5, the one nearest the centre first."""
+    """(count, 2) offsets in px, -0.5..0.5, the one nearest the centre first and moved there: a pixel's depth is that sample's,
+    its position lies on the ray through the centre, and both have to agree for rays to start on the surface."""
     g = 1.32471795724474602596  # the real root of x^3 = x + 1
     p = (0.5 + np.arange(1, count + 1)[:, None] * [1 / g, 1 / g**2]) % 1.0 - 0.5
-    return p[np.argsort((p**2).sum(1), kind="stable")]
+    p = p[np.argsort((p**2).sum(1), kind="stable")]
+    p[0] = 0.0
+    return p
 
 
 class ReferenceRenderer:

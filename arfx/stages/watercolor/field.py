@@ -40,7 +40,7 @@ def advection_directions(facts: FrameFacts, anchored: bool, both: bool) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class RealDioptre:
-    """Measured depth of a frame. mean : (h, w) float32, 1/m, from node to node around every _EVERY_PX-th pixel of `rect`"""
+    """Measured depth of a frame. mean : (h, w) float32, 1/m, as far as the next nodes around each of a grid over `rect`"""
 
     rect: Rect
     mean: np.ndarray
@@ -48,16 +48,18 @@ class RealDioptre:
     @staticmethod
     def of(depth_m: np.ndarray, rect: Rect) -> RealDioptre:
         """depth_m : (h, w) over `rect`; what is not finite is infinitely far"""
-        dioptre = divide(1.0, np.maximum(depth_m[::_EVERY_PX, ::_EVERY_PX], EPS_DEPTH_M)).astype(np.float32)
+        h, w = (max(n // _EVERY_PX, 1) for n in depth_m.shape)
+        few = cv2.resize(depth_m, (w, h), interpolation=cv2.INTER_AREA)
+        dioptre = divide(1.0, np.maximum(few, EPS_DEPTH_M)).astype(np.float32)
         side = 2 * GRID_PX // _EVERY_PX + 1
-        return RealDioptre(rect, cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE))
+        return RealDioptre(rect, cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w))
 
     def at_nodes(self, field: SiteField) -> np.ndarray:
         """(gh, gw) 1/m; outside the picture that of its border."""
         (h, w), (gh, gw) = self.mean.shape, field.u.shape
-        i = (field.y0 - self.rect.y0 + GRID_PX * np.arange(gh)) // _EVERY_PX
-        j = (field.x0 - self.rect.x0 + GRID_PX * np.arange(gw)) // _EVERY_PX
-        out: np.ndarray = self.mean[np.clip(i, 0, h - 1)[:, None], np.clip(j, 0, w - 1)].astype(float)
+        i = (field.y0 - self.rect.y0 + GRID_PX * np.arange(gh) + 0.5) * (h / self.rect.height)
+        j = (field.x0 - self.rect.x0 + GRID_PX * np.arange(gw) + 0.5) * (w / self.rect.width)
+        out: np.ndarray = self.mean[np.clip(i, 0, h - 1).astype(int)[:, None], np.clip(j, 0, w - 1).astype(int)].astype(float)
         return out
 
 

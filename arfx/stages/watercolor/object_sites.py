@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import log2
 from typing import NamedTuple
 
 import numba
@@ -83,11 +84,11 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
 
 
 class _CellSize(NamedTuple):
-    """Size of a cell at a depth. at_marker_m : at 1 m, where nothing is nearer or farther than the marker, metres
-    marker_m : depth of the marker;  strength : of `nearer_finer`;  least, most : nearness that counts"""
+    """Size of a cell at a depth; log2 of metres and of ratios. at_marker : at 1 m, where all is as near as the marker
+    marker : depth of the marker;  strength : of `nearer_finer`;  least, most : nearness that counts"""
 
-    at_marker_m: float
-    marker_m: float
+    at_marker: float
+    marker: float
     strength: float
     least: float
     most: float
@@ -102,9 +103,9 @@ def object_sites(
     is four wavelengths of the flow wide, whatever its size in the picture."""
     camera, row, at = scene.camera, camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
     eye = camera_from_world.inverse().translation_m
-    limits = nearness_limits(nearer_finer) if nearer_finer > 0 else (1.0, 1.0)
+    least, most = nearness_limits(nearer_finer) if nearer_finer > 0 else (1.0, 1.0)
     marker_m = marker_depth_m(camera_from_world @ scene.world_from_anchor)
-    wanted = _CellSize(cell_px / camera.fx, marker_m, float(nearer_finer), *limits)
+    wanted = _CellSize(log2(cell_px / camera.fx), log2(marker_m), float(nearer_finer), log2(least), log2(most))
     points = surface.points, surface.normals, surface.importance, surface.max_cell_m
     keep, fade, factor = _visible(*points, eye, row, at, wanted)
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
@@ -140,7 +141,7 @@ def _visible(points, normals, importance, max_cell, eye, row, at, wanted: _CellS
     max_cell : of Surface.max_cell_m;  row . point + at : depth, metres"""
     n = points.shape[0]
     which, fade, factor = np.empty(n, np.int64), np.empty(n), np.empty(n)
-    finest = wanted.at_marker_m * wanted.most**-wanted.strength
+    finest = 2.0 ** (wanted.at_marker - wanted.strength * wanted.most)
     k = 0
     for m in range(n):
         depth = points[m, 0] * row[0] + points[m, 1] * row[1] + points[m, 2] * row[2] + at
@@ -150,11 +151,11 @@ def _visible(points, normals, importance, max_cell, eye, row, at, wanted: _CellS
         facing = x * normals[m, 0] + y * normals[m, 1] + z * normals[m, 2]
         if not (depth > EPS_DEPTH_M and facing > 0):
             continue
-        near = min(max(wanted.marker_m / depth, wanted.least), wanted.most)
-        factor[k] = near**-wanted.strength
-        grown = (importance[m] - np.log2(depth * wanted.at_marker_m * factor[k])) / FADE + 0.5
+        level = np.log2(depth)
+        larger = -wanted.strength * min(max(wanted.marker - level, wanted.least), wanted.most)
+        grown = (importance[m] - (level + wanted.at_marker + larger)) / FADE + 0.5
         turned = facing / np.sqrt(x * x + y * y + z * z) / _GRAZING  # facing > 0: the distance is not 0
         if grown > 0:
-            which[k], fade[k] = m, min(grown, 1.0) * min(turned, 1.0)
+            which[k], fade[k], factor[k] = m, min(grown, 1.0) * min(turned, 1.0), 2.0**larger
             k += 1
     return which[:k].copy(), fade[:k].copy(), factor[:k].copy()

@@ -209,7 +209,7 @@ class Watercolor(Stage):
             if back is not None:
                 old = get(earlier, lambda: measure(self.with_toon(before)), "measure", _MEMO_MEASURES)
                 edges[0] = temporal_blend(edges[0], old[0], back, now.x0 - view.rect.x0, now.y0 - view.rect.y0)
-        return trace_lines(edges, p.line_low, p.line_high, p.line_width_px, *self._virtual_edges(view))
+        return trace_lines(edges, p.line_low, p.line_high, p.line_width_px, *self.virtual_edges_of(view))
 
     def _before(self, view: View) -> View | None:
         """The frame before, where its lines are to be blended in and it shows the same things."""
@@ -219,7 +219,7 @@ class Watercolor(Stage):
         then = before.facts
         return before if then.index == now.index - 1 and then.shot == now.shot and before.rect == view.rect else None
 
-    def _virtual_edges(self, view: View) -> tuple[np.ndarray | None, tuple[int, int]]:
+    def virtual_edges_of(self, view: View) -> tuple[np.ndarray | None, tuple[int, int]]:
         """(edges of the object or None, where they lie on the half-size grid of the whole picture)."""
         now, rect, box = view.layers, view.rect, _box(view)
         if box.empty:

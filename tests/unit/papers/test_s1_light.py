@@ -149,6 +149,12 @@ def test_the_printed_bias_is_a_setting_and_no_bias() -> None:
     assert min(printed) > 1
 
 
+def test_a_light_that_is_given_has_no_map() -> None:
+    done = run(Clip(), given=(30.0, 50.0))
+    assert [f.light.source for f in done.facts if f.light] == ["given"] * len(done.facts)
+    assert all(f.light_map is None for f in done.facts)
+
+
 def test_the_papers_formula_finds_a_peak_within_its_own_error() -> None:
     done = run(Clip())
     report = done.summary["light"]

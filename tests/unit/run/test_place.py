@@ -218,7 +218,7 @@ def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     job = JobFolder(tmp_path / "job")
     images = f"chunks/12-34-000030-000059.{KEY}.part/000031.png", f"chunks/000000-000029.{KEY}.{KEY}/times.txt"
     for name in (
-        "inputs.json", "facts.jsonl", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
+        "inputs.json", "facts.jsonl", "environment.maps", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
         "previews/000001.in.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "analysis.checkpoint",
     ):  # fmt: skip
         (job.path / name).parent.mkdir(parents=True, exist_ok=True)

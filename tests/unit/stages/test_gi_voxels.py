@@ -1,5 +1,4 @@
-"""Voxels of the model: walls that stay opaque, numbers of docs/methods/gi.md#numbers in both formulas, memory that grows with the
-surface."""
+"""Voxels of the model: walls that stay opaque, numbers of docs/methods/gi.md#numbers, memory that grows with the surface."""
 
 from __future__ import annotations
 
@@ -10,9 +9,8 @@ import pytest
 
 from arfx.core.cube import solid_angles
 from arfx.core.model import Model, Part
-from arfx.papers.s4_gi import step2_mean
 from arfx.stages.gi.cones import cosine_cones, six_cones, steps_of, trace_many
-from arfx.stages.gi.pyramid import Downsample, atlas_of, front_to_back, levels_of, structure_of
+from arfx.stages.gi.pyramid import atlas_of, levels_of, structure_of
 from arfx.stages.gi.voxelise import voxelise
 from tests.unit.stages.gi_scenes import GLOWING, MATT_RED, MATT_WHITE, NIGHT, ball, box, box_model, on_plane
 
@@ -25,24 +23,22 @@ def wall(alpha: float = 1.0) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize(("downsample", "expected"), [(step2_mean, [1, 0.5, 0.25, 0.125]), (front_to_back, [1, 1, 1, 1])])
-def test_a_wall_one_voxel_thick(downsample: Downsample, expected: list[float]) -> None:
-    levels = levels_of(structure_of(WALL, 16, downsample), wall())
-    assert [float(v[:, 0, 3].max()) for v in levels[:4]] == expected
-    assert [float(v[:, 0, 3].min()) for v in levels[:4]] == expected  # the whole wall
+def test_a_wall_one_voxel_thick() -> None:
+    levels = levels_of(structure_of(WALL, 16), wall())
+    assert [float(v[:, 0, 3].max()) for v in levels[:4]] == [1, 1, 1, 1]
+    assert [float(v[:, 0, 3].min()) for v in levels[:4]] == [1, 1, 1, 1]  # the whole wall
 
 
-@pytest.mark.parametrize(("downsample", "left"), [(step2_mean, 0.875), (front_to_back, 0.0)])
-def test_the_mean_of_children_lets_light_through_a_wall(downsample: Downsample, left: float) -> None:
+def test_no_light_passes_a_wall() -> None:
     """A cone that is eight voxels wide at the wall meets it with one sample of level 3."""
-    structure = structure_of(WALL, 16, downsample)
+    structure = structure_of(WALL, 16)
     atlas = atlas_of(structure, wall())
     got = trace_many(
         atlas, np.array([[6.0, 3, 1.0]], np.float32),
         np.array([[-2.0, 8, 8]], np.float32), np.array([[[1, 0, 0]]], np.float32), np.zeros((1, 3), np.float32), np.float32(0),
         False,
     )  # fmt: skip
-    assert got[0, 3] == pytest.approx(left, abs=1e-6)
+    assert got[0, 3] == pytest.approx(0, abs=1e-6)
 
 
 def test_seen_edge_on_the_wall_hides_more_and_more_of_less() -> None:

@@ -1,0 +1,131 @@
+"""Step 4 of Yao, Tao, Wu 2018: cones through the octree's volumes.
+
+One narrow cone about the mirrored direction, several wide ones over the hemisphere (the six of stages/gi/cones.py). Samples lie
+half a cone's width apart, on the level whose voxels are as wide as the cone there, linear between voxels and between levels. A
+step of length ds through voxels of side s takes 1 - (1 - alpha)^(ds / s) of what lies behind; the voxels' radiance counts whole,
+whatever the step.
+
+What V_eta, the volume of normals, is for is not said. Here voxels that face away from a cone's start neither send nor hide, or a
+surface would hide the light from itself; where normals cancel (a thin wall, a coarse voxel) both sides count.
+
+Its errors: docs/methods/gi.md#errata."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.core.parallel import parallel_rows
+from arfx.papers.s4_volumes import Octree, Volumes, node_below
+
+_DARK = np.float32(0.005)  # less of the background than this is none
+_FRONT = np.float32(4.0)  # 1 over the cosine from which on a voxel is seen whole
+SPACING = 0.5  # of samples, widths of the cone
+_FEW = 256  # points: below it threads cost more than they save
+
+
+def cone_steps(tan_half: float, n: int) -> np.ndarray:
+    """(k, 3) float32 of a cone through n^3 voxels: distance of each sample, voxels; its level; ds / s.
+    From where the cone is a voxel wide, or one voxel off, to 8 n, beyond which nothing is larger than a few degrees."""
+    out, t = [], min(0.5 / tan_half, 1.0)
+    while t < 8 * n:
+        ds = SPACING * max(2 * tan_half * t, 1.0)
+        level = min(np.log2(max(2 * tan_half * (t + ds / 2), 1.0)), np.log2(n))
+        out.append((t + ds / 2, level, ds / 2**level))
+        t += ds
+    return np.array(out, np.float32)
+
+
+def cone_trace(volumes: Volumes, V: np.ndarray, steps: np.ndarray, positions_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions (m, 3), metres, anchor axes, in
+    directions (m, k, 3), unit. V (nodes, 3) float32;  steps : of `cone_steps`"""
+    start, d = volumes.in_voxels(positions_m), np.ascontiguousarray(directions, np.float32)
+    parts = parallel_rows(lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b]), len(start), least=_FEW)
+    return np.concatenate([np.zeros((0, d.shape[1], 4), np.float32), *parts])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _cone_trace(tree: Octree, V, steps, start, directions):  # pragma: no cover - compiled
+    """`cone_trace` of some. start (m, 3) : voxels"""
+    out = np.empty((start.shape[0], directions.shape[1], 4), np.float32)
+    size, half, one = np.float32(1 << tree.depth), np.float32(0.5), np.float32(1)
+    around = half * np.float32(2) ** steps[-1, 1] if steps.shape[0] else half
+    for i in range(start.shape[0]):
+        for c in range(directions.shape[1]):
+            d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
+            r, g, b, transmittance = np.float32(0), np.float32(0), np.float32(0), one
+            enters, leaves = np.float32(0), np.float32(1e30)
+            for axis in range(3):  # the cube, and how far around it the coarsest voxels are felt
+                slope = d[axis] if abs(d[axis]) > np.float32(1e-9) else np.float32(1e-9)
+                a, e = (-around - start[i, axis]) / slope, (size + around - start[i, axis]) / slope
+                enters, leaves = max(enters, min(a, e)), min(leaves, max(a, e))
+            for k in range(steps.shape[0]):
+                t, level, exponent = steps[k, 0], int(steps[k, 1]), steps[k, 2]
+                coarser = steps[k, 1] - np.float32(level)
+                if t < enters:
+                    continue
+                if t > leaves:
+                    break
+                s = np.float32(1 << level) * (one + coarser)
+                outside = False
+                for axis in range(3):
+                    p = start[i, axis] + t * d[axis]
+                    outside = outside or p < -half * s or p > size + half * s
+                if outside:
+                    continue
+                at = start[i, 0] + t * d[0], start[i, 1] + t * d[1], start[i, 2] + t * d[2]
+                vr, vg, vb, alpha = sample(tree, V, level, at, d)
+                if coarser > 0:
+                    wr, wg, wb, beta = sample(tree, V, level + 1, at, d)
+                    vr, vg, vb = vr + coarser * (wr - vr), vg + coarser * (wg - vg), vb + coarser * (wb - vb)
+                    alpha += coarser * (beta - alpha)
+                if alpha <= 0:
+                    continue
+                r += transmittance * vr
+                g += transmittance * vg
+                b += transmittance * vb
+                transmittance *= (one - min(alpha, one)) ** exponent
+                if transmittance < _DARK:
+                    transmittance = np.float32(0)
+                    break
+            out[i, c, 0], out[i, c, 1], out[i, c, 2], out[i, c, 3] = r, g, b, transmittance
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def sample(tree: Octree, V, level, at, d):  # pragma: no cover - compiled
+    """(r, g, b, opacity) as seen along d, linear between the level's eight voxels around `at`, in voxels of the lowest."""
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    s = one / np.float32(1 << level)
+    x, y, z = at[0] * s - half, at[1] * s - half, at[2] * s - half  # whole at centres
+    ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+    fx, fy, fz = x - np.float32(ix), y - np.float32(iy), z - np.float32(iz)
+    r, g, b, opacity = zero, zero, zero, zero
+    # the eight are looked for from the lowest node that holds them all: most often there is none
+    bits, up = tree.depth - level, 0
+    differ = (ix ^ (ix + 1)) | (iy ^ (iy + 1)) | (iz ^ (iz + 1))
+    while up < bits and differ >> up:
+        up += 1
+    shared = node_below(tree, 0, bits - up, ix >> up, iy >> up, iz >> up)
+    if shared < 0:
+        return r, g, b, opacity
+    for corner in range(8):
+        jx, jy, jz = ix + (corner & 1), iy + (corner >> 1 & 1), iz + (corner >> 2)
+        w = (fx if jx > ix else one - fx) * (fy if jy > iy else one - fy) * (fz if jz > iz else one - fz)
+        if w <= 0:
+            continue
+        if min(jx, jy, jz) < 0 or max(jx, jy, jz) >> bits:
+            continue
+        node = node_below(tree, shared, up, jx, jy, jz)
+        if node < 0 or tree.eta[node, 3] <= 0:
+            continue
+        alpha = tree.eta[node, 3]
+        nx, ny, nz = tree.eta[node, 0] / alpha, tree.eta[node, 1] / alpha, tree.eta[node, 2] / alpha
+        facing = max(-_FRONT * (nx * d[0] + ny * d[1] + nz * d[2]), zero)
+        w *= min(facing + max(one - np.sqrt(nx * nx + ny * ny + nz * nz), zero), one)
+        r += w * V[node, 0]
+        g += w * V[node, 1]
+        b += w * V[node, 2]
+        opacity += w * alpha
+    return r, g, b, opacity

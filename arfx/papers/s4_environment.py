@@ -1,0 +1,91 @@
+"""Step 3 of Yao, Tao, Wu 2018: an environment cube out of the one picture, and how step 4 reads it.
+
+The picture in thirds: its left and right parts on -x and +x, upper and lower on -y and +y, the middle in front and, mirrored,
+behind. Axes are the camera's (x right, y down, z forward), so the paper's -z is +z here. RGBA16, with mip levels, linear over the
+cube's edges as graphics cards read it; what lies to both sides of an edge is as the picture was cut.
+
+Its errors: docs/methods/gi.md#errata."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from arfx.analyse.light.surroundings import SIZE, foldable
+from arfx.core.cube import look_up, on_cube
+
+FACE_PX = 128
+FULL = 65535  # of 16 bits
+OVER = 1e-6  # of half a face
+
+
+def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """(6, size, size, 3) radiance as `surroundings.fold`: the picture in thirds, its middle the front and, mirrored, the back,
+    the parts beside the middle the sides. There is a seam where those meet the back."""
+    picture = foldable(image)
+    h, w = picture.shape[:2]
+    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
+    part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
+    shrink = lambda p: cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)  # noqa: E731
+    # a side's first line is the one that touches the front
+    right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
+    down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
+    front = shrink(part(1, 1))
+    return np.stack([right, left, down, up, front, front])
+
+
+def step3_mipmap(cube: np.ndarray) -> list[np.ndarray]:
+    """RGBA16 (6, n + 2, n + 2, 4) uint16 of every level, each face with a border of its neighbours' texels.
+
+    cube (6, n, n, 3) : radiance, n a power of two; what is brighter than 1 is cut"""
+    levels = [np.clip(np.concatenate([cube, np.ones_like(cube[..., :1])], -1), 0, 1)]
+    while (n := levels[-1].shape[1] // 2) > 0:
+        levels.append(levels[-1].reshape(6, n, 2, n, 2, 4).mean((2, 4)))
+    return [np.rint(with_border(level) * FULL).astype(np.uint16) for level in levels]
+
+
+def with_border(faces: np.ndarray) -> np.ndarray:
+    """(6, n + 2, n + 2, c) of faces (6, n, n, c): the texels next to them over the edge."""
+    n = faces.shape[1]
+    out = look_up(faces, bordered_directions(n)).reshape(6, n + 2, n + 2, -1)
+    for j, i in ((0, 0), (0, -1), (-1, 0), (-1, -1)):  # at a corner three faces meet
+        inner_j, inner_i = (1 if k == 0 else -2 for k in (j, i))
+        out[:, j, i] = (out[:, inner_j, inner_i] + out[:, j, inner_i] + out[:, inner_j, i]) / 3
+    return out
+
+
+@lru_cache(maxsize=8)
+def bordered_directions(n: int) -> np.ndarray:
+    """(6 (n + 2)^2, 3) of the texels' centres, as `face_directions`, and of places just over the edge beside them."""
+    t = np.clip((np.arange(-1, n + 1) + 0.5) / n * 2 - 1, -1 - OVER, 1 + OVER)
+    v, u = np.meshgrid(t, t, indexing="ij")
+    one = np.ones_like(u)
+    faces = [(one, v, -u), (-one, v, -u), (u, one, -v), (u, -one, -v), (u, v, one), (u, v, -one)]
+    return np.stack([np.stack(f, -1) for f in faces]).reshape(-1, 3)
+
+
+def mip_level(half_angle_deg: float, size: int = FACE_PX) -> float:
+    """1/2 log2(Omega_cone / Omega_texel) of a cube with faces of size^2 texels; 0 for what is narrower than a texel."""
+    cone = 2 * np.pi * (1 - np.cos(np.radians(half_angle_deg)))
+    return max(0.5 * float(np.log2(cone / (4 * np.pi / (6 * size**2)))), 0.0)
+
+
+def step4_environment(mipmap: list[np.ndarray], directions: np.ndarray, half_angle_deg: float) -> np.ndarray:
+    """(n, 3) radiance about the middles of cones (n, 3), camera axes, by their aperture."""
+    level = min(mip_level(half_angle_deg, mipmap[0].shape[1] - 2), len(mipmap) - 1)
+    below = min(int(level), len(mipmap) - 2)
+    face, u, v = on_cube(directions)
+    fine, coarse = (_bilinear(mipmap[k], face, u, v) / FULL for k in (below, below + 1))
+    return np.asarray(fine + (level - below) * (coarse - fine))
+
+
+def _bilinear(faces: np.ndarray, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(m, 3) of faces with a border. u, v (m,) : -1..1 along columns and rows, without it"""
+    n = faces.shape[1] - 2
+    x, y = ((t + 1) / 2 * n + 0.5 for t in (u, v))
+    i, j = np.minimum(x.astype(int), n), np.minimum(y.astype(int), n)
+    fx, fy = (x - i)[:, None], (y - j)[:, None]
+    top = faces[face, j, i, :3] * (1 - fx) + faces[face, j, i + 1, :3] * fx
+    return np.asarray(top * (1 - fy) + (faces[face, j + 1, i, :3] * (1 - fx) + faces[face, j + 1, i + 1, :3] * fx) * fy)

@@ -1,0 +1,144 @@
+"""Step 2 of Yao, Tao, Wu 2018, volumes: V_eta of normals, in a sparse octree that stores no empty voxel.
+
+A node has the number of its first child and a mask of the children that are there; those lie one behind the other. Nodes of a
+level follow each other, the root first. What is stored in a volume is a row for each node; all volumes share one octree.
+
+V_eta : normal times opacity, and opacity. V_rho, V_mu, V_delta (s4_shadow_maps.py) : radiance times opacity."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from arfx.core.scene import Scene
+from arfx.stages.gi.real_planes import bounding_ball
+from arfx.stages.gi.voxelise import Volume, volume_around, voxelise
+
+MARGIN = 2.0  # radii of the object to each side of its middle: where its shadow and its bounced light fall
+POINTER_BYTES = 5  # of a node: first child and mask
+
+
+class Octree(NamedTuple):
+    """first (nodes,) int32 : first child, -1 of a leaf;  mask (nodes,) uint8 : which of the eight children are there, bit
+    4 z + 2 y + x;  eta (nodes, 4) float32 : V_eta;  depth : levels under the root"""
+
+    first: np.ndarray
+    mask: np.ndarray
+    eta: np.ndarray
+    depth: int
+
+
+@dataclass(frozen=True, eq=False)
+class Volumes:
+    """The voxelised scene. volume : its cube;  tree;  codes (leaves,) int64 : of the lowest level's voxels, sorted
+    starts : of every level over the lowest, first child of each node, counted within the level below"""
+
+    volume: Volume
+    tree: Octree
+    codes: np.ndarray
+    starts: tuple[np.ndarray, ...]
+
+    @property
+    def corner_m(self) -> np.ndarray:
+        return np.asarray(self.volume.low_m)
+
+    def in_voxels(self, positions_m: np.ndarray) -> np.ndarray:
+        """(n, 3) float32, voxels of the lowest level from the cube's corner, of positions (n, 3), metres, anchor axes."""
+        return ((positions_m - self.corner_m) / self.volume.voxel_m).astype(np.float32)
+
+    def leaf_of(self, positions_m: np.ndarray) -> np.ndarray:
+        """(n,) leaf that holds each position (n, 3), metres, anchor axes; -1 where nothing is stored."""
+        cells = np.floor((positions_m - self.corner_m) / self.volume.voxel_m)
+        inside = ((cells >= 0) & (cells < self.volume.n)).all(-1)
+        code = morton(np.where(inside[:, None], cells, 0).astype(np.int64))
+        at = np.minimum(np.searchsorted(self.codes, code), len(self.codes) - 1)
+        return np.where(inside & (self.codes[at] == code), at, -1)
+
+    def filtered(self, leaves: np.ndarray) -> np.ndarray:
+        """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards."""
+        levels = [leaves.astype(np.float32)]
+        for start in self.starts:
+            levels.append(step2_mean(levels[-1], start))
+        return np.concatenate(levels[::-1])
+
+    def rows_of(self, level: int) -> slice:
+        """Nodes of a level, 0 = lowest, in the order of their codes."""
+        count = [len(self.codes), *(len(start) for start in self.starts)]
+        first = sum(count[level + 1 :])
+        return slice(first, first + count[level])
+
+    def memory_bytes(self, channels: int) -> tuple[int, int]:
+        """Of one volume of that many float32 channels with its pyramid: in the octree, pointers counted too, and dense."""
+        dense = sum(8**level for level in range(self.tree.depth + 1)) * 4 * channels
+        return len(self.tree.first) * (POINTER_BYTES + 4 * channels), dense
+
+
+def step2_mean(below: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """A voxel is the mean of its eight children, of which the missing ones are empty. Through a wall one voxel thick
+    1 - 2^-L of the light leaks at level L.
+
+    below (m, c) : of the level below, by code;  starts (p,) : of each voxel's first child in it"""
+    return np.asarray(np.add.reduceat(below, starts, axis=0) / np.float32(8))
+
+
+def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
+    """V_eta of the real and the virtual scene `both`. around : the scene whose object is in the middle;  n : voxels a side"""
+    volume = cube_around(around, n)
+    voxels = voxelise(both, n, volume)
+    return octree_of(volume, voxels.cells, voxels.normal, voxels.opacity)
+
+
+def cube_around(scene: Scene, n: int) -> Volume:
+    """The object and the plane under it, MARGIN radii to each side."""
+    (x, y, _), radius = bounding_ball(scene)
+    foot = [(x + i * MARGIN * radius, y + j * MARGIN * radius, 0.0) for i in (-1, 1) for j in (-1, 1)]
+    return volume_around(np.concatenate([scene.world_from_anchor.inverse().apply(scene.model_points_m), foot]), n)
+
+
+def octree_of(volume: Volume, cells: np.ndarray, normal: np.ndarray, opacity: np.ndarray) -> Volumes:
+    """cells (v, 3) int;  normal (v, 3);  opacity (v,)"""
+    code = morton(cells.astype(np.int64))
+    order = np.argsort(code, kind="stable")
+    levels, starts = [code[order]], list[np.ndarray]()
+    while len(starts) < int(np.log2(volume.n)):
+        codes, start = np.unique(levels[-1] >> 3, return_index=True)
+        levels.append(codes)
+        starts.append(start)
+    count = [len(codes) for codes in levels]
+    first, mask = [np.full(count[0], -1, np.int32)], [np.zeros(count[0], np.uint8)]
+    for k, start in enumerate(starts):
+        below = sum(count[k + 1 :])  # nodes before the level of the children
+        first.append((below + start).astype(np.int32))
+        mask.append(np.add.reduceat(1 << (levels[k] & 7), start).astype(np.uint8))
+    bare = Octree(np.concatenate(first[::-1]), np.concatenate(mask[::-1]), np.zeros((0, 4), np.float32), len(starts))
+    out = Volumes(volume, bare, levels[0], tuple(starts))
+    eta = out.filtered(np.concatenate([normal * opacity[:, None], opacity[:, None]], 1)[order])
+    return Volumes(volume, bare._replace(eta=eta), levels[0], tuple(starts))
+
+
+def morton(cells: np.ndarray) -> np.ndarray:
+    """(n,) codes of cells (n, 3) x, y, z: their bits interleaved, those of z first, so that >> 3 is the parent's."""
+    out = np.zeros(len(cells), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            out |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def node_below(tree: Octree, node, bits, x, y, z):  # pragma: no cover - compiled
+    """Voxel x, y, z, `bits` levels under a node that holds it; -1 where nothing is stored. The root is node 0."""
+    for b in range(bits - 1, -1, -1):
+        child = ((z >> b & 1) << 2) | ((y >> b & 1) << 1) | (x >> b & 1)
+        mask = int(tree.mask[node])
+        if not mask >> child & 1:
+            return -1
+        before = mask & ((1 << child) - 1)  # children in front of it: number of its bits
+        before = (before & 0x55) + (before >> 1 & 0x55)
+        before = (before & 0x33) + (before >> 2 & 0x33)
+        node = tree.first[node] + (before & 0x0F) + (before >> 4)
+    return node

@@ -1,0 +1,265 @@
+"""Measures for the rows of Jia, Tang 2013: cells, edges, and what changes from frame to frame."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from arfx.core.advection import AdvectionField, pack_positions
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.pixels import Pixels
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import ReadyStage
+from arfx.papers import s3_watercolor as paper
+from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
+from arfx.reproduce.s3_scene import CELL_PX, Shown, cells_of, corrected, printed
+from arfx.stages.watercolor import Watercolor
+from arfx.stages.watercolor.edges import trace_lines, yuv_matrix
+from arfx.stages.watercolor.field import RealDioptre, frame_field, nearness_factor
+from arfx.stages.watercolor.labels import label
+from arfx.stages.watercolor.measure import edge_measure
+from arfx.stages.watercolor.reference import nearest_labels
+from arfx.stages.watercolor.rows import Picture
+from arfx.stages.watercolor.sites import GRID_PX, STEPS, Sites, make_sites, still_field
+
+Settings = Mapping[str, Any]  # of the section watercolor
+NOISE = 2 / 255
+NEAR_M, FAR_M = 0.35, 2.0  # of the plane on which cells are counted
+_SIZE = Rect.of(480, 400)
+
+
+def edge_of(left: Sequence[float], right: Sequence[float], beta: float) -> tuple[float, float]:
+    """What the printed and the corrected measure make of a step between two colours, coded; alpha = 0.5.
+
+    The corrected one is of a slope of n px from one to the other, times n: it is a measure per px of half the picture."""
+    step = np.array([[left, right]] * 2, np.float64)
+    n, width = 64, 128
+    ramp = np.clip((np.arange(width) - (width - n) / 2 + 0.5) / n, 0, 1)[:, None]
+    coded = np.asarray(left) + ramp * (np.asarray(right, float) - np.asarray(left))
+    slope = np.repeat((coded**2)[None], 16, axis=0).astype(np.float32)  # the measure is of square roots
+    made = edge_measure(Picture(slope), yuv_matrix(), 0.5, beta, 0.0)[0]
+    return float(paper.eq4_edges(step, 0.5, beta)[0, 0]), float(made[4, width // 4] * n / 2)
+
+
+def printed_edges(coded: np.ndarray, p: PrintedWatercolorParams) -> np.ndarray:
+    """(h, w) bool"""
+    return paper.eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold
+
+
+def corrected_lines(shown: Shown) -> np.ndarray:
+    """(h, w) float32 strength of the lines of a frame, 0..1."""
+    stage = corrected()
+    view, p = shown.view(stage), stage.params
+    edges = edge_measure(stage.with_toon(view), yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
+    lines = trace_lines(edges, p.line_low, p.line_high, p.line_width_px, *stage.virtual_edges_of(view))
+    return np.asarray(cv2.resize(lines, (view.rect.width, view.rect.height), interpolation=cv2.INTER_LINEAR))
+
+
+def flips(frames: int) -> tuple[float, float]:
+    """Share of the pixels along a grey step, in noise of 2/255, that get or lose more than half of their ink from frame to frame:
+    as printed, corrected; each at the contrast at which most do."""
+    p, c, worst = PrintedWatercolorParams(), corrected().params, [0.0, 0.0]
+    for contrast in np.linspace(0.03, 0.25, 45):
+        g, base = np.random.default_rng(1), np.full((240, 64, 3), 0.4)
+        base[:, 32:] += contrast
+        ink: tuple[list[np.ndarray], list[np.ndarray]] = [], []
+        for _ in range(frames):
+            coded = (base + g.normal(0, NOISE, base.shape)).astype(np.float32)
+            ink[0].append(printed_edges(coded, p)[:, 31].astype(float))
+            made = edge_measure(Picture(coded**2), yuv_matrix(), c.alpha, c.beta, c.line_smooth_px)
+            ink[1].append(trace_lines(made, c.line_low, c.line_high, c.line_width_px)[:, 12:20].max(1))
+        for k, seen in enumerate(ink):
+            worst[k] = max(worst[k], float(np.mean([np.mean(abs(a - b) > 0.5) for a, b in itertools.pairwise(seen)])))
+    return worst[0], worst[1]
+
+
+def still_frames(
+    shown: Shown, frames: int, of_printed: Settings, of_corrected: Settings
+) -> tuple[list[np.ndarray], list[np.ndarray]]:  # fmt: skip
+    """(h, w, 3) coded frames of a resting, noisy camera, printed and corrected."""
+    moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
+    out = []
+    for stage in (printed(shown, **of_printed), corrected(**of_corrected)):
+        ready = shown.ready(stage)
+        out.append([moment.painted(stage, ready) for moment in moments])
+    return out[0], out[1]
+
+
+def mean_squared(frames: Sequence[np.ndarray]) -> float:
+    """Mean squared difference from frame to frame."""
+    return float(np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(frames)]))
+
+
+def pan_errors(scene: Scene, frames: int, of_printed: Settings, of_corrected: Settings) -> tuple[float, float]:
+    """The same in a pan over things of all sizes, along the true motion: printed with cells fixed on the screen (that is, of one
+    frame's random numbers), corrected with cells that move with the things."""
+    rect, g, step_px = scene.camera.rect, np.random.default_rng(5), 3
+    wide = rect.width + step_px * frames
+    noise = [cv2.GaussianBlur(g.standard_normal((rect.height, wide)), (0, 0), s) * s for s in (4, 7, 12)]
+    world = np.clip(0.5 + 0.15 * np.stack(noise, -1) / np.std(noise), 0, 1)
+    nodes, errors = still_field(rect.width, rect.height, CELL_PX, 96), []
+    for stage in (PrintedWatercolor(PrintedWatercolorParams(**{"cell_px": CELL_PX, **of_printed})), corrected(**of_corrected)):
+        ready, out = ReadyStage.of(stage, scene, "standard"), []
+        for k in range(frames):
+            coded = world[:, step_px * k : step_px * k + rect.width] + g.normal(0, NOISE, (rect.height, rect.width, 3))
+            places = pack_positions(nodes.u + step_px * k, nodes.v)
+            shape = nodes.u.shape[0], nodes.u.shape[1]
+            field = AdvectionField(0, GRID_PX, (nodes.x0, nodes.y0), shape, places)
+            out.append(_painted(ready, np.clip(coded, 0, 1) ** 2, FrameFacts(0, 0.0, advection=field)))
+        pairs = [(a[16:-16, 16 + step_px : -16], b[16:-16, 16 : -16 - step_px]) for a, b in itertools.pairwise(out)]
+        errors.append(float(np.mean([np.mean((a - b) ** 2) for a, b in pairs])))
+    return errors[0], errors[1]
+
+
+def _painted(ready: ReadyStage, linear: np.ndarray, facts: FrameFacts) -> np.ndarray:
+    """(h, w, 3) square roots of a picture without an object, painted."""
+    rect = Rect.of(linear.shape[1], linear.shape[0])
+    written = {name: Pixels(Rect(0, 0, 0, 0)) for name in Watercolor.reads}
+    layers = Layers(rect, {**written, Layer.IMAGE: Pixels(rect, linear.astype(np.float32))})
+    return np.sqrt(np.asarray(ready.run(layers, facts)[Layer.IMAGE]))
+
+
+def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(depth, m, of bands of a plane that goes from FAR_M above to NEAR_M below; mean area of cells there, px, as printed with
+    cones by the depth buffer, and corrected)."""
+    height, width = _SIZE.height, _SIZE.width
+    dioptre = np.linspace(1 / FAR_M, 1 / NEAR_M, height)
+    depth = np.broadcast_to((1 - PrintedWatercolorParams().near_m * dioptre)[:, None], (height, width))
+    field = still_field(width, height, CELL_PX, 3 * CELL_PX)
+    y = field.y0 + GRID_PX * np.arange(field.u.shape[0])
+    near = np.interp(y, np.arange(height), dioptre) / dioptre.mean()
+    strength = corrected().params.nearer_finer
+    field = replace(field, size=field.size * nearness_factor(near[:, None], strength))
+    areas = np.zeros((2, bands, 2))  # of each formula: pixels, cells
+    border = 3 * CELL_PX  # cells there are cut off
+    edges = np.linspace(border, height - border, bands + 1)
+    for key in range(repeats):
+        sites = paper.eq1_sites(_SIZE, height // CELL_PX, width // CELL_PX, key)
+        found = paper.cones(sites, paper.at_sites(depth, sites, _SIZE), _SIZE, height // CELL_PX, width // CELL_PX)
+        other = make_sites(field, key, 10**6, CELL_PX)
+        for k, (at, labels) in enumerate(((sites, found), (other, label(other, _SIZE).first))):
+            area = np.bincount(labels.ravel(), minlength=len(at))
+            x, band = at.x / STEPS, np.digitize(at.y / STEPS, edges) - 1
+            counted = (area > 0) & (x > border) & (x < width - border) & (band >= 0) & (band < bands)
+            areas[k, :, 0] += np.bincount(band[counted], area[counted], bands)
+            areas[k, :, 1] += np.bincount(band[counted], minlength=bands)
+    middle = 1 / np.interp((edges[1:] + edges[:-1]) / 2, np.arange(height), dioptre)
+    return middle, *(areas[..., 0] / areas[..., 1])
+
+
+def small_thing(repeats: int) -> tuple[float, float, float]:
+    """A disc five cells wide at .25 m before a wall at 2 m: area of its cells over that of the wall's; share of it that the
+    wall's cells cover, with cones by depth and with equal ones."""
+    y, x = np.mgrid[: _SIZE.height, : _SIZE.width]
+    disc = np.hypot(x - 200, y - 160) < 2.5 * CELL_PX
+    m, n = _SIZE.height // CELL_PX, _SIZE.width // CELL_PX
+    near_m = PrintedWatercolorParams().near_m
+    depth = np.where(disc, 1 - near_m / 0.25, 1 - near_m / 2)
+    areas, lost = [], np.zeros((repeats, 2))
+    for key in range(repeats):
+        sites = paper.eq1_sites(_SIZE, m, n, key)
+        own = paper.at_sites(disc, sites, _SIZE)
+        for k, buffer in enumerate((depth, np.ones_like(depth))):
+            found = paper.cones(sites, paper.at_sites(buffer, sites, _SIZE), _SIZE, m, n)
+            lost[key, k] = np.mean(~own[found][disc])
+            if k == 0:
+                area = np.bincount(found.ravel(), minlength=m * n)
+                areas.append(area[own].mean() / area[~own].mean())
+    return float(np.mean(areas)), float(lost[:, 0].mean()), float(lost[:, 1].mean())
+
+
+def convex_share(labels: np.ndarray) -> float:
+    """Of the cells, those that hold every pixel whose centre lies in the hull of their pixels' centres."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    h, w = labels.shape
+    y, x = np.mgrid[:h, :w]
+    order = np.argsort(labels, axis=None)
+    cells = np.split(order, np.flatnonzero(np.diff(labels.ravel()[order])) + 1)
+    convex = []
+    for cell in cells:
+        points = np.stack([x.ravel()[cell], y.ravel()[cell]], -1)
+        try:
+            hull = ConvexHull(points)
+        except QhullError:  # in one line
+            convex.append(True)
+            continue
+        (x0, y0), (x1, y1) = points.min(0), points.max(0) + 1
+        box = np.stack([x[y0:y1, x0:x1].ravel(), y[y0:y1, x0:x1].ravel()], -1)
+        inside = (box @ hull.equations[:, :2].T + hull.equations[:, 2] < 1e-9).all(-1)
+        convex.append(int(inside.sum()) == len(points))
+    return float(np.mean(convex))
+
+
+def printed_cells(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
+    """(depth buffer, labels) (h, w) of a frame."""
+    stage, rect, (m, n) = printed(shown), shown.layers.rect, cells_of(shown)
+    buffer, sites = paper.depth_buffer(shown.view(stage), stage.params.near_m), paper.eq1_sites(rect, m, n, 1)
+    return buffer, paper.cones(sites, paper.at_sites(buffer, sites, rect), rect, m, n)
+
+
+def corrected_cells(shown: Shown) -> np.ndarray:
+    """(h, w) labels of a frame's background by measured depth, as dense as the printed ones in the mean."""
+    rect, strength = shown.layers.rect, corrected().params.nearer_finer
+    real = RealDioptre.of(shown.layers[Layer.REAL_DEPTH], rect)
+    field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, True, real=real)
+    return label(make_sites(field, 1, 10**6, CELL_PX), rect).first
+
+
+def nearest_share(sites: Sites, labels: np.ndarray) -> float:
+    """Of the pixels of the picture's corner, those labelled with the site nearest to them, by every pair of both."""
+    y, x = np.mgrid[: labels.shape[0], : labels.shape[1]].astype(float) * STEPS
+    a, b, weight = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
+    first, _ = nearest_labels(a, b, weight, x.ravel(), y.ravel())
+    return float(np.mean(first == labels.ravel()))
+
+
+def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
+    """Of m x n rectangles, those in which a site lies, to the half step that sites are rounded by."""
+    held = np.zeros((m, n), bool)
+    for dx, dy in itertools.product((-0.5, 0.5), repeat=2):
+        j = np.floor(((sites.x + dx) / STEPS - rect.x0 + 0.5) * (n / rect.width)).astype(int)
+        i = np.floor(((sites.y + dy) / STEPS - rect.y0 + 0.5) * (m / rect.height)).astype(int)
+        inside = (i >= 0) & (j >= 0) & (i < m) & (j < n)
+        held[i[inside], j[inside]] = True
+    return float(held.mean())
+
+
+def own_cell_share(sites: Sites) -> float:
+    """Of some sites, those that are the nearest to themselves."""
+    some = slice(None, None, max(len(sites) // 400, 1))
+    x, y, weight = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
+    first, _ = nearest_labels(x, y, weight, x[some], y[some])
+    return float(np.mean(first == np.arange(len(sites))[some]))
+
+
+def farthest(sites: Sites, labels: np.ndarray) -> float:
+    """px from a pixel to its site, at most."""
+    y, x = np.mgrid[: labels.shape[0], : labels.shape[1]]
+    return float(np.hypot(x - sites.x[labels] / STEPS, y - sites.y[labels] / STEPS).max())
+
+
+def exact_means(image: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((n, 3) float64 mean of each cell, (n,) its pixels)."""
+    area = np.bincount(labels.ravel())
+    total = [np.bincount(labels.ravel(), image[..., c].ravel().astype(float)) for c in range(3)]
+    return np.stack(total, -1) / np.maximum(area, 1)[:, None], area
+
+
+def outline(thing: np.ndarray) -> np.ndarray:
+    """(h, w) bool: pixels of it beside others."""
+    inner = cv2.erode(thing.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0
+    return thing & ~inner
+
+
+def share_near(where: np.ndarray, edges: np.ndarray) -> float:
+    """Share of the pixels `where` with an edge at most 2 px away. Both (h, w) bool"""
+    near = cv2.dilate(edges.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    return float(near[where].mean())

@@ -1,0 +1,182 @@
+"""The scene of the rows of Jia, Tang 2013: teapot, cube and rabbit, of one model file, on a desk with real things near and far.
+
+`Shown` is a frame of it with the object in it, before it is painted: what either formula's class is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from arfx.core.colour import SRGB
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.pixels import Pixels
+from arfx.core.scene import Scene
+from arfx.core.stage import ReadyStage, View
+from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
+from arfx.reproduce.models import write_model
+from arfx.reproduce.work import Work
+from arfx.stages.watercolor import Watercolor
+from arfx.stages.watercolor.params import WatercolorParams
+
+CELL_PX = 8
+OBJECTS = ("teapot", "cube", "rabbit")
+SCENE = """
+seed = 3
+[clip]
+file = "clip.mkv"
+width = {width}
+height = {height}
+fps = 24
+[lens]
+fov_deg = 52
+[[shot]]
+frames = 1
+[shot.path]
+kind = "static"
+position_m = [-0.02, -0.46, 0.27]
+target_m = [0.0, 0.02, 0.05]
+[[plane]]
+name = "desk"
+size_m = [1.6, 1.2]
+position_m = [0, 0.1, "-0.2mm"]
+texture = {{ kind = "wood", colour = [0.20, 0.11, 0.06], second = [0.60, 0.42, 0.26], feature_m = "2cm" }}
+[[plane]]
+name = "wall"
+size_m = [9, 2.6]
+position_m = [0, 1.5, 0.6]
+rotate_deg = [90, 0, 0]
+texture = {{ kind = "poster", feature_m = "12cm" }}
+[[box]]
+name = "book"
+size_m = ["12cm", "17cm", "4cm"]
+position_m = [-0.27, 0.16, 0]
+rotate_deg = [0, 0, 18]
+texture = {{ kind = "noise", colour = [0.35, 0.04, 0.03], second = [0.60, 0.12, 0.06], feature_m = "1cm" }}
+[[box]]
+name = "tin"
+size_m = ["4cm", "4cm", "8cm"]
+position_m = [0.12, -0.20, 0]
+rotate_deg = [0, 0, 25]
+texture = {{ kind = "noise", colour = [0.05, 0.20, 0.30], second = [0.12, 0.42, 0.55], feature_m = "1cm" }}
+[[sphere]]
+name = "orange"
+radius_m = "4cm"
+position_m = [0.24, 0.22, 0.04]
+colour = [0.75, 0.28, 0.03]
+[[marker]]
+spec = "36h11:3:100mm"
+[light]
+ambient_rgb = [0.30, 0.32, 0.35]
+lamps = [{{ azimuth_deg = -140, elevation_deg = 50, rgb = [0.56, 0.53, 0.48], angular_size_deg = 5 }}]
+[depth]
+file = "depth.mkv"
+noise = 0.004
+[model]
+shape = "block"
+fit = "12cm"
+[job]
+stages = ["lightmap", "watercolor"]
+[job.settings.light]
+given = [-140, 50]
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """layers : that the watercolour reads, and the objects' numbers, of the whole frame
+    real : (h, w, 3) uint8, the camera's"""
+
+    layers: Layers
+    facts: FrameFacts
+    scene: Scene
+    real: np.ndarray
+
+    @property
+    def image(self) -> np.ndarray:
+        """(h, w, 3) float32 coded: the frame with the objects."""
+        return SRGB.encode(np.clip(self.layers[Layer.IMAGE], 0, 1)).astype(np.float32)
+
+    def ready(self, stage: Watercolor) -> ReadyStage:
+        return ReadyStage.of(stage, self.scene, "standard")
+
+    def view(self, stage: Watercolor) -> View:
+        return self.ready(stage).view(self.layers, self.facts)
+
+    def painted(self, stage: Watercolor, ready: ReadyStage | None = None) -> np.ndarray:
+        """(h, w, 3) float32 coded. ready : of the stage, keeps what frames share"""
+        made = (ready or self.ready(stage)).run(self.layers, self.facts)[Layer.IMAGE]
+        return SRGB.encode(np.clip(np.asarray(made), 0, 1)).astype(np.float32)
+
+    def paint_anew(self, ready: ReadyStage) -> None:
+        """For timing."""
+        ready.memo.of_frame.clear()
+        ready.run(self.layers, self.facts)
+
+    def toon_shaded(self, stage: Watercolor) -> np.ndarray:
+        """(h, w, 3) float32 coded: the frame with the objects toon-shaded by either formula."""
+        if isinstance(stage, PrintedWatercolor):
+            return stage.frame(self.view(stage))
+        return SRGB.encode(np.clip(stage.with_toon(self.view(stage)).whole(), 0, 1)).astype(np.float32)
+
+    def noisy(self, index: int, sigma: float) -> Shown:
+        """The same moment once more, as frame `index` of a resting camera: with other noise."""
+        g = np.random.default_rng(index)
+        coded = np.clip(self.image + g.normal(0, sigma, self.image.shape), 0, 1)
+        rect, image = self.layers.rect, SRGB.decode(coded).astype(np.float32)
+        layers = Layers(rect, {**self.layers.written, Layer.IMAGE: Pixels(rect, image)})
+        return replace(self, layers=layers, facts=replace(self.facts, index=index))
+
+    def objects(self) -> dict[str, np.ndarray]:
+        """(h, w) bool of the pixels of each object: the model's parts from left to right."""
+        middle = [float(p.vertices[:, 0].mean()) for p in self.scene.model.parts]
+        low, high = min(middle), max(middle)
+        names = ["", *("teapot" if (x - low) / (high - low) < 0.5 else "cube" if x < high else "rabbit" for x in middle)]
+        number = np.array(names)[self.layers[Layer.OBJECT_ID]]
+        return {name: number == name for name in OBJECTS}
+
+    def real_outlines(self) -> np.ndarray:
+        """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real scene beside the objects."""
+        depth = self.layers[Layer.REAL_DEPTH]
+        farther = cv2.dilate(depth, np.ones((3, 3), np.uint8))
+        own = self.layers[Layer.COVERAGE].astype(np.float32)
+        return (farther > 1.1 * depth) & (cv2.dilate(own, np.ones((9, 9), np.uint8)) == 0)
+
+
+def shown(work: Work) -> Shown:
+    """The scene's frame up to the composite, lit by the corrected method: both formulas' classes paint the same picture."""
+    width, height = work.scaled((640, 360), (240, 136))
+    file = work.folder / "teapot-cube-rabbit.glb"
+    if not file.exists():
+        write_model("group", file)
+    clip = work.clip(SCENE.format(width=width, height=height))
+    shot = work.shot(clip, settings={"model": {"file": str(file), "fit": "26cm"}})
+    layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(Watercolor.reads | {Layer.OBJECT_ID}, shot.renderer.window)
+    return Shown(layers, shot.renderer.facts, shot.job.scene, shot.renderer.original())
+
+
+def cells_of(shown: Shown) -> tuple[int, int]:
+    """m, n: rows and columns of cells of about CELL_PX."""
+    rect = shown.layers.rect
+    return max(round(rect.height / CELL_PX), 1), max(round(rect.width / CELL_PX), 1)
+
+
+def printed(shown: Shown, **settings: Any) -> PrintedWatercolor:
+    m, n = cells_of(shown)
+    return PrintedWatercolor(PrintedWatercolorParams(**{"m": m, "n": n, **settings}))
+
+
+def corrected(**settings: Any) -> Watercolor:
+    return Watercolor(WatercolorParams(**settings))
+
+
+FLAT = {"pigment": False, "wash": 0.0, "lines": 0.0, "lightness": 0.0, "saturation": 1.0, "deepest": 0.0}  # cells alone
+
+
+def picture(coded: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 of coded values, of one channel or three."""
+    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
+    return out if out.ndim == 3 else np.repeat(out[..., None], 3, axis=2)

@@ -1,0 +1,119 @@
+"""Step 4 of Yao, Tao, Wu 2018: cones over the hemisphere and what they bring."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+
+import numpy as np
+
+from arfx.analyse.pose.visibility import with_model
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers
+from arfx.core.scene import Scene
+from arfx.core.stage import JobView, Stage
+from arfx.papers.s4_environment import step3_mipmap
+from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
+from arfx.plan.planner import plan_frame
+from arfx.reproduce.rows import Row
+from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, said, settings
+from arfx.reproduce.s4_volumes import N, ray, small
+from arfx.reproduce.work import Work
+from arfx.run.frame import ready_stages, run_frame
+from arfx.run.parameters import stages_of
+from arfx.stages import STAGES
+from arfx.stages.gi.cones import mirror_tangent, six_cones
+from arfx.stages.gi.health import furnace_mean
+
+FURNACE = ((32, "draft"), (64, "standard"), (128, "high"))  # voxels a side, and the corrected level that has them
+
+
+def cones(work: Work) -> Iterator[Row]:
+    directions, weights, tangent = six_cones()
+    narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), float(np.degrees(np.arctan(tangent)))
+    yield said(
+        "step 4, half-angle of the mirror cone at a roughness of 0.1", "a narrow cone", (narrow, narrow), narrow < wide / 4,
+        "it is not narrow", "degrees",
+    )  # fmt: skip
+    yield said(
+        "step 4, half-angle of the wide cones", "several wider cones", (wide, wide), len(weights) > 1, "one alone", "degrees"
+    )
+    total = float(weights.sum())
+    yield said("step 4, weights of the wide cones together", "1, as follows", (total, total), abs(total - 1) < 1e-6, "not 1")
+    z, turn = (np.arange(100_000) + 0.5) / 100_000, np.arange(100_000) * np.pi * (3 - np.sqrt(5))
+    flat = np.sqrt(1 - z**2)
+    hemisphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
+    covered = float(((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean())
+    yield said(
+        "step 4, share of the hemisphere within the wide cones", "cover the whole hemisphere", (covered, covered), covered > 0.99,
+        "cones of 60° that cover it would overlap; these are tilted and weighted so that they leave as much of coarse and fine "
+        "light as a cosine does", "of 1",
+    )  # fmt: skip
+    yield through()
+    yield from step_length()
+    yield from furnace(work)
+
+
+def through() -> Row:
+    """The environment under a half opaque ceiling."""
+    ceiling = np.argwhere(np.ones((N, N, 1))) + np.array([0, 0, 12])
+    made = small(ceiling, 0.5)
+    V = np.zeros((len(made.tree.first), 3), np.float32)
+    at = Surfels(np.array([[8.0, 8.0, 8.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))
+    red, _, _, left = wide_cones(made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3))[0]
+    share = float(red / (0.5 * left))
+    return said(
+        "step 4, environment through a half opaque ceiling, over what cones let through", "weighted by what the cone hides",
+        (share, None), abs(share - 1) < 1e-3 and left < 0.99, "not weighted so",
+    )  # fmt: skip
+
+
+def step_length() -> Iterator[Row]:
+    """Through a block of opacity and radiance one half."""
+    block = np.argwhere(np.ones((N, N, N)))
+    parts = {k: ray(0.5, block, [[i / k, 0, 1 / k] for i in range(k)], [2.0, 8, 8]) for k in (1, 2, 4)}
+    half = [1 - float(r[3]) for r in ray(0.5, block, [[0.0, 0, 0.5]], [2.0, 8, 8])]
+    whole = [1 - float(r[3]) for r in parts[2]]
+    item, words = "step 4, opacity of half a step where α = 0.5", "two of them make one step, as follows"
+    yield said(item, words, half, max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6, "two make another")
+    item = "step 4, opacity of two half steps where α = 0.5"
+    yield said(item, "that of one step, as follows", whole, max(abs(w - 0.5) for w in whole) < 1e-6, "another")
+    brighter = [float(parts[4][k][0] / parts[1][k][0]) for k in range(2)]
+    yield said(
+        "step 4, light of a voxel that is passed in four steps, over one step", "not stated", brighter, max(brighter) < 1.01,
+        "radiance counts whole at every step; corrected: in proportion to the step's opacity",
+    )  # fmt: skip
+
+
+def furnace(work: Work) -> Iterator[Row]:
+    """A white ball on a white plane in an even light of 1 has to vanish. The short form has the smallest volume alone."""
+    given = settings(work, "ball", "8cm", FLAT_LAMP)
+    scene = work.planned(flat_scene(work), settings=given).scene
+    means: list[float] = []
+    for n, level in FURNACE:
+        if not (means and work.short):
+            means = [furnace_of(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)), scene, "standard")]
+            means.append(furnace_of(STAGES["gi"](), scene, level))
+        yield said(
+            f"step 4, white furnace at {n}³ voxels", "1, as follows", means, max(abs(m - 1) for m in means) < 0.02,
+            "voxels of the plane that hold the ball's foot leak, and its normals are means", "mean radiance",
+        )  # fmt: skip
+
+
+def furnace_of(gi: Stage, scene: Scene, level: str) -> float:
+    """Mean radiance of a white model by this stage of indirect light."""
+    mean = furnace_mean(JobView((), scene, {}, partial(picture, gi)), level)
+    assert mean is not None
+    return mean
+
+
+def picture(gi: Stage, scene: Scene, facts: FrameFacts, levels: Mapping[str, str]) -> Layers | None:
+    """One frame over a plate of ones, as `JobView.picture`, with this stage of indirect light."""
+    (facts,) = with_model([facts], scene)
+    stages = {**stages_of({name: STAGES[name].Params() for name in levels}, levels), "gi": gi}
+    plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
+    if not plan.steps:
+        return None
+    plate = np.ones((plan.rect.height, plan.rect.width, 3), np.float32)
+    layers = run_frame(plate, facts, plan, ready_stages(plan, stages, scene)).layers
+    return layers.view(frozenset(Layer), plan.rect)

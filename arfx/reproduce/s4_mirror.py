@@ -1,0 +1,50 @@
+"""The room as a mirror ball shows it, by rays through the synthetic scene itself: what no picture of it holds is there too."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arfx.core.colour import SRGB
+from arfx.core.layers import Layer
+from arfx.reproduce.work import Clip, Shot
+from arfx.synth.tracer import Lens, Room, render_rows
+from arfx.synth.world import World
+
+FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors
+REFLECTED = 0.95  # of the ball's material
+_LIFT_M = 1e-4
+
+
+def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
+    """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the clip, whose axes are the marker's."""
+    at, world = shot.renderer.facts.index, World(clip.scene)
+    moment = world.at(float(world.frame_times_s[at]))
+    low, high = shot.job.scene.model_corners_m.min(0), shot.job.scene.model_corners_m.max(0)
+    ball = [*(low + high) / 2, (high - low).max() / 2, *(0.5, 0.5, 0.5), 0]  # it throws its shadow
+    sky = np.tile(np.asarray(world.ambient, float), (2, 4, 1))  # whatever light of the room comes from no lamp
+    spheres = np.vstack([moment.spheres, np.array([ball])])
+    room = Room(moment.rects, spheres, moment.lights, world.ambient, world.textures, world.table, sky)
+    covered = shot.layer(Layer.COVERAGE) > 0.5
+    normal, position = (shot.layer(name)[covered].astype(float) for name in (Layer.NORMAL, Layer.POSITION))
+    seen = position - shot.renderer.facts.pose.inverse().translation_m
+    towards = seen - 2 * (seen * normal).sum(-1, keepdims=True) * normal
+    light = np.array([radiance(room, p + _LIFT_M * n, d) for p, n, d in zip(position, normal, towards, strict=True)])
+    unit = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+    for lamp in moment.lights:
+        cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
+        light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
+    out = picture.copy()
+    out[covered] = np.rint(255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))).astype(np.uint8)
+    return out
+
+
+def radiance(room: Room, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """(3,) that comes to a point from a direction of any length."""
+    forward = direction / np.linalg.norm(direction)
+    aside = np.cross(forward, np.eye(3)[np.abs(forward).argmin()])
+    aside /= np.linalg.norm(aside)
+    rotation = np.ascontiguousarray(np.stack([aside, np.cross(forward, aside), forward], 1))
+    rays = FOOTPRINT_RAD * np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0]), -1)
+    out = np.zeros((2, 2, 3))
+    render_rows(0, 1, Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0), 1.0, room, 0, 1.0, out)
+    return np.asarray(out[0, 0])

@@ -1,0 +1,163 @@
+"""Step 2 of Yao, Tao, Wu 2018: voxels, reflective shadow maps, split injection, the octree and its filter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from arfx.core.scene import Scene
+from arfx.papers import CORRECTED as CORRECTED_FORMULA
+from arfx.papers import PAPER as PAPER_FORMULA
+from arfx.papers.s4_cones import cone_trace
+from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
+from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
+from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
+from arfx.reproduce.rows import Item, Row, bars
+from arfx.reproduce.s4_scenes import FLAT_LAMP, PAPER, flat_scene, said, settings, under
+from arfx.reproduce.work import Work, shot_of
+from arfx.stages.gi.cones import trace_many
+from arfx.stages.gi.pyramid import atlas_of, levels_of, structure_of
+from arfx.stages.gi.real_planes import planes_of
+from arfx.stages.gi.reference_scene import RayScene
+from arfx.stages.gi.voxelise import Volume, voxelise
+
+ALBEDO = 0.5  # of the plane
+TOWARDS, RGB = np.array([0.6, 0.0, 0.8]), np.array([0.5, 0.4, 0.3])  # the light
+CHANNELS = 4 + 3 * 3  # of V_eta, V_rho, V_mu and V_delta
+N = 16  # voxels a side of a small volume
+
+
+def volumes(work: Work) -> Iterator[Item]:
+    given = settings(work, "red cube", "8cm", FLAT_LAMP)
+    yield from light(work.planned(flat_scene(work), settings=given).scene)
+    yield from filtering()
+    yield from memory(work)
+    yield empty(work)
+
+
+def light(scene: Scene) -> Iterator[Row]:
+    """A red cube on a grey plane under one light."""
+    mesh = step1_mesh(planes_of(scene), ALBEDO)
+    real, virtual, made = (
+        RayScene(real_scene(scene, mesh)),
+        RayScene(scene),
+        step2_volumes(real_and_virtual(scene, mesh), scene, 64),
+    )
+    lowest = made.rows_of(0)
+    eta = made.tree.eta[lowest]
+    beside = made.leaf_of(np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]]))
+    tilt = float(np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max())
+    yield said(
+        "step 2, V_η: normal of the plane's voxels", "voxels hold normals", (tilt, None), tilt < 1, "they do not", "degrees off"
+    )
+    R_rho, R_mu, shows = shadow_maps(real, virtual, made.volume, TOWARDS, RGB)
+    plane, expected = np.isfinite(R_rho.distance), ALBEDO * RGB * TOWARDS[2]
+    off = float(np.abs(R_rho.radiance[plane] / expected - 1).max())
+    yield said(
+        "step 2, R_ρ: light of the real scene's points", "light that meets the real scene", (off, None), off < 1e-4,
+        "not albedo x light x cosine", "relative error",
+    )  # fmt: skip
+    apart = np.abs(R_mu.radiance - R_rho.radiance).max(-1) > 0
+    yield said(
+        "step 2, R_μ: texels that differ from R_ρ and do not show the object", "with the virtual object added",
+        (float((apart & ~shows).mean()), None), not (apart & ~shows).any() and apart.any(), "others changed", "of 1",
+    )  # fmt: skip
+    fields = step2_radiance(made, real, virtual, [(TOWARDS, RGB)])
+    V_rho, V_mu, V_delta = (v[lowest] for v in (fields.V_rho, fields.V_mu, fields.V_delta))
+    shadow = float(V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0])
+    yield said(
+        "step 2, split injection: V_Δ in the object's shadow", "light of R_ρ positive, of R_μ negative", (shadow, None),
+        shadow > 0, "not positive", "red, radiance",
+    )  # fmt: skip
+    given = float(V_delta[:, 0].min())
+    yield said(
+        "step 2, split injection: V_Δ on the lit object", "light of R_ρ positive, of R_μ negative", (given, None), given < 0,
+        "not negative", "red, radiance",
+    )  # fmt: skip
+    wrong = float((np.abs(V_delta - (V_rho - V_mu)).max(1) > 1e-6).mean())
+    yield said(
+        "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold", "V_Δ = V_ρ - V_μ", (wrong, None), wrong == 0,
+        "points of light in one voxel overwrite each other, and split injection overwrites others than the two volumes do; the "
+        "corrected method adds light up by area and has no such volumes", "of 1",
+    )  # fmt: skip
+
+
+def small(cells: np.ndarray, alpha: float = 1.0) -> Volumes:
+    """The printed octree of voxels of one opacity, N a side, seen from everywhere."""
+    cube = Volume(N, (0.0, 0.0, 0.0), 1.0)
+    return octree_of(cube, cells, np.zeros((len(cells), 3)), np.full(len(cells), alpha))
+
+
+def ray(
+    alpha: float, cells: np.ndarray, steps: Sequence[Sequence[float]], start: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(4,) radiance and what is left behind a ray along x through voxels that glow as bright as they are opaque, by both."""
+    made, f32 = small(cells, alpha), np.float32
+    V, taken = made.filtered(np.full((len(cells), 3), alpha)), np.array(steps, f32)
+    printed = cone_trace(made, V, taken, np.array([start]), np.array([[[1.0, 0, 0]]]))[0, 0]
+    values = np.full((len(cells), 4), alpha, f32)
+    atlas = atlas_of(structure_of(cells, N), values)
+    along, no_normal = np.array([[[1, 0, 0]]], f32), np.zeros((1, 3), f32)
+    return printed, trace_many(atlas, taken, np.array([start], f32), along, no_normal, f32(0), False)[0]
+
+
+def filtering() -> Iterator[Row]:
+    passes = [float(len(small(np.zeros((1, 3), int)).starts)), float(len(structure_of(np.zeros((1, 3), int), N).layers) - 1)]
+    yield said("step 2, filter steps of an octree of 5 levels", "n - 1", passes, passes == [4.0, 4.0], "not 4")
+    wall = np.argwhere(np.ones((1, N, N))) + np.array([7, 0, 0])
+    made, values = small(wall), np.zeros((len(wall), 4), np.float32)
+    values[:, 3] = 1
+    corrected = levels_of(structure_of(wall, N), values)
+    leaks = (
+        "a mean of the children lets light through a wall; in six directions children first hide each other, then are averaged"
+    )
+    for level in range(4):
+        opacity = [float(made.tree.eta[made.rows_of(level), 3].mean()), float(corrected[level][:, 0, 3].mean())]
+        yield said(
+            f"step 2, opacity of a wall of one voxel at level {level}", "mean of the children", opacity, opacity[0] == opacity[1],
+            leaks,
+        )  # fmt: skip
+    left = [float(r[3]) for r in ray(1.0, wall, [[6.0, 3, 1.0]], [-2.0, 8, 8])]
+    yield said(
+        "step 2, light through a wall where a cone is 8 voxels wide",
+        "hidden by the wall",
+        left,
+        max(left) < 0.01,
+        leaks,
+        "of 1",
+    )
+
+
+def memory(work: Work) -> Iterator[Item]:
+    """Of all volumes of a teapot and the plane under it, and of the corrected method's of the teapot, beside arrays."""
+    scene = work.planned(flat_scene(work), settings=settings(work, "red teapot", "12cm", FLAT_LAMP)).scene
+    mesh, sides = step1_mesh(planes_of(scene), ALBEDO), (64, 128, 256)
+    both = real_and_virtual(scene, mesh)
+    dense, printed, corrected = [], [], []
+    for n in sides:
+        sparse_bytes, dense_bytes = step2_volumes(both, scene, n).memory_bytes(CHANNELS)
+        structure = structure_of(voxelise(scene, n).cells, n)
+        dense.append(dense_bytes / 2**20)
+        printed.append(sparse_bytes / 2**20)
+        corrected.append((4 * structure.floats + structure.brick_of.nbytes) / 2**20)
+        yield said(
+            f"step 2, memory of the volumes at {n}³ voxels", "empty voxels are not stored", (printed[-1], corrected[-1]),
+            printed[-1] < 0.2 * dense[-1], "as much as arrays of all voxels", f"MB; arrays of all voxels {dense[-1]:.4g}",
+        )  # fmt: skip
+    series = {"arrays of all voxels": dense, "printed method": printed, "corrected, six directions": corrected}
+    yield bars(PAPER, f"step 2, memory of the volumes at {sides[-1]}³ voxels", "a teapot", "MB", [f"{n}³" for n in sides], series)
+
+
+def empty(work: Work) -> Row:
+    """An object that is out of the light's and the camera's way: high over both."""
+    given = settings(work, "red cube", "8cm", FLAT_LAMP)
+    given["model"] = {**given["model"], "offset": ["0m", "0m", "3m"]}
+    changed = []
+    for formula in (PAPER_FORMULA, CORRECTED_FORMULA):
+        job = work.planned(flat_scene(work), settings=under(work, formula, given))
+        shot = shot_of(job, 1) if job.plan.frames[1].steps else None
+        after = None if shot is None else shot.picture().astype(int) - shot.renderer.original()
+        changed.append(0.0 if after is None else float(np.abs(after).max()))
+    item = "step 2, change of the picture by an empty V_Δ"
+    return said(item, "none, as follows", changed, changed == [0.0, 0.0], "pixels changed", "grey levels at most")

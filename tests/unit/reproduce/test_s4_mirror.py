@@ -1,0 +1,43 @@
+"""The room in a mirror ball: rays from its surface meet what the camera's rays meet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from arfx.reproduce.s4_mirror import radiance
+from arfx.synth.description import parse_scene
+from arfx.synth.picture import Picture
+from arfx.synth.tracer import Room
+from arfx.synth.world import World
+
+SCENE = """
+samples = 1
+[clip]
+width = 64
+height = 48
+[[shot]]
+frames = 1
+[[plane]]
+size_m = [1.4, 1.2]
+position_m = [0, 0, "-1mm"]
+texture = { kind = "plain", colour = [0.6, 0.3, 0.1] }
+[[sphere]]
+radius_m = "5cm"
+position_m = [0.05, 0.05, 0.05]
+colour = [0.1, 0.2, 0.7]
+[[marker]]
+spec = "36h11:3:40mm"
+position_m = [-0.2, 0, 0]
+"""
+
+
+def test_a_ray_meets_what_the_camera_sees() -> None:
+    world = World(parse_scene(SCENE))
+    moment, pose = world.at(0.0), world.camera_at(0, 0.0).inverse()
+    room = Room(moment.rects, moment.spheres, moment.lights, world.ambient, world.textures, world.table, np.full((2, 4, 3), 0.25))
+    seen = Picture(world).radiance(0)
+    for x, y in ((33, 22), (20, 40), (50, 30)):  # the sphere, the plane before it, beside it
+        direction = pose.rotation @ world.camera.directions(np.array([[x, y]], float))[0]
+        assert radiance(room, pose.translation_m, direction) == pytest.approx(seen[y, x], rel=0.02), (x, y)
+    assert radiance(room, np.array([0.0, 0, 1]), np.array([0.1, 0.2, 3.0])) == pytest.approx([0.25] * 3), "the sky"
