@@ -11,7 +11,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import Marker
 from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.real_depth import RealPlane
@@ -71,7 +71,7 @@ class Scene:
     camera: Camera
     model: Model
     world_from_model: np.ndarray
-    markers: tuple[MarkerSpec, ...] = ()
+    markers: tuple[Marker, ...] = ()
     world_from_marker: Mapping[str, Pose] = field(default_factory=dict)
     world_from_anchor: Pose = field(default_factory=Pose.identity)
     light: Light = field(default_factory=Light)

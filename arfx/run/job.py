@@ -126,10 +126,10 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     tree = frozen(config)
     output = tree.pop("output")
     model_key = sorted((str(path), file_digest(path)) for path in inputs.model.files)  # textures and buffers too
-    more = (config.input.marker_map, config.input.poses, config.params["light"].environment)
+    more = (config.input.marker_map, config.input.poses, config.params["light"].environment, *(p.image for p in config.patterns))
     base = [
         code_digest(), file_digest(config.input.clip), inputs.camera.to_json(),
-        *(tree[section] for section in ("input", "marker", "analyse", "light")), config.model.anchor,
+        *(tree[section] for section in ("input", "marker", "pattern", "analyse", "light")), config.model.anchor,
         sorted(required_folds(config)), sorted(fold_classes(config)), *(file_digest(path) for path in more if path),
     ]  # fmt: skip
     analysis_key = digest(*base)
@@ -195,7 +195,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
         lambda clip: make_scene(
             config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static
         ),
-        options.progress, fold_classes(config),
+        options.progress, fold_classes(config), inputs.prints,
     )  # fmt: skip
     span = (config.input.start, config.input.end)
     done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log)

@@ -16,7 +16,7 @@ from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, Pictur
 from arfx.analyse.light import patches
 from arfx.analyse.light.fit import MEASURED as LIT
 from arfx.analyse.light.fit import REFUSED
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import Photometry, Tolerances
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.static_frame import LightReading, Readings, StaticFrameLight, light_from_direction, light_from_panorama
@@ -25,11 +25,13 @@ from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, triple
+from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
 from arfx.core.stage import Check
 
 Reading = tuple[int, str, patches.Patches]
-Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, LightReading | None]]
+# intensity, variance, clipped share and albedo of the patches
+Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, LightReading | None]]
 SURROUNDINGS_S = 0.5  # between two looks at the surroundings
 SURROUNDINGS_PX = 96  # width of the picture that is looked at
 MOST_ENVIRONMENT_SAMPLES = 240  # beyond that every second one is dropped, and the interval doubled
@@ -44,10 +46,15 @@ class LightOfMarkers(Fold):
 
     name = "light"
     needs = ("markers", "pose")
+    given = frozenset({"job", "_meters"})
 
     def __init__(self, job: AnalysisJob, markers: Markers, pose: Fold) -> None:
         super().__init__(job)
         self._markers = markers
+        ink, paper = job.light.ink, job.light.paper
+        self._meters = {m.key: [patches.marker_meter(m)] for m in job.markers if isinstance(m, MarkerSpec)}
+        for key, print_ in job.prints.items():
+            self._meters[key] = [patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT]
         self.readings: list[Reading] = []
         self._surroundings = EnvironmentSamples()
 
@@ -62,11 +69,11 @@ class LightOfMarkers(Fold):
         for s in seen:
             if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
                 continue
-            family, _, number = s.key.rpartition(":")
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
+            cells, albedo, scale = patches.meter_for(self._meters[s.key], s.side_px, blur)
             shape = (picture.rect.height, picture.rect.width)
-            points = patches.place_samples(s.corners_px, patches.cells(family, int(number)), s.inverted, blur, shape)
-            self.readings.append((frame.index, s.key, patches.reduced(picture.linear_at(points.pixels()), points)))
+            points = patches.place_samples(s.corners_px, cells, s.inverted, blur, shape, scale)
+            self.readings.append((frame.index, s.key, patches.reduced(picture.linear_at(points.pixels()), points, albedo)))
         if seen:
             corners_px, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
 
@@ -184,11 +191,11 @@ class Environment(Fold):
 
 
 def solve_patches(
-    intensity: np.ndarray, variance: np.ndarray, clipped: np.ndarray, params: LightParams
+    intensity: np.ndarray, variance: np.ndarray, clipped: np.ndarray, albedo: np.ndarray, params: LightParams
 ) -> tuple[Photometry, LightReading | None]:  # fmt: skip
     """Bias and light out of patches, and another reading of them where prints are overexposed."""
-    photometry = photometry_of(intensity, variance, patches.WHITE, None, clipped, params.albedos, params.ink, params.paper)
-    y, own, fit = patches.comparable(photometry, intensity, variance, patches.WHITE, clipped)
+    photometry = photometry_of(intensity, variance, None, albedo, clipped, params.albedos, tolerances=Tolerances())
+    y, own, fit = patches.comparable(photometry, intensity, variance, patches.WHITE, clipped, albedo)
     used = photometry.seen
     return photometry, None if y is photometry.y and fit is used else LightReading(y[used], own[used], fit[used])
 
@@ -236,7 +243,9 @@ def with_light(
         for frame, key, cells in patch_readings
         if frame in known
         and key == anchor.key
-        and (found := patches.real_shadow(patches.quadrant_radiance(cells.mean, cells.count, bias), anchor.size_m))
+        and (
+            found := patches.real_shadow(patches.quadrant_radiance(cells.mean, cells.count, bias, cells.albedo), anchor.corners_m)
+        )
     }
     lit = (
         f if k not in out else f.with_(
@@ -294,13 +303,11 @@ def _readings(
         if facing >= LEAST_FACING:
             rows.append((frame, static_from_world[frame] @ marker.rotation[:, 2], cells))
     # a print partly in a real shadow does not show the lamps' light; where most prints are, nothing else is left
-    intensity, variance, clipped = patches.stack([p for _, _, p in rows])
-    lit = np.flatnonzero(
-        ~patches.clearly_shadowed(patches.quadrant_radiance(intensity, np.isfinite(intensity[..., 0]), np.zeros(3)))
-    )
-    if 2 * len(lit) > len(rows):
-        rows, intensity, variance, clipped = [rows[k] for k in lit], intensity[lit], variance[lit], clipped[lit]
-    photometry, other = solve(intensity, variance, clipped, params)
+    quarters = [patches.quadrant_radiance(p.mean, p.count, np.zeros(3), p.albedo) for _, _, p in rows]
+    lit = [row for row, light in zip(rows, quarters, strict=True) if not patches.clearly_shadowed(light)]
+    rows = lit if 2 * len(lit) > len(rows) else rows
+    seen = [p for _, _, p in rows]
+    photometry, other = solve(*patches.stack(seen), patches.albedos(seen, params.ink, params.paper), params)
     frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
     used = photometry.seen
     return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used], other), photometry
