@@ -13,7 +13,7 @@ import numpy as np
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import Marker, MarkerSpec
 from arfx.core.pose import Pose
 from arfx.core.real_depth import RealPlane
 from arfx.core.rect import Rect
@@ -82,9 +82,10 @@ class AnalysisJob:
     panorama : of LightParams.environment;  anchor : MARKER or PLANE
     depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of the camera, camera_from_given
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
-    kinds : classes of folds in place of the usual ones, by name"""
+    kinds : classes of folds in place of the usual ones, by name
+    prints : pictures of the markers that are patterns, by key, (h, w, 3) linear"""
 
-    markers: tuple[MarkerSpec, ...]
+    markers: tuple[Marker, ...]
     camera: Camera
     params: AnalyseParams = field(default_factory=AnalyseParams)
     light: LightParams = field(default_factory=LightParams)
@@ -97,6 +98,7 @@ class AnalysisJob:
     scene: Callable[[Analysis], Scene] | None = None
     progress: Callable[[str, int, int | None], None] = lambda *_: None
     kinds: Mapping[str, Any] = field(default_factory=dict)
+    prints: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,7 @@ class Analysis:
     facts : one per frame;  world_from_marker : by key, of markers that could be placed
     anchor : what the object stands on;  static : "camera", "marker" or "both" (both move), see pose/at_rest.py
     summary : figures for the report, JSON-able;  notices : sentences for the user;  real_planes : measured
+    environment_maps : of the facts' `seen_environment` (core.scene.Scene)
     frame_span : which of the clip's frames these are: seconds of each after the clip's first, how many lie before, whether they
         reach to its end"""
 
@@ -114,8 +117,9 @@ class Analysis:
     static: str = "marker"
     summary: Mapping[str, Any] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
-    anchor: MarkerSpec = PLANE_MARKER
+    anchor: Marker = PLANE_MARKER
     real_planes: tuple[RealPlane, ...] = ()
+    environment_maps: Mapping[str, np.ndarray] = field(default_factory=dict, compare=False)  # the facts name their contents
     frame_span: tuple[list[float], int, bool] = ([], 0, True)
 
     @property

@@ -17,7 +17,7 @@ from arfx.analyse.markers.detect import cells_per_side
 from arfx.analyse.markers.fold import Markers
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens_fit import LensFit, lens_from_blur
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import FAMILIES, Marker
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 
@@ -116,6 +116,8 @@ class FootageLens(Fold):
     def step(self, frame: AnalysisFrame) -> None:
         for s in self._markers.detections:
             family = s.key.rpartition(":")[0]
+            if family not in FAMILIES:  # a pattern: nothing is known of the edges around it
+                continue
             blur = side_blurs(frame.luma, s.corners_px, cells_per_side(family), self._markers.table)
             if np.isfinite(blur).any():
                 self.readings.append((frame.index, s.key, blur, s.corners_px))
@@ -127,7 +129,7 @@ class FootageLens(Fold):
 
 
 def footage_lens(
-    facts: Sequence[FrameFacts], readings: Readings, markers: Sequence[MarkerSpec], world_from_marker: Mapping[str, Pose]
+    facts: Sequence[FrameFacts], readings: Readings, markers: Sequence[Marker], world_from_marker: Mapping[str, Pose]
 ) -> LensFit:
     corners_m = {m.key: m.corners_m for m in markers}
     before: dict[str, tuple[int, np.ndarray]] = {}

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from arfx.config.sections import JobConfig, kinds, settings
+from arfx.core.marker import PatternSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.errors import ConfigError, InputError
 
@@ -89,15 +90,16 @@ def _read(file: Path, parameters: Parameters) -> _JobFile:
     except ValueError as e:
         raise ConfigError(f"{file}: not valid TOML: {e}") from None
     for section, key in _paths(parameters):
-        table = document.get(section)
-        if isinstance(table, dict) and isinstance(table.get(key), str):
-            table[key] = str(file.parent / table[key])
+        tables = document.get(section)
+        for table in tables if isinstance(tables, list) else [tables]:
+            if isinstance(table, dict) and isinstance(table.get(key), str):
+                table[key] = str(file.parent / table[key])
     return _JobFile(file, text, document)
 
 
 def _paths(parameters: Parameters) -> set[tuple[str, str]]:
-    """(section, key) of the settings that are paths: in a job file they are relative to it."""
-    out = {(s.section, s.key) for s in settings() if Path in s.kinds}
+    """(section, key) of the settings that are, or begin with, paths: in a job file they are relative to it."""
+    out = {(s.section, s.key) for s in settings() if Path in s.kinds or PatternSpec in s.kinds}
     for name, formulas in parameters.items():
         for kind in formulas.values():
             out |= {(name, key) for key, hint in get_type_hints(kind).items() if Path in kinds(hint)}

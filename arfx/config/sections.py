@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import Marker, MarkerSpec, PatternSpec
 from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError
 
@@ -82,6 +82,13 @@ class MarkerSection(Section):
     )
 
 
+class PatternSection(Section):
+    spec: Annotated[PatternSpec, _parsed_by(PatternSpec.parse)] = _field(
+        ..., "IMAGE:SIZE, a print whose picture is known, and its width, such as poster.png:20cm.", "--pattern IMAGE:SIZE",
+        "A print without code as marker: its picture and width, poster.png:20cm. Repeatable.",
+    )  # fmt: skip
+
+
 class ModelSection(Section):
     file: Path | None = _field(
         None, "glTF/GLB, OBJ, PLY, STL …; the middle of its base stands on the marker's centre.", "--model FILE"
@@ -134,6 +141,7 @@ class JobConfig(Section):
 
     input: InputSection = Field(default_factory=InputSection)
     marker: tuple[MarkerSection, ...] = ()
+    pattern: tuple[PatternSection, ...] = ()
     model: ModelSection = Field(default_factory=ModelSection)
     pipeline: PipelineSection = Field(default_factory=PipelineSection)
     output: OutputSection = Field(default_factory=OutputSection)
@@ -141,8 +149,13 @@ class JobConfig(Section):
     sources: tuple[Path, ...] = ()
 
     @property
-    def markers(self) -> tuple[MarkerSpec, ...]:
-        return tuple(m.spec for m in self.marker)
+    def markers(self) -> tuple[Marker, ...]:
+        """All prints that tell a pose, coded ones first."""
+        return (*(m.spec for m in self.marker), *self.patterns)
+
+    @property
+    def patterns(self) -> tuple[PatternSpec, ...]:
+        return tuple(p.spec for p in self.pattern)
 
 
 class Setting(NamedTuple):
@@ -186,6 +199,8 @@ def kinds(annotation: Any) -> tuple[Any, ...]:
 
 def plain(value: Any) -> Any:
     """Nested dicts, lists, strings and numbers only; None left out; paths absolute."""
+    if isinstance(value, PatternSpec):
+        return str(dataclasses.replace(value, image=value.image.absolute()))
     if isinstance(value, MarkerSpec):
         return str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -202,7 +217,7 @@ def plain(value: Any) -> Any:
 def frozen(config: JobConfig) -> dict[str, Any]:
     """The job as plain data that `load` reads back to the same job (paths absolute)."""
     tree = {name: getattr(config, name).model_dump() for name in ("input", "model", "pipeline", "output")}
-    tree["marker"] = [{"spec": str(m)} for m in config.markers]
+    tree |= {"marker": [{"spec": m.spec} for m in config.marker], "pattern": [{"spec": p.spec} for p in config.pattern]}
     if tree["model"]["fit"] is not None:
         tree["model"]["fit"] = f"{float(tree['model']['fit'])!r}m"
     tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]

@@ -17,13 +17,17 @@ def face_directions(size: int) -> np.ndarray:
     """(6, size, size, 3) unit directions of the texels' centres.
     A face's rows and columns run along the other two axes, the last of them towards -z on the sides: with camera axes
     (x right, y down, z forward) a picture lies upright on +z."""
-    t = (np.arange(size) + 0.5) / size * 2 - 1
+    out = normalise(_on_faces((np.arange(size) + 0.5) / size * 2 - 1))
+    out.setflags(write=False)
+    return out
+
+
+def _on_faces(t: np.ndarray) -> np.ndarray:
+    """(6, n, n, 3) places on the planes of the faces, at t (n,) along rows and columns; a face ends at -1 and 1."""
     v, u = np.meshgrid(t, t, indexing="ij")
     one = np.ones_like(u)
     faces = [(one, v, -u), (-one, v, -u), (u, one, -v), (u, -one, -v), (u, v, one), (u, v, -one)]
-    out = normalise(np.stack([np.stack(f, -1) for f in faces]))
-    out.setflags(write=False)
-    return out
+    return np.stack([np.stack(f, -1) for f in faces])
 
 
 @lru_cache(maxsize=4)
@@ -56,6 +60,56 @@ def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
     fx, fy = (x - i)[:, None], (y - j)[:, None]
     top = faces[face, j, i] * (1 - fx) + faces[face, j, i1] * fx
     return np.asarray(top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy)
+
+
+@lru_cache(maxsize=4)
+def _border(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, (n, 3) directions of those)."""
+    around = np.ones((6, size + 2, size + 2), bool)
+    around[:, 1:-1, 1:-1] = False
+    return around, _on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
+
+
+def bordered(faces: np.ndarray) -> np.ndarray:
+    """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours all around."""
+    around, directions = _border(faces.shape[1])
+    out = np.empty((*around.shape, faces.shape[-1]), faces.dtype)
+    out[:, 1:-1, 1:-1], out[around] = faces, look_up(faces, directions)
+    return out
+
+
+def resampled(faces: np.ndarray, size: int) -> np.ndarray:
+    """(6, size, size, c) of a cube (6, n, n, c) with fewer texels: linear between them, over the edges too."""
+    n = faces.shape[1]
+    x = ((np.arange(size) + 0.5) / size * n + 0.5)[:, None] - np.arange(n + 2)
+    share = np.clip(1 - np.abs(x), 0, None).astype(faces.dtype)
+    return np.moveaxis(share @ np.moveaxis(bordered(faces), 3, 1) @ share.T, 1, 3)
+
+
+@lru_cache(maxsize=2)
+def _nearby(size: int, reach_deg: float) -> np.ndarray:
+    """(texels, texels) weights of `spread`; rows sum to 1."""
+    d = face_directions(size).reshape(-1, 3)
+    angle = np.degrees(np.arccos(np.clip(d @ d.T, -1, 1)))
+    weight = np.exp(-angle / reach_deg) * np.tile(solid_angles(size).ravel(), 6)
+    return np.asarray((weight / weight.sum(1, keepdims=True)).astype(np.float32))
+
+
+def spread(faces: np.ndarray, reach_deg: float) -> np.ndarray:
+    """(6, n, n, c) float32 of a cube: each texel the mean of all, whose weight falls to 1 / e within an angle. n <= 16: its
+    cost is O(n^4)"""
+    return (_nearby(faces.shape[1], reach_deg) @ faces.reshape(-1, faces.shape[-1]).astype(np.float32)).reshape(faces.shape)
+
+
+@dataclass(frozen=True)
+class SeenEnvironment(Document):
+    """What the clip saw of the surroundings about one frame, between two of the scene's `environment_maps`.
+    maps : their names;  share : weight of the second, 0..1
+    axes : nine numbers, row by row, of the rotation to the maps' axes from the world's; None = they are the world's"""
+
+    maps: tuple[str, str]
+    share: float
+    axes: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from arfx.core.advection import AdvectionField
 from arfx.core.codec import Document
-from arfx.core.cube import CubeMap
+from arfx.core.cube import CubeMap, SeenEnvironment
 from arfx.core.guard import atomic_write
 from arfx.core.lens_fit import LensFit
 from arfx.core.light import Light
@@ -79,7 +79,8 @@ class FrameFacts(Document):
     opacity : 0..1, fades the object over a few frames at the ends of its presence
     light : of this frame, WORLD frame, None = the scene's;  bias_rgb : linear light that the camera adds where none falls
     model_box : pixels the object can touch, EMPTY when out of view;  depth_range_m : nearest, farthest point of it
-    real_depth : measured;  lens : of the footage;  environment : radiance of the surroundings, WORLD axes
+    real_depth : measured;  lens : of the footage;  environment : a guess of all surroundings, WORLD axes
+    seen_environment : what the clip saw of them, to be laid over the guess
     light_map : M of the printed method;  plane_shadow : real, on the anchor's plane
     advection : how the background moved since the clip's first frame"""
 
@@ -102,6 +103,7 @@ class FrameFacts(Document):
     real_depth: RealDepth | None = None
     lens: LensFit | None = None
     environment: CubeMap | None = None
+    seen_environment: SeenEnvironment | None = None
     light_map: CubeMap | None = None
     plane_shadow: PlaneShadow | None = None
     advection: AdvectionField | None = None

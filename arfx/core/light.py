@@ -59,6 +59,11 @@ class Light(Document):
             return np.broadcast_to(np.asarray(self.ambient_rgb, float), n.shape).copy()
         return np.clip(harmonics(n) @ np.asarray(self.soft, float), 0, None)
 
+    @property
+    def mean_radiance(self) -> np.ndarray:
+        """(3,) `radiance`, mean over all normals."""
+        return np.asarray(self.ambient_rgb, float) + sum((np.asarray(li.rgb, float) for li in self.lights), np.zeros(3)) / 4
+
     def scaled(self, factor: np.ndarray) -> Light:
         """The light times a factor (3,), one per channel."""
         rows = np.array([self.ambient_rgb, *(li.rgb for li in self.lights), *self.soft]) * factor

@@ -29,6 +29,7 @@ LIMITS: dict[str, tuple[float, str]] = {
     "model part": (1024, "buffers and textures of a model, as the model itself"),
     "image": (512, "an environment of 8192 x 4096 px of 32-bit float RGB, with room"),
     "picture": (512, "a camera's largest raw-sized TIFF"),
+    "pattern": (256, "a print's picture: a page scanned at 600 dpi, uncompressed"),
     "camera file": (0.25, "a hundred times a calibration; YAML takes seconds and 100 MB for that much"),
     "job file": (1, "thousands of settings"),
     "scene": (1, "thousands of objects"),

@@ -11,7 +11,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import Marker
 from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.real_depth import RealPlane
@@ -64,18 +64,21 @@ class Scene:
     world_from_marker : pose of each marker by key
     world_from_anchor : the marker that the model stands on; its plane z = 0 is the real surface below it
     surface_m : extent (x0, y0, x1, y1) of that surface, anchor axes; None = unknown, taken for unlimited
-    real_planes : of the real scene, measured; those seen most first"""
+    real_planes : of the real scene, measured; those seen most first
+    environment_maps : of facts' `seen_environment`, by name: (6, n, n, 4) float16, radiance as a share of `Light.mean_radiance`,
+        times the fourth: how well it is known, 0..1"""
 
     camera: Camera
     model: Model
     world_from_model: np.ndarray
-    markers: tuple[MarkerSpec, ...] = ()
+    markers: tuple[Marker, ...] = ()
     world_from_marker: Mapping[str, Pose] = field(default_factory=dict)
     world_from_anchor: Pose = field(default_factory=Pose.identity)
     light: Light = field(default_factory=Light)
     seed: int = 0
     surface_m: tuple[float, float, float, float] | None = None
     real_planes: tuple[RealPlane, ...] = ()
+    environment_maps: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def light_of(self, facts: FrameFacts) -> Light:
         """Of a frame: its own, else the scene's."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts, read_facts
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import Marker, MarkerSpec, PatternSpec
 from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
@@ -86,8 +86,10 @@ def read_report(job: Path) -> dict[str, Any]:
 def _camera_and_cubes(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, np.ndarray | None]:
     """The job's camera, and world points to plot: the corners of a cube on each marker that has a pose."""
     camera = Camera.from_json(json.loads(read_text(files.inputs, "report"))["camera"])
-    rows = tomllib.loads(read_text(files.job, "job file")).get("marker", [])
-    specs = {spec.key: spec for spec in (MarkerSpec.parse(row["spec"]) for row in rows)}
+    job = tomllib.loads(read_text(files.job, "job file"))
+    kinds = (("marker", MarkerSpec.parse), ("pattern", PatternSpec.parse))
+    every: list[Marker] = [parse(row["spec"]) for name, parse in kinds for row in job.get(name, [])]
+    specs = {spec.key: spec for spec in every}
     poses = {k: Pose.from_json(v) for k, v in report["pose"].get("world_from_marker", {}).items() if k in specs}
     heights = {k: np.repeat([[0, 0, 0], [0, 0, specs[k].size_m]], 4, axis=0) for k in poses}
     cubes = [pose.apply(np.tile(specs[k].corners_m, (2, 1)) + heights[k]) for k, pose in poses.items()]

@@ -26,8 +26,10 @@ from arfx.errors import InputError, RenderError
 MAX_PIXELS: dict[str, tuple[int, str]] = {
     "image": (1 << 25, "8192 x 4096, 400 MB in linear light"),
     "depth map": (1 << 25, "8192 x 4096, four times the largest video"),
+    "pattern": (1 << 26, "a page scanned at 600 dpi, twice over"),
     "picture": (1 << 28, "a telephone's 200 megapixels, decoded grey"),
 }
+PRINT_PX = 1024  # longest side of a print's picture that is kept: twice what it is searched for with
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _pillow_lock = threading.Lock()
@@ -72,6 +74,20 @@ def load_image(path: Path) -> np.ndarray:
         return np.ascontiguousarray(rgb, np.float32)
     peak = (1 << 8 * rgb.dtype.itemsize) - 1
     return np.take(SRGB.decode(np.linspace(0, 1, peak + 1)).astype(np.float32), rgb)
+
+
+def load_print(path: Path) -> tuple[np.ndarray, float]:
+    """Linear float32 RGB (h, w, 3) of a print's picture, upright and at most PRINT_PX long; and its height over its width.
+    Raises InputError: missing, or not an image."""
+    import cv2
+
+    rgb = decode_picture(Path(path), "pattern", cv2.IMREAD_COLOR)[..., ::-1]
+    h, w = rgb.shape[:2]
+    linear: np.ndarray = np.take(SRGB.decode(np.linspace(0, 1, 256)).astype(np.float32), rgb)
+    if max(h, w) > PRINT_PX:
+        size = max(round(w * PRINT_PX / max(h, w)), 1), max(round(h * PRINT_PX / max(h, w)), 1)
+        linear = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
+    return linear, h / w
 
 
 def read_exr(path: Path, kind: str) -> np.ndarray:

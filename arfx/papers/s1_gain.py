@@ -4,7 +4,8 @@ A patch of albedo rho in light x shows I = g rho x + b (2). With g' = 1/g and b'
 system (4) to (6), solved by the singular vector of the smallest singular value.
 
 rho of a patch is its mean brightness, in linear light, in the first picture that shows the whole print, so that x is 1 in the
-light of that picture. Ink and paper whose albedos are known are given in its place (`light.albedos = "known"`).
+light of that picture. Ink and paper whose albedos are known are given in its place (`light.albedos = "known"`), and so is the map
+of albedos of a print whose picture is known where it has colours, or stands beside other prints.
 
 b is b'/g', what (2) gives. As printed it is 1/b', but (6) leaves the length of its vector free, and 1/b' changes with it: for the
 vector of length 1 it grows with the number of frames, in no unit of grey. So it is not well defined; `light.printed_bias` takes
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, weights
+from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, of_channels, weights
 from arfx.core.numerics import divide
 
 DENSE = 300  # frames
@@ -100,11 +101,11 @@ def gain_and_bias(
     value = np.asarray(intensity, float)
     if albedo is None:
         albedo = np.where(np.asarray(white), paper, ink)
-    rho = np.broadcast_to(np.asarray(albedo, float), value.shape[:2])
-    w, _, ignored = weights(value, None, rho)
+    every = of_channels(albedo, value.shape)
+    w, _, ignored = weights(value, None, every)
     parts = []
     for c in range(3):
-        grey, weight = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c]
+        grey, weight, rho = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c], every[..., c]
         if not weight.any():
             parts.append(fallback(grey, weight, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12))
             continue

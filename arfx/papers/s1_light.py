@@ -29,7 +29,6 @@ from arfx.analyse.light.fit import MEASURED, REFUSED
 from arfx.analyse.light.fold import LightOfMarkers, with_light
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import UNKNOWN, Observation
-from arfx.analyse.light.patches import WHITE
 from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.light.static_frame import Lights, StaticFrameLight, light_report
 from arfx.analyse.light.surroundings import EnvironmentSample
@@ -210,8 +209,11 @@ class PrintedLight(LightOfMarkers):
             parts.append(PrintedStaticFrameLight(*of))
             return parts[-1]
 
-        def solve(grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, p: LightParams) -> tuple[Photometry, None]:
-            rho = brightness(grey) if p.albedos == BRIGHTNESS else np.where(WHITE, p.paper, p.ink)
+        def solve(
+            grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, rho: np.ndarray, p: LightParams
+        ) -> tuple[Photometry, None]:
+            if p.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all():  # one kind of print, without colour
+                rho = brightness(grey)
             return gain_and_bias(grey, albedo=rho, clipped=clipped, printed_bias=params.printed_bias), None
 
         clip = with_light(clip, self.readings, self.samples, params, self.job.panorama, solve, printed_part)

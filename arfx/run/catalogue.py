@@ -16,7 +16,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from arfx.config.load import suggestion
 from arfx.config.sections import Length, Time, settings
 from arfx.core.cost import load_prices
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.errors import ConfigError
 from arfx.plan.errors import shipped_errors
 from arfx.run.parameters import parameters
@@ -24,6 +24,7 @@ from arfx.stages import STAGES
 
 _WORDS = {
     bool: "true or false", int: "whole number", float: "number", str: "text", Path: "file or folder", MarkerSpec: "marker",
+    PatternSpec: "pattern",
 }  # fmt: skip
 
 _INTRO = """# Stages and settings

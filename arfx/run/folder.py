@@ -1,7 +1,7 @@
 """The job folder: what is written where, whole or not at all, what in it is arfx's own, and what is still good.
 
-job.toml (frozen) · inputs.json · frames.json · facts.jsonl · plan.jsonl · plan_summary.json · seal.json · placed.json ·
-chunks/ · timings.jsonl · previews/ · report.json"""
+job.toml (frozen) · inputs.json · frames.json · facts.jsonl · environment.maps · plan.jsonl · plan_summary.json · seal.json ·
+placed.json · chunks/ · timings.jsonl · previews/ · report.json"""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _CHUNK = r"(?:\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?:\.nut|\.mkv)?(?:\
 _FOLDERS = re.compile(rf"chunks|previews|joined\.part|chunks/{_CHUNK}")
 _UNMARKED = re.compile(rf"(?:{_LOCKS})|{PART}|joined\.part(?:/(?:{_IMAGE}))?")
 _MARKED = re.compile(
-    rf"job\.toml|(?:inputs|frames|plan_summary|seal|placed|report)\.json|analysis\.checkpoint|(?:facts|plan|timings)\.jsonl"
+    rf"job\.toml|environment\.maps|(?:inputs|frames|plan_summary|seal|placed|report)\.json|analysis\.checkpoint|(?:facts|plan|timings)\.jsonl"
     rf"|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
 )
-_SEALED = ("frames.json", "facts.jsonl", "plan.jsonl", "plan_summary.json")
+_SEALED = ("frames.json", "facts.jsonl", "environment.maps", "plan.jsonl", "plan_summary.json")
 _SOURCE = (".py", ".vert", ".frag")
 
 
@@ -49,6 +49,7 @@ class JobFolder:
     inputs = property(lambda self: self.path / "inputs.json")
     frames = property(lambda self: self.path / "frames.json")
     facts = property(lambda self: self.path / "facts.jsonl")
+    environment = property(lambda self: self.path / "environment.maps")  # those that the facts name
     plan = property(lambda self: self.path / "plan.jsonl")
     plan_summary = property(lambda self: self.path / "plan_summary.json")
     chunks = property(lambda self: self.path / "chunks")

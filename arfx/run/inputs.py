@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from arfx.config.sections import JobConfig
+from arfx.config.sections import JobConfig, PatternSection
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
 from arfx.core.light import Light
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import MarkerSpec, anchor_marker
 from arfx.core.model import Model
 from arfx.core.opener import parse_json, parse_toml, read_text, regular
 from arfx.core.pose import Pose, rotation_from_euler_deg, rotation_from_quaternion
@@ -24,7 +24,7 @@ from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import camera_warnings, load_camera
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps, open_depth
-from arfx.media.images import load_image
+from arfx.media.images import load_image, load_print
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.pose_files import CameraPath, load_poses
@@ -35,6 +35,8 @@ CARD = 0.17  # of the print's side: what a sheet that is held in the hand has be
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
+    """prints : pictures of the job's patterns by key, (h, w, 3) linear"""
+
     config: JobConfig
     info: ClipInfo
     camera: Camera
@@ -45,6 +47,7 @@ class Inputs:
     panorama: np.ndarray | None = None
     depth: DepthMaps | None = None
     poses: CameraPath | None = None
+    prints: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def open_inputs(config: JobConfig) -> Inputs:
@@ -56,6 +59,7 @@ def open_inputs(config: JobConfig) -> Inputs:
         raise ConfigError("no output is named", "-o out.mp4")
     settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
     output = plan_output(clip, config.output.path, settings)
+    config, prints = job_prints(config)
     model = job_model(config)
     Scene(camera, model, placement(config).world_from_model(model, config.model.up)).check_extent()
     maps = job_depth(config)
@@ -64,8 +68,17 @@ def open_inputs(config: JobConfig) -> Inputs:
     return Inputs(
         with_machine_settings(config), clip, camera, model, marker_map(config), output,
         (*notices, *model.notices, *output.notices), panorama(config), maps,
-        None if config.input.poses is None else load_poses(config.input.poses),
+        None if config.input.poses is None else load_poses(config.input.poses), prints,
     )  # fmt: skip
+
+
+def job_prints(config: JobConfig) -> tuple[JobConfig, dict[str, np.ndarray]]:
+    """The job with the heights of its patterns, and their pictures by key. Raises InputError."""
+    specs, prints = [], {}
+    for spec in config.patterns:
+        prints[spec.key], shape = load_print(spec.image)
+        specs.append(spec if spec.height_m else replace(spec, height_m=spec.size_m * shape))
+    return config.model_copy(update={"pattern": tuple(PatternSection(spec=s) for s in specs)}), prints
 
 
 def job_depth(config: JobConfig) -> DepthMaps | None:
@@ -111,10 +124,15 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
         if config.input.depth is None:
             raise ConfigError("--anchor plane needs the depth that shows the plane", "--depth DIR|FILE")
     elif not config.markers:
-        raise ConfigError("no marker is named", "--marker FAMILY:ID:SIZE; `arfx inspect CLIP` finds out which is there")
+        raise ConfigError(
+            "no marker is named",
+            "--marker FAMILY:ID:SIZE, or --pattern IMAGE:SIZE; `arfx inspect CLIP` finds out which marker is there",
+        )
     keys = [m.key for m in config.markers]
     if twice := [k for k in keys if keys.count(k) > 1]:
-        raise ConfigError(f"marker {twice[0]} is named twice", "each family and id once")
+        pattern = any(p.key == twice[0] for p in config.patterns)
+        once = "each picture once, and no two of one name" if pattern else "each family and id once"
+        raise ConfigError(f"{'pattern' if pattern else 'marker'} {twice[0]} is named twice", once)
     info = probe(config.input.clip, Transfer(config.input.transfer))
     notices = list(info.notices)
     if config.input.camera is None:
@@ -149,13 +167,13 @@ def make_scene(
     static : what is at rest (Analysis.static). A marker that is moved before a camera at rest is a sheet or a card: its
     surface ends a little beyond the print."""
     world_from_anchor = world_from_marker.get(anchor, Pose.identity())
-    size_m = {m.key: m.size_m for m in config.markers}
-    half = (0.5 + CARD) * size_m.get(anchor, next(iter(size_m.values()), 0.0))
+    corners_m = anchor_marker(config.markers, (anchor,)).corners_m if config.markers else np.zeros((4, 3))
+    x, y, _ = ((1 + 2 * CARD) * corners_m.max(0)).tolist()
     world_from_model = world_from_anchor.matrix @ placement(config).world_from_model(model, config.model.up)
     return Scene(
         camera, model, world_from_model, config.markers, dict(world_from_marker), world_from_anchor,
         Light().turned(world_from_anchor.rotation), config.pipeline.seed,
-        (-half, -half, half, half) if static == "camera" else None,
+        (-x, -y, x, y) if static == "camera" else None,
         tuple(real_planes),
     )  # fmt: skip
 
@@ -185,11 +203,12 @@ def marker_map(config: JobConfig) -> dict[str, Pose] | None:
 def _toml_layout(document: dict) -> dict[str, Pose]:
     out = {}
     for row in document["marker"]:
-        spec = row["spec"] if str(row["spec"]).count(":") == 2 else f"{row['spec']}:1m"
+        spec = str(row["spec"])
+        key = MarkerSpec.parse(spec if spec.count(":") == 2 else f"{spec}:1m").key if ":" in spec else spec  # or a pattern's name
         position = np.array([length_m(str(v)) for v in row["position"]])
         with np.errstate(invalid="ignore"):
             rotation = rotation_from_euler_deg(*row.get("rotate_deg", (0, 0, 0)))
-        out[MarkerSpec.parse(spec).key] = Pose(rotation, position)
+        out[key] = Pose(rotation, position)
     return out
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from arfx.analyse.fold import MARKER, AnalysisJob
 from arfx.config.sections import JobConfig, frozen, to_toml
-from arfx.core import interrupt
+from arfx.core import codec, interrupt
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.layers import Layer
@@ -126,10 +126,10 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     tree = frozen(config)
     output = tree.pop("output")
     model_key = sorted((str(path), file_digest(path)) for path in inputs.model.files)  # textures and buffers too
-    more = (config.input.marker_map, config.input.poses, config.params["light"].environment)
+    more = (config.input.marker_map, config.input.poses, config.params["light"].environment, *(p.image for p in config.patterns))
     base = [
         code_digest(), file_digest(config.input.clip), inputs.camera.to_json(),
-        *(tree[section] for section in ("input", "marker", "analyse", "light")), config.model.anchor,
+        *(tree[section] for section in ("input", "marker", "pattern", "analyse", "light")), config.model.anchor,
         sorted(required_folds(config)), sorted(fold_classes(config)), *(file_digest(path) for path in more if path),
     ]  # fmt: skip
     analysis_key = digest(*base)
@@ -147,7 +147,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         with loading(parts, options.workers in (None, 1)):
             _analyse(inputs, folder, analysis_key, options, log)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
-    scene = analysed.scene(config, inputs.camera, inputs.model)
+    scene = analysed.scene(config, inputs.camera, inputs.model, folder)
     start = time.perf_counter()
     if fresh:
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
@@ -195,7 +195,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
         lambda clip: make_scene(
             config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static
         ),
-        options.progress, fold_classes(config),
+        options.progress, fold_classes(config), inputs.prints,
     )  # fmt: skip
     span = (config.input.start, config.input.end)
     done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log)
@@ -209,6 +209,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)
+    write(folder.environment, codec.dumps(dict(clip.environment_maps)))
     ClipAnalysis(
         done.span.pts, done.span.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
         pick_previews(clip.facts), [*inputs.notices, *notices], clip.real_planes,

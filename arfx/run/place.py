@@ -35,8 +35,11 @@ def files_read(inputs: Inputs) -> Iterator[tuple[str, Path]]:
     for key, value in (pair for section in sections for pair in section.items()):
         if isinstance(value, Path):
             yield "model" if key == "file" else key.replace("_", " "), value
-    maps = () if inputs.depth is None else inputs.depth.files
-    for kind, paths in (("job file", config.sources), ("file of the model", inputs.model.files), ("depth map", maps)):
+    many = {
+        "pattern": [p.image for p in config.patterns], "job file": config.sources, "file of the model": inputs.model.files,
+        "depth map": () if inputs.depth is None else inputs.depth.files,
+    }  # fmt: skip
+    for kind, paths in many.items():
         yield from ((kind, path) for path in paths)
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from arfx.config.sections import JobConfig
+from arfx.core import codec
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.cost import Prices
@@ -43,8 +44,9 @@ class ClipAnalysis(Document):
     notices: Sequence[str]
     real_planes: Sequence[RealPlane]
 
-    def scene(self, config: JobConfig, camera: Camera, model: Model) -> Scene:
-        return make_scene(config, camera, model, self.world_from_marker, self.anchor, self.static, self.real_planes)
+    def scene(self, config: JobConfig, camera: Camera, model: Model, folder: JobFolder) -> Scene:
+        scene = make_scene(config, camera, model, self.world_from_marker, self.anchor, self.static, self.real_planes)
+        return replace(scene, environment_maps=codec.loads(folder.environment.read_bytes()))
 
     def write(self, folder: JobFolder) -> None:
         write(folder.frames, json.dumps(self.to_json(), default=float))

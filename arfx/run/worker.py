@@ -97,7 +97,7 @@ def open_context(path: str, job_key: str) -> Context:
     analysed = ClipAnalysis.read(folder)
     assert config.input.clip is not None
     info = probe(config.input.clip, Transfer(config.input.transfer))
-    scene = analysed.scene(config, Camera.from_json(inputs["camera"]), job_model(config))
+    scene = analysed.scene(config, Camera.from_json(inputs["camera"]), job_model(config), folder)
     output = OutputPlan.from_json(inputs["output"])
     previews = frozenset(analysed.previews)
     return Context(folder, info, output, scene, make_stages(config), analysed.pts, previews, job_depth(config))

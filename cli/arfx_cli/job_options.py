@@ -36,7 +36,7 @@ _OTHERS = [
 ]  # fmt: skip
 # As help shows them; what is not named here comes last.
 _ORDER = (
-    "clip config camera marker marker-map model scale fit offset rotate up pipeline no-skip quality budget fps max-error "
+    "clip config camera marker pattern marker-map model scale fit offset rotate up pipeline no-skip quality budget fps max-error "
     "tradeoff light environment formula depth depth-scale anchor poses set start end "
     "output codec crf pixel-format report job resume workers"
 )

@@ -14,7 +14,17 @@ from pathlib import Path
 from tests.fuzz.case import REFUSED, Build, Case, mutated_bytes, mutated_text, mutated_tree, process
 from tests.fuzz.kills import long_job
 
-PIECES = ("job.toml", "inputs.json", "frames.json", "facts.jsonl", "plan.jsonl", "plan_summary.json", "timings.jsonl", "chunks")
+PIECES = (
+    "job.toml",
+    "inputs.json",
+    "frames.json",
+    "facts.jsonl",
+    "environment.maps",
+    "plan.jsonl",
+    "plan_summary.json",
+    "timings.jsonl",
+    "chunks",
+)
 
 
 def damaged_job(piece: str = "", how: str = "") -> Build:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -27,17 +28,18 @@ from arfx.analyse.light import fold as light_fold
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose import at_rest
 from arfx.core import codec
-from arfx.core.marker import MarkerSpec
+from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.core.rect import Rect
 from arfx.papers import FORMULAS
 from arfx.run.analysis import Span
 from tests.exact import identical
-from tests.unit.analyse.synthetic import background, camera, picture, tilted
+from tests.unit.analyse.synthetic import background, camera, hung, picture, poster, tilted
 
 CAM = camera(480, 270, 450.0)
 M, TWIN, OTHER = MarkerSpec("36h11", 3, 0.1), MarkerSpec("36h11", 3, 0.07), MarkerSpec("36h11", 7, 0.075)
 Z = 450 * 0.1 / 64
 FRAMES, STEP_S, CUT = 44, 0.12, 36
+PRINT, PRINTED = PatternSpec(Path("poster.png"), 0.15, 0.1), poster(150, 100)
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,8 @@ class Shown:
             markers.append((TWIN, tilted([0.1, 0.1, 0], [0.14, 0.1, Z])))
         wide = background(640, 270, 1 if k < CUT else 5)
         view = np.ascontiguousarray(wide[:, 2 * k : 2 * k + 480])
+        if 7 <= k < 30:
+            view = hung(CAM, PRINTED.mean(-1), PRINT.corners_m, tilted([0.1, 0.01 * k, 0], [0.02 * (k / 15 - 1), -0.11, Z]), view)
         luma = picture(CAM, markers, view, noise=1.0, blur_px=1.4, seed=k, linear=False)
         lit = 0.75 + 0.25 * np.cos(0.3 * k + np.linspace(0, 2, 480))
         return np.clip(luma * lit, 0, 255).astype(np.uint8)
@@ -89,7 +93,7 @@ def made() -> dict[str, Any]:
     params = AnalyseParams(reduced_px=50_000, search_interval_s=0.6, loss_search_frames=2)
     double = CAM.scaled_to(960, 540)
     return {
-        "markers": Analyser(AnalysisJob((M,), double, params), FOLDS),
+        "markers": Analyser(AnalysisJob((M, PRINT), double, params, prints={PRINT.key: PRINTED}), FOLDS),
         "printed": Analyser(AnalysisJob((M,), double, params, kinds=KINDS), {"light", "environment"}),
         "plane": Analyser(AnalysisJob((), CAM, params, anchor=PLANE), ON_PLANE),
         "span": Span((2 * STEP_S, (FRAMES - 3) * STEP_S), Fraction(1, 100)),

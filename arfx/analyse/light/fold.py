@@ -7,6 +7,7 @@ Source: docs/methods/light.md#cues."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,22 @@ from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, Pictur
 from arfx.analyse.light import patches
 from arfx.analyse.light.fit import MEASURED as LIT
 from arfx.analyse.light.fit import REFUSED
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import Photometry, Tolerances
 from arfx.analyse.light.photometry import solve as photometry_of
+from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.static_frame import LightReading, Readings, StaticFrameLight, light_from_direction, light_from_panorama
-from arfx.analyse.light.surroundings import EnvironmentSample, Folded, environment_sample, fold, with_environment
+from arfx.analyse.light.surroundings import EnvironmentSample, environment_sample, with_environment
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, triple
+from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
 from arfx.core.stage import Check
 
 Reading = tuple[int, str, patches.Patches]
-Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, LightReading | None]]
+# intensity, variance, clipped share and albedo of the patches
+Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, LightReading | None]]
 SURROUNDINGS_S = 0.5  # between two looks at the surroundings
 SURROUNDINGS_PX = 96  # width of the picture that is looked at
 MOST_ENVIRONMENT_SAMPLES = 240  # beyond that every second one is dropped, and the interval doubled
@@ -42,10 +46,15 @@ class LightOfMarkers(Fold):
 
     name = "light"
     needs = ("markers", "pose")
+    given = frozenset({"job", "_meters"})
 
     def __init__(self, job: AnalysisJob, markers: Markers, pose: Fold) -> None:
         super().__init__(job)
         self._markers = markers
+        ink, paper = job.light.ink, job.light.paper
+        self._meters = {m.key: [patches.marker_meter(m)] for m in job.markers if isinstance(m, MarkerSpec)}
+        for key, print_ in job.prints.items():
+            self._meters[key] = [patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT]
         self.readings: list[Reading] = []
         self._surroundings = EnvironmentSamples()
 
@@ -60,18 +69,16 @@ class LightOfMarkers(Fold):
         for s in seen:
             if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
                 continue
-            family, _, number = s.key.rpartition(":")
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
+            cells, albedo, scale = patches.meter_for(self._meters[s.key], s.side_px, blur)
             shape = (picture.rect.height, picture.rect.width)
-            points = patches.place_samples(s.corners_px, patches.cells(family, int(number)), s.inverted, blur, shape)
-            self.readings.append((frame.index, s.key, patches.reduced(picture.linear_at(points.pixels()), points)))
+            points = patches.place_samples(s.corners_px, cells, s.inverted, blur, shape, scale)
+            self.readings.append((frame.index, s.key, patches.reduced(picture.linear_at(points.pixels()), points, albedo)))
         if seen:
             corners_px, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
 
             def sample(small: np.ndarray) -> EnvironmentSample:
-                return environment_sample(
-                    frame.index, small, (corners_px + 0.5) * (small.shape[1] / width) - 0.5, folded(self.job)
-                )
+                return environment_sample(frame.index, small, (corners_px + 0.5) * (small.shape[1] / width) - 0.5)
 
             self._surroundings.step(frame.time_s, picture, sample)
 
@@ -121,7 +128,7 @@ class LightOnPlane(Fold):
             quad = None if pose is None else camera.project(pose.apply(clip.anchor.corners_m))
             if quad is not None and np.isfinite(quad).all():
                 quad = (quad + 0.5) * (small.shape[1] / camera.width) - 0.5
-                self.samples.append(environment_sample(k, small, quad, folded(self.job)))
+                self.samples.append(environment_sample(k, small, quad))
         return with_light(clip, (), self.samples, self.job.light, self.job.panorama)
 
 
@@ -132,11 +139,12 @@ class EnvironmentSamples(Stateful):
         self.samples: list[Any] = []
         self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
 
-    def step(self, time_s: float, picture: Picture, sample: Callable[[np.ndarray], Any]) -> None:
+    def step(self, time_s: float, picture: Picture, sample: Callable[[np.ndarray], Any], width: int = SURROUNDINGS_PX) -> None:
+        """width : of the small picture, at most"""
         if time_s < self._next_s:
             return
         self._next_s = time_s + self._interval_s
-        small = picture.reduced(SURROUNDINGS_PX)
+        small = picture.reduced(width)
         if min(small.shape[:2]) >= 3:
             self.samples.append(sample(small))
         if len(self.samples) > MOST_ENVIRONMENT_SAMPLES:
@@ -145,32 +153,49 @@ class EnvironmentSamples(Stateful):
 
 
 class Environment(Fold):
-    """The surroundings' picture, for reflections."""
+    """The surroundings, for reflections: a guess of all of them, and what was seen of them."""
 
     name = "environment"
     needs = ("light",)
-    folded = staticmethod(fold)
 
     def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
         super().__init__(job)
         self._light = light
+        self._looks = EnvironmentSamples()
+
+    def step(self, frame: AnalysisFrame) -> None:
+        if frame.picture is not None:
+            self._looks.step(frame.time_s, frame.picture, lambda small: Look(frame.index, small.astype(np.float16)), LOOK_PX)
 
     def finish(self, clip: Analysis) -> Analysis:
         upright = clip.world_from_anchor.rotation
-        return clip.adding(with_environment(clip.facts, self._light.samples, clip.static == "camera", self.job.panorama, upright))
+        return self.seen(
+            clip.adding(with_environment(clip.facts, self._light.samples, clip.static == "camera", self.job.panorama, upright))
+        )
 
-
-def folded(job: AnalysisJob) -> Folded:
-    """How a picture becomes a cube."""
-    return job.kinds.get(Environment.name, Environment).folded
+    def seen(self, clip: Analysis) -> Analysis:
+        """The clip with `seen_environment`."""
+        anchor = clip.world_from_anchor
+        if self.job.panorama is not None:
+            facts, maps = given_everywhere(clip.facts, self.job.panorama, anchor.rotation)
+        else:
+            facts, maps = with_seen(
+                clip.facts,
+                self._looks.samples,
+                self.job.camera,
+                clip.static == "camera",
+                anchor.translation_m,
+                anchor.rotation[:, 2],
+            )
+        return replace(clip.adding(facts), environment_maps=maps)
 
 
 def solve_patches(
-    intensity: np.ndarray, variance: np.ndarray, clipped: np.ndarray, params: LightParams
+    intensity: np.ndarray, variance: np.ndarray, clipped: np.ndarray, albedo: np.ndarray, params: LightParams
 ) -> tuple[Photometry, LightReading | None]:  # fmt: skip
     """Bias and light out of patches, and another reading of them where prints are overexposed."""
-    photometry = photometry_of(intensity, variance, patches.WHITE, None, clipped, params.albedos, params.ink, params.paper)
-    y, own, fit = patches.comparable(photometry, intensity, variance, patches.WHITE, clipped)
+    photometry = photometry_of(intensity, variance, None, albedo, clipped, params.albedos, tolerances=Tolerances())
+    y, own, fit = patches.comparable(photometry, intensity, variance, patches.WHITE, clipped, albedo)
     used = photometry.seen
     return photometry, None if y is photometry.y and fit is used else LightReading(y[used], own[used], fit[used])
 
@@ -218,7 +243,9 @@ def with_light(
         for frame, key, cells in patch_readings
         if frame in known
         and key == anchor.key
-        and (found := patches.real_shadow(patches.quadrant_radiance(cells.mean, cells.count, bias), anchor.size_m))
+        and (
+            found := patches.real_shadow(patches.quadrant_radiance(cells.mean, cells.count, bias, cells.albedo), anchor.corners_m)
+        )
     }
     lit = (
         f if k not in out else f.with_(
@@ -276,13 +303,11 @@ def _readings(
         if facing >= LEAST_FACING:
             rows.append((frame, static_from_world[frame] @ marker.rotation[:, 2], cells))
     # a print partly in a real shadow does not show the lamps' light; where most prints are, nothing else is left
-    intensity, variance, clipped = patches.stack([p for _, _, p in rows])
-    lit = np.flatnonzero(
-        ~patches.clearly_shadowed(patches.quadrant_radiance(intensity, np.isfinite(intensity[..., 0]), np.zeros(3)))
-    )
-    if 2 * len(lit) > len(rows):
-        rows, intensity, variance, clipped = [rows[k] for k in lit], intensity[lit], variance[lit], clipped[lit]
-    photometry, other = solve(intensity, variance, clipped, params)
+    quarters = [patches.quadrant_radiance(p.mean, p.count, np.zeros(3), p.albedo) for _, _, p in rows]
+    lit = [row for row, light in zip(rows, quarters, strict=True) if not patches.clearly_shadowed(light)]
+    rows = lit if 2 * len(lit) > len(rows) else rows
+    seen = [p for _, _, p in rows]
+    photometry, other = solve(*patches.stack(seen), patches.albedos(seen, params.ink, params.paper), params)
     frames, normals = np.array([r[0] for r in rows], int), np.array([r[1] for r in rows]).reshape(-1, 3)
     used = photometry.seen
     return Readings(frames[used], normals[used], photometry.y[used], photometry.var_y_own[used], other), photometry

@@ -26,9 +26,9 @@ _GAMMA = 2.2  # about the slope of the transfer function
 def place_samples(quad, white, blur_px, columns, rows, corner, part, group, noise):  # pragma: no cover - compiled
     """How many samples lie in the picture; for each its upper left pixel, the part to the next ones, and its patch.
 
-    quad : (4, 2) top left, top right, bottom right, bottom left;  white : (n, n) as seen;  columns, rows : of the picture
-    corner (k, 2) int32, part (k, 2), group (k,) int32 : filled;  about (2,) : samples that share their noise, and the share
-    of the contrast that blur brings in from other cells"""
+    quad : (4, 2) top left, top right, bottom right, bottom left;  white : (n, n) int8, 1 bright, 0 dark, -1 not used
+    columns, rows : of the picture;  corner (k, 2) int32, part (k, 2), group (k,) int32 : filled
+    noise (2,) : samples that share their noise, and the share of the contrast that blur brings in from other cells"""
     n = len(white)
     turn = 0
     for i in range(4):
@@ -61,6 +61,8 @@ def place_samples(quad, white, blur_px, columns, rows, corner, part, group, nois
     count = 0
     for r in range(n):
         for c in range(n):
+            if white[r, c] < 0:
+                continue
             colour = 4 if white[r, c] else 0
             for i in range(k):
                 v = (r + margin + (1 - 2 * margin) * (i + 0.5) / k) / n
@@ -113,10 +115,11 @@ def _spread_about(x, low, high, middle):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # pragma: no cover - compiled
+def reduce(pixels, part, group, scale, low, high, half_grey, mean, spread, tally):  # pragma: no cover - compiled
     """Means, deviations (8, 3) and tally (8, 3: used, clipped, all) of the samples of each patch.
 
-    pixels (4 k, 3) of the samples;  low, high : linear levels at which any channel of any of the four is clipped"""
+    pixels (4 k, 3) of the samples;  scale (k, 3) : factor on each sample
+    low, high : linear levels at which any channel of any of the four pixels is clipped"""
     count = len(group)
     values = np.empty((PATCHES, count, 3), np.float64)
     grey, x = np.empty((PATCHES, count)), np.empty(count)
@@ -130,7 +133,7 @@ def reduce(pixels, part, group, low, high, half_grey, mean, spread, tally):  # p
             a, b, e, f = pixels[4 * i, c], pixels[4 * i + 1, c], pixels[4 * i + 2, c], pixels[4 * i + 3, c]
             finite = finite and np.isfinite(a) and np.isfinite(b) and np.isfinite(e) and np.isfinite(f)
             clip = clip or min(min(a, b), min(e, f)) <= low or max(max(a, b), max(e, f)) >= high
-            value = (a * (1 - fx) + b * fx) * (1 - fy) + (e * (1 - fx) + f * fx) * fy
+            value = scale[i, c] * ((a * (1 - fx) + b * fx) * (1 - fy) + (e * (1 - fx) + f * fx) * fy)
             values[g, n, c] = value
             total += value
         if finite and clip:

@@ -77,11 +77,11 @@ def solve(
     ink: float = INK, paper: float = PAPER, tolerances: Tolerances | None = None,
 ) -> Photometry:  # fmt: skip
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None = equal and unknown
-    white : (p,) bool, or albedo : (p,) or (t, p) in its place;  clipped : (t, p) shares, for the report
+    white : (p,) bool, or albedo : (p,), (t, p) or (t, p, 3) in its place;  clipped : (t, p) shares, for the report
     albedos : "known" (ink, paper); "normalised" (light from each frame's own difference of paper and ink, so that its
         ratios are right whatever the ink and the bias are; noisier; the bias still takes the ink's albedo); "unknown" (the
         ink's albedo is solved per channel beside b, which takes light that changes)
-    tolerances : go into bias_95; None = the usual ones, with `albedo` given always none
+    tolerances : go into bias_95; None = the usual ones, with `albedo` given none
     Raises ValueError for wrong shapes."""
     value = np.asarray(intensity, float)
     frames, patches, _ = value.shape
@@ -90,17 +90,15 @@ def solve(
     if albedo is None:
         if white is None or np.shape(white) != (patches,):
             raise ValueError("white (p,) or albedo is needed")
-        albedo = np.where(white, paper, ink)
-    else:
-        tolerances = Tolerances(0.0, 0.0, 0.0)
-    ink_sigma, transfer, steps = tolerances or Tolerances()
-    rho = np.broadcast_to(np.asarray(albedo, float), (frames, patches))
-    weight, known_noise, ignored = weights(value, variance, rho)
+        albedo, tolerances = np.where(white, paper, ink), tolerances or Tolerances()
+    ink_sigma, transfer, steps = tolerances or Tolerances(0.0, 0.0, 0.0)
+    every = of_channels(albedo, value.shape)
+    weight, known_noise, ignored = weights(value, variance, every)
     fraction = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
-    dark = rho < (rho.min() + rho.max()) / 2 if rho.size else np.zeros(rho.shape, bool)
     parts = []
     for c in range(3):
-        grey, w = np.where(weight[..., c] > 0, value[..., c], 0.0), weight[..., c]
+        grey, w, rho = np.where(weight[..., c] > 0, value[..., c], 0.0), weight[..., c], every[..., c]
+        dark = rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2 if rho.size else np.zeros(rho.shape, bool)
         if albedos == "normalised":
             part = solve_normalised(grey, w, rho, dark, known_noise, ink_sigma)
         else:
@@ -126,9 +124,17 @@ def solve(
     return assemble(parts, fraction, ignored)
 
 
+def of_channels(albedo: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Albedo (p,), (t, p) or (t, p, 3) as (t, p, 3)."""
+    a = np.asarray(albedo, float)
+    return np.broadcast_to(a if a.ndim == 3 else a[..., None], shape)
+
+
 def weights(value: np.ndarray, variance: np.ndarray | None, rho: np.ndarray) -> tuple[np.ndarray, bool, int]:
-    """((t, p, 3) inverse variances, 0 = not usable; whether variances are known; number of patches that are not finite)."""
-    fine = np.isfinite(value) & np.isfinite(rho)[..., None]
+    """((t, p, 3) inverse variances, 0 = not usable; whether variances are known; number of patches that are not finite).
+
+    rho : (t, p, 3) albedos"""
+    fine = np.isfinite(value) & np.isfinite(rho)
     ignored = int((~np.isfinite(value)).any(-1).sum())
     if variance is None:
         return fine.astype(float), False, ignored
@@ -205,7 +211,7 @@ def solve_channel(
     k = stated = float(rho[dark].mean()) if both else 0.0
     b, joint = 0.0, None
     for i in range(_PASSES):
-        r = np.where(dark, k, rho) if one_ink else rho
+        r = np.where(dark, rho + (k - stated), rho) if one_ink else rho
         A, B, C = (w * r * r).sum(1), (w * r).sum(1), w.sum(1)
         inverse = divide(1.0, A)
         y0, lean = (w * r * grey).sum(1) * inverse, B * inverse  # y = y0 - lean * b
@@ -225,7 +231,7 @@ def solve_channel(
                 return fallback(grey, w0, rho, why, unknowns - 1, 1e12)
             if joint is not None:
                 b, k = b + joint[0], k + joint[1]
-                r = np.where(dark, k, rho)
+                r = np.where(dark, rho + (k - stated), rho)
                 y = divide((w * r * (grey - b)).sum(1), (w * r * r).sum(1))
         z = (grey - r * y[:, None] - b) * np.sqrt(w0)
         size = float(np.median(np.abs(z[w0 > 0]))) / 0.6745 * np.sqrt(count / spare) if spare > 0 else 0.0
@@ -234,7 +240,7 @@ def solve_channel(
         settled = abs(b - before) <= 1e-6 * max(abs(b), 1e-3 * float(np.abs(grey).max())) if one_ink else True
         if np.abs(w - last).max() <= 1e-6 * w0.max() and settled and i:
             break
-    r = np.where(dark, k, rho) if one_ink else rho
+    r = np.where(dark, rho + (k - stated), rho) if one_ink else rho
     residual = grey - r * y[:, None] - b
     if joint is None:
         influence = w * residual * np.where(w > 0, 1 - r * lean[:, None], 0) / remaining  # on b, y_t eliminated

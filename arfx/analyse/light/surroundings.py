@@ -11,7 +11,7 @@ Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -24,7 +24,6 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, Light, harmonics
 from arfx.core.numerics import divide, normalise
 
-Folded = Callable[[np.ndarray, int], np.ndarray]
 SIZE = 16
 FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
@@ -110,10 +109,8 @@ class EnvironmentSample:
     plane: np.ndarray
 
 
-def environment_sample(frame: int, picture: np.ndarray, quad: np.ndarray, folded: Folded = fold) -> EnvironmentSample:
-    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels
-
-    folded : makes the cube of a picture"""
+def environment_sample(frame: int, picture: np.ndarray, quad: np.ndarray) -> EnvironmentSample:
+    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels"""
     middle = quad.mean(0)
     fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
     sides = np.concatenate([a + fraction * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)])
@@ -121,7 +118,7 @@ def environment_sample(frame: int, picture: np.ndarray, quad: np.ndarray, folded
     inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
     beside = picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
     small = cv2.resize(np.ascontiguousarray(picture, np.float32), (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)))
-    return EnvironmentSample(frame, folded(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
+    return EnvironmentSample(frame, fold(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
 
 
 def soft_light(

@@ -1,4 +1,4 @@
-"""The configured markers in every frame: found, their corners refined, cuts between shots noticed; and what else was there."""
+"""The configured prints in every frame: found, their corners refined, cuts between shots noticed; and what else was there."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import numpy as np
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.corners import EdgeRefiner
 from arfx.analyse.markers.detect import Detection, DictionaryScan, Record
+from arfx.analyse.markers.pattern import PatternPicture, coded_luma
+from arfx.analyse.markers.pattern_tracker import PatternTracker
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.visibility import ShotDetector
+from arfx.core.marker import MarkerSpec
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
 
@@ -21,11 +24,12 @@ class Markers(Fold):
     detections : in the last frame, as it was refined at once;  prints : these and their rivals"""
 
     name = "markers"
+    given = frozenset({"job", "_coded"})
 
     def __init__(self, job: AnalysisJob) -> None:
         super().__init__(job)
         if not job.markers:
-            raise ConfigError("no marker is configured", "for example --marker 36h11:3:165mm")
+            raise ConfigError("no marker is configured", "for example --marker 36h11:3:165mm, or --pattern poster.png:20cm")
         twice = [k for k, n in Counter(m.key for m in job.markers).items() if n > 1]
         if twice:
             raise ConfigError(f"marker {twice[0]} is configured twice")
@@ -35,7 +39,11 @@ class Markers(Fold):
         self.records: list[Record] = []
         self.detections: tuple[Detection, ...] = ()
         self.prints: tuple[Detection, ...] = ()
-        self._tracker = Tracker([m.key for m in job.markers], job.params)
+        self._coded = [m for m in job.markers if isinstance(m, MarkerSpec)]
+        self._tracker = Tracker([m.key for m in self._coded], job.params)
+        ink, paper = job.light.ink, job.light.paper
+        prints = [PatternPicture(key, coded_luma(picture, ink, paper)) for key, picture in job.prints.items()]
+        self._patterns = PatternTracker(prints, job.params)
         self._refiner = EdgeRefiner(job.params.transfer)
         self._cut, self._survey = ShotDetector(), DictionaryScan()
         self._others: Counter[str] = Counter()
@@ -59,16 +67,20 @@ class Markers(Fold):
             last = f" after frame {records[-1].index} at {records[-1].time_s:g} s" if records else ", which is not the first"
             raise InputError(f"frame {index} at {time_s:g} s comes{last}")
         found = self._tracker.step(frame.time_s, luma, frame.following)
-        self.prints = self._refiner.refine(frame.index, luma, (*found.sightings, *found.duplicates), self.camera)
-        self.detections, duplicates = self.prints[: len(found.sightings)], self.prints[len(found.sightings) :]
+        patterns, searched = self._patterns.step(frame.time_s, luma, self.camera)
+        refined = self._refiner.refine(frame.index, luma, (*found.sightings, *found.duplicates), self.camera)
+        coded, duplicates = refined[: len(found.sightings)], refined[len(found.sightings) :]
+        self.detections, self.prints = (*coded, *patterns), (*refined, *patterns)
         self._others.update(found.others)
         self._ever_seen |= bool(self.detections)
         if not self._ever_seen:
             self._survey.step(frame.index, luma)
-        self.records.append(Record(frame.index, frame.time_s, self.detections, duplicates, found.whole, self._cut.step(luma)))
+        whole = found.whole or searched
+        self.records.append(Record(frame.index, frame.time_s, self.detections, duplicates, whole, self._cut.step(luma)))
         for k, replaced in self._refiner.corrections():
-            n = len(self.records[k].detections)
-            self.records[k] = replace(self.records[k], detections=replaced[:n], duplicates=replaced[n:])
+            was = self.records[k]
+            n = len(replaced) - len(was.duplicates)
+            self.records[k] = replace(was, detections=(*replaced[:n], *was.detections[n:]), duplicates=replaced[n:])
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError if no configured marker was ever seen, saying what was."""
@@ -77,8 +89,11 @@ class Markers(Fold):
         if self._ever_seen:
             return clip.adding(edge_transfer=self._refiner.transfer)
         wanted = ", ".join(m.key for m in self.job.markers)
-        families = ", ".join(dict.fromkeys(m.family for m in self.job.markers))
-        message = f"no configured marker ({wanted}) in {len(self.records)} frames; dictionaries tried: {families}"
+        families = ", ".join(dict.fromkeys(m.family for m in self._coded))
+        message = f"no configured marker ({wanted}) in {len(self.records)} frames"
+        if not families:
+            raise NothingToDoError(message, "is the print flat, sharp, at least 50 px wide, and its picture this one?")
+        message += f"; dictionaries tried: {families}"
         ids = sorted(self._others, key=lambda k: (-self._others[k], k))[:6]
         other = self._survey.text()
         if ids:

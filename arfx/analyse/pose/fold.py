@@ -23,7 +23,7 @@ from arfx.analyse.pose.smooth import smooth_poses
 from arfx.analyse.pose.visibility import find_cuts, frame_statuses, opacities, visible_intervals, without_flickers
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, Hypothesis, MarkerSighting
-from arfx.core.marker import MarkerSpec, anchor_marker
+from arfx.core.marker import Marker, MarkerSpec, anchor_marker
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
 from arfx.core.rect import Rect
@@ -104,8 +104,9 @@ def _deviation(f: FrameFacts) -> tuple[float, float] | None:
 class Views:
     """All sightings with their geometry, frame by frame."""
 
-    def __init__(self, records: Sequence[Record], markers: Sequence[MarkerSpec], camera: Camera) -> None:
-        spec, cells = {m.key: m for m in markers}, {m.key: cells_per_side(m.family) for m in markers}
+    def __init__(self, records: Sequence[Record], markers: Sequence[Marker], camera: Camera) -> None:
+        spec = {m.key: m for m in markers}
+        cells = {m.key: cells_per_side(m.family) if isinstance(m, MarkerSpec) else 1 for m in markers}
         seen = [(k, s) for k, r in enumerate(records) for s in r.detections]
         corners = np.array([s.corners_px for _, s in seen]).reshape(-1, 4, 2)
         ideal = camera.normalised(corners)
@@ -153,7 +154,7 @@ class Views:
 
 
 def solve(
-    records: Sequence[Record], markers: Sequence[MarkerSpec], camera: Camera, params: AnalyseParams,
+    records: Sequence[Record], markers: Sequence[Marker], camera: Camera, params: AnalyseParams,
     marker_map: Mapping[str, Pose] | None, flow: Sequence[Mapping],
 ) -> Analysis:  # fmt: skip
     """All facts of a clip in which at least one configured marker was seen."""

@@ -117,11 +117,13 @@ def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
 def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
     """IPPE's one or two solutions, best first.
 
-    corners_m : (4, 3) of a square, order of MarkerSpec.corners_m;  ideal : (4, 2) normalised, without lens distortion"""
+    corners_m : (4, 3) of a rectangle, order of MarkerSpec.corners_m;  ideal : (4, 2) normalised, without lens distortion"""
     if not np.isfinite(ideal).all():
         return []
+    square = corners_m[1, 0] == corners_m[1, 1]
+    method = cv2.SOLVEPNP_IPPE_SQUARE if square else cv2.SOLVEPNP_IPPE
     count, rvecs, tvecs, _ = cv2.solvePnPGeneric(
-        np.ascontiguousarray(corners_m), np.ascontiguousarray(ideal)[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        np.ascontiguousarray(corners_m), np.ascontiguousarray(ideal)[:, None], np.eye(3), None, flags=method
     )
     poses = [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
     return [p for p in poses if _in_sight(p.rotation, p.translation_m)]
@@ -133,7 +135,7 @@ def frontal_poses(corners_m: np.ndarray, ideal: np.ndarray, towards: np.ndarray)
 
     corners_m : (n, 4, 3);  ideal : (n, 4, 2);  towards : (n, 3) camera coordinates, for instance the rays through their middles
     """
-    side = corners_m[:, 1, 0] - corners_m[:, 0, 0]
+    side = np.linalg.norm(corners_m - corners_m[:, [1, 2, 3, 0]], axis=2).mean(1)
     ray = np.concatenate([ideal.mean(1), np.ones((len(ideal), 1))], 1)
     across = (ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]) / 2
     out_of_print = -normalise(towards)

@@ -99,9 +99,10 @@ def real_scene(scene: Scene, camera_from_world: Pose, plane_extent_m: float, bac
             continue
         corners = anchor_from_world.apply(pose.apply(spec.corners_m))
         within = plane_extent_m <= 0 or np.abs(corners[:, :2]).max() < plane_extent_m / 2
-        if within and np.abs(corners[:, 2]).max() < _SAME_PLANE * spec.size_m:
+        half = float(spec.corners_m.max())
+        if within and np.abs(corners[:, 2]).max() < _SAME_PLANE * 2 * half:
             continue
-        squares.append((camera_from_world @ pose, spec.size_m * _MARGIN / 2))
+        squares.append((camera_from_world @ pose, half * _MARGIN))
     squares.sort(key=lambda square: -float(square[0].translation_m[2]))
     return Real(plane_of(*main) if plane_extent_m <= 0 else None, tuple(plane_of(*s) for s in squares), background)
 

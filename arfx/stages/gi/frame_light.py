@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from arfx.core.cube import CubeMap, face_directions
+from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, look_up, resampled, spread
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
@@ -19,7 +20,7 @@ from arfx.errors import RenderError
 from arfx.stages.gi.field import Field, VoxelModel, make_field, upsampled, with_texture
 from arfx.stages.gi.plane_pixels import measured
 from arfx.stages.gi.real_planes import bounding_ball, filled, mip_chain, picture_on_planes
-from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Background, Planes, from_light, irradiance, octahedral
+from arfx.stages.gi.surroundings import COARSE_PX, HALF_ANGLES_DEG, Background, Planes, from_light, irradiance, octahedral
 
 SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03
@@ -65,6 +66,57 @@ class IncomingLight:
         return with_texture(self.background, picture, known, self.mean)
 
 
+def surroundings_of(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
+    """(narrow, wide), (6, n, n, 3) radiance each, WORLD axes: what the clip saw of the surroundings, and a guess of the rest.
+
+    In `narrow` the guess is as bright as what was seen. In `wide` it is such that the irradiance on the anchor's plane is that
+    of the light without its directional lights: what is missing comes from lamps that the clip never saw, between which a mirror
+    looks through. Raises RenderError for radiance that is not finite and >= 0, and for a map that is missing."""
+    seen, environment = facts.seen_environment, facts.environment
+    if seen is None or environment is None:
+        cube, factor = environment_cube(facts, scene, light)
+        return cube * factor, cube * factor
+    rgba = seen_map(seen, scene)
+    n, up = rgba.shape[1], scene.world_from_anchor.rotation[:, 2]
+    known, guess = rgba[..., 3:], _smooth(environment, n)
+    shown, sky = rgba[..., :3] * light.mean_radiance.astype(np.float32), (1 - known) * guess
+    as_seen = divide(shown.mean((0, 1, 2)), (guess - sky).mean((0, 1, 2)), where_zero=1.0).astype(np.float32)
+    if environment.plane_rgb is not None and np.isfinite(environment.plane_rgb).all():
+        share = above_horizon(n, up).astype(np.float32)
+        shown += (1 - known) * (1 - share) * np.clip(environment.plane_rgb, 0, None).astype(np.float32)
+        sky *= share
+    want, narrow = light.soft_radiance(up), shown + as_seen * sky
+    missing = divide(np.clip(want - irradiance(shown, up), 0, None), irradiance(sky, up))
+    wide = shown + missing.astype(np.float32) * sky
+    factor = divide(want, irradiance(wide, up), where_zero=-1.0)
+    if not ((factor >= 0).all() and (factor < 1e3).all()):  # black, or without a colour that the plane shows
+        cube, factor = environment_cube(facts, scene, light)
+        wide = resampled(cube, n)
+    wide = wide * factor.astype(np.float32)
+    return narrow if known.min() < 1 else wide, wide  # where all is known, only its scale is not
+
+
+@lru_cache(maxsize=8)
+def _smooth(environment: CubeMap, size: int) -> np.ndarray:
+    """(6, size, size, 3) float32 of a guess with few texels, none of which shows."""
+    return resampled(spread(resampled(checked(environment), COARSE_PX), 90 / environment.size / 2), size)
+
+
+def seen_map(seen: SeenEnvironment, scene: Scene) -> np.ndarray:
+    """(6, n, n, 4) of the scene's maps, WORLD axes. Raises RenderError where one is missing."""
+    missing = [name for name in seen.maps if name not in scene.environment_maps]
+    if missing:
+        raise RenderError(f"facts: environment map {missing[0]} is not among the job's", "analyse the clip again")
+    first, second = (scene.environment_maps[name].astype(np.float32) for name in seen.maps)
+    rgba = first + np.float32(seen.share) * (second - first)
+    if not np.isfinite(rgba).all() or rgba.min() < 0:
+        raise RenderError("facts: an environment map holds values that are not finite and >= 0")
+    if seen.axes is None:
+        return rgba
+    d = face_directions(rgba.shape[1]).reshape(-1, 3)
+    return look_up(rgba, d @ np.array(seen.axes).reshape(3, 3).T).reshape(rgba.shape)
+
+
 def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
     """((6, n, n, 3) radiance, WORLD axes, (3,) factor): the facts' environment, to be multiplied so that its irradiance on the
     anchor's plane is what the light has without its directional lights; the light's own soft part where there is none."""
@@ -92,14 +144,19 @@ def at_horizon(cube: np.ndarray, up: np.ndarray, colour: np.ndarray, want: np.nd
     up (3,), cube : WORLD axes;  colour (3,) of the plane;  want (3,) : radiance of a white surface in the plane"""
     if not np.isfinite(colour).all():
         return None
-    t = np.clip((face_directions(cube.shape[1]) @ up) / np.sin(np.radians(SOFT_DEG)), 0, 1)
-    sky = (t * t * (3 - 2 * t))[..., None]
+    sky = above_horizon(cube.shape[1], up)
     colour = np.clip(colour, 0, None)
     remaining = want - irradiance((1 - sky) * np.ones(3), up) * colour
     factor = divide(remaining, irradiance(sky * cube, up))
     if not ((factor > 1e-3) & (factor < 1e3)).all() or not (remaining > 0.3 * want).all():
         return None
     return sky * cube + (1 - sky) * colour / factor, factor
+
+
+def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
+    """(6, size, size, 1) from 0 at the plane's horizon to 1 from SOFT_DEG on."""
+    t = np.clip((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)), 0, 1)
+    return np.asarray(t * t * (3 - 2 * t))[..., None]
 
 
 def rounded(light: Light) -> Light:
@@ -136,7 +193,6 @@ def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray
     """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  positions : of the
     texels of the picture on the planes"""
     facts, scene, light = view.facts, view.scene, view.light
-    cube, factor = environment_cube(facts, scene, light)
     picture, known = picture_on_planes(
         view[Layer.PLATE], view.rect, seen, scene.camera, view.pose @ scene.world_from_anchor,
         positions, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(view[Layer.REAL_DEPTH]),
@@ -145,7 +201,11 @@ def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray
     mean = plane_mean(picture, known, positions, planes, scene, 0.4 * light.radiance(up))
     p = len(planes.axes)
     textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
-    maps = factor.astype(np.float32) * view.memo.of_light.get(cube.tobytes(), lambda: octahedral(cube))
+    if facts.seen_environment is None:
+        cube, factor = environment_cube(facts, scene, light)
+        maps = factor.astype(np.float32) * view.memo.of_light.get(cube.tobytes(), lambda: octahedral(cube))
+    else:  # another in each frame
+        maps = octahedral(*surroundings_of(facts, scene, light))
     widths, turn = np.array(HALF_ANGLES_DEG, np.float32), scene.world_from_anchor.rotation.astype(np.float32)
     extents = np.column_stack([np.full(p, planes.half_m), planes.bounds]).astype(np.float32)
     background = Background(planes.axes, extents, textures, mips, maps, widths, turn)
@@ -166,7 +226,8 @@ def plane_mean(
 
 
 def frame_field(view: View, model: VoxelModel, planes: Planes, incoming: IncomingLight, at: LevelSettings) -> Field:
-    """The voxels' light and the planes' change, cached by light, environment and plane."""
+    """The voxels' light and the planes' change, cached by light, environment and plane. The guess of all surroundings is good
+    enough for them, and stays."""
     coarse, memo = rounded(view.light), view.memo.of_light
     cube, factor = environment_cube(view.facts, view.scene, coarse)
     key = (repr(coarse), cube.tobytes(), incoming.mean.tobytes())

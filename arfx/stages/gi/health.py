@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,19 +18,29 @@ from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.stage import Check, JobView
 from arfx.stages.gi.frame_light import checked
+from arfx.stages.gi.surroundings import COARSE_PX
 
 SIZE = (96, 72)
 LIMIT = 0.05  # of the mean: thin parts and corners darken a little, as each sees the other darkened once more
 _LOOKS = 5  # environments that are looked at, evenly over the clip
+T = TypeVar("T")
 
 
 def seams(job: JobView) -> Iterator[Check]:
-    """Steps of the environment map across the edges of its cube beside those between texels within a face."""
-    maps = [f.environment for f in job.facts if f.environment is not None]
+    """Steps of environment maps across the edges of their cubes beside those between texels within a face."""
+    maps = [checked(f.environment) for f in _evenly([f for f in job.facts if f.environment is not None]) if f.environment]
+    for rgba in _evenly([*job.scene.environment_maps.values()]):
+        block = rgba.shape[1] // COARSE_PX
+        maps.append(rgba[..., :3].astype(float).reshape(6, COARSE_PX, block, COARSE_PX, block, 3).mean((2, 4)))
     if maps:
-        worst = max(seam_ratio(checked(maps[i])) for i in np.linspace(0, len(maps) - 1, _LOOKS).astype(int))
+        worst = max(map(seam_ratio, maps))
         name = "environment: steps across cube edges / within faces"
         yield Check(name, worst, 3.0, worst <= 3.0, "seam may show in reflections")
+
+
+def _evenly(things: Sequence[T]) -> list[T]:
+    """_LOOKS of them, or fewer."""
+    return [things[i] for i in np.unique(np.linspace(0, len(things) - 1, _LOOKS).astype(int))] if things else []
 
 
 def seam_ratio(faces: np.ndarray) -> float:

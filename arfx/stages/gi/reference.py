@@ -18,7 +18,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
-from arfx.stages.gi.frame_light import environment_cube
+from arfx.stages.gi.frame_light import surroundings_of
 from arfx.stages.gi.plane_pixels import DARKEST, depth_agreement, measured
 from arfx.stages.gi.real_planes import bounding_ball
 from arfx.stages.gi.reference_sampling import Gloss, Lights, Sampler, balance_weight, cosine_directions, in_frame_of
@@ -197,8 +197,8 @@ def trace_frame(
     gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object"""
     now, scene, facts, light, pose, seed = view.layers, view.scene, view.facts, view.light, view.pose, view.key
     rays = RayScene(scene)
-    cube, factor = environment_cube(facts, scene, light)
-    surroundings = Surroundings(now, visible_rect, scene, facts, cube * factor, planes, bounding_ball(scene)[1])
+    _, cube = surroundings_of(facts, scene, light)
+    surroundings = Surroundings(now, visible_rect, scene, facts, cube, planes, bounding_ball(scene)[1])
     tracer = Tracer(rays, surroundings, light, scene)
     anchor = scene.world_from_anchor.inverse()
     eye = anchor.apply(pose.inverse().translation_m)

@@ -12,16 +12,21 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
+from scipy.sparse import csr_array, vstack
 
 from arfx.core.compiled import line_kernel
-from arfx.core.cube import face_directions, solid_angles
+from arfx.core.cube import bordered, face_directions, on_cube, solid_angles
 from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
 
 SIDE = 32  # texels of an octahedral map: 5 degrees
+FINE_SIDE = 128  # of a cube with more than COARSE_PX texels a face
+COARSE_PX = 16  # of a cube that cones with a width are made of
 HALF_ANGLES_DEG = (0.0, 6.0, 12.0, 20.0, 30.0, 50.0)
+NARROW_DEG, WIDE_DEG = 6.0, 30.0  # half-angles: of a mirror's cone at most, of a cone for diffuse light
 ENDLESS = 1e6  # metres
 _OUTER = np.float32(3)  # levels from the coarsest: an eighth of a side, beyond four radii of the object
 EDGE = np.float32(0.03)  # of half_m: softness of a plane's end, at least
@@ -53,10 +58,10 @@ class Background(NamedTuple):
     turn: np.ndarray
 
 
-@lru_cache(maxsize=1)
-def _directions() -> np.ndarray:
-    """(SIDE + 2, SIDE + 2, 3) unit directions of the texels with a border of one, wrapped over the edges."""
-    t = (np.arange(-1, SIDE + 1) + 0.5) / SIDE * 2 - 1
+@lru_cache(maxsize=2)
+def _directions(side: int) -> np.ndarray:
+    """(side + 2, side + 2, 3) unit directions of the texels with a border of one, wrapped over the edges."""
+    t = (np.arange(-1, side + 1) + 0.5) / side * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     over_u, over_v = np.abs(u) > 1, np.abs(v) > 1  # beyond an edge the map goes on turned by 180 degrees
     uu = np.where(over_u, np.sign(u) * 2 - u, u)
@@ -68,9 +73,9 @@ def _directions() -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def _kernels(size: int) -> np.ndarray:
-    """(widths, texels, 6 size^2) float32: share of each cube texel in each octahedral one; rows sum to 1."""
-    to, source = _directions().reshape(-1, 3), face_directions(size).reshape(-1, 3)
+def _kernels(size: int) -> csr_array:
+    """(widths * texels, 6 size^2) float32: share of each cube texel in each octahedral one; rows sum to 1."""
+    to, source = _directions(SIDE).reshape(-1, 3), face_directions(size).reshape(-1, 3)
     solid = np.tile(solid_angles(size).ravel(), 6)
     angle = np.degrees(np.arccos(np.clip(to @ source.T, -1, 1)))
     pitch = 90.0 / size
@@ -79,15 +84,50 @@ def _kernels(size: int) -> np.ndarray:
         width = max(half, 0.75 * pitch)
         w = np.clip((width + pitch / 2 - angle) / pitch, 0, 1) if half > 0.75 * pitch else np.clip(1 - angle / pitch, 0, None)
         w = w * solid
-        out.append(divide(w, w.sum(1, keepdims=True)))
-    return np.array(out, np.float32)
+        out.append(csr_array(divide(w, w.sum(1, keepdims=True)).astype(np.float32)))
+    return vstack(out, "csr")
 
 
-def octahedral(cube: np.ndarray) -> np.ndarray:
-    """(widths, SIDE + 2, SIDE + 2, 3) float32 of a cube (6, n, n, 3): mean radiance in a cone about every direction."""
-    size = cube.shape[1]
-    flat = np.ascontiguousarray(cube.reshape(-1, 3), np.float32)
-    return (_kernels(size).reshape(-1, len(flat)) @ flat).reshape(len(HALF_ANGLES_DEG), SIDE + 2, SIDE + 2, 3)
+def octahedral(cube: np.ndarray, wide: np.ndarray | None = None) -> np.ndarray:
+    """(widths, side + 2, side + 2, 3) float32 of a cube (6, n, n, 3): mean radiance in a cone about every direction.
+
+    wide : another cube, seen instead by cones of WIDE_DEG and more, and in part by those between that and NARROW_DEG
+    side : SIDE, and FINE_SIDE where the cube has more than COARSE_PX texels a face: its first map then shows each of them"""
+    fine = cube.shape[1] > COARSE_PX
+    cubes = [cube] if wide is None else [cube, wide]
+    if fine:
+        cubes = [np.stack([cv2.resize(f, (COARSE_PX, COARSE_PX), interpolation=cv2.INTER_AREA) for f in c]) for c in cubes]
+    flat = np.concatenate([c.reshape(-1, 3).astype(np.float32) for c in cubes], 1)
+    both = (_kernels(cubes[0].shape[1]) @ flat).reshape(len(HALF_ANGLES_DEG), SIDE + 2, SIDE + 2, -1)
+    share = np.interp(HALF_ANGLES_DEG, (NARROW_DEG, WIDE_DEG), (0, 1)).astype(np.float32)[:, None, None, None]
+    maps: np.ndarray = both[..., :3] + share * (both[..., -3:] - both[..., :3])
+    if not fine:
+        return maps
+    maps = maps[1:]
+    up = _finer()
+    wide = up @ (up @ maps.reshape(len(maps), SIDE + 2, -1)).reshape(-1, SIDE + 2, 3)
+    at, share = _places(cube.shape[1])
+    texels = bordered(np.asarray(cube, np.float32)).reshape(-1, 3)
+    sharp = sum(s * texels[k] for k, s in zip(at, share, strict=True))
+    return np.concatenate([np.ravel(sharp), np.ravel(wide)]).reshape(-1, FINE_SIDE + 2, FINE_SIDE + 2, 3)
+
+
+@lru_cache(maxsize=1)
+def _finer() -> np.ndarray:
+    """(FINE_SIDE + 2, SIDE + 2) weights: a row or column of a map, linear between those of a coarser one."""
+    at = (np.arange(-1, FINE_SIDE + 1) + 0.5) / FINE_SIDE * SIDE + 0.5
+    return np.clip(1 - np.abs(at[:, None] - np.arange(SIDE + 2)), 0, None).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def _places(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Number (4, texels) and weight (4, texels, 1) of the texels of a `bordered` cube around each of a fine map's directions."""
+    face, u, v = on_cube(_directions(FINE_SIDE).reshape(-1, 3))
+    x, y = ((t + 1) / 2 * size + 0.5 for t in (u, v))
+    i, j = np.minimum(x.astype(int), size), np.minimum(y.astype(int), size)
+    at = [(face * (size + 2) + j + b) * (size + 2) + i + a for b in (0, 1) for a in (0, 1)]
+    share = [(y - j if b else 1 - y + j) * (x - i if a else 1 - x + i) for b in (0, 1) for a in (0, 1)]
+    return np.array(at), np.array(share, np.float32)[..., None]
 
 
 def from_light(light: Light, size: int = 8) -> np.ndarray:
@@ -103,9 +143,15 @@ def from_light(light: Light, size: int = 8) -> np.ndarray:
 
 def irradiance(cube: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(3,) radiance of a white diffuse surface of unit normal (3,), axes of the cube, under all of its hemisphere."""
-    d, solid = face_directions(cube.shape[1]), solid_angles(cube.shape[1])
-    weight = np.clip(d @ normal, 0, None) * solid
-    return (weight[..., None] * cube).sum((0, 1, 2)) / weight.sum()
+    weight = _facing(cube.shape[1], *(float(v) for v in normal))
+    return np.asarray(weight @ cube.reshape(-1, cube.shape[-1]))
+
+
+@lru_cache(maxsize=8)
+def _facing(size: int, *normal: float) -> np.ndarray:
+    """(6 size^2) weights of a cube's texels on a surface of that normal, sum 1."""
+    weight = (np.clip(face_directions(size) @ np.array(normal), 0, None) * solid_angles(size)).ravel()
+    return np.asarray(weight / weight.sum())
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")

@@ -46,6 +46,43 @@ def records(
     return out
 
 
+def poster(width: int = 220, height: int = 150, seed: int = 0) -> np.ndarray:
+    """(h, w, 3) linear picture 0..1 of a print: discs and bars of several sizes and colours on white."""
+    rng = np.random.default_rng(seed)
+    out = np.full((height, width, 3), 1.0, np.float32)
+    for _ in range(70):
+        colour = (rng.uniform(0, 1) * rng.uniform(0.2, 1, 3)).tolist()
+        x, y, r = int(rng.integers(0, width)), int(rng.integers(0, height)), int(rng.integers(4, 18))
+        if rng.random() < 0.5:
+            cv2.circle(out, (x, y), r, colour, -1, cv2.LINE_AA)
+        else:
+            cv2.rectangle(out, (x, y), (x + r, y + 2 * r), colour, -1)
+    return out
+
+
+def hung(cam: Camera, print_: np.ndarray, corners_m: np.ndarray, pose: Pose, back: np.ndarray) -> np.ndarray:
+    """`back` (h, w[, 3]) with a print (same channels) on it, camera_from_print: a linear picture, sampled 3 x 3 times a pixel."""
+    ss = 3
+    quad = cam.project(pose.apply(corners_m))
+    (x0, y0), (x1, y1) = (np.clip(v, 0, [cam.width, cam.height]).astype(int) for v in (quad.min(0) - 3, quad.max(0) + 4))
+    grid = np.stack(np.meshgrid(np.arange(ss * x0, ss * x1), np.arange(ss * y0, ss * y1)), -1)
+    ideal = cam.normalised((grid + 0.5) / ss - 0.5)
+    m = np.stack([pose.rotation[:, 0], pose.rotation[:, 1], pose.translation_m], -1)  # the print's plane to the camera
+    at = np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1) @ np.linalg.inv(m).T
+    h, w = print_.shape[:2]
+    x, y = corners_m.max(0)[:2]
+    u, v = (at[..., 0] / at[..., 2] / x + 1) / 2, (1 - at[..., 1] / at[..., 2] / y) / 2
+    map_ = [(u * w - 0.5).astype(np.float32), (v * h - 0.5).astype(np.float32)]
+    seen = cv2.remap(print_, *map_, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    inside = ((u > 0) & (u < 1) & (v > 0) & (v < 1)).astype(np.float32)
+    size = (int(x1 - x0), int(y1 - y0))
+    cover = cv2.resize(inside, size, interpolation=cv2.INTER_AREA)
+    covered = cv2.resize(seen * (inside if seen.ndim == 2 else inside[..., None]), size, interpolation=cv2.INTER_AREA)
+    out = back.copy()
+    out[y0:y1, x0:x1] = out[y0:y1, x0:x1] * (1 - (cover if back.ndim == 2 else cover[..., None])) + covered
+    return out
+
+
 def background(width: int, height: int, seed: int = 1) -> np.ndarray:
     """(h, w) linear light 0..1: smooth random blotches with corners for a tracker, no squares."""
     rng = np.random.default_rng(seed)

@@ -12,10 +12,13 @@ from pathlib import Path
 import pytest
 
 from arfx.config.load import load
+from arfx.core import codec
+from arfx.core.facts import read_facts
 from arfx.errors import ArfxError, ConfigError, InputError, JobInterruptedError
 from arfx.measure import report_html
 from arfx.measure.report import report_of_job
 from arfx.run import analysis, schedule
+from arfx.run.folder import JobFolder
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
 from tests.clips import MARKER, write_camera, write_clip, write_model
@@ -30,11 +33,11 @@ def short_chunks() -> Iterator[None]:
         yield
 
 
-def config(d: Path, out: Path):  # type: ignore[no-untyped-def]
+def config(d: Path, out: Path, stages: tuple[str, ...] = ("lightmap",)):  # type: ignore[no-untyped-def]
     return load(None, {
         "input": {"clip": str(d / "clip.mp4"), "camera": str(d / "camera.yaml")}, "marker": [{"spec": str(MARKER)}],
         "model": {"file": str(d / "model.glb"), "fit": "4cm"}, "output": {"path": str(out)},
-        "pipeline": {"stages": ["lightmap"]},
+        "pipeline": {"stages": list(stages), "quality": "draft"},
     }, parameters())  # fmt: skip
 
 
@@ -95,7 +98,9 @@ FILES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "way"), [*((name, "digit") for name in FILES), *(("all", way) for way in WAYS)])
+@pytest.mark.parametrize(
+    ("name", "way"), [*((name, "digit") for name in FILES), ("environment.maps", "cut"), *(("all", way) for way in WAYS)]
+)
 def test_a_damaged_piece_is_made_anew(done: Path, tmp_path: Path, name: str, way: str) -> None:
     job, out = tmp_path / "job", done / "out.mp4"
     shutil.copytree(done / "job", job)
@@ -105,6 +110,19 @@ def test_a_damaged_piece_is_made_anew(done: Path, tmp_path: Path, name: str, way
     report = run(done, out, job)
     assert sha(out) == sha(done / "whole.mp4") and report["output"]["frames"] == FRAMES
     out.unlink()
+
+
+def test_maps_of_the_surroundings_are_kept_beside_the_facts_and_made_anew(done: Path, tmp_path: Path) -> None:
+    given, job = config(done, tmp_path / "out.mp4", ("lightmap", "gi")), JobFolder(tmp_path / "job")
+    process(given, Options(job.path, notice=lambda _: None))
+    maps = codec.loads(job.environment.read_bytes())
+    seen = [f.seen_environment for f in read_facts(job.facts)]
+    assert {name for s in seen if s for name in s.maps} == set(maps) != set()
+    assert job.facts.stat().st_size < 50_000 * FRAMES
+    first, kept = sha(tmp_path / "out.mp4"), job.environment.read_bytes()
+    job.environment.unlink()
+    process(given, Options(job.path, resume=True, overwrite=True, notice=lambda _: None))
+    assert (sha(tmp_path / "out.mp4"), job.environment.read_bytes()) == (first, kept)
 
 
 def test_a_folder_whose_job_file_lost_its_head_is_nobodys(done: Path, tmp_path: Path) -> None:

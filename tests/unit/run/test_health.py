@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from arfx.analyse.pose.fold import _deviation
 from arfx.core.cube import face_directions
 from arfx.core.stage import Check, JobView
 from arfx.run.summary import calibration_claims, picture
-from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio
+from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio, seams
 from tests.scenes import facts, scene
 
 
@@ -22,6 +23,16 @@ def test_a_smooth_environment_has_no_seam_and_a_face_of_another_brightness_has()
     assert seam_ratio(np.full_like(smooth, 0.4)) == pytest.approx(1), "a constant map is seamless"
     broken = smooth + np.array([0, 1, 0, 1, 0, 1])[:, None, None, None]
     assert seam_ratio(broken) > 3
+
+
+def test_seams_of_what_the_clip_saw_are_told() -> None:
+    d = face_directions(64)
+    smooth = np.concatenate([0.5 + 0.3 * d[..., :1] * np.ones(3), np.ones_like(d[..., :1])], -1)
+    broken = smooth + np.array([0, 1, 0, 1, 0, 1])[:, None, None, None]
+    for rgba, ok in ((smooth, True), (broken, False)):
+        (check,) = seams(JobView((), replace(scene(), environment_maps={"a": rgba.astype(np.float16)}), {}, picture))
+        assert check.ok is ok
+    assert not [*seams(JobView((), scene(), {}, picture))]
 
 
 def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,6 +34,14 @@ def test_a_toml_layout(tmp_path: Path) -> None:
     np.testing.assert_allclose(poses["36h11:4"].apply(np.array([0, 0, 1.0])), [1.53, 0, -0.01], atol=1e-12)
 
 
+def test_a_layout_names_a_pattern_by_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text('[[marker]]\nspec = "wall poster.png"\nposition = ["1m","0m","0m"]\n')
+    config = load(None, {"input": {"marker_map": str(path)}, "pattern": [{"spec": "prints/wall poster.png:20cm"}]}, parameters())
+    poses = marker_map(config)
+    assert poses is not None and poses["wall poster.png"].translation_m[0] == 1.0
+
+
 def test_a_wpilib_layout_has_z_out_and_is_turned_like_opencv(tmp_path: Path) -> None:
     path = tmp_path / "field.json"
     pose = {"translation": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": {"quaternion": {"W": 1.0, "X": 0.0, "Y": 0.0, "Z": 0.0}}}

@@ -25,7 +25,7 @@ from tests.clips import MARKER, write_camera, write_clip
 KEY = "0123456789abcdef"
 READ = [
     "clip.mp4", "camera.yaml", "map.toml", "poses.txt", "errors.json", "sky.hdr", "model.obj", "model.mtl", "wood.png",
-    "job.toml", "depth/000000.png", "depth/000001.png",
+    "job.toml", "depth/000000.png", "depth/000001.png", "poster.png",
 ]  # fmt: skip
 OBJ = "mtllib model.mtl\nusemtl wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n" + "".join(
     f"f {a}/1 {b}/2 {c}/3\n" for a, b, c in ((1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4))
@@ -38,7 +38,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     d = tmp_path_factory.mktemp("read")
     write_clip(d / "clip.mp4", 2)
     write_camera(d / "camera.yaml")
-    (d / "map.toml").write_text(f'[[marker]]\nspec = "{MARKER}"\nposition = ["0m", "0m", "0m"]\n')
+    place = 'position = ["0m", "0m", "0m"]'
+    (d / "map.toml").write_text(f'[[marker]]\nspec = "{MARKER}"\n{place}\n[[marker]]\nspec = "poster.png"\n{place}\n')
+    cv2.imwrite(str(d / "poster.png"), np.full((80, 90, 3), 90, np.uint8))
     (d / "poses.txt").write_text("0 0 0 0 0 0 1\n" * 2)
     (d / "errors.json").write_text('{"errors": {}, "source": "a test"}')
     cv2.imwrite(str(d / "sky.hdr"), np.ones((8, 16, 3), np.float32))
@@ -51,6 +53,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (d / "job.toml").write_text(f"""
 input = {{clip = "clip.mp4", camera = "camera.yaml", marker_map = "map.toml", poses = "poses.txt", depth = "depth"}}
 marker = [{{spec = "{MARKER}"}}]
+pattern = [{{spec = "poster.png:10cm"}}]
 model = {{file = "model.obj", fit = "5cm"}}
 pipeline = {{tradeoff = "errors.json"}}
 light = {{environment = "sky.hdr"}}
@@ -215,7 +218,7 @@ def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     job = JobFolder(tmp_path / "job")
     images = f"chunks/12-34-000030-000059.{KEY}.part/000031.png", f"chunks/000000-000029.{KEY}.{KEY}/times.txt"
     for name in (
-        "inputs.json", "facts.jsonl", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
+        "inputs.json", "facts.jsonl", "environment.maps", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
         "previews/000001.in.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "analysis.checkpoint",
     ):  # fmt: skip
         (job.path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,154 @@
+"""A print of known picture as a light meter: which of its cells are read, as what, and the light and bias that they tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from arfx.analyse.fold import AnalysisFrame, AnalysisJob
+from arfx.analyse.folds import Analyser
+from arfx.analyse.light import fold as light_fold
+from arfx.analyse.light.fold import solve_patches
+from arfx.analyse.light.patches import (
+    SOFT,
+    Patches,
+    albedos,
+    meter_for,
+    pattern_meter,
+    place_samples,
+    quadrant_radiance,
+    reduced,
+    stack,
+)
+from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.params import LightParams
+from arfx.core.marker import PatternSpec
+from arfx.core.rect import Rect
+from arfx.papers import FORMULAS
+from arfx.papers.s1_gain import gain_and_bias
+from tests.unit.analyse.synthetic import background, camera, hung, poster, tilted
+
+INK, PAPER = 0.05, 0.88
+PRINT, PRINTED = PatternSpec(Path("poster.png"), 0.22, 0.15), poster(220, 150, seed=4)
+ALBEDO = INK + (PAPER - INK) * PRINTED
+QUAD = np.array([[20.0, 15], [300, 30], [280, 205], [10, 190]])
+CAM = camera(320, 240, 330.0)
+BIAS = np.array([0.006, 0.004, 0.008])
+LIGHTS = 0.25 + 0.6 * np.linspace(0, 1, 9)[:, None] * np.array([1.0, 0.9, 0.7])
+
+
+def seen_under(light: np.ndarray, scale: bool = True) -> Patches:
+    """The print read in a picture of it under a light (3,), with the camera's bias."""
+    meter = pattern_meter(PRINTED, INK, PAPER)
+    shape = PRINTED.shape[:2]
+    points = place_samples(
+        np.array([[0, 0], [shape[1], 0], [shape[1], shape[0]], [0, shape[0]]]) - 0.5,
+        meter.cells, False, 0.0, shape, meter.scale if scale else None,
+    )  # fmt: skip
+    at = points.pixels()
+    pixels = (ALBEDO * light + BIAS)[at[:, 1], at[:, 0]].astype(np.float32)
+    return reduced(pixels, points, meter.albedo)
+
+
+def test_every_quarter_has_bright_and_dark_cells() -> None:
+    meter = pattern_meter(PRINTED, INK, PAPER)
+    half = len(meter.cells) // 2
+    quarters = [meter.cells[r : r + half, c : c + half] for r in (0, half) for c in (0, half)]
+    assert all((q == 1).sum() == (q == 0).sum() == 8 for q in quarters)
+    assert meter.albedo is not None and meter.albedo.shape == (8, 3)
+    assert (meter.albedo[4:].mean(-1) > 2 * meter.albedo[:4].mean(-1)).all()
+    assert (meter.albedo >= INK).all() and (meter.albedo <= PAPER).all()
+
+
+@pytest.mark.parametrize("formula", ["corrected", "paper"])
+def test_light_and_bias_come_out_of_its_patches(formula: str) -> None:
+    patches = [seen_under(light) for light in LIGHTS]
+    grey, variance, clipped = stack(patches)
+    rho = albedos(patches, INK, PAPER)
+    solved: Photometry
+    if formula == "corrected":
+        solved, _ = solve_patches(grey, variance, clipped, rho, LightParams())
+    else:
+        solved = gain_and_bias(grey, albedo=rho, clipped=clipped)
+    assert solved.determined.all()
+    np.testing.assert_allclose(solved.y, LIGHTS, rtol=0.01)
+    np.testing.assert_allclose(solved.bias, BIAS, atol=0.003)
+
+
+def test_the_map_is_blurred_as_the_print_is() -> None:
+    meters = [pattern_meter(PRINTED, INK, PAPER, soft) for soft in SOFT]
+    assert meter_for(meters, 1000.0, 0.7) is meters[0] and meter_for(meters, 80.0, 0.7) is meters[2]
+    assert meter_for(meters[:1], 80.0, 0.7) is meters[0], "a marker has one"
+    w, h = 88, 60
+    small = cv2.GaussianBlur(cv2.resize(ALBEDO, (w, h), interpolation=cv2.INTER_AREA), (0, 0), 0.7)
+    quad = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
+    off = []
+    for meter in (meters[0], meter_for(meters, (w + h) / 2, 0.7)):
+        points = place_samples(quad, meter.cells, False, 0.7, (h, w), meter.scale)
+        at = points.pixels()
+        p = reduced(small[at[:, 1], at[:, 0]].astype(np.float32), points, meter.albedo)
+        assert meter.albedo is not None and (p.count > 0).all()
+        off.append(np.abs(p.mean - meter.albedo)[:4].mean())
+    assert off[1] < 0.7 * off[0]
+
+
+def test_texture_within_a_patch_is_no_noise() -> None:
+    even, rough = seen_under(LIGHTS[-1]), seen_under(LIGHTS[-1], scale=False)
+    assert np.median(even.variance) < 0.25 * np.median(rough.variance)
+
+
+def test_quarters_of_other_albedos_are_no_shadow() -> None:
+    p = seen_under(LIGHTS[-1])
+    assert p.albedo is not None
+    light = quadrant_radiance(p.mean, p.count, BIAS, p.albedo)
+    assert np.ptp(light) < 0.03 * light.mean()
+    plain = quadrant_radiance(p.mean, p.count, BIAS)
+    assert np.ptp(plain) > 2 * np.ptp(light) * plain.mean() / light.mean()
+    dim = np.where(np.arange(8)[:, None] == 4, 0.1, p.albedo)
+    assert np.isnan(quadrant_radiance(p.mean, p.count, BIAS, dim)[0]), "a dark quarter tells nothing"
+
+
+class Picture:
+    """A frame's linear colours."""
+
+    rect = Rect.of(320, 240)
+
+    def __init__(self, linear: np.ndarray) -> None:
+        self.linear = linear
+
+    def linear_at(self, pixels: np.ndarray) -> np.ndarray:
+        return self.linear[pixels[:, 1], pixels[:, 0]].astype(np.float32)
+
+    def reduced(self, width: int) -> np.ndarray:
+        return np.ascontiguousarray(self.linear[::4, ::4]).astype(np.float32)
+
+
+@pytest.mark.parametrize("formula", ["corrected", "paper"])
+def test_the_whole_analysis_reads_the_light_from_a_print(formula: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A light whose brightness changes, above a print that turns: each frame's brightness and the camera's bias."""
+    kinds, params = {}, LightParams()
+    if formula == "paper":
+        kinds = {"light": FORMULAS["paper"]["light"]}
+        params = kinds["light"].Params()
+    solved: list[Photometry] = []
+    kept = light_fold._readings
+
+    def readings(*a: object) -> object:
+        out = kept(*a)  # type: ignore[arg-type]
+        solved.append(out[1])
+        return out
+
+    monkeypatch.setattr(light_fold, "_readings", readings)
+    job = AnalysisJob((PRINT,), CAM, light=params, kinds=kinds, prints={PRINT.key: PRINTED})
+    analyser, back = Analyser(job, {"light"}), np.repeat(0.5 * background(320, 240)[..., None], 3, 2)
+    for k, light in enumerate(LIGHTS):
+        view = hung(CAM, ALBEDO, PRINT.corners_m, tilted([0.4 - 0.1 * k, 0.2, 0], [0, 0, 0.4]), back) * light + BIAS
+        luma = (255 * np.clip(view.mean(-1), 0, 1) ** (1 / 2.2)).astype(np.uint8)
+        analyser.step(AnalysisFrame(k, k / 25, luma, Picture(view)))
+    clip = analyser.finish()
+    assert clip.summary["light"]["photometry"]["readings_used"] == len(LIGHTS)
+    np.testing.assert_allclose(solved[0].y, LIGHTS, rtol=0.03)
+    np.testing.assert_allclose(solved[0].bias, BIAS, atol=0.003)
