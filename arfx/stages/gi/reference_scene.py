@@ -16,6 +16,8 @@ from arfx.core.scene import Scene
 from arfx.stages.gi.surroundings import ENDLESS, Planes, irradiance
 from arfx.stages.triangles import Triangles, model_triangles
 
+IRRADIANCE_PX = 16  # of a face, for the end of a path
+
 
 @dataclass(frozen=True, eq=False)
 class Hit:
@@ -119,9 +121,12 @@ class Surroundings:
         for k, axes in enumerate(self.axes):
             sampled, known = self._picture_at(axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k))
             self._means[k] = sampled[known].mean(0) if known.any() else self._means[0]
-        d, solid = face_directions(cube.shape[1]).reshape(-1, 3), np.tile(solid_angles(cube.shape[1]).ravel(), 6)
+        part = max(cube.shape[1] // IRRADIANCE_PX, 1)  # irradiance is smooth: a cube of few texels gives the same
+        size = cube.shape[1] // part
+        coarse = cube[:, : size * part, : size * part].reshape(6, size, part, size, part, 3).mean((2, 4))
+        d, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
         below = (d @ self.turn[:, 2] < 0)[:, None]
-        flat = np.where(below, self._means[0], cube.reshape(-1, 3))
+        flat = np.where(below, self._means[0], coarse.reshape(-1, 3))
         self._flat = flat * solid[:, None], d @ self.turn, solid
 
     def first_plane(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
