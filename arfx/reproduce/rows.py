@@ -23,7 +23,8 @@ class Row:
     paper : "s1" to "s4";  item : where it is printed, unique in its paper: "equation (4)", "table 1, teapot, frame rate"
     printed : as the paper has it;  paper_formula : by the printed method here;  corrected : by the corrected method,
     None = the corrected method has no such thing
-    verdict : HOLDS where all three agree, DIFFERS where one does not, UNDERIVED where what is printed lacks what it would take
+    verdict : HOLDS where all three agree; DIFFERS where one does not, or where the paper leaves open what had to be chosen;
+    UNDERIVED where something is printed that nothing in the paper leads to
     reason : why, for all but HOLDS
 
     Raises ValueError where these do not fit together."""

@@ -18,7 +18,7 @@ from arfx.core.numerics import angle_between, normalise
 from arfx.papers.s1_gain import brightness, eq6_smallest_vector, gain_and_bias
 from arfx.papers.s1_light import LightMap, PrintedLightParams, eq8_weight, eq9_lights, hemisphere, lights_of
 from arfx.papers.s1_lightmap import phong
-from arfx.reproduce.rows import COLOURS, DIFFERS, UNDERIVED, Item, Plot, Row, both, compared, shown
+from arfx.reproduce.rows import COLOURS, DIFFERS, Item, Plot, Row, both, compared, shown
 from arfx.reproduce.rows import INK as LINE
 from arfx.reproduce.work import Work
 from arfx.stages.composite import shade
@@ -55,7 +55,7 @@ def section_2_3() -> Iterator[Item]:
     shade(light, np.full((1, 1, 1), 0.5, np.float32), np.float32(1), np.zeros(3, np.float32), dark)
     coded = float(255 * SRGB.encode(dark.astype(float))[0, 0, 0])
     why = "the paper does not say what a shadow takes. Here, by both formulas: a share of the light, in linear light"
-    yield Row("s1", "section 2.3, half of the light on coded 200", None, coded, coded, "of 255", UNDERIVED, why)
+    yield Row("s1", "section 2.3, half of the light on coded 200", None, coded, coded, "of 255", DIFFERS, why)
 
 
 def equation_1() -> Iterator[Item]:
@@ -210,7 +210,7 @@ def corrected_weight(cosine: np.ndarray) -> np.ndarray:
 
 def equation_8() -> Iterator[Item]:
     """The weight of a normal."""
-    yield Row("s1", "equation (8), s", "a blur constant", S_RAD, S_RAD, "rad", UNDERIVED, NO_VALUE)
+    yield Row("s1", "equation (8), s", "a blur constant", S_RAD, S_RAD, "rad", DIFFERS, NO_VALUE)
     why = "the square of a Gaussian is missing in print: the weight has a cusp at 0"
     for angle_deg in (0, 1, 5, 10, 20, 30):
         cosine = np.cos(np.radians([angle_deg]))
@@ -254,8 +254,8 @@ def cap(span_deg: float, count: int, seed: int = 0) -> np.ndarray:
 def equation_9(seeds: int) -> Iterator[Item]:
     """Lights at the peaks of the map."""
     params = PrintedLightParams(albedos="known")
-    yield Row("s1", "equation (9), I_c", "a large value", f"{params.peak:g} of the largest", None, "", UNDERIVED, NO_VALUE)
-    yield Row("s1", "equation (9), ε", "a small angle", params.peak_apart_deg, None, "degrees", UNDERIVED, NO_VALUE)
+    yield Row("s1", "equation (9), I_c", "a large value", f"{params.peak:g} of the largest", None, "", DIFFERS, NO_VALUE)
+    yield Row("s1", "equation (9), ε", "a small angle", params.peak_apart_deg, None, "degrees", DIFFERS, NO_VALUE)
     candidates, n = hemisphere(4), cap(75, 220)
     for apart_deg in (30, 60, 80):
         half = np.radians(apart_deg / 2)

@@ -234,7 +234,7 @@ def _blocks() -> Iterator[Item]:
     largest = max(n for n in range(1, 64, 2) if len(PrintedDof(PrintedDofParams(mean_px=n)).weights) // 2 + 1 <= halo)
     why = "not stated; the block holds 4 px around its own, of which (8) takes one"
     usual = f"{PrintedDofParams().mean_px} px, at most {largest} px"
-    yield Row("s2", "section 3.3, size of the mean filter", None, usual, "discs of the blur circle", "", UNDERIVED, why)
+    yield Row("s2", "section 3.3, size of the mean filter", None, usual, "discs of the blur circle", "", DIFFERS, why)
 
 
 def _blend() -> Iterator[Item]:

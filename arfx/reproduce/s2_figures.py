@@ -12,7 +12,7 @@ from arfx.core.layers import Layer
 from arfx.papers import CORRECTED as BY_CORRECTED
 from arfx.papers import PAPER
 from arfx.papers.s2_dof import PrintedDof
-from arfx.reproduce.rows import BEFORE, CORRECTED, DIFFERS, PRINTED, REFERENCE, UNDERIVED, Figure, Item, Row, shown
+from arfx.reproduce.rows import BEFORE, CORRECTED, DIFFERS, PRINTED, REFERENCE, Figure, Item, Row, shown
 from arfx.reproduce.s2_scene import BALL_M, POINTS_M, WALL_M, ball_model, desk, desk_shot, photograph, room_model, under
 from arfx.reproduce.work import Shot, Work
 from arfx.stages import STAGES
@@ -20,9 +20,8 @@ from arfx.synth.description import DepthInput
 
 GAUSSIAN = "gaussian"
 BRIGHTER = 8  # grey levels above the wall, from which a pixel belongs to a bright point
-NO_CAMERA = (
-    "a photograph by the authors' camera; in its place stands one by the tracer's own open lens, in which both balls are real"
-)
+OPEN_LENS = "the tracer's own open lens"
+NO_CAMERA = "a photograph by the authors' camera; in its place stands one by an open lens, in which both balls are real"
 BALLS_M = {"real": ((-0.13, 0.08, 0.04), 0.04), "virtual": ((0.0, 0.0, BALL_M), BALL_M)}
 Pictures = Mapping[str, np.ndarray]  # by formula
 
@@ -34,7 +33,7 @@ def rows(work: Work) -> Iterator[Item]:
     before = shot.renderer.image(shot.up_to("composite"))
     after = {PAPER: shot.picture(), **{formula: under(shot, formula).picture() for formula in (GAUSSIAN, BY_CORRECTED)}}
     yield from _diagrams()
-    yield Row("s2", "figure 4", "photographs with depth of field", None, None, "", UNDERIVED, NO_CAMERA)
+    yield Row("s2", "figure 4", "photographs with depth of field", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA)
     yield Figure("s2", "figure 4", "bright points spread over what is dark around them", {REFERENCE: photo})
     yield from _coordinates(shot, before, np.array(scene.shot[0].path.position_m))
     yield from _steps(shot, before, after, photo)
@@ -162,7 +161,7 @@ def _out_of_focus(shot: Shot, before: np.ndarray, after: Pictures, photo: np.nda
     (x0, y0), (x1, y1) = (np.array(before.shape[1::-1]) * f for f in ((0.1, 0.4), (0.7, 0.85)))
     near = {name: np.ascontiguousarray(p[int(y0) : int(y1), int(x0) : int(x1)]) for name, p in pictures.items()}
     yield Figure("s2", "figure 15", "the same out of focus (the virtual ball has a faint sheen, which the real one lacks)", near)
-    yield Row("s2", "figure 16", "a photograph", None, None, "", UNDERIVED, NO_CAMERA)
+    yield Row("s2", "figure 16", "a photograph", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA)
     yield Figure("s2", "figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
 
 

@@ -18,9 +18,9 @@ from arfx.reproduce.rows import (
     BEFORE,
     COLOURS,
     CORRECTED,
+    DIFFERS,
     INK,
     PRINTED,
-    UNDERIVED,
     Figure,
     Item,
     Plot,
@@ -240,7 +240,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     change = [float(255 * np.abs(a - frame.image).mean()) for a in (made, ours)]
     item = "figure 7, watercolour of the frame"
     why = "the paper has no measure of how well real and virtual agree; the values are how much the frame has changed in the mean"
-    yield Row("s3", item, "real and virtual agree", change[0], change[1], "grey levels", UNDERIVED, why)
+    yield Row("s3", item, "real and virtual agree", change[0], change[1], "grey levels", DIFFERS, why)
     yield figure(item, "the result", {BEFORE: picture(frame.image), PRINTED: picture(made), CORRECTED: picture(ours)})
 
 
@@ -265,11 +265,11 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
     why = (
         f"no rate, size or machine is printed; the values are of the stage alone, at {rect.width} × {rect.height} on a processor"
     )
-    yield Row("s3", "section 2, speed", "real time", rates[0], rates[1], "frames/s", UNDERIVED, why)
+    yield Row("s3", "section 2, speed", "real time", rates[0], rates[1], "frames/s", DIFFERS, why)
 
 
 def _not_stated(item: str, here: float | str, ours: float | str, why: str = "the paper does not say") -> Row:
-    return Row("s3", item, "not stated", here, ours, "", UNDERIVED, f"{why}: it is a setting")
+    return Row("s3", item, "not stated", here, ours, "", DIFFERS, f"{why}: it is a setting")
 
 
 def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:

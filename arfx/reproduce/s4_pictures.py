@@ -17,7 +17,7 @@ from arfx.measure.difference import difference, touched
 from arfx.measure.steps import chain_of
 from arfx.papers import CORRECTED as CORRECTED_FORMULA
 from arfx.papers import PAPER as PAPER_FORMULA
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, REFERENCE, UNDERIVED, Figure, Item, Row, bars
+from arfx.reproduce.rows import BEFORE, CORRECTED, DIFFERS, PRINTED, REFERENCE, Figure, Item, Row, bars
 from arfx.reproduce.s4_mirror import mirrored_room
 from arfx.reproduce.s4_scenes import FLAT_LAMP, LAMP, PAPER, Settings, flat_scene, room, said, settings, under
 from arfx.reproduce.work import Shot, Work, shot_of
@@ -104,9 +104,9 @@ def rates(work: Work) -> Iterator[Item]:
         "the paper names real time as its aim, and no rate, picture size or machine; it uses a graphics card, here there is none"
     )
     unit = f"frames/s at {size}, 64³ voxels"
-    yield Row(PAPER, "frame rate", "real time", printed.frames_per_s, corrected.frames_per_s, unit, UNDERIVED, why)
+    yield Row(PAPER, "frame rate", "real time", printed.frames_per_s, corrected.frames_per_s, unit, DIFFERS, why)
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
-    yield Row(PAPER, "memory", words, printed.peak_mb, corrected.peak_mb, unit, UNDERIVED, why)
+    yield Row(PAPER, "memory", words, printed.peak_mb, corrected.peak_mb, unit, DIFFERS, why)
     stages = sorted({name for t in timed.values() for name in t.stage_s})
     yield bars(
         PAPER, "frame rate", "time of a frame by stage", "ms", stages,
