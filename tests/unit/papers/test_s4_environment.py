@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.core.cube import face_directions
+from arfx.core.cube import face_directions, look_up
 from arfx.papers.s4_environment import FULL, mip_level, step3_environment, step3_mipmap, step4_environment
 
 
@@ -61,3 +61,15 @@ def test_no_line_shows_at_the_cubes_edges_that_is_not_in_the_cube() -> None:
     for half_deg in (1.0, 15.0, 30.0, 50.0):
         seen = step4_environment(levels, around, half_deg)
         assert np.abs(np.diff(seen, axis=0)).max() < 0.01, "of half a degree"
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_what_is_continuous_in_the_picture_is_so_from_the_front_to_its_sides(axis: int, side: int) -> None:
+    ramp = np.broadcast_to(np.linspace(0, 1, 96), (96, 96))
+    picture = np.repeat((ramp if axis == 0 else ramp.T)[..., None], 3, -1).astype(np.float32)
+    across = np.array([side * 0.98, side * 1.02, side * 3.0])
+    d = np.zeros((3, 3))
+    d[:, axis], d[:, 2] = across, 1.0
+    front, beside, far = look_up(step3_environment(picture, 64), d)[:, 0]
+    assert abs(front - beside) < 0.02 and abs(far - beside) > 0.1
