@@ -317,13 +317,13 @@ def _fitted(a: np.ndarray, b: np.ndarray, start: np.ndarray, scale: float) -> tu
     """Robust least squares: (homography of px, (8, 8) covariance of its numbers in units of `scale`)."""
     s = np.diag([1 / scale, 1 / scale, 1.0])
     h = s @ start @ np.linalg.inv(s)
-    h = h / h[2, 2]
+    h = divide(h, h[2, 2])
     a, b = a / scale, b / scale
     normal, size = np.eye(8), 0.0
     for _ in range(6):
         p = np.concatenate([a, np.ones((len(a), 1))], 1) @ h.T
-        y = p[:, :2] / p[:, 2:]
-        j = _rows(a, y) / p[:, 2, None, None]
+        y = divide(p[:, :2], p[:, 2:])
+        j = divide(_rows(a, y), p[:, 2, None, None])
         r = b - y
         length = np.linalg.norm(r, axis=1)
         size = max(1.4826 * float(np.median(length)) / 1.177, 1e-7)  # of one coordinate: a Rayleigh median is 1.177 of it
@@ -342,8 +342,8 @@ def _sigma_px(level: Level, camera: Camera, ideal_from_level: np.ndarray, fit: n
     y = _mapped(fit, at)
     s = np.diag([1 / scale, 1 / scale, 1.0])
     g = s @ fit @ np.linalg.inv(s)
-    p = np.concatenate([at / scale, np.ones((4, 1))], 1) @ (g / g[2, 2]).T
-    j = scale * _rows(at / scale, y / scale) / p[:, 2, None, None]  # px of the level
+    p = np.concatenate([at / scale, np.ones((4, 1))], 1) @ divide(g, g[2, 2]).T
+    j = scale * divide(_rows(at / scale, y / scale), p[:, 2, None, None])  # px of the level
     step = 0.5
     to_px = np.stack(
         [_pixels(camera, ideal_from_level, y + d) - _pixels(camera, ideal_from_level, y - d) for d in np.eye(2) * step], -1
