@@ -17,12 +17,12 @@ def face_directions(size: int) -> np.ndarray:
     """(6, size, size, 3) unit directions of the texels' centres.
     A face's rows and columns run along the other two axes, the last of them towards -z on the sides: with camera axes
     (x right, y down, z forward) a picture lies upright on +z."""
-    out = normalise(_on_faces((np.arange(size) + 0.5) / size * 2 - 1))
+    out = normalise(on_faces((np.arange(size) + 0.5) / size * 2 - 1))
     out.setflags(write=False)
     return out
 
 
-def _on_faces(t: np.ndarray) -> np.ndarray:
+def on_faces(t: np.ndarray) -> np.ndarray:
     """(6, n, n, 3) places on the planes of the faces, at t (n,) along rows and columns; a face ends at -1 and 1."""
     v, u = np.meshgrid(t, t, indexing="ij")
     one = np.ones_like(u)
@@ -67,7 +67,7 @@ def _border(size: int) -> tuple[np.ndarray, np.ndarray]:
     """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, (n, 3) directions of those)."""
     around = np.ones((6, size + 2, size + 2), bool)
     around[:, 1:-1, 1:-1] = False
-    return around, _on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
+    return around, on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
 
 
 def bordered(faces: np.ndarray) -> np.ndarray:

@@ -65,3 +65,9 @@ def finite(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return finite(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def smoothstep(t: Any) -> np.ndarray:
+    """From 0 at t = 0 to 1 at t = 1, level at both and beyond."""
+    t = np.clip(t, 0, 1)
+    return np.asarray(t * t * (3 - 2 * t))

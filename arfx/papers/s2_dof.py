@@ -25,7 +25,7 @@ import numpy as np
 from arfx.core.colour import LUMA_COEFFICIENTS, SRGB
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, smoothstep
 from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -182,8 +182,7 @@ def within_depth_of_field(dioptre: np.ndarray, sharp: tuple[float, float], borde
     place = np.abs(dioptre - focus) / reach if np.isfinite(reach) else np.zeros_like(dioptre)  # 1 on both limits
     if border == 0:
         return np.where(place <= 1, INSIDE, 1.0)
-    t = np.clip(0.5 + (place - 1) / (2 * border), 0.0, 1.0)
-    return INSIDE + (1 - INSIDE) * t * t * (3 - 2 * t)
+    return INSIDE + (1 - INSIDE) * smoothstep(0.5 + (place - 1) / (2 * border))
 
 
 def eq9_blend(a: np.ndarray, blur: np.ndarray, original: np.ndarray) -> np.ndarray:

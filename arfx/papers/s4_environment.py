@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from arfx.analyse.light.surroundings import SIZE, foldable
-from arfx.core.cube import look_up, on_cube
+from arfx.core.cube import look_up, on_cube, on_faces
 
 FACE_PX = 128
 FULL = 65535  # of 16 bits
@@ -60,10 +60,7 @@ def with_border(faces: np.ndarray) -> np.ndarray:
 def bordered_directions(n: int) -> np.ndarray:
     """(6 (n + 2)^2, 3) of the texels' centres, as `face_directions`, and of places just over the edge beside them."""
     t = np.clip((np.arange(-1, n + 1) + 0.5) / n * 2 - 1, -1 - OVER, 1 + OVER)
-    v, u = np.meshgrid(t, t, indexing="ij")
-    one = np.ones_like(u)
-    faces = [(one, v, -u), (-one, v, -u), (u, one, -v), (u, -one, -v), (u, v, one), (u, v, -one)]
-    return np.stack([np.stack(f, -1) for f in faces]).reshape(-1, 3)
+    return on_faces(t).reshape(-1, 3)
 
 
 def mip_level(half_angle_deg: float, size: int = FACE_PX) -> float:

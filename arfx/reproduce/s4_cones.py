@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
-from arfx.analyse.pose.visibility import with_model
-from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
 from arfx.core.scene import Scene
 from arfx.core.stage import JobView, Stage
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
-from arfx.plan.planner import plan_frame
 from arfx.reproduce.rows import Row
 from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, said, settings
 from arfx.reproduce.s4_volumes import N, ray, small
 from arfx.reproduce.work import Work
-from arfx.run.frame import ready_stages, run_frame
-from arfx.run.parameters import stages_of
+from arfx.run.summary import picture
 from arfx.stages import STAGES
 from arfx.stages.gi.cones import mirror_tangent, six_cones
 from arfx.stages.gi.health import furnace_mean
@@ -102,18 +97,6 @@ def furnace(work: Work) -> Iterator[Row]:
 
 def furnace_of(gi: Stage, scene: Scene, level: str) -> float:
     """Mean radiance of a white model by this stage of indirect light."""
-    mean = furnace_mean(JobView((), scene, {}, partial(picture, gi)), level)
+    mean = furnace_mean(JobView((), scene, {}, partial(picture, own={"gi": gi})), level)
     assert mean is not None
     return mean
-
-
-def picture(gi: Stage, scene: Scene, facts: FrameFacts, levels: Mapping[str, str]) -> Layers | None:
-    """One frame over a plate of ones, as `JobView.picture`, with this stage of indirect light."""
-    (facts,) = with_model([facts], scene)
-    stages = {**stages_of({name: STAGES[name].Params() for name in levels}, levels), "gi": gi}
-    plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
-    if not plan.steps:
-        return None
-    plate = np.ones((plan.rect.height, plan.rect.width, 3), np.float32)
-    layers = run_frame(plate, facts, plan, ready_stages(plan, stages, scene)).layers
-    return layers.view(frozenset(Layer), plan.rect)

@@ -8,6 +8,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.opener import read_text
 from arfx.core.plan import levels_of
 from arfx.core.scene import Scene
-from arfx.core.stage import Check, JobView
+from arfx.core.stage import Check, JobView, Stage
 from arfx.errors import InputError
 from arfx.plan.explain import summarise
 from arfx.plan.planner import plan_frame
@@ -129,10 +130,12 @@ def health(job: Job) -> Iterator[Check]:
         yield Check(f"values that are not finite in the {where}", 0, 0, True, "the job would have stopped there")
 
 
-def picture(scene: Scene, facts: FrameFacts, levels: Mapping[str, str]) -> Layers | None:
-    """One frame by these stages with their usual settings: see `JobView`."""
+def picture(
+    scene: Scene, facts: FrameFacts, levels: Mapping[str, str], own: Mapping[str, Stage] = MappingProxyType({})
+) -> Layers | None:
+    """One frame by these stages with their usual settings, except `own`: see `JobView`."""
     (facts,) = with_model([facts], scene)
-    stages = stages_of({name: STAGES[name].Params() for name in levels}, levels)
+    stages = {**stages_of({name: STAGES[name].Params() for name in levels}, levels), **own}
     plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
     if not plan.steps:
         return None

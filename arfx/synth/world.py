@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from arfx.core.camera import Camera
-from arfx.core.numerics import divide, normalise
+from arfx.core.numerics import divide, normalise, smoothstep
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.synth.description import Box, CameraPath, Key, Marker, Motion, Plane, SceneFile, SceneObject, Sphere
 from arfx.synth.textures import environment_lights, environment_picture, sheet_albedo, texture_albedo
@@ -199,7 +199,7 @@ def camera_from_room(path: CameraPath, time_s: float, duration_s: float, seed: i
         flat = np.cos(elevation)
         position = target + path.radius_m * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
     elif path.kind == "dolly":
-        ease = at * at * (3 - 2 * at)
+        ease = smoothstep(at)
         position = (1 - ease) * np.asarray(path.position_m) + ease * np.asarray(path.end_m)
     elif path.kind == "keys":
         position = _between(path.keys, "position_m", time_s)

@@ -168,24 +168,13 @@ class Environment(Fold):
             self._looks.step(frame.time_s, frame.picture, lambda small: Look(frame.index, small.astype(np.float16)), LOOK_PX)
 
     def finish(self, clip: Analysis) -> Analysis:
-        upright = clip.world_from_anchor.rotation
-        return self.seen(
-            clip.adding(with_environment(clip.facts, self._light.samples, clip.static == "camera", self.job.panorama, upright))
-        )
-
-    def seen(self, clip: Analysis) -> Analysis:
-        """The clip with `seen_environment`."""
-        anchor = clip.world_from_anchor
-        if self.job.panorama is not None:
-            facts, maps = given_everywhere(clip.facts, self.job.panorama, anchor.rotation)
+        job, anchor, still_camera = self.job, clip.world_from_anchor, clip.static == "camera"
+        clip = clip.adding(with_environment(clip.facts, self._light.samples, still_camera, job.panorama, anchor.rotation))
+        if job.panorama is not None:
+            facts, maps = given_everywhere(clip.facts, job.panorama, anchor.rotation)
         else:
             facts, maps = with_seen(
-                clip.facts,
-                self._looks.samples,
-                self.job.camera,
-                clip.static == "camera",
-                anchor.translation_m,
-                anchor.rotation[:, 2],
+                clip.facts, self._looks.samples, job.camera, still_camera, anchor.translation_m, anchor.rotation[:, 2]
             )
         return replace(clip.adding(facts), environment_maps=maps)
 

@@ -25,7 +25,7 @@ from arfx.core.camera import Camera
 from arfx.core.codec import serialisable
 from arfx.core.cube import SeenEnvironment, face_directions, resampled
 from arfx.core.facts import FrameFacts
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, smoothstep
 
 FACE_PX = 64  # of a map
 LOOK_PX = 128  # width of the pictures that are kept
@@ -136,20 +136,15 @@ class _Posed:
         x, y = (np.where(np.isfinite(v), v, -1e4) for v in at.T)
         x, y = (x + 0.5) * (w / self.camera.width) - 0.5, (y + 0.5) * (h / self.camera.height) - 0.5
         inside = np.min([x + 0.5, w - 0.5 - x, y + 0.5, h - 0.5 - y], 0) / (EDGE * min(w, h))
-        weight = _smooth(inside)
+        weight = smoothstep(inside)
         found = cv2.remap(
             self.picture, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
         rgb = found.reshape(-1, 3)
         for lamp in self.lamps:
-            bright = _smooth(((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0]))
+            bright = smoothstep(((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0]))
             weight = weight * (1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG))))
         return rgb, weight
-
-
-def _smooth(t: np.ndarray) -> np.ndarray:
-    t = np.clip(t, 0, 1)
-    return np.asarray(t * t * (3 - 2 * t))
 
 
 def _inverse_radius(looks: Sequence[_Posed], up: np.ndarray) -> float:

@@ -12,7 +12,7 @@ from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, look_up, r
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, smoothstep
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
@@ -155,8 +155,7 @@ def at_horizon(cube: np.ndarray, up: np.ndarray, colour: np.ndarray, want: np.nd
 
 def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
     """(6, size, size, 1) from 0 at the plane's horizon to 1 from SOFT_DEG on."""
-    t = np.clip((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)), 0, 1)
-    return np.asarray(t * t * (3 - 2 * t))[..., None]
+    return smoothstep((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)))[..., None]
 
 
 def rounded(light: Light) -> Light:
