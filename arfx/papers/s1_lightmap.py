@@ -63,8 +63,9 @@ class PrintedLightmap(Lightmap):
     hard = True
 
     def shaded(
-        self, now: Layers, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
-    ) -> np.ndarray:
+        self, now: Layers, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
+        eye: np.ndarray, facts: FrameFacts,
+    ) -> np.ndarray:  # fmt: skip
         """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is not hidden."""
         covered = now[Layer.COVERAGE] > 0
         n, rho_v, position, glow, material = (

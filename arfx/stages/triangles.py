@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -36,19 +36,30 @@ class Triangles:
         """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met from each point (n, 3).
 
         normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface"""
-        k = len(directions)
         out = np.empty(len(points))
+        for part, seen in self._unblocked(points, directions):
+            if normals is None:
+                out[part] = seen.mean(1)
+            else:
+                weight = np.clip(normals[part] @ directions.T, 0, None)
+                out[part] = divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
+        return out
+
+    def visible_sum(self, points: np.ndarray, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(n, c) float64: sum of the weights (k, c) of those `directions` in which nothing is met from each point."""
+        out = np.empty((len(points), weights.shape[1]))
+        for part, seen in self._unblocked(points, directions):
+            out[part] = seen @ weights
+        return out
+
+    def _unblocked(self, points: np.ndarray, directions: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
+        """Points in turn, and for each (m, k) bool whether nothing is met."""
+        k, d32 = len(directions), directions.astype(np.float32)
         step = max(_BATCH // k, 1)
-        d32 = directions.astype(np.float32)
         for a in range(0, len(points), step):
             p = points[a : a + step].astype(np.float32)
-            seen = ~self.blocked(np.repeat(p, k, axis=0), np.tile(d32, (len(p), 1))).reshape(len(p), k)
-            if normals is None:
-                out[a : a + step] = seen.mean(1)
-            else:
-                weight = np.clip(normals[a : a + step] @ directions.T, 0, None)
-                out[a : a + step] = divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
-        return out
+            met = self.blocked(np.repeat(p, k, axis=0), np.tile(d32, (len(p), 1)))
+            yield slice(a, a + len(p)), ~met.reshape(len(p), k)
 
 
 def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.core.light import Light
+from arfx.core.light import DIFFUSE, Light, triple
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 
@@ -16,6 +16,7 @@ from arfx.core.pose import Pose
 # 300 / sin(30 deg)^2 x QUANTUM = 0.4 px.
 QUANTUM = np.radians(0.02)
 SIZE_STEP_DEG = 0.1
+SHAPE_STEP = 1 / 128
 SMALLEST_DEG, LARGEST_DEG = 0.5, 90.0
 # No shadow is longer than this many heights of its object: lower lights cast it as if they stood 4.8 degrees high.
 REACH = 12.0
@@ -34,6 +35,7 @@ class FrameLight:
     """towards (l, 3) unit, WORLD frame; rgb (l, 3) : on a facing surface; on_object (l,) share of the disc over the horizon
     beams : the same lights, rounded, anchor axes
     soft (9, 3) harmonics or empty; ambient (3,)
+    shape (3,) : the soft light's radiance is 1 + shape . d times its mean, anchor axes; rounded, no longer than 1
     plane_ambient (3,), plane_direct (l, 3) : radiance of the white plane from each part, nothing in the way"""
 
     towards: np.ndarray
@@ -43,6 +45,7 @@ class FrameLight:
     beams: tuple[Beam, ...]
     soft: np.ndarray
     ambient: np.ndarray
+    shape: tuple[float, float, float]
     plane_ambient: np.ndarray
     plane_direct: np.ndarray
 
@@ -71,10 +74,20 @@ def frame_light(light: Light, world_from_anchor: Pose, hard: bool, plane_blocks:
     rise = t @ up
     elevation_deg = np.degrees(np.arcsin(np.clip(rise, -1, 1)))
     seen = np.clip(0.5 + elevation_deg / np.maximum(s, SMALLEST_DEG), 0, 1) if plane_blocks else np.ones(len(s))
+    soft = np.array(light.soft, float).reshape(-1, 3)
     return FrameLight(
-        t, c, seen, s, beams, np.array(light.soft, float).reshape(-1, 3), np.asarray(light.ambient_rgb, float),
+        t, c, seen, s, beams, soft, np.asarray(light.ambient_rgb, float), _shape(soft, world_from_anchor.rotation),
         np.clip(light.soft_radiance(up), 0, None), c * np.clip(rise, 0, None)[:, None],
     )  # fmt: skip
+
+
+def _shape(soft: np.ndarray, world_from_anchor: np.ndarray) -> tuple[float, float, float]:
+    """Of harmonics (9, 3) or none: of all colours together, by their first two degrees."""
+    if not len(soft) or not np.isfinite(soft).all():
+        return 0.0, 0.0, 0.0
+    level = (soft / DIFFUSE[:, None]).mean(1)
+    rise = np.sqrt(3) * divide(level[[3, 1, 2]], max(level[0], 0.0)) @ world_from_anchor
+    return triple(np.round(rise / max(1.0, float(np.linalg.norm(rise))) / SHAPE_STEP) * SHAPE_STEP)
 
 
 def quantised(direction: np.ndarray, size_deg: float) -> Beam:

@@ -51,25 +51,49 @@ class PlaneTexture:
     texel_from_m: np.ndarray
 
 
-def hidden_fraction(
+@dataclass(frozen=True, eq=False)
+class SoftPicture:
+    """What is hidden of soft light whose radiance in direction d is 1 + shape . d, in parts of 1 and of d.
+
+    hidden (4, rows, columns) float32, means over the hemisphere weighted by the cosine;  texel_from_m : as `PlaneTexture`"""
+
+    hidden: np.ndarray
+    texel_from_m: np.ndarray
+
+    def under(self, shape: tuple[float, float, float]) -> PlaneTexture:
+        """shape : anchor axes, no longer than 1"""
+        dark = np.tensordot(np.array([1.0, *shape], np.float32), self.hidden, 1) / (1 + 2 / 3 * shape[2])
+        return PlaneTexture(_zero_border(dark), self.texel_from_m)
+
+    def even_at(self, places_m: np.ndarray) -> np.ndarray:
+        """(n, m) hidden share of even light at places (n, m, 2)"""
+        (sx, _, x0), (_, sy, y0) = self.texel_from_m
+        x, y = ((places_m[..., i] * s + o).clip(-9, 9e3).astype(np.float32) for i, s, o in ((0, sx, x0), (1, sy, y0)))
+        return cv2.remap(self.hidden[0], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+
+
+def soft_picture(
     caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, texels: int, directions: int
-) -> np.ndarray:
-    """(texels, texels) fraction of the hemisphere, cosine-weighted, that is hidden. centre, half (2,) : the box, metres"""
+) -> SoftPicture:  # fmt: skip
+    """Of a box of the plane. centre, half (2,) : metres"""
     t = (np.arange(texels) + 0.5) / texels * 2 - 1
     x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
     points = np.stack([x.ravel(), y.ravel(), np.full(x.size, _LIFT * caster.extent_m)], -1)
-    return 1 - rays.visible_fraction(points, hemisphere(directions)).reshape(texels, texels)
-
-
-def ambient_texture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> PlaneTexture:
-    """Smoothed `hidden_fraction` of the same box."""
-    n = level.ambient_texels
-    dark = hidden_fraction(caster, rays, centre, half, n, level.ambient_rays)
-    dark = cv2.GaussianBlur(dark.astype(np.float32), (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE)
-    scale, low = n / (2 * half), centre - half
-    return PlaneTexture(
-        _zero_border(dark), np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]])
+    towards = hemisphere(directions)
+    weights = np.column_stack([np.ones(directions), towards]) / directions
+    hidden = weights.sum(0) - rays.visible_sum(points, towards, weights)
+    scale, low = texels / (2 * half), centre - half
+    return SoftPicture(
+        hidden.T.reshape(4, texels, texels).astype(np.float32),
+        np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]]),
     )
+
+
+def ambient_picture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> SoftPicture:
+    """Smoothed `soft_picture` of the same box."""
+    made = soft_picture(caster, rays, centre, half, level.ambient_texels, level.ambient_rays)
+    smooth = [cv2.GaussianBlur(a, (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE) for a in made.hidden]
+    return SoftPicture(np.stack(smooth), made.texel_from_m)
 
 
 def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> PlaneTexture:

@@ -15,17 +15,20 @@ from arfx.core.model import Model
 from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
-from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture, hidden_fraction
+from arfx.stages.lightmap.plane import PlaneLevel, SoftPicture, ambient_picture, soft_picture
+from arfx.stages.lightmap.self_occlusion import OcclusionGrid, OcclusionLevel, occlusion_grid
 from arfx.stages.triangles import Triangles
 
 _TEXELS, _RAYS = 64, 400
 _BORDER = 2.5  # heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less
 _FRACTION_STEPS = 32  # outlines are kept for shares of the light in steps of 1 / 32, rounded up
+SHAPED = 2.0  # times what it takes of even light that an object takes of light from one side, at most
 _SIDES = 4  # points a side of an outline: a lens bends it
 
 
 class ShadowRegion:
-    """The plane around one scene's object. caster, rays : the object;  centre_m, half_m (2,) : the map's box"""
+    """The plane around one scene's object. caster, rays : the object;  centre_m, half_m (2,) : the map's box
+    soft_picture : of it;  hidden : of even light"""
 
     def __init__(self, scene: Scene) -> None:
         self.caster: Caster = make_caster(scene)
@@ -34,11 +37,13 @@ class ShadowRegion:
         border = max(_BORDER * self.caster.height_m, 1e-3 * self.caster.extent_m)
         low, high = footprint.min(0) - border, footprint.max(0) + border
         self.centre_m, self.half_m = (low + high) / 2, (high - low) / 2
-        self.hidden = hidden_fraction(self.caster, self.rays, self.centre_m, self.half_m, _TEXELS, _RAYS)
+        self.soft_picture = soft_picture(self.caster, self.rays, self.centre_m, self.half_m, _TEXELS, _RAYS)
+        self.hidden = self.soft_picture.hidden[0]
         self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
         self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
         self._whole_outline_m = lru_cache(maxsize=256)(self._joined)
         self.ambient_picture = lru_cache(maxsize=4)(self._ambient_picture)
+        self.occlusion_grid = lru_cache(maxsize=4)(self._occlusion_grid)
 
     def outline_m(self, ambient_fraction: float, beams: list[tuple[Beam, float]], faint: float) -> np.ndarray:
         """(k, 2) metres: points around the shadow; none where nothing shows.
@@ -51,13 +56,16 @@ class ShadowRegion:
         points = np.concatenate([self.ambient_outline_m(fraction, faint), *(self.beam_outline_m(b) for b in beams)])
         return _subdivided(_hull(points)) if len(points) else points
 
-    def _ambient_picture(self, faint: float, level: PlaneLevel) -> PlaneTexture:
-        """What the object takes of the ambient light, where that can be more than `faint`."""
-        points, centre, half = self.ambient_outline_m(_FRACTION_STEPS, faint), self.centre_m, self.half_m
+    def _occlusion_grid(self, level: OcclusionLevel) -> OcclusionGrid:
+        return occlusion_grid(self.caster, self.rays, self.soft_picture, level)
+
+    def _ambient_picture(self, faint: float, level: PlaneLevel) -> SoftPicture:
+        """What the object takes of the soft light, where that can be more than `faint` whatever its shape."""
+        points, centre, half = self.ambient_outline_m(int(SHAPED * _FRACTION_STEPS), faint), self.centre_m, self.half_m
         if len(points):
             low, high = points.min(0), points.max(0)
             centre, half = (low + high) / 2, (high - low) / 2
-        return ambient_texture(self.caster, self.rays, centre, half, level)
+        return ambient_picture(self.caster, self.rays, centre, half, level)
 
     def _ambient_outline_m(self, fraction: int, faint: float) -> np.ndarray:
         dark = np.argwhere(self.hidden * fraction / _FRACTION_STEPS > faint)[:, ::-1]

@@ -31,12 +31,13 @@ class Surface(NamedTuple):
 
 
 class Lights(NamedTuple):
-    """Directional: towards, rgb (l, 3), widths (l,) of `highlight_width`; visibility (l, h, w)"""
+    """Directional: towards, rgb (l, 3), widths (l,) of `highlight_width`; visibility (l, h, w);  soft_visibility (h, w)"""
 
     towards: np.ndarray
     rgb: np.ndarray
     widths: np.ndarray
     visibility: np.ndarray
+    soft_visibility: np.ndarray
 
 
 def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
@@ -64,7 +65,7 @@ def shade(
 
     eye (3,) : the camera, WORLD frame;  soft (9, 3), constant : only its first row counts;  bias (3,)"""
     coverage, normal, position, albedo, material, emissive = surface
-    towards, rgb, widths, visibility = lights
+    towards, rgb, widths, visibility, soft_visibility = lights
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
     zero, one, two = np.float32(0), np.float32(1), np.float32(2)
@@ -123,6 +124,11 @@ def shade(
             _soft_channel(r, dr, fr, nx, ny, nz, soft[:, 0], n)
             _soft_channel(g, dg, fg, nx, ny, nz, soft[:, 1], n)
             _soft_channel(b, db, fb, nx, ny, nz, soft[:, 2], n)
+        soft_line = soft_visibility[y, first : last + 1]
+        for i in range(n):
+            r[i] *= soft_line[i]
+            g[i] *= soft_line[i]
+            b[i] *= soft_line[i]
         for k in range(towards.shape[0]):
             lx, ly, lz = towards[k, 0], towards[k, 1], towards[k, 2]
             lr, lg, lb, wide = rgb[k, 0], rgb[k, 1], rgb[k, 2], widths[k]

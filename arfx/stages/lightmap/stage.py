@@ -24,8 +24,14 @@ from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
 from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.lookup import shadow_ratio
-from arfx.stages.lightmap.plane import PLANE_LEVELS, PlaneTexture, beam_texture, plane_shadow_texture, within_surface
-from arfx.stages.lightmap.region import ShadowRegion, shadow_region
+from arfx.stages.lightmap.plane import PLANE_LEVELS, SoftPicture, beam_texture, plane_shadow_texture, within_surface
+from arfx.stages.lightmap.region import SHAPED, ShadowRegion, shadow_region
+from arfx.stages.lightmap.self_occlusion import (
+    OCCLUSION_LEVELS,
+    OcclusionGrid,
+    soft_visibility,
+    soft_visibility_by_rays,
+)
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, depth_map, visibility_by_map, visibility_by_rays
 from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
 from arfx.stages.viewing import direction_grid, seen_rect
@@ -55,10 +61,12 @@ class LightmapParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. grid : viewing directions"""
+    """Of one clip, worker and level. ambient : on the plane;  occlusion : on the object, None = by rays;  grid : viewing
+    directions"""
 
     region: ShadowRegion
-    ambient: PlaneTexture
+    ambient: SoftPicture
+    occlusion: OcclusionGrid | None
     grid: np.ndarray
 
 
@@ -94,7 +102,8 @@ class Lightmap(Stage):
         region = shadow_region(scene)
         grid = direction_grid(scene.camera).astype(np.float32)
         ambient = region.ambient_picture(self.params.faint, PLANE_LEVELS[level])
-        return Prepared(region, within_surface(ambient, scene.surface_m), grid)
+        by_grid = self._soft_occluded and OCCLUSION_LEVELS[level].cells > 0
+        return Prepared(region, ambient, region.occlusion_grid(OCCLUSION_LEVELS[level]) if by_grid else None, grid)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         light = self._light(view.facts, view.scene)
@@ -126,16 +135,41 @@ class Lightmap(Stage):
                     visibility[i] = visibility_by_map(coverage, normal, position, depths, anchor_from_world, level)
             if self.params.self_shadow < 1:
                 visibility = 1 + np.float32(self.params.self_shadow) * (visibility - 1)
-        return self.shaded(now, visibility, reaching, light, eye, view.facts)
+        soft = self._soft_visibility(now, view, prepared, light)
+        return self.shaded(now, soft, visibility, reaching, light, eye, view.facts)
+
+    def _soft_visibility(self, now: Layers, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
+        """(h, w) share of the soft light that the object leaves itself."""
+        surface = now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION]
+        if not self._soft_occluded:
+            return np.ones(surface[0].shape, np.float32)
+        anchor_from_world, region, grid = view.scene.world_from_anchor.inverse(), prepared.region, prepared.occlusion
+        if grid is None:
+            caster, count = region.caster, OCCLUSION_LEVELS[view.level].rays
+            visible = soft_visibility_by_rays(
+                *surface, region.rays, region.soft_picture, caster, anchor_from_world, light.shape, count
+            )
+        else:
+            nodes = view.memo.of_light.get(("object", light.shape), lambda: grid.under(light.shape), "soft")
+            visible = soft_visibility(*surface, grid, nodes, anchor_from_world, light.shape)
+        strength = np.float32(self.params.self_shadow)
+        return visible if strength == 1 else 1 + strength * (visible - 1)
+
+    @property
+    def _soft_occluded(self) -> bool:
+        return self.params.ambient and self.params.self_shadow > 0 and not self.hard
 
     def shaded(
-        self, now: Layers, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight, eye: np.ndarray, facts: FrameFacts
-    ) -> np.ndarray:
-        """VIRTUAL. visibility (k, h, w) : of each of the lights `reaching`, past the object;  eye (3,) : WORLD frame"""
+        self, now: Layers, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
+        eye: np.ndarray, facts: FrameFacts,
+    ) -> np.ndarray:  # fmt: skip
+        """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of each of the lights `reaching`, past
+        the object;  eye (3,) : WORLD frame"""
         f32 = np.float32
         surface = Surface(*(now[Layer(name)] for name in Surface._fields))
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
-        lights = Lights(light.towards[reaching].astype(f32), rgb, highlight_width(light.sizes_deg[reaching]), visibility)
+        widths = highlight_width(light.sizes_deg[reaching])
+        lights = Lights(light.towards[reaching].astype(f32), rgb, widths, visibility, soft_visibility)
         soft = f32(self.params.ambient) * harmonic_terms(light.soft, light.ambient)
         return shade(surface, eye.astype(f32), lights, soft, not len(light.soft), np.array(facts.bias_rgb, f32))
 
@@ -145,7 +179,9 @@ class Lightmap(Stage):
         strength = self.params.shadow_strength
         if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
             return neutral(Layer.SHADOW, view.rect)
-        textures, fractions = [prepared.ambient], [np.float32(self.params.ambient) * light.ambient_fraction]
+        make_soft = lambda: within_surface(prepared.ambient.under(light.shape), scene.surface_m)  # noqa: E731
+        soft = view.memo.of_light.get(("plane", light.shape), make_soft, "soft")
+        textures, fractions = [soft], [np.float32(self.params.ambient) * light.ambient_fraction]
         for beam, fraction in zip(light.beams, light.direct_fractions, strict=True):
             if beam.direction[2] > 0 and fraction.max() > 0:
                 make = lambda b=beam: within_surface(  # noqa: E731
@@ -170,7 +206,8 @@ class Lightmap(Stage):
         if most <= faint:
             return EMPTY, f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light"
         beams = [(b, float(s.max())) for b, s in zip(light.beams, light.direct_fractions, strict=True)]
-        outline = shadow_region(scene).outline_m(float(light.ambient_fraction.max()), beams, faint)
+        soft = float(light.ambient_fraction.max()) * _unevenness(light)
+        outline = shadow_region(scene).outline_m(soft, beams, faint)
         if not len(outline):
             return EMPTY, f"no shadow: nowhere does the object take {100 * faint:.1f} % of the plane's light"
         rect = _plane_rect(outline, facts, scene).clip(frame)
@@ -193,4 +230,10 @@ def _darkest(light: FrameLight, scene: Scene) -> float:
     """The largest share of the plane's light, 0..1, that the object can take: every directional light, and of the ambient
     one what it hides where it hides most."""
     hidden = float(shadow_region(scene).hidden.max())
+    hidden = min(hidden * _unevenness(light), 1.0)
     return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())
+
+
+def _unevenness(light: FrameLight) -> float:
+    """How many times as bright as its mean over the plane's hemisphere the soft light is at most, as far as pictures hold it."""
+    return min((1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), SHAPED)
