@@ -178,7 +178,8 @@ class StaticFrameLight:
         why = longest.reason if rests else "camera and marker both move: no frame is known in which a light rests"
         soft, source = self._surroundings(samples)
         lights = self._follow([soft])
-        used = "soft light from the picture's surroundings" if source == "environment" else "ambient light alone"
+        shaped = "soft light from the picture's surroundings, brighter from above"
+        used = shaped if source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
         return lights, light_report(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
 

@@ -136,6 +136,11 @@ def overhead(static_from_camera: Sequence[np.ndarray], normal: np.ndarray) -> np
     return normalise(normal + (1 - smoothstep(rise / LIES)) * normalise(picture_up - rise * normal))
 
 
+def _from_above(directions: np.ndarray, sky: np.ndarray) -> np.ndarray:
+    """(..., 1) how bright the surroundings are taken to be, over their mean. sky (3,) : `overhead`"""
+    return 1 + FROM_ABOVE * (directions @ sky)[..., None]
+
+
 def soft_light(
     samples: Sequence[EnvironmentSample], static_from_camera: Sequence[np.ndarray], up: np.ndarray, shown: np.ndarray | None
 ) -> Light:  # fmt: skip
@@ -155,7 +160,7 @@ def soft_light(
         even = divide(
             (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), float((solid * np.clip(height, 0, None)).sum())
         )
-        incoming = (EVEN * even + (1 - EVEN) * incoming) * (1 + FROM_ABOVE * d @ sky)[:, None]
+        incoming = (EVEN * even + (1 - EVEN) * incoming) * _from_above(d, sky)
         arriving = divide((np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), np.pi)
         if shown is not None:  # a colour that the surroundings lack altogether comes evenly from all of them
             incoming = np.where(arriving > 1e-3 * np.max(shown), incoming * divide(shown, arriving), shown)
@@ -189,7 +194,8 @@ def with_environment(
     facts: Sequence[FrameFacts], samples: Sequence[EnvironmentSample], still_camera: bool, panorama: np.ndarray | None,
     world_from_anchor: np.ndarray,
 ) -> tuple[FrameFacts, ...]:  # fmt: skip
-    """The facts with `environment` in every frame that has a pose and a look in its shot.
+    """The facts with `environment` in every frame that has a pose and a look in its shot; brighter from above, as `soft_light`,
+    in shots without lamps.
 
     still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)"""
     bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0)))  # is no light
@@ -208,6 +214,13 @@ def with_environment(
             cube = np.clip(sample.cube - bias, 0, None)
             by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
     mean = {shot: np.mean(cubes, 0) for shot, cubes in by_shot.items()}
+    for shot in mean:
+        posed = [f for f in facts if f.shot == shot and f.camera_from_world is not None]
+        if all(f.light is not None and not f.light.lights for f in posed):  # no lamp lights it from another side
+            turns = [np.eye(3) if still_camera else f.pose.rotation.T for f in posed]
+            normals = [turn @ f.pose.rotation @ world_from_anchor[:, 2] for f, turn in zip(posed, turns, strict=True)]
+            sky = overhead(turns, normalise(np.sum(normals, 0)))
+            mean[shot] = mean[shot] * _from_above(face_directions(mean[shot].shape[1]), sky)
     planes = {shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0) for shot in mean}
     plane = {shot: np.clip(rgb - bias, 0, None) for shot, rgb in planes.items()}
     whole = {} if still_camera else {shot: cube_map(cube, plane[shot]) for shot, cube in mean.items()}

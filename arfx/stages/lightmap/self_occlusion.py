@@ -43,7 +43,7 @@ class OcclusionLevel:
 OCCLUSION_LEVELS = {
     "draft": OcclusionLevel(16, 32),
     "standard": OcclusionLevel(32, 64),
-    "high": OcclusionLevel(64, 96),
+    "high": OcclusionLevel(48, 96),
     "reference": OcclusionLevel(0, 400),
 }
 

@@ -11,7 +11,7 @@ import trimesh
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral
-from arfx.core.light import DirectionalLight, Light
+from arfx.core.light import DIFFUSE, DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose, rotation_from_euler_deg
@@ -55,6 +55,13 @@ def towards(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, flo
 def lamp(azimuth_deg: float, elevation_deg: float, size_deg: float, rgb: Any = (0.5, 0.5, 0.5), ambient: Any = 0.2) -> Light:
     ambient_rgb = (ambient,) * 3 if np.isscalar(ambient) else tuple(ambient)
     return Light(ambient_rgb, (DirectionalLight(towards(azimuth_deg, elevation_deg), tuple(rgb), size_deg),), "given")
+
+
+def one_sided(shape: tuple[float, float, float], level: float = 0.4) -> Light:
+    """Soft light whose radiance in direction d is level (1 + shape . d)."""
+    soft = np.zeros((9, 3))
+    soft[0], soft[[3, 1, 2]] = level, level / np.sqrt(3) * np.array(shape)[:, None]
+    return Light.of_soft(soft * DIFFUSE[:, None] / 0.28209479177387814, (), "environment")
 
 
 def run_stage(

@@ -32,8 +32,10 @@ from tests.unit.stages.lightmap_scenes import (
     disc_samples,
     from_above,
     ground_points,
+    hemisphere_samples,
     lamp,
     on_plane,
+    one_sided,
     run_stage,
     towards,
     true_ratio,
@@ -82,6 +84,22 @@ def test_error_against_true_rays_falls_with_the_level(name: str, light: tuple[fl
     assert psnr["reference"] > 45 and mean["reference"] < 0.6, got
     assert psnr["draft"] < psnr["standard"] < psnr["high"] < psnr["reference"], got
     assert mean["draft"] > mean["standard"] > mean["high"] > mean["reference"], got
+
+
+def test_soft_light_from_one_side_leaves_a_shadow_on_the_other() -> None:
+    shape = (0.6, 0.0, -0.2)
+    s, pose = on_plane(ball_model(), one_sided(shape)), from_above(5)
+    points = ground_points(s, pose)
+    r = np.linalg.norm(points[..., :2], axis=-1)
+    beside = np.argwhere((np.abs(points[..., 1]) < 0.2 * RADIUS_M) & (r > 1.05 * RADIUS_M) & (r < 2.5 * RADIUS_M))
+    at = points[beside[:, 0], beside[:, 1]]
+    sky = hemisphere_samples(40)
+    light = 1 + sky @ shape
+    hidden = HIDES["ball"](at, sky)
+    truth, even = hidden @ light / light.sum(), hidden.mean(1)
+    made = 1 - run_stage(s, "standard", pose, PURE)[Layer.SHADOW][beside[:, 0], beside[:, 1], 0]
+    assert np.abs(made - truth).mean() < 0.006 < 0.03 < np.abs(even - truth).mean()
+    assert made[at[:, 0] < 0].mean() > 1.3 * made[at[:, 0] > 0].mean()
 
 
 @pytest.mark.parametrize("name", ["ball", "box"])

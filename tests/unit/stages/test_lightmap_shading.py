@@ -11,6 +11,7 @@ from arfx.core.camera import Camera
 from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
+from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
@@ -18,6 +19,8 @@ from arfx.papers.s1_lightmap import PrintedLightmapParams
 from arfx.run.parameters import stage_of
 from arfx.stages import STAGES
 from arfx.stages.lightmap import Lightmap, LightmapParams
+from arfx.stages.lightmap.region import ShadowRegion
+from arfx.stages.lightmap.self_occlusion import OCCLUSION_LEVELS, soft_visibility, soft_visibility_by_rays
 from tests.contract.stage_laws import run as run_law
 from tests.scenes import box_model, facts, layers_of
 from tests.unit.stages.lightmap_scenes import (
@@ -26,9 +29,11 @@ from tests.unit.stages.lightmap_scenes import (
     ball_model,
     disc_samples,
     from_above,
+    hemisphere_samples,
     hides_box,
     lamp,
     on_plane,
+    one_sided,
     run_stage,
     towards,
 )
@@ -152,6 +157,41 @@ def test_shadow_on_itself_against_true_rays(level: str, most: float) -> None:
     error = np.abs(made - truth)
     assert error[(truth > 0.02) & (truth < 0.98)].mean() < most
     assert error[(truth == 1) | (truth == 0)].mean() < 0.01
+
+
+def test_soft_light_that_the_object_hides_from_itself_against_true_rays() -> None:
+    """The table's top around the cube, in even light and in light from one side."""
+    s = on_plane(stacked(), one_sided((0.0, 0.0, 0.0)))
+    side = s.world_from_model[0, 0]
+    x, y = (np.random.default_rng(0).random((2, 2000)) * 2 - 1) * 1.2 * side
+    beside = np.maximum(np.abs(x), np.abs(y)) > 0.55 * side
+    at = np.stack([x, y, np.full(2000, 0.2 * side)], -1)[beside][None]
+    up, covered = np.broadcast_to(np.array([0.0, 0.0, 1.0]), at.shape).astype(np.float32), np.ones(at.shape[:2], np.float32)
+    sky, region = hemisphere_samples(30), ShadowRegion(s)
+    hidden = hides_box((at[0] - [0, 0, 0.2 * side]) * (2 * RADIUS_M / side), sky)
+    for shape in ((0.0, 0.0, 0.0), (0.7, 0.0, 0.3)):
+        light = 1 + sky @ shape
+        truth = 1 - hidden @ light / light.sum()
+        surface_, place = (covered, up, at.astype(np.float32)), (Pose.identity(), shape)
+        error = {}
+        for level in ("draft", "standard", "high"):
+            grid = region.occlusion_grid(OCCLUSION_LEVELS[level])
+            error[level] = np.abs(soft_visibility(*surface_, grid, grid.under(shape), *place)[0] - truth).mean()
+        traced = soft_visibility_by_rays(*surface_, region.rays, region.soft_picture, region.caster, *place, 400)[0]
+        error["reference"] = np.abs(traced - truth).mean()
+        assert truth.min() < 0.65 and error["standard"] < 0.02 and error["reference"] < 0.006, error
+        assert error["draft"] > error["standard"] > error["high"] > error["reference"], error
+
+
+def test_what_is_near_its_own_shadow_on_the_plane_is_dark() -> None:
+    s = on_plane(ball_model(3), one_sided((0.0, 0.0, 0.0)), Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]])))
+    n = any_normals(s)
+    layers = surface(s, n, RADIUS_M * n + [0, 0, RADIUS_M])
+    left = [shaded(s, layers, replace(LightmapParams(), self_shadow=k), "draft")[..., 0] / (0.87 * 0.4) for k in (1.0, 0.5, 0.0)]
+    assert np.abs(left[2] - 1).max() < 1e-3 and np.abs(left[1] - (1 + left[0]) / 2).max() < 1e-3
+    height = n[..., 2]
+    assert left[0][height > 0.3].min() > 0.93 and left[0][height < -0.9].max() < 0.5
+    assert left[0][height < -0.97].mean() < 0.25 < left[0][(height > -0.4) & (height < -0.2)].mean()
 
 
 @pytest.mark.parametrize("level", LEVELS)

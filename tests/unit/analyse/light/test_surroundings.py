@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from arfx.analyse.light.surroundings import (
     face_directions,
     fold,
     from_panorama,
+    overhead,
+    soft_light,
     soft_of,
     solid_angles,
     turned,
@@ -144,3 +148,44 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     np.testing.assert_allclose(back, room, atol=0.25)
     given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3))
     np.testing.assert_allclose(checked(given[1].environment), 0.3, rtol=2e-3)
+
+
+def looking(pitch_deg: float) -> np.ndarray:
+    """(3, 3) world_from_camera of a camera held upright that looks down by that angle, along the world's y; z is up."""
+    return rotation_from_euler_deg(-90 - pitch_deg, 0, 0)
+
+
+def test_light_comes_from_over_a_plane_that_lies_and_from_before_and_above_one_that_stands() -> None:
+    lying, standing = np.array([0.0, 0, 1]), np.array([0.0, -1, 0])
+    for pitch in (20, 35, 45):
+        np.testing.assert_allclose(overhead([looking(pitch)], lying), lying, atol=1e-9)
+    half = np.array([0, -1, 1]) / np.sqrt(2)
+    for pitch in (-0.0, 10, 40):
+        np.testing.assert_allclose(overhead([looking(pitch)], standing), half, atol=1e-9)
+    straight_down = overhead([looking(90)], lying)
+    np.testing.assert_allclose(straight_down, np.array([0, 1, 1]) / np.sqrt(2), atol=1e-9)  # a wall would look the same
+    path = [overhead([looking(p)], lying) for p in np.linspace(20, 90, 71)]
+    assert max(np.linalg.norm(b - a) for a, b in pairwise(path)) < 0.04
+
+
+@pytest.mark.parametrize(("plane_up", "pitch"), [((0.0, 0, 1), 40), ((0.0, -1, 0), 5)])
+def test_soft_light_of_a_grey_room_has_a_form_and_no_direction(plane_up: tuple[float, float, float], pitch: float) -> None:
+    turn, up, shown = looking(pitch), np.array(plane_up), np.array([0.6, 0.5, 0.4])
+    sample = EnvironmentSample(0, fold(np.full((90, 120, 3), 0.4), 6), np.full(3, 0.25))
+    light = soft_light([sample], [turn], up, shown)
+    assert not light.lights
+    np.testing.assert_allclose(light.radiance(up), shown, rtol=1e-6)
+    top, bottom = light.radiance(np.array([[0.0, 0, 1], [0, 0, -1]]))
+    assert (top > 1.3 * bottom).all() and (top < 3 * bottom).all()
+
+
+def test_reflections_show_a_brighter_ceiling_where_no_lamp_is_known() -> None:
+    cube = fold(np.full((90, 120, 3), 0.4), 6)
+    pose = Pose(looking(40).T, np.array([0, 0, 1.0]))
+    facts = FrameFacts(0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1)
+    above = {}
+    for name, light in (("soft", Light((0.5, 0.5, 0.5), ())), ("lamp", Light())):
+        found = with_environment([facts.with_(light=light)], [EnvironmentSample(0, cube, np.zeros(3))], False, None, np.eye(3))
+        up, down = look_up(checked(found[0].environment), np.array([[0, 0, 1.0], [0, 0, -1.0]]))[:, 0]
+        above[name] = up / max(down, 1e-3)
+    assert above["lamp"] == pytest.approx(1, abs=0.01) and above["soft"] > 5
