@@ -7,7 +7,7 @@ rest, and lamps in it are clipped.
 `soft_light` is for where no direction is known: the surroundings above the anchor's plane, evened out by half, brighter from
 above as rooms and skies are, and scaled to what the markers show; the plane itself below. `with_environment` is for
 reflections: one cube per shot, or the panorama that the user gave. Leaves out the four corners of the picture.
-Source: docs/methods/gi.md#environment, docs/methods/light.md#cues. Cost: some 0.3 ms a frame at SIZE 16."""
+Source: docs/methods/gi.md#environment, docs/methods/light.md#surroundings. Cost: some 0.3 ms a frame at SIZE 16."""
 
 from __future__ import annotations
 
@@ -27,9 +27,7 @@ from arfx.core.numerics import divide, normalise, smoothstep
 SIZE = 16
 FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
-FROM_ABOVE = (
-    1.0  # rise of its radiance towards `overhead`, of the mean: the vector of the light is 4 / 3 of its scalar (Cuttle 2008)
-)
+FROM_ABOVE = 1.0  # of the radiance's mean, by which it rises towards `overhead`: docs/methods/light.md#surroundings
 LIES = 0.7  # cosine of the plane's normal to the picture's up from which the plane is taken to lie
 RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 % of the light is left to noise
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
@@ -136,11 +134,6 @@ def overhead(static_from_camera: Sequence[np.ndarray], normal: np.ndarray) -> np
     return normalise(normal + (1 - smoothstep(rise / LIES)) * normalise(picture_up - rise * normal))
 
 
-def _from_above(directions: np.ndarray, sky: np.ndarray) -> np.ndarray:
-    """(..., 1) how bright the surroundings are taken to be, over their mean. sky (3,) : `overhead`"""
-    return 1 + FROM_ABOVE * (directions @ sky)[..., None]
-
-
 def soft_light(
     samples: Sequence[EnvironmentSample], static_from_camera: Sequence[np.ndarray], up: np.ndarray, shown: np.ndarray | None
 ) -> Light:  # fmt: skip
@@ -160,7 +153,7 @@ def soft_light(
         even = divide(
             (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), float((solid * np.clip(height, 0, None)).sum())
         )
-        incoming = (EVEN * even + (1 - EVEN) * incoming) * _from_above(d, sky)
+        incoming = (EVEN * even + (1 - EVEN) * incoming) * (1 + FROM_ABOVE * d @ sky)[:, None]
         arriving = divide((np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), np.pi)
         if shown is not None:  # a colour that the surroundings lack altogether comes evenly from all of them
             incoming = np.where(arriving > 1e-3 * np.max(shown), incoming * divide(shown, arriving), shown)
@@ -194,8 +187,7 @@ def with_environment(
     facts: Sequence[FrameFacts], samples: Sequence[EnvironmentSample], still_camera: bool, panorama: np.ndarray | None,
     world_from_anchor: np.ndarray,
 ) -> tuple[FrameFacts, ...]:  # fmt: skip
-    """The facts with `environment` in every frame that has a pose and a look in its shot; brighter from above, as `soft_light`,
-    in shots without lamps.
+    """The facts with `environment` in every frame that has a pose and a look in its shot.
 
     still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)"""
     bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0)))  # is no light
@@ -214,13 +206,6 @@ def with_environment(
             cube = np.clip(sample.cube - bias, 0, None)
             by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
     mean = {shot: np.mean(cubes, 0) for shot, cubes in by_shot.items()}
-    for shot in mean:
-        posed = [f for f in facts if f.shot == shot and f.camera_from_world is not None]
-        if all(f.light is not None and not f.light.lights for f in posed):  # no lamp lights it from another side
-            turns = [np.eye(3) if still_camera else f.pose.rotation.T for f in posed]
-            normals = [turn @ f.pose.rotation @ world_from_anchor[:, 2] for f, turn in zip(posed, turns, strict=True)]
-            sky = overhead(turns, normalise(np.sum(normals, 0)))
-            mean[shot] = mean[shot] * _from_above(face_directions(mean[shot].shape[1]), sky)
     planes = {shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0) for shot in mean}
     plane = {shot: np.clip(rgb - bias, 0, None) for shot, rgb in planes.items()}
     whole = {} if still_camera else {shot: cube_map(cube, plane[shot]) for shot, cube in mean.items()}

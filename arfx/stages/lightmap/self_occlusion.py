@@ -144,7 +144,7 @@ def _surface_points(caster: Caster, pitch: float) -> tuple[np.ndarray, np.ndarra
     count = int(np.clip(_POINTS * upto[-1] / pitch**2, 64, _MOST_POINTS))
     i = np.arange(count) + 0.5
     face = np.minimum(np.searchsorted(upto, i / count * upto[-1]), len(upto) - 1)
-    u, v = (i * 0.7548776662466927) % 1, (i * 0.5698402909980532) % 1  # low discrepancy (Roberts 2018)
+    u, v = (i * 0.7548776662466927) % 1, (i * 0.5698402909980532) % 1  # powers of the plastic number: low discrepancy
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     return a[face] + u[:, None] * ab[face] + v[:, None] * ac[face], normalise(across[face])
 

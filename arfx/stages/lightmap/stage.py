@@ -2,6 +2,7 @@
 
 The light comes from the facts (measured, given or refused: `Light.source`), or is the scene's. Shadows are kept by the
 direction of their light: a still light costs nothing per frame but the look-up.
+Soft light is hidden by what rays find once per clip: in `plane` and `self_occlusion`.
 Cost: O(pixels of the shadow + covered pixels x taps); a light that moves adds O(directions x edges) a frame.
 Leaves out: other real surfaces, transparent shadows, light from the plane onto the object, caustics.
 Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
