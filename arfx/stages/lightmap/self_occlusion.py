@@ -95,7 +95,7 @@ def hidden_parts(
         starts = np.repeat(p.astype(np.float32), count, 0)
         hidden = rays.blocked(starts, towards.reshape(-1, 3)).reshape(len(p), count).astype(np.float32)
         down = (towards[..., 2] < 0) & (hidden == 0)
-        along = np.maximum(p[:, 2:], 0) / np.maximum(-towards[..., 2], 1e-6)
+        along = np.abs(p[:, 2:]) / np.maximum(-towards[..., 2], 1e-6)  # under the plane, where it is not seen: no seam
         met = np.where(down[..., None], p[:, None, :2] + along[..., None] * towards[..., :2], 1e9)
         hidden += down * plane.even_at(met)
         out[a : a + step] = np.concatenate([hidden[..., None], hidden[..., None] * towards], -1).mean(1)
@@ -107,8 +107,9 @@ def occlusion_grid(caster: Caster, rays: Triangles, plane: SoftPicture, level: O
     from scipy.ndimage import uniform_filter
 
     pitch = max(caster.extent_m / level.cells, 1e-9)
-    low = caster.vertices.min(0).astype(float) - 2 * pitch
-    counts = np.ceil((caster.vertices.max(0) - low) / pitch).astype(int) + 3  # x, y, z
+    used = caster.vertices[np.unique(caster.faces)].astype(float)
+    low = used.min(0) - 2 * pitch
+    counts = np.ceil((used.max(0) - low) / pitch).astype(int) + 3  # x, y, z
     points, normals = _surface_points(caster, pitch)
     angles = np.arange(len(points)) * _GOLDEN
     sums, lift = np.zeros((int(counts.prod()), 5)), _lift_m(caster)
