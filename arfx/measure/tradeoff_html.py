@@ -14,7 +14,8 @@ from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
 from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, full_page, html_table, jpeg, number, plot_image, png, section
-from arfx.measure.tradeoff import QUALITIES, Measurements, Row
+from arfx.measure.tradeoff import Measurements
+from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
 from arfx.run.planned import Job
 
@@ -40,10 +41,10 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
     """quality : of the JPEG pictures, 0 to 100"""
     clip = Path(str(document["clip"])).name
     head = f'<header><h1>{escape(clip)}: what accuracy costs</h1><p class="say">{escape(document["recommendation"])}</p></header>'
-    front = pipeline_plot(found.pipelines)
+    plot = pipeline_plot(found.pipelines)
     parts = [
         _STYLE, head,
-        section("Whole pipelines", plot_image(front, "Pareto front") + rows_table(document["pipelines"])),
+        section("Whole pipelines", plot_image(plot, "Pareto front") + rows_table(document["pipelines"])),
         _pictures("The pipelines' pictures", [r for r in found.pipelines if r.level != "mixed"], "reference", quality),
     ]  # fmt: skip
     for name in dict.fromkeys(r.name for r in found.effects):
@@ -62,8 +63,9 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
 METHOD = (
     "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP (0 to 1), ΔE2000 (1 is "
     "just visible) and SSIM (1 is alike) are means over the same pixels. An effect is compared with its own reference while all "
-    "others stay at the job's quality; a pipeline with all at reference. Pictures are rendered in a window around the object, so "
-    "that the references take a minute together; errors are those of that window. Times are of whole frames: fast levels were "
+    "others stay at the job's quality; left out tells how much it changes at all. A pipeline is compared with all at reference, "
+    "and is beaten where another takes no more time and is nearer to that. Pictures are rendered in a window around the object, "
+    "so that the references take a minute together; errors are those of that window. Times are of whole frames: fast levels were "
     "run over all that the plan asks of them, references on tiles spread over it, and their time is given for the whole, with "
     "the interval that the tiles' spread gives. "
     "Flicker: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
@@ -75,12 +77,11 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
     body = []
     for r in rows:
         flicker = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
-        # a quality's name says its levels
-        levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items() if v != "standard") if r["level"] == "mixed" else ""
+        levels = levels_in_words(r) if r["level"] == "mixed" else ""  # a quality's name says its levels
         ms, low, high = (1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"]))
         time = number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
         body.append([
-            escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), time,
+            escape(f"{r['level']}{' (paper)' if r['formula'] == 'paper' else ''}{', beaten' if r['beaten'] else ''}"), time,
             number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]),
             number(r["delta_e"]), f"{r['ssim']:.4f}", escape(flicker),
             escape(number(r["worst_frame"])), escape(levels),
@@ -89,9 +90,14 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
         body = [row[:-1] for row in body]
     head = (
         "level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "ΔE2000", "SSIM", "flicker / reference's",
-        "worst frame", "levels",
+        "worst frame", "levels of those with more than one",
     )  # fmt: skip
     return html_table(head[: len(body[0]) if body else None], body, frozenset(range(1, 9)))
+
+
+def levels_in_words(row: Mapping[str, Any]) -> str:
+    """Of a pipeline."""
+    return ", ".join(f"{stage} {level}" for stage, level in row["levels"].items())
 
 
 def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
@@ -138,6 +144,7 @@ FLOOR = 0.02  # grey levels: what is drawn for none
 def effect_plot(rows: Sequence[Row]) -> bytes:
     """Mean and 99th percentile of each level of one effect; the other formula's point is a diamond."""
     fig, axis = _axis(6.4, 3.4)
+    rows = [r for r in rows if r.level != LEFT_OUT]
     own = [r for r in rows if r.formula == rows[0].formula]
     other = [r for r in rows if r.formula != rows[0].formula]
     for worst, colour, label in ((True, RAW, "99th percentile, worst frame"), (False, SMOOTH, "mean")):
@@ -199,7 +206,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     stages: dict[str, dict[str, float]] = {}
     own = {n: getattr(s, "formula", "") for n, s in job.inputs.config.params.items()}
     for r in found.effects:
-        if r.formula == own.get(r.name, ""):
+        if r.formula == own.get(r.name, "") and r.level != LEFT_OUT:
             stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
     names, times = [r.name for r in found.effects], {f.index: f.time_s for f in job.facts}
     frames = [{"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts} for s in found.samples]
@@ -214,8 +221,11 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
 
 
 def _row(r: Row, found: Measurements) -> dict[str, Any]:
+    pipelines = [p for p in found.pipelines if not p.formula]
     return {
-        "name": r.name, "level": r.level, "formula": r.formula, "levels": dict(r.levels) if r.name == "pipeline" else None,
+        "name": r.name, "level": r.level, "formula": r.formula,
+        "levels": _choices(r, found) if r.name == "pipeline" else None,
+        "beaten": r in pipelines and r not in front(pipelines),
         "seconds_per_frame": r.seconds, "between_s": [r.time.low_s, r.time.high_s],
         "prepare_s": found.prepare_s.get((r.name, r.level)),
         **{what: r.average(what) for what in PER_FRAME}, "mean_worst": r.worst("mean"), "p99": r.worst("p99"),
@@ -225,13 +235,9 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def front(rows: Sequence[Row]) -> list[Row]:
-    """Those that no other beats in both time and mean error, cheapest first."""
-    out: list[Row] = []
-    for r in sorted(rows, key=lambda r: (r.seconds, r.average("mean"))):
-        if not out or r.average("mean") < out[-1].average("mean") - 1e-9:
-            out.append(r)
-    return out
+def _choices(pipeline: Row, found: Measurements) -> dict[str, str]:
+    """The levels of the stages that have more than one."""
+    return {name: pipeline.levels.get(name, LEFT_OUT) for name in dict.fromkeys(r.name for r in found.effects)}
 
 
 def visible(r: Row) -> bool:

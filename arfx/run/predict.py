@@ -194,6 +194,6 @@ def choose(
         "levels": {
             "by": by, "budget_s": policy.budget_s, "max_error": policy.max_error, "met": plan.choice.met, "why": plan.choice.why,
             "error": None if by == "quality" else plan.choice.error,
-            "errors_from": errors.source, "chosen": plan.explained(errors),
+            "errors_from": errors.source, "chosen": plan.explained(errors, stages),
         },
     }  # fmt: skip

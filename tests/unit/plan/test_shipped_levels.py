@@ -1,0 +1,57 @@
+"""The shipped errors and prices by themselves: levels are steps, of which each is worth its time."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+import arfx.plan.errors
+from arfx.core.cost import shipped_prices
+from arfx.core.stage import level_named
+from arfx.measure.bench_scene import bench_scene
+from arfx.plan.errors import shipped_errors
+from arfx.plan.planner import plan_frame
+from arfx.stages import STAGES
+
+BETWEEN_LEVELS = {name: stage.levels for name, stage in STAGES.items() if len(stage.levels) > 1}
+STEP, HALF = 1.6, 0.5  # in time at least, or of the error at most
+NOT_YET = pytest.mark.xfail(strict=True, reason="the table is not measured at these levels yet: tools/measure_errors.py --write")
+
+
+def seconds(stage: str, level: str) -> float:
+    """Of a frame of the benchmark's standard scene, by the shipped prices."""
+    at = bench_scene(1280, 720)
+    if "depth" in STAGES[stage].requires:
+        at = at.with_depth()
+    stages = [s() for s in STAGES.values()]
+    levels = {s.name: level_named(s.levels, level if s.name == stage else "standard") for s in stages}
+    plan = plan_frame(stages, levels, at.facts, at.scene, at.scene.camera.rect, prices=shipped_prices())
+    return next(s.seconds for s in plan.steps if s.stage == stage)
+
+
+@NOT_YET
+def test_every_level_has_an_error_and_a_price_and_each_step_up_is_worth_it() -> None:
+    errors, bad = shipped_errors(), []
+    for stage, levels in BETWEEN_LEVELS.items():
+        known = [errors.known(stage, level, levels[-1]) for level in levels]
+        assert None not in known, f"{stage}: a level whose error is not known"
+        times = [seconds(stage, level) for level in levels]
+        for k, (a, b) in enumerate(pairwise(levels[:-1])):
+            error, time = known[k + 1] / known[k], times[k + 1] / times[k]
+            if not (error < 1 and time > 1 and (time >= STEP or error <= HALF)):
+                bad.append(f"{stage} {a} to {b}: time x {time:.2f}, error x {error:.2f}")
+        assert known[-2] > 0 and times[-1] > times[-2], stage
+    assert not bad
+
+
+@NOT_YET
+def test_errors_fall_from_level_to_level_on_every_clip() -> None:
+    clips = json.loads(Path(arfx.plan.errors.__file__).with_name("default_errors.json").read_text(encoding="utf-8"))["clips"]
+    assert set(clips) == set(BETWEEN_LEVELS) and all(len(of) >= 2 for of in clips.values()), "an effect on one clip alone"
+    for stage, of in clips.items():
+        for clip, errors in of.items():
+            assert len(errors) == len(BETWEEN_LEVELS[stage]) - 1
+            assert all(a > b for a, b in pairwise([*errors, 0.0])), f"{stage} on {clip}: {errors}"
