@@ -43,10 +43,9 @@ def test_every_level_has_an_error_and_a_price_and_each_step_up_is_worth_it() -> 
         known = [errors.known(stage, level, levels[-1]) for level in levels]
         assert None not in known, f"{stage}: a level whose error is not known"
         times = [seconds(stage, level) for level in levels]
-        for k, (a, b) in enumerate(pairwise(levels[:-1])):
-            error, time = known[k + 1] / known[k], times[k + 1] / times[k]
-            if not (error < 1 and time > 1 and (time >= STEP or error <= HALF)):
-                bad.append(f"{stage} {a} to {b}: time x {time:.2f}, error x {error:.2f}")
+        for (level, more, least), (_, less, most) in pairwise(zip(levels[:-1], known, times, strict=False)):
+            if not (less < more and most > least and (most >= STEP * least or less <= HALF * more)):
+                bad.append(f"{stage}, up from {level}: {least:.4f} to {most:.4f} s, error {more:.3f} to {less:.3f}")
         assert known[-2] > 0 and times[-1] > times[-2], stage
     assert not bad
 
