@@ -119,8 +119,9 @@ def measured(job: Job, names: Sequence[str], wanted: Sequence[str], frames: int,
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_pipelines import LEFT_OUT
     from arfx.plan.planner import plan_frame
+    from arfx.run.parameters import stages_of
 
-    stages = {n: s for n, s in job.stages.items() if n in names}
+    stages = stages_of(job.inputs.config.params, [n for n in job.stages if n in names])  # some set others' settings
     levels = {n: level_named(s.levels, "standard") for n, s in stages.items()}
     rect = job.inputs.camera.rect
     plans = [plan_frame(list(stages.values()), levels, f, job.scene, rect) for f in job.facts]

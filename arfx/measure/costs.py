@@ -125,7 +125,7 @@ def calibrate(
         name = key.removeprefix("prepare ").split("/")[0]
         of = stages.get(name, Stage)  # encoding and the like: the usual terms
         depth_terms = ("depth_mpx",) if Layer.REAL_DEPTH in getattr(of, "reads", ()) and "depth" not in of.requires else ()
-        prices[key] = fit(runs, ("frames", "mfaces") if key.startswith("prepare ") else (*of.terms, *depth_terms))
+        prices[key] = fit(runs, ("frames", "mfaces") if key.startswith("prepare ") else dict.fromkeys((*of.terms, *depth_terms)))
     for key, shipped in shipped_prices().prices.items():  # of levels for which there was no time
         if key.removeprefix("prepare ").split("/")[0] in ([stage] if stage is not None else stages):
             prices.setdefault(key, replace(shipped, spread=max(shipped.spread, UNCALIBRATED)))

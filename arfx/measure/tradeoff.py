@@ -8,6 +8,7 @@ Cost: the references; the window of the pictures is made so small that they take
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -28,7 +29,7 @@ from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, level_sets
 from arfx.measure.tradeoff_time import Times, areas_of, time_frame
 from arfx.media.frames import ClipReader
 from arfx.plan.planner import new_terms
-from arfx.run.parameters import under_other_formula
+from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
 from arfx.run.source import real_depth_layer
 
@@ -49,6 +50,15 @@ class Measurements:
 
 
 @dataclass
+class _Part:
+    """Of a job's stages some: under the settings that they have in a job of their own."""
+
+    prepared: PreparedStages
+    renderers: dict[int, FrameRenderer] = field(default_factory=dict)
+    times: Times = field(default_factory=Times)
+
+
+@dataclass
 class _Work:
     """What the rows are made from. base : levels of the steps before those that are timed;  best : all at reference"""
 
@@ -64,6 +74,39 @@ class _Work:
     times: Times
     found: Measurements
     other_s: dict[str, Prediction] = field(default_factory=dict)  # by stage: its usual level under the other formula
+    parts: dict[frozenset[str], _Part] = field(default_factory=dict)  # by what is left out
+
+    def part(self, levels: Mapping[str, str]) -> _Part:
+        """The job without the stages that have no level here: those that are left may have other settings then."""
+        names = frozenset(levels)
+        if names not in self.parts:
+            own = stages_of(self.job.inputs.config.params, [n for n in self.stages if n in names])
+            self.parts[names] = _Part(PreparedStages(self.job.scene, {**self.stages, **own}))
+        return self.parts[names]
+
+    def frame(self, index: int, levels: Mapping[str, str]) -> FrameRenderer:
+        """What renders a frame at these levels."""
+        if levels.keys() >= self.usual.keys():
+            return self.renderers[index]
+        part = self.part(levels)
+        if index not in part.renderers:
+            part.renderers[index] = replace(self.renderers[index], prepared=part.prepared)
+        return part.renderers[index]
+
+    def image(self, index: int, levels: Mapping[str, str]) -> np.ndarray:
+        return self.frame(index, levels).image(chain_of(self.renderers[index].plan, levels))
+
+    def time(self, levels: Mapping[str, str]) -> Prediction:
+        """Of all steps of a frame."""
+        if levels.keys() >= self.usual.keys():
+            return self.times.of_chain(levels.items())
+        part = self.part(levels)
+        changed = [n for n in levels if part.prepared.stages[n].params != self.stages[n].params]
+        wanted = frozenset((n, levels[n]) for n in changed if part.times.of((n, levels[n])) is None)
+        for sample in self.samples if wanted else ():
+            whole = replace(self.renderers[sample.index], prepared=part.prepared, window=self.job.inputs.camera.rect)
+            time_frame(part.times, whole, {n: level for n, level in self.base.items() if n in levels}, wanted, self.new)
+        return sum_independent([part.times.of(at) or self.times.of(at) or measured(0.0) for at in levels.items()])
 
 
 def measure(
@@ -199,7 +242,7 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
             coverage = renderers[i].coverage(chain_of(renderers[i].plan, chosen))
             found.locations.setdefault((name, worst.level), _location(worst.by_frame[i], coverage))
     if following is not None:
-        _measure_flicker(rows, best, renderers[following - 1], renderers[following])
+        _measure_flicker([r for r in rows if r.level != LEFT_OUT], best, renderers[following - 1], renderers[following])
     return rows
 
 
@@ -212,9 +255,9 @@ def _compare(work: _Work, rows: Sequence[Row], best: Mapping[str, str], of: Sequ
         if not {s.stage for s in b.plan.steps}.issuperset(of):
             continue
         reference = b.image(chain_of(b.plan, best))
-        without = b.image(chain_of(b.plan, {n: at for n, at in work.usual.items() if n not in of})) if of else b.original()
+        without = work.image(sample.index, {n: at for n, at in work.usual.items() if n not in of}) if of else b.original()
         for r in rows:
-            at = b if r.prepared is None else replace(b, prepared=r.prepared)
+            at = work.frame(sample.index, r.levels) if r.prepared is None else replace(b, prepared=r.prepared)
             r.pictures[sample.index] = at.image(chain_of(b.plan, r.levels))
         where = touched((reference, without), *((reference, r.pictures[sample.index]) for r in rows))
         for r in rows:
@@ -264,24 +307,19 @@ def _pipelines(work: _Work, reference_s: float) -> list[Row]:
         named.setdefault(tuple(levels.values()), Row("pipeline", quality, "", levels=levels))
     own = {n: getattr(work.stages[n].params, "formula", "") for n in work.usual}
     rows = list(named.values())
-    for r in rows:
-        _render(work, r.levels)
+    for sample, r in itertools.product(work.samples, rows):
+        work.image(sample.index, r.levels)
     for levels in level_sets([r for r in work.found.effects if r.formula == own[r.name]], work.usual):
-        seconds = sum(_pictures_s(work, work.renderers[s.index], [levels]) for s in work.samples)
+        seconds = sum(_pictures_s(work, work.frame(s.index, levels), [levels]) for s in work.samples)
         if levels not in qualities and seconds <= reference_s:
             reference_s -= seconds
             rows.append(Row("pipeline", "mixed", "", levels=levels))
-            _render(work, levels)
+            for sample in work.samples:
+                work.image(sample.index, levels)
     _compare(work, rows, work.best)
     for r in rows:
-        r.time = work.times.of_chain(r.levels.items())
+        r.time = work.time(r.levels)
     return worth_showing(rows)
-
-
-def _render(work: _Work, levels: Mapping[str, str]) -> None:
-    for sample in work.samples:
-        b = work.renderers[sample.index]
-        b.image(chain_of(b.plan, levels))
 
 
 def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:

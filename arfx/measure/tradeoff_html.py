@@ -74,25 +74,20 @@ METHOD = (
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Of effects, or of pipelines, which have no flicker; a quality's name says its levels."""
+    flickers = any(r["unrest"] is not None for r in rows)
     body = []
     for r in rows:
-        flicker = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
-        levels = levels_in_words(r) if r["level"] == "mixed" else ""  # a quality's name says its levels
+        level = levels_in_words(r) if r["level"] == "mixed" else r["level"]
+        level += (" (paper)" if r["formula"] == "paper" else "") + (", beaten" if r["beaten"] else "")
         ms, low, high = (1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"]))
         time = number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
-        body.append([
-            escape(f"{r['level']}{' (paper)' if r['formula'] == 'paper' else ''}{', beaten' if r['beaten'] else ''}"), time,
-            number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]),
-            number(r["delta_e"]), f"{r['ssim']:.4f}", escape(flicker),
-            escape(number(r["worst_frame"])), escape(levels),
-        ])  # fmt: skip
-    if not any(row[-1] for row in body):
-        body = [row[:-1] for row in body]
-    head = (
-        "level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "ΔE2000", "SSIM", "flicker / reference's",
-        "worst frame", "levels of those with more than one",
-    )  # fmt: skip
-    return html_table(head[: len(body[0]) if body else None], body, frozenset(range(1, 9)))
+        numbers = (number(r[what]) for what in ("mean", "mean_worst", "p99", "flip", "delta_e"))
+        flicker = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} ({number(r['unrest']['reference'])})"
+        cells = [escape(level), time, *numbers, f"{r['ssim']:.4f}", number(r["worst_frame"]), flicker]
+        body.append(cells if flickers else cells[:-1])
+    head = ("level", "ms a frame", "mean", "worst mean", "99 %", "FLIP", "ΔE2000", "SSIM", "in frame")
+    return html_table([*head, *["flicker (reference)"] * flickers], body, frozenset(range(1, 10)))
 
 
 def levels_in_words(row: Mapping[str, Any]) -> str:
@@ -124,7 +119,7 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
         if frame not in r.pictures:
             continue
         d = r.by_frame[frame]
-        caption = f"{r.level} {r.formula if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
+        caption = f"{r.level}{' (paper)' if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
         figures.append(_figure(r.pictures[frame], caption, quality))
         if r is not reference:
             pair = reference.pictures[frame], r.pictures[frame]
