@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.cost import Prediction, measured
@@ -14,11 +18,13 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, PreparedStages, chain_of, window_of
-from arfx.measure.tradeoff import Measurements
+from arfx.measure.tradeoff import Measurements, _Work
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, page, recommendation
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front, level_sets, worth_showing
+from arfx.measure.tradeoff_time import Times, time_frame
 from arfx.plan.planner import plan_frame
+from arfx.run.parameters import stages_of
 from arfx.stages import STAGES
 from tests.scenes import camera, facts, look_at, scene
 
@@ -109,6 +115,12 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     assert np.array_equal(*pictures) and (pictures[0] != bench.original()).any()
 
 
+def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
+    s = scene(camera(160, 120))
+    plan = plan_frame(list(stages.values()), dict.fromkeys(stages, "standard"), facts(s), s, s.camera.rect)
+    return FrameRenderer(facts(s), np.zeros((120, 160, 3), np.float32), plan, s.camera.rect, PreparedStages(s, stages))
+
+
 class Deep(Stage):
     """Shows the real depth, 255 grey levels a metre."""
 
@@ -187,6 +199,27 @@ def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_a
     assert ("draft", "draft") not in [(s.get("raster"), s.get("gi")) for s in level_sets(effects, {})], (
         "a larger part counts more"
     )
+
+
+def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
+    params = {n: kind.Params() for n, kind in STAGES.items()}
+    names = ("raster", "lightmap", "gi", "composite")
+    job: Any = SimpleNamespace(scene=scene(), inputs=SimpleNamespace(config=SimpleNamespace(params=params)))
+    stages, usual = stages_of(params, names), dict.fromkeys(names, "standard")
+    frame: Any = replace(tiny_frame(stages), slow=frozenset())
+    work = _Work(job, stages, [], {3: frame}, usual, usual, usual, frozenset(), {}, Times(), found())
+    left = {n: level for n, level in usual.items() if n != "gi"}
+    assert work.frame(3, usual) is frame and work.frame(3, left) is work.frame(3, dict(left))
+    ambient = [work.frame(3, levels).prepared.stages["lightmap"].params.ambient for levels in (usual, left)]
+    assert ambient == [False, True], "indirect light takes over the light without direction, and gives it back"
+
+
+def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame, upon = tiny_frame(stages_of({n: kind.Params() for n, kind in STAGES.items()}, ("raster", "lightmap", "composite"))), []
+    monkeypatch.setattr(FrameRenderer, "run", lambda self, chain: upon.append(chain))
+    monkeypatch.setattr("arfx.measure.tradeoff_time._whole", lambda *_: None)
+    time_frame(Times(), frame, {"raster": "high", "composite": "standard"}, {("composite", "standard")}, {})
+    assert upon == [(("raster", "high"), ("composite", "standard"))]
 
 
 def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_none_is_near() -> None:
