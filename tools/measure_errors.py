@@ -70,10 +70,10 @@ def main() -> int:
     given.output.mkdir(parents=True, exist_ok=True)
     scenes = [p.parent.name for p in sorted((ROOT / "sample_scenes").glob("*/scene.toml"))]
     names = [*scenes, *(n for n, job in REAL.items() if job["input"]["clip"].is_file())]
-    names = [n for n in names if any(n.startswith(c) for c in given.clip or [""])]
     began = time.perf_counter()
     with ProcessPoolExecutor(given.workers, get_context("spawn"), max_tasks_per_child=1) as pool:
-        waiting = [n for n in names if given.stage or not (given.output / f"{n}.json").is_file()]
+        asked = [n for n in names if n.startswith(tuple(given.clip or [""]))]
+        waiting = [n for n in asked if given.stage or not (given.output / f"{n}.json").is_file()]
         futures = {pool.submit(measure_clip, n, given.output, given.frames, given.reference_s, given.stage): n for n in waiting}
         for future in as_completed(futures):
             print(f"{futures[future]}: {future.result()}, {time.perf_counter() - began:.0f} s", flush=True)

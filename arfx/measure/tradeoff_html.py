@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -41,13 +41,13 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
     """quality : of the JPEG pictures, 0 to 100"""
     clip = Path(str(document["clip"])).name
     head = f'<header><h1>{escape(clip)}: what accuracy costs</h1><p class="say">{escape(document["recommendation"])}</p></header>'
-    plot = pipeline_plot(found.pipelines)
+    plot, effects = pipeline_plot(found.pipelines), dict.fromkeys(r.name for r in found.effects)
     parts = [
         _STYLE, head,
-        section("Whole pipelines", plot_image(plot, "Pareto front") + rows_table(document["pipelines"])),
+        section("Whole pipelines", plot_image(plot, "Pareto front") + rows_table(document["pipelines"], effects)),
         _pictures("The pipelines' pictures", [r for r in found.pipelines if r.level != "mixed"], "reference", quality),
     ]  # fmt: skip
-    for name in dict.fromkeys(r.name for r in found.effects):
+    for name in effects:
         rows = [r for r in found.effects if r.name == name]
         table = rows_table([d for d in document["effects"] if d["name"] == name])
         parts.append(section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table))
@@ -73,12 +73,12 @@ METHOD = (
 )
 
 
-def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Of effects, or of pipelines, which have no flicker; a quality's name says its levels."""
+def rows_table(rows: Sequence[Mapping[str, Any]], effects: Collection[str] = ()) -> str:
+    """Of effects, or of pipelines of these effects, which have no flicker; a quality's name says its levels."""
     flickers = any(r["unrest"] is not None for r in rows)
     body = []
     for r in rows:
-        level = levels_in_words(r) if r["level"] == "mixed" else r["level"]
+        level = levels_in_words(r, effects) if r["level"] == "mixed" else r["level"]
         level += (" (paper)" if r["formula"] == "paper" else "") + (", beaten" if r["beaten"] else "")
         ms, low, high = (1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"]))
         time = number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
@@ -90,9 +90,9 @@ def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
     return html_table([*head, *["flicker (reference)"] * flickers], body, frozenset(range(1, 10)))
 
 
-def levels_in_words(row: Mapping[str, Any]) -> str:
-    """Of a pipeline."""
-    return ", ".join(f"{stage} {level}" for stage, level in row["levels"].items())
+def levels_in_words(pipeline: Mapping[str, Any], effects: Collection[str]) -> str:
+    """Of these effects: the others have no choice."""
+    return ", ".join(f"{stage} {level}" for stage, level in pipeline["levels"].items() if stage in effects)
 
 
 def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
@@ -219,7 +219,7 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
     pipelines = [p for p in found.pipelines if not p.formula]
     return {
         "name": r.name, "level": r.level, "formula": r.formula,
-        "levels": _choices(r, found) if r.name == "pipeline" else None,
+        "levels": {**dict.fromkeys((e.name for e in found.effects), LEFT_OUT), **r.levels} if r.name == "pipeline" else None,
         "beaten": r in pipelines and r not in front(pipelines),
         "seconds_per_frame": r.seconds, "between_s": [r.time.low_s, r.time.high_s],
         "prepare_s": found.prepare_s.get((r.name, r.level)),
@@ -228,11 +228,6 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
         "unrest": None if r.flicker is None else {"level": r.flicker[0], "reference": r.flicker[1]},
         "by_frame": {str(i): {k: getattr(d, k) for k in PER_FRAME} for i, d in r.by_frame.items()},
     }  # fmt: skip
-
-
-def _choices(pipeline: Row, found: Measurements) -> dict[str, str]:
-    """The levels of the stages that have more than one."""
-    return {name: pipeline.levels.get(name, LEFT_OUT) for name in dict.fromkeys(r.name for r in found.effects)}
 
 
 def visible(r: Row) -> bool:

@@ -73,7 +73,8 @@ def _show(measured: dict[str, Any]) -> None:
     heads = ("level", "time a frame", "mean", "99 %", "FLIP")
     title = f"error against reference, grey levels; {len(measured['frames'])} frames"
     print_table(title, ("effect", *heads, "ΔE", "SSIM", "flicker"), effects, words=2)
-    pipelines = [(name, levels_in_words(r), *rest) for r in measured["pipelines"] for name, *rest in [_columns(r)]]
+    names = {r["name"] for r in measured["effects"]}
+    pipelines = [(name, levels_in_words(r, names), *rest) for r in measured["pipelines"] for name, *rest in [_columns(r)]]
     print_table("whole pipelines against all at reference", ("pipeline", "levels", *heads[1:]), pipelines, words=2)
     click.echo(measured["recommendation"])
 
