@@ -1,4 +1,4 @@
-# make demo | test | check | fuzz | bench | hard | golden | wheel | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
+# make demo | test | check | fuzz | bench | hard | errors | golden | wheel | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
 PYTHON ?= python3
 BIN := .venv/bin
 # Test processes: the suite is bound by compute, and more would fight over two cores.
@@ -10,7 +10,7 @@ SEED ?= 0
 # -v undoes the -q of pyproject.toml, so that the closing line is pytest's full one; -rs gives the reason of every skip.
 PYTEST = $(BIN)/python -m pytest -v -rs -n $(JOBS) --dist worksteal --durations 10
 
-.PHONY: help demo test check lint fuzz bench hard golden wheel clean distclean venv
+.PHONY: help demo test check lint fuzz bench hard errors golden wheel clean distclean venv
 
 help:
 	@echo "make demo    makes a sample clip, puts a model on its marker, writes demo/"
@@ -19,6 +19,7 @@ help:
 	@echo "make fuzz    10,000 hostile inputs, faults, kills and signals (CASES=, SEED=)"
 	@echo "make bench   cost of whole jobs against a plain decode and encode, in one run"
 	@echo "make hard    every hard scene, stated hard case and sweep towards a singularity: one table, hard/table.md"
+	@echo "make errors  measures the errors of all levels that are shipped: a table, plots and arfx/plan/default_errors.json"
 	@echo "make golden  renders the expected pictures of sample_scenes/ anew; look at them before committing"
 	@echo "make wheel   a wheel for this Python that carries compiled code, in dist/"
 	@echo "make clean   removes what was built or made; make distclean also .venv"
@@ -51,6 +52,9 @@ bench: venv
 
 hard: venv
 	$(BIN)/python -m tests.hard
+
+errors: venv
+	$(BIN)/python tools/measure_errors.py -o out/errors --write
 
 golden: venv
 	$(BIN)/python -m tests.golden.regenerate

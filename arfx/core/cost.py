@@ -3,7 +3,7 @@
 A price is linear in a few terms of the work, with coefficients >= 0, so that more work never costs less:
 
 frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box · mfaces triangles, millions · lamps
-lights with a direction · lamp_mpx these times object_mpx ·
+lights with a direction · lamp_mpx these times object_mpx · depth_mpx those of mpx in a frame with measured depth ·
 new_directions, new_lights 1 where the frame's light is not one that was met before"""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 from arfx.core.codec import Document
 from arfx.core.machine import cache_folder, processor_name, usable_cores
 
-TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "new_directions", "new_lights")
+TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "depth_mpx", "new_directions", "new_lights")
 # An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
 _Z_90 = 1.645
 UNCALIBRATED = 0.7  # spread of a price from another machine: a factor of 3 either way
@@ -76,7 +76,7 @@ class Price(Document):
 class Prices:
     """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
-    calibrated : all of it measured on this machine
+    calibrated : measured on this machine; what that had no time for has a spread of UNCALIBRATED at least
     alone : time of one that works alone, as a fraction of its time among `threads`"""
 
     prices: Mapping[str, Price] = field(default_factory=dict)
@@ -125,8 +125,11 @@ def prices_file() -> Path:
 
 def load_prices(file: Path | None = None) -> Prices:
     """This machine's price list where `arfx bench --calibrate` left one, else the shipped one."""
-    for own in (True, False):
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
-            path = (file or prices_file()) if own else Path(__file__).with_name("default_costs.json")
-            return Prices.from_json(json.loads(path.read_text(encoding="utf-8")), calibrated=own)
-    return Prices()
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
+        return Prices.from_json(json.loads((file or prices_file()).read_text(encoding="utf-8")), calibrated=True)
+    return shipped_prices()
+
+
+def shipped_prices() -> Prices:
+    text = Path(__file__).with_name("default_costs.json").read_text(encoding="utf-8")
+    return Prices.from_json(json.loads(text), calibrated=False)

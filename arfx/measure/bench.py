@@ -23,6 +23,7 @@ from arfx.core.stage import Stage, level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, StageRun, chain_of
+from arfx.plan.errors import Errors, shipped_errors
 from arfx.plan.planner import plan_frame, terms_of
 from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
@@ -62,23 +63,24 @@ class Cell:
         min_runs = 1 if max(self.seconds, default=0.0) > SLOW_S else MIN_RUNS
         return len(self.seconds) >= MAX_RUNS or (len(self.seconds) >= min_runs and sum(self.seconds) > BUDGET_S)
 
-    def to_json(self) -> dict[str, Any]:
-        camera = self.frame.prepared.scene.camera
+    def to_json(self, errors: Errors) -> dict[str, Any]:
+        camera, stage = self.frame.prepared.scene.camera, self.frame.prepared.stages[self.stage]
         ms, yard = 1e3 * float(np.median(self.seconds)), 1e3 * float(np.median(self.yardstick_s))
         return {
             "stage": self.stage, "level": self.level, "size": f"{camera.width}x{camera.height}", "ms": ms,
-            "yardstick_ms": yard, "ratio": ms / yard, "runs": len(self.seconds), "area_px": self.out.area,
+            "yardstick_ms": yard, "ratio": ms / yard, "error": errors.known(self.stage, self.level, stage.levels[-1]),
+            "runs": len(self.seconds), "area_px": self.out.area,
         }  # fmt: skip
 
 
 def bench(
     sizes: Sequence[tuple[int, int]], stage: str | None = None, level: str | None = None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
-    stages: Mapping[str, type[Stage]] = STAGES,
+    stages: Mapping[str, type[Stage]] = STAGES, errors: Errors | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Rows of {stage, level, size, ms, yardstick_ms, ratio, runs, area_px}; ms >= 0, medians.
+    """Rows of {stage, level, size, ms, yardstick_ms, ratio, error, runs, area_px}; ms >= 0, medians; error None = not measured.
 
-    stage, level : only these;  sizes : (width, height) px
+    stage, level : only these;  sizes : (width, height) px;  errors : None = those that are shipped
     Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size below 64x64."""
     check(stages, stage, level, sizes)
     keep_memory()  # as a worker does
@@ -86,7 +88,7 @@ def bench(
     for size in sizes:
         cells = make_cells(bench_scene(*size), stage, level, stages)
         _interleave(cells, size, lambda done, total, size=size: progress(f"bench {size[0]}x{size[1]}", done, total))  # type: ignore[misc]
-        rows += [c.to_json() for c in cells]
+        rows += [c.to_json(errors or shipped_errors()) for c in cells]
     return rows
 
 

@@ -19,9 +19,10 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-from arfx.core.cost import Price, Prices, prices_file
+from arfx.core.cost import UNCALIBRATED, Price, Prices, prices_file, shipped_prices
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.core.stage import Stage
@@ -32,12 +33,18 @@ from arfx.run.folder import write
 from arfx.run.job import MOST_THREADS, worker_count
 from arfx.stages import STAGES
 
-# width, height, fraction of the picture under the ball, (longitudes, latitudes): 720 to 24,000 triangles
+# Width, height, fraction of the picture under the object, (longitudes, latitudes): 720 to 24,000 triangles; its shape, and
+# whether depth was measured. Small ones come early: they tell what a frame costs by itself.
 SCENES = (
-    (640, 480, 0.08, (60, 51)), (320, 240, 0.3, (20, 19)), (1280, 720, 0.04, (60, 51)), (160, 120, 0.1, (60, 51)),
-    (480, 360, 0.15, (120, 101)), (960, 540, 0.25, (20, 19)),
+    (640, 480, 0.08, (60, 51), "pile", False), (160, 120, 0.1, (60, 51), "ball", True), (320, 240, 0.3, (20, 19), "pile", True),
+    (1280, 720, 0.04, (60, 51), "ball", False), (480, 360, 0.15, (120, 101), "pile", True),
+    (960, 540, 0.25, (20, 19), "ball", False),
 )  # fmt: skip
-SLOW_SCENES = ((64, 64, 0.08, (20, 19)), (96, 64, 0.1, (60, 51)))  # of levels `reference`
+# Of levels `reference`, each on the first two that show its effect.
+SLOW_SCENES = (
+    (64, 64, 0.08, (20, 19), "ball", False), (96, 64, 0.1, (60, 51), "pile", True), (160, 120, 0.1, (20, 19), "ball", False),
+    (128, 96, 0.3, (60, 51), "pile", True),
+)  # fmt: skip
 LIMIT_S = 55.0
 PREPARE_S = 1.0  # of one level: preparing it again and again would take all the time there is
 SHORT_RUN_S, LONG_RUN_S = 0.01, 0.1  # a shorter run times the clock and the interpreter; a longer one is made once
@@ -53,8 +60,8 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
     names = [t for t in terms if any(row.get(t, 0.0) > 0 for row in runs.terms)]
     if not names:
         raise ValueError("nothing to fit")
-    if len(runs.seconds) <= len(names) and "mpx" in names:  # too few to tell terms apart: by pixels, and the terms of new light
-        names = ["mpx", *(t for t in names if t.startswith("new_"))]
+    if len(runs.seconds) <= len(names) and "mpx" in names:  # too few to tell terms apart: by pixels, and what is there or not
+        names = [t for t in names if t in ("mpx", "depth_mpx") or t.startswith("new_")]
     rows = np.array([[row.get(t, 0.0) for t in names] for row in runs.terms], float)
     measured = np.array(runs.seconds)
     found = _coefficients(rows, measured)
@@ -107,19 +114,21 @@ def calibrate(
         watch = Stopwatch(processor, pool, concurrency)
         if output and stage is None:
             time_output(timed, watch, lambda done, total: progress("calibrate output", done, total))
-        for k, ((width, height, covered, (longitudes, latitudes)), slow) in enumerate(plan):
+        for k, ((width, height, covered, triangles, shape, deep), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:
                 break
-            model = ball(longitudes, latitudes) if k % 2 else sphere_cluster(longitudes, latitudes)
-            at = bench_scene(width, height, covered, model)
-            alone += _time_scene(at, slow, stages, stage, timed, watch)
+            at = bench_scene(width, height, covered, (ball if shape == "ball" else sphere_cluster)(*triangles))
+            alone += _time_scene(at.with_depth() if deep else at, slow, stages, stage, timed, watch)
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
     for key, runs in timed.items():
         name = key.removeprefix("prepare ").split("/")[0]
-        terms = stages.get(name, Stage).terms  # of encoding and the like: the usual ones
-        wanted = ("frames", "mfaces") if key.startswith("prepare ") else terms
-        prices[key] = fit(runs, wanted)
+        of = stages.get(name, Stage)  # encoding and the like: the usual terms
+        depth_terms = ("depth_mpx",) if Layer.REAL_DEPTH in getattr(of, "reads", ()) and "depth" not in of.requires else ()
+        prices[key] = fit(runs, ("frames", "mfaces") if key.startswith("prepare ") else dict.fromkeys((*of.terms, *depth_terms)))
+    for key, shipped in shipped_prices().prices.items():  # of levels for which there was no time
+        if key.removeprefix("prepare ").split("/")[0] in ([stage] if stage is not None else stages):
+            prices.setdefault(key, replace(shipped, spread=max(shipped.spread, UNCALIBRATED)))
     source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
     return Prices(prices, concurrency, source, True, float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0)
 
@@ -143,6 +152,8 @@ def _time_scene(
     for cell in (c for c in make_cells(at, stage, None, stages) if (best.get(c.stage) == c.level) == slow):
         key = f"{cell.stage}/{cell.level}"
         prepared, runs = timed[f"prepare {key}"], timed[key]
+        if slow and len({t["mpx"] for t in runs.terms}) > 1:
+            continue
         if sum(prepared.seconds) < PREPARE_S:
             seconds = watch.of(partial(cell.frame.prepared.at, cell.stage, cell.level))
             prepared.add(cell.terms(), seconds)

@@ -27,13 +27,13 @@ from arfx.media.planes import copy_picture
 from arfx.media.writer import ChunkWriter, chunk_suffix
 
 SIZES = ((640, 360, 24), (1280, 720, 10))  # width, height, frames
-USUAL = ("h264", "ffv1")  # encoded twice
+USUAL = ("h264", "ffv1")  # encoded twice, and at every size; others at the first alone
 JOINED = "h264"
 
 
 def time_output(timed: dict[str, Runs], watch: Stopwatch, progress: Callable[[int, int], None]) -> None:
     """Add runs of "edit", "encode CODEC" and "join" to `timed`."""
-    total = len(SIZES) * len(CODECS)
+    total = len(CODECS) + (len(SIZES) - 1) * len(USUAL)
     with tempfile.TemporaryDirectory(prefix="arfx-calibrate-") as folder:
         for k, (width, height, count) in enumerate(SIZES):
             clip = write_clip(Path(folder) / f"{width}.mp4", width, height, count)
@@ -41,7 +41,8 @@ def time_output(timed: dict[str, Runs], watch: Stopwatch, progress: Callable[[in
             with ClipReader(info) as reader:
                 frames = list(reader.frames())
             _edit(timed, info, frames, watch)
-            for n, codec in enumerate(CODECS):
+            codecs = USUAL if k else tuple(CODECS)
+            for n, codec in enumerate(codecs):
                 progress(k * len(CODECS) + n, total)
                 # a machine without this encoder has no price for it, and a plan says so
                 with contextlib.suppress(ArfxError, av.error.FFmpegError, ValueError):

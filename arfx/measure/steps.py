@@ -6,7 +6,7 @@ is what it computes on the whole (tests/contract, the ROI law)."""
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -153,8 +153,9 @@ def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -
     return Rect(x0, y0, x0 + width, y0 + height).clip(whole).clip(frame)
 
 
-def chain_of(plan: FramePlan, levels: Mapping[str, str], without: Sequence[str] = ()) -> Chain:
-    return tuple((s.stage, levels[s.stage]) for s in plan.steps if s.stage not in without)
+def chain_of(plan: FramePlan, levels: Mapping[str, str]) -> Chain:
+    """levels : a stage without one is left out"""
+    return tuple((s.stage, levels[s.stage]) for s in plan.steps if s.stage in levels)
 
 
 def _srgb8(linear: np.ndarray) -> np.ndarray:

@@ -1,14 +1,15 @@
 """What accuracy costs on one clip: every level of every effect against its reference, and whole pipelines.
 
 Frames that stand for the clip are rendered: each effect at each of its levels while the others stay at their usual one, and
-whole pipelines on the way from the reference down to the cheapest. Errors are grey levels and FLIP over the pixels that the
-effect touches; the clip's light, poses and plan are those of the job. Times are of whole steps (tradeoff_time.py).
+whole pipelines, among them those on the way from the reference down to the cheapest (tradeoff_pipelines.py). Errors are grey
+levels and FLIP over the pixels that the effect touches; the clip's light, poses and plan are those of the job. Times are of
+whole steps (tradeoff_time.py).
 Cost: the references; the window of the pictures is made so small that they take about REFERENCE_S together."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,52 +25,16 @@ from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, chain_of, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
+from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, level_sets, worth_showing
 from arfx.measure.tradeoff_time import Times, areas_of, time_frame
 from arfx.media.frames import ClipReader
-from arfx.plan.levels import Option, convex_hull
 from arfx.plan.planner import new_terms
-from arfx.run.parameters import under_other_formula
+from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
 from arfx.run.source import real_depth_layer
 
-QUALITIES = ("draft", "standard", "high", "reference")
 REFERENCE_S, LEAST_PX = 60.0, 600
 MOST_PX = 600_000  # of a picture: comparing whole ones of 1080p took twice as long as the references
-
-
-@dataclass
-class Row:
-    """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what was found in each
-
-    formula : which the stage ran under;  flicker : of this and of the reference, grey levels from a frame to the next
-    prepared : of its stages, None = the job's"""
-
-    name: str
-    level: str
-    formula: str
-    time: Prediction = field(default_factory=lambda: measured(0.0))
-    by_frame: dict[int, Difference] = field(default_factory=dict)
-    flicker: tuple[float, float] | None = None
-    pictures: dict[int, np.ndarray] = field(default_factory=dict)
-    levels: Mapping[str, str] = field(default_factory=dict)
-    prepared: PreparedStages | None = None
-
-    @property
-    def seconds(self) -> float:
-        return self.time.seconds
-
-    def worst(self, what: str) -> float:
-        return max((getattr(d, what) for d in self.by_frame.values()), default=0.0)
-
-    def average(self, what: str) -> float:
-        """Over all touched pixels of all frames; frames in which the effect touches nothing do not count."""
-        weights = [d.pixels for d in self.by_frame.values()]
-        if not sum(weights):
-            return float(getattr(Difference(), what))
-        return float(np.average([getattr(d, what) for d in self.by_frame.values()], weights=weights))
-
-    def worst_frame(self) -> int | None:
-        return max(self.by_frame, key=lambda i: self.by_frame[i].p99, default=None)
 
 
 @dataclass
@@ -82,6 +47,15 @@ class Measurements:
     windows: dict[int, Any]
     locations: dict[tuple[str, str], str] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
+
+
+@dataclass
+class _Part:
+    """Of a job's stages some: under the settings that they have in a job of their own."""
+
+    prepared: PreparedStages
+    renderers: dict[int, FrameRenderer] = field(default_factory=dict)
+    times: Times = field(default_factory=Times)
 
 
 @dataclass
@@ -100,10 +74,49 @@ class _Work:
     times: Times
     found: Measurements
     other_s: dict[str, Prediction] = field(default_factory=dict)  # by stage: its usual level under the other formula
+    parts: dict[frozenset[str], _Part] = field(default_factory=dict)  # by what is left out
+
+    def part(self, levels: Mapping[str, str]) -> _Part:
+        """The job without the stages that have no level here: those that are left may have other settings then."""
+        names = frozenset(levels)
+        if names not in self.parts:
+            own = stages_of(self.job.inputs.config.params, [n for n in self.stages if n in names])
+            self.parts[names] = _Part(PreparedStages(self.job.scene, {**self.stages, **own}))
+        return self.parts[names]
+
+    def frame(self, index: int, levels: Mapping[str, str]) -> FrameRenderer:
+        """What renders a frame at these levels."""
+        if levels.keys() >= self.usual.keys():
+            return self.renderers[index]
+        part = self.part(levels)
+        if index not in part.renderers:
+            part.renderers[index] = replace(self.renderers[index], prepared=part.prepared)
+        return part.renderers[index]
+
+    def image(self, index: int, levels: Mapping[str, str]) -> np.ndarray:
+        return self.frame(index, levels).image(chain_of(self.renderers[index].plan, levels))
+
+    def time(self, levels: Mapping[str, str]) -> Prediction:
+        """Of all steps of a frame."""
+        if levels.keys() >= self.usual.keys():
+            return self.times.of_chain(levels.items())
+        part = self.part(levels)
+        changed = [n for n in levels if part.prepared.stages[n].params != self.stages[n].params]
+        wanted = frozenset((n, levels[n]) for n in changed if part.times.of((n, levels[n])) is None)
+        for sample in self.samples if wanted else ():
+            whole = replace(self.renderers[sample.index], prepared=part.prepared, window=self.job.inputs.camera.rect)
+            time_frame(part.times, whole, {n: level for n, level in self.base.items() if n in levels}, wanted, self.new)
+        return sum_independent([part.times.of(at) or self.times.of(at) or measured(0.0) for at in levels.items()])
 
 
-def measure(job: Job, frames: int, progress: Callable[[str, int, int | None], None]) -> Measurements:
-    """job : up to its plan. Raises NothingToDoError where no frame shows the object."""
+def measure(
+    job: Job, frames: int, progress: Callable[[str, int, int | None], None], only: Collection[str] | None = None,
+    reference_s: float = REFERENCE_S,
+) -> Measurements:  # fmt: skip
+    """job : up to its plan;  only : the levels of these effects under the job's formula, and no pipelines; None = everything
+    reference_s : what all references of the pictures may take together
+
+    Raises NothingToDoError where no frame shows the object."""
     stages = job.stages
     plans = {p.index: p for p in job.plan.frames}
     samples = [s for s in pick_frames(job.facts, job.inputs.camera.rect, frames) if plans[s.index].steps]
@@ -111,7 +124,7 @@ def measure(job: Job, frames: int, progress: Callable[[str, int, int | None], No
         raise NothingToDoError("no frame of the clip shows the object: there is nothing to measure", "see `arfx plan`")
     first = samples[0].index
     names = [s.stage for s in plans[first].steps]
-    following = first + 1 if first + 1 in plans and [s.stage for s in plans[first + 1].steps] == names else None
+    following = first + 1 if only is None and first + 1 in plans and [s.stage for s in plans[first + 1].steps] == names else None
     slow = frozenset((n, s.levels[-1]) for n, s in stages.items() if s.levels[-1] == "reference" and _is_slow(n, job.prices))
     quality = job.inputs.config.pipeline.quality
     usual = {n: level_named(stages[n].levels, quality) for n in names}
@@ -122,22 +135,26 @@ def measure(job: Job, frames: int, progress: Callable[[str, int, int | None], No
         Measurements(samples, [], [], {}),
     )  # fmt: skip
     _open_renderers(work, [s.index for s in samples] + ([] if following is None else [following]), plans)
-    other = {n: other for n in names if (other := under_other_formula(n, stages[n].params)) is not None}
+    other = {n: other for n in names if only is None and (other := under_other_formula(n, stages[n].params)) is not None}
     effects = [n for n in names if len(stages[n].levels) > 1 or n in other]
+    if only is not None:
+        effects = [n for n in effects if n in only]
     total = len(samples) + len(effects) + len(QUALITIES) + 2
     for k, sample in enumerate(samples):
         progress("times", k, total)
-        wanted = frozenset((n, level) for n in names for level in stages[n].levels)
+        wanted = frozenset((n, level) for n in (names if only is None else effects) for level in stages[n].levels)
         time_frame(work.times, work.renderers[sample.index], work.base, wanted, work.new)
-    _choose_windows(work, effects, following)
+    chains = [{**usual, n: work.best[n]} for n in effects]
+    _choose_windows(work, chains if only is not None else [work.best, *chains], following, reference_s)
     found = work.found
     for k, name in enumerate(effects):
         progress("effects", len(samples) + k, total)
         found.effects += _of_stage(work, name, following)
     found.effects += [row for name, stage in other.items() for row in _of_other_formula(work, name, stage)]
-    progress("pipelines", len(samples) + len(effects), total)
-    found.pipelines = _pipelines(work)
-    found.pipelines += _other_pipeline(work, other)
+    if only is None:
+        progress("pipelines", len(samples) + len(effects), total)
+        found.pipelines = _pipelines(work, reference_s)
+        found.pipelines += _other_pipeline(work, other)
     found.prepare_s = next(iter(work.renderers.values())).prepared.prepare_s
     progress("pipelines", total, total)
     return found
@@ -180,47 +197,52 @@ def _levels(prepared: PreparedStages, levels: Mapping[str, str]) -> dict[str, st
     return {name: level_named(prepared.stages[name].levels, level) for name, level in levels.items()}
 
 
-def _choose_windows(work: _Work, effects: Sequence[str], following: int | None) -> None:
-    """As large as lets all references of all pictures take REFERENCE_S, and at most MOST_PX."""
-    chains = [work.best, *({**work.usual, n: work.best[n]} for n in effects)]
+def _choose_windows(
+    work: _Work, chains: Sequence[Mapping[str, str]], following: int | None, reference_s: float
+) -> None:  # fmt: skip
+    """As large as lets all references of these pictures take `reference_s`, and at most MOST_PX."""
     camera: Rect = work.job.inputs.camera.rect
     area = float(min(max(b.plan.changed.area for b in work.renderers.values()), MOST_PX))
     while True:
         for i, b in work.renderers.items():
             of = work.renderers[i - 1] if i == following else b
             work.renderers[i] = replace(b, window=window_of(of.plan, of.facts, camera, area))
-        if sum(_pictures_s(work, b, chains) for b in work.renderers.values()) <= REFERENCE_S or area <= LEAST_PX:
+        if sum(_pictures_s(work, b, chains) for b in work.renderers.values()) <= reference_s or area <= LEAST_PX:
             break
         area = max(area * 0.8, LEAST_PX)
     work.found.windows = {i: b.window for i, b in work.renderers.items()}
 
 
 def _pictures_s(work: _Work, b: FrameRenderer, levels: Sequence[Mapping[str, str]]) -> float:
-    """What the slow steps of the frame's pictures will take."""
+    """What those slow steps of the frame's pictures will take that were not made yet."""
     chains = [chain_of(b.plan, of) for of in levels]
     slow: set[Chain] = {c[: k + 1] for c in chains for k, at in enumerate(c) if at in b.slow and at in work.times.tiles}
+    slow -= b.rendered.keys()
     outs = {c: b.out(c) for c in slow}
     box = b.facts.model_box
     return sum(work.times.tiles[c[-1]].over(areas_of(out, box)).seconds for c, out in outs.items() if not out.empty)
 
 
 def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
-    """A row for each level, the reference's too, against the reference with all other stages at their usual level."""
+    """A row for each level, the reference's too, against the reference with all other stages at their usual level; the first
+    tells what leaving out the effect would change, where a job can do without."""
     stage, usual, renderers, found = work.stages[name], work.usual, work.renderers, work.found
     best, formula = work.best[name], getattr(stage.params, "formula", "")
     rows = [
         Row(name, level, formula, work.times.of((name, level)) or measured(0.0), levels={**usual, name: level})
         for level in stage.levels
     ]
+    if not stage.always:
+        rows.insert(0, Row(name, LEFT_OUT, formula, levels={n: level for n, level in usual.items() if n != name}))
     chosen = {**usual, name: best}
     _compare(work, rows, chosen, (name,))
-    for i in rows[0].by_frame:
-        worst = max((r for r in rows if r.level != best), key=lambda r: r.by_frame[i].p99, default=None)
+    for i in rows[-1].by_frame:
+        worst = max((r for r in rows if r.level not in (best, LEFT_OUT)), key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
             coverage = renderers[i].coverage(chain_of(renderers[i].plan, chosen))
             found.locations.setdefault((name, worst.level), _location(worst.by_frame[i], coverage))
     if following is not None:
-        _measure_flicker(rows, best, renderers[following - 1], renderers[following])
+        _measure_flicker([r for r in rows if r.level != LEFT_OUT], best, renderers[following - 1], renderers[following])
     return rows
 
 
@@ -233,9 +255,9 @@ def _compare(work: _Work, rows: Sequence[Row], best: Mapping[str, str], of: Sequ
         if not {s.stage for s in b.plan.steps}.issuperset(of):
             continue
         reference = b.image(chain_of(b.plan, best))
-        without = b.image(chain_of(b.plan, work.usual, of)) if of else b.original()
+        without = work.image(sample.index, {n: at for n, at in work.usual.items() if n not in of}) if of else b.original()
         for r in rows:
-            at = b if r.prepared is None else replace(b, prepared=r.prepared)
+            at = work.frame(sample.index, r.levels) if r.prepared is None else replace(b, prepared=r.prepared)
             r.pictures[sample.index] = at.image(chain_of(b.plan, r.levels))
         where = touched((reference, without), *((reference, r.pictures[sample.index]) for r in rows))
         for r in rows:
@@ -275,37 +297,29 @@ def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
     return [row] if row.by_frame else []
 
 
-def _pipelines(work: _Work) -> list[Row]:
-    """Pipelines by quality, and those in between that give the least error for each second saved."""
-    wanted: dict[tuple[str, ...], tuple[str, Mapping[str, str]]] = {}
-    for quality in QUALITIES:
-        levels = {n: level_named(work.stages[n].levels, quality) for n in work.usual}
-        wanted.setdefault(tuple(levels.values()), (quality, levels))
-    for levels in _mixed_levels(work):
-        wanted.setdefault(tuple(levels.values()), ("mixed", levels))
-    rows = [Row("pipeline", quality, "", levels=levels) for quality, levels in wanted.values()]
+def _pipelines(work: _Work, reference_s: float) -> list[Row]:
+    """Pipelines by quality, and those in between that give the least error for each second.
+
+    reference_s : what the references of those in between may take"""
+    qualities = [{n: level_named(work.stages[n].levels, quality) for n in work.usual} for quality in QUALITIES]
+    named: dict[tuple[str, ...], Row] = {}
+    for quality, levels in zip(QUALITIES, qualities, strict=True):
+        named.setdefault(tuple(levels.values()), Row("pipeline", quality, "", levels=levels))
+    own = {n: getattr(work.stages[n].params, "formula", "") for n in work.usual}
+    rows = list(named.values())
+    for sample, r in itertools.product(work.samples, rows):
+        work.image(sample.index, r.levels)
+    for levels in level_sets([r for r in work.found.effects if r.formula == own[r.name]], work.usual):
+        seconds = sum(_pictures_s(work, work.frame(s.index, levels), [levels]) for s in work.samples)
+        if levels not in qualities and seconds <= reference_s:
+            reference_s -= seconds
+            rows.append(Row("pipeline", "mixed", "", levels=levels))
+            for sample in work.samples:
+                work.image(sample.index, levels)
     _compare(work, rows, work.best)
     for r in rows:
-        r.time = work.times.of_chain(r.levels.items())
-    return rows
-
-
-def _mixed_levels(work: _Work) -> list[dict[str, str]]:
-    """Level sets on the way down from everything at its best but the references, by error lost per second saved."""
-    state, moves = dict(work.usual), []
-    for name in work.usual:
-        own = [r for r in work.found.effects if r.name == name and r.formula == getattr(work.stages[name].params, "formula", "")]
-        options = [Option(r.level, measured(r.seconds), r.average("mean"), 1) for r in own if r.level != work.best[name]]
-        hull = convex_hull(options)
-        if hull:
-            state[name] = hull[0].level
-        for a, b in itertools.pairwise(hull):
-            moves.append(((b.error - a.error) / max(a.cost.seconds - b.cost.seconds, 1e-9), name, b.level))
-    out = [dict(state)]
-    for _, name, level in sorted(moves):
-        state[name] = level
-        out.append(dict(state))
-    return out
+        r.time = work.time(r.levels)
+    return worth_showing(rows)
 
 
 def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:

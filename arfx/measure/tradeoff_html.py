@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,8 @@ from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
 from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, full_page, html_table, jpeg, number, plot_image, png, section
-from arfx.measure.tradeoff import QUALITIES, Measurements, Row
+from arfx.measure.tradeoff import Measurements
+from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
 from arfx.run.planned import Job
 
@@ -40,13 +41,13 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
     """quality : of the JPEG pictures, 0 to 100"""
     clip = Path(str(document["clip"])).name
     head = f'<header><h1>{escape(clip)}: what accuracy costs</h1><p class="say">{escape(document["recommendation"])}</p></header>'
-    front = pipeline_plot(found.pipelines)
+    plot, effects = pipeline_plot(found.pipelines), dict.fromkeys(r.name for r in found.effects)
     parts = [
         _STYLE, head,
-        section("Whole pipelines", plot_image(front, "Pareto front") + rows_table(document["pipelines"])),
+        section("Whole pipelines", plot_image(plot, "Pareto front") + rows_table(document["pipelines"], effects)),
         _pictures("The pipelines' pictures", [r for r in found.pipelines if r.level != "mixed"], "reference", quality),
     ]  # fmt: skip
-    for name in dict.fromkeys(r.name for r in found.effects):
+    for name in effects:
         rows = [r for r in found.effects if r.name == name]
         table = rows_table([d for d in document["effects"] if d["name"] == name])
         parts.append(section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table))
@@ -62,8 +63,9 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
 METHOD = (
     "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP (0 to 1), ΔE2000 (1 is "
     "just visible) and SSIM (1 is alike) are means over the same pixels. An effect is compared with its own reference while all "
-    "others stay at the job's quality; a pipeline with all at reference. Pictures are rendered in a window around the object, so "
-    "that the references take a minute together; errors are those of that window. Times are of whole frames: fast levels were "
+    "others stay at the job's quality; left out tells how much it changes at all. A pipeline is compared with all at reference, "
+    "and is beaten where another takes no more time and is nearer to that. Pictures are rendered in a window around the object, "
+    "so that the references take a minute together; errors are those of that window. Times are of whole frames: fast levels were "
     "run over all that the plan asks of them, references on tiles spread over it, and their time is given for the whole, with "
     "the interval that the tiles' spread gives. "
     "Flicker: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
@@ -71,27 +73,26 @@ METHOD = (
 )
 
 
-def rows_table(rows: Sequence[Mapping[str, Any]]) -> str:
+def rows_table(rows: Sequence[Mapping[str, Any]], effects: Collection[str] = ()) -> str:
+    """Of effects, or of pipelines of these effects, which have no flicker; a quality's name says its levels."""
+    flickers = any(r["unrest"] is not None for r in rows)
     body = []
     for r in rows:
-        flicker = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} / {number(r['unrest']['reference'])}"
-        # a quality's name says its levels
-        levels = ", ".join(f"{k} {v}" for k, v in (r["levels"] or {}).items() if v != "standard") if r["level"] == "mixed" else ""
+        level = levels_in_words(r, effects) if r["level"] == "mixed" else r["level"]
+        level += (" (paper)" if r["formula"] == "paper" else "") + (", beaten" if r["beaten"] else "")
         ms, low, high = (1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"]))
         time = number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
-        body.append([
-            escape(f"{r['level']} {r['formula'] if r['formula'] == 'paper' else ''}"), time,
-            number(r["mean"]), number(r["mean_worst"]), number(r["p99"]), number(r["flip"]),
-            number(r["delta_e"]), f"{r['ssim']:.4f}", escape(flicker),
-            escape(number(r["worst_frame"])), escape(levels),
-        ])  # fmt: skip
-    if not any(row[-1] for row in body):
-        body = [row[:-1] for row in body]
-    head = (
-        "level", "ms a frame", "mean", "mean, worst frame", "99 %", "FLIP", "ΔE2000", "SSIM", "flicker / reference's",
-        "worst frame", "levels",
-    )  # fmt: skip
-    return html_table(head[: len(body[0]) if body else None], body, frozenset(range(1, 9)))
+        numbers = (number(r[what]) for what in ("mean", "mean_worst", "p99", "flip", "delta_e"))
+        flicker = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} ({number(r['unrest']['reference'])})"
+        cells = [escape(level), time, *numbers, f"{r['ssim']:.4f}", number(r["worst_frame"]), flicker]
+        body.append(cells if flickers else cells[:-1])
+    head = ("level", "ms a frame", "mean", "worst mean", "99 %", "FLIP", "ΔE2000", "SSIM", "in frame")
+    return html_table([*head, *["flicker (reference)"] * flickers], body, frozenset(range(1, 10)))
+
+
+def levels_in_words(pipeline: Mapping[str, Any], effects: Collection[str]) -> str:
+    """Of these effects: the others have no choice."""
+    return ", ".join(f"{stage} {level}" for stage, level in pipeline["levels"].items() if stage in effects)
 
 
 def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
@@ -118,7 +119,7 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
         if frame not in r.pictures:
             continue
         d = r.by_frame[frame]
-        caption = f"{r.level} {r.formula if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
+        caption = f"{r.level}{' (paper)' if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
         figures.append(_figure(r.pictures[frame], caption, quality))
         if r is not reference:
             pair = reference.pictures[frame], r.pictures[frame]
@@ -138,6 +139,7 @@ FLOOR = 0.02  # grey levels: what is drawn for none
 def effect_plot(rows: Sequence[Row]) -> bytes:
     """Mean and 99th percentile of each level of one effect; the other formula's point is a diamond."""
     fig, axis = _axis(6.4, 3.4)
+    rows = [r for r in rows if r.level != LEFT_OUT]
     own = [r for r in rows if r.formula == rows[0].formula]
     other = [r for r in rows if r.formula != rows[0].formula]
     for worst, colour, label in ((True, RAW, "99th percentile, worst frame"), (False, SMOOTH, "mean")):
@@ -199,7 +201,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     stages: dict[str, dict[str, float]] = {}
     own = {n: getattr(s, "formula", "") for n, s in job.inputs.config.params.items()}
     for r in found.effects:
-        if r.formula == own.get(r.name, ""):
+        if r.formula == own.get(r.name, "") and r.level != LEFT_OUT:
             stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
     names, times = [r.name for r in found.effects], {f.index: f.time_s for f in job.facts}
     frames = [{"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts} for s in found.samples]
@@ -214,8 +216,11 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
 
 
 def _row(r: Row, found: Measurements) -> dict[str, Any]:
+    pipelines = [p for p in found.pipelines if not p.formula]
     return {
-        "name": r.name, "level": r.level, "formula": r.formula, "levels": dict(r.levels) if r.name == "pipeline" else None,
+        "name": r.name, "level": r.level, "formula": r.formula,
+        "levels": {**dict.fromkeys((e.name for e in found.effects), LEFT_OUT), **r.levels} if r.name == "pipeline" else None,
+        "beaten": r in pipelines and r not in front(pipelines),
         "seconds_per_frame": r.seconds, "between_s": [r.time.low_s, r.time.high_s],
         "prepare_s": found.prepare_s.get((r.name, r.level)),
         **{what: r.average(what) for what in PER_FRAME}, "mean_worst": r.worst("mean"), "p99": r.worst("p99"),
@@ -223,15 +228,6 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
         "unrest": None if r.flicker is None else {"level": r.flicker[0], "reference": r.flicker[1]},
         "by_frame": {str(i): {k: getattr(d, k) for k in PER_FRAME} for i, d in r.by_frame.items()},
     }  # fmt: skip
-
-
-def front(rows: Sequence[Row]) -> list[Row]:
-    """Those that no other beats in both time and mean error, cheapest first."""
-    out: list[Row] = []
-    for r in sorted(rows, key=lambda r: (r.seconds, r.average("mean"))):
-        if not out or r.average("mean") < out[-1].average("mean") - 1e-9:
-            out.append(r)
-    return out
 
 
 def visible(r: Row) -> bool:

@@ -19,7 +19,7 @@ from scipy import stats
 
 from arfx.core.cost import Prediction, measured, sum_independent, with_spread
 from arfx.core.rect import Rect
-from arfx.measure.steps import FrameRenderer, StageRun, chain_of
+from arfx.measure.steps import Chain, FrameRenderer, StageRun
 
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = 4, 0.6, 4  # a part of a step (box, rest), frame and level: how many, seconds of all, side of the least
@@ -121,13 +121,15 @@ def time_frame(
     """Time `wanted`, each upon what the steps before it make at their `usual` level; the slow ones of the frame on tiles.
 
     new : by stage, fraction of the clip's frames under a light that was not met before"""
-    chain = chain_of(frame.plan, usual)
-    for k, step in enumerate(frame.plan.steps):
+    before: Chain = ()
+    for step in frame.plan.steps:
         for level in frame.prepared.stages[step.stage].levels:
             at = (step.stage, level)
             if at in wanted:
                 time_one = _on_tiles if at in frame.slow else _whole
-                time_one(times, at, frame.run((*chain[:k], at)), step.out, new.get(step.stage, 0.0))
+                time_one(times, at, frame.run((*before, at)), step.out, new.get(step.stage, 0.0))
+        if step.stage in usual:
+            before = (*before, (step.stage, usual[step.stage]))
 
 
 def _whole(times: Times, at: At, run: StageRun, out: Rect, new: float) -> None:

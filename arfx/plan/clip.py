@@ -38,12 +38,12 @@ class ClipPlan:
     choice: LevelChoice
     shots: Mapping[int, int] = field(default_factory=dict)
 
-    def explained(self, errors: Errors) -> list[dict[str, Any]]:
-        """Of every shot and stage: the level, and the error that the table gives it."""
+    def explained(self, errors: Errors, stages: Mapping[str, Stage]) -> list[dict[str, Any]]:
+        """Of every shot and stage: the level, and the error that the table gives it, None = not measured."""
         return [
             {
                 "shot": shot, "first_frame": self.shots[shot], "stage": stage, "level": level,
-                "error": errors.by_level.get(stage, {}).get(level),
+                "error": errors.known(stage, level, stages[stage].levels[-1]),
             }
             for (shot, stage), level in self.choice.levels.items()
         ]  # fmt: skip

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from arfx.core.cost import Prediction, sum_independent
@@ -65,10 +65,9 @@ def best_within_budget(
 
     seconds_of : upper end of the whole job's time for a prediction of the stages' work;  budget_s >= 0
     met is False where even the cheapest levels take longer."""
-    state, steps = _start(options)
-    while (upper := seconds_of(total(state))) > budget_s and steps:
-        _, key, option = steps.pop(0)
-        state[key] = option
+    for state in way_down(options):
+        if (upper := seconds_of(total(state))) <= budget_s:
+            break
     if upper <= budget_s:
         return _choice(state, True, f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s")
     return _choice(state, False, f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s")
@@ -93,6 +92,15 @@ def by_quality(options: Mapping[ShotStage, Sequence[Option]], levels: Mapping[st
     """levels : by stage, as a quality names them"""
     state = {key: next(o for o in every if o.level == levels[key[1]]) for key, every in options.items()}
     return _choice(state, True, "levels named by the quality")
+
+
+def way_down(options: Mapping[ShotStage, Sequence[Option]]) -> Iterator[dict[ShotStage, Option]]:
+    """The most expensive levels worth taking, then one step down after another to the cheapest; always the same dict."""
+    state, steps = _start(options)
+    yield state
+    for _, key, option in steps:
+        state[key] = option
+        yield state
 
 
 def _start(

@@ -85,6 +85,7 @@ def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = 
     object_mpx = facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0
     return {
         "frames": 1.0, "mpx": need.area / 1e6, "object_mpx": object_mpx, "lamps": lamps, "lamp_mpx": lamps * object_mpx,
+        "depth_mpx": 0.0 if facts.real_depth is None else need.area / 1e6,
         "mfaces": scene.model.face_count / 1e6, **{name: 1.0 for name in sorted(new)},
     }  # fmt: skip
 

@@ -6,6 +6,7 @@ The wall clock is the time up to the plan (measured: analysis, and loading compi
 from __future__ import annotations
 
 import operator
+import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -168,8 +169,13 @@ def choose(
     if config.pipeline.fps is not None:
         policy = replace(policy, budget_s=len(facts) / config.pipeline.fps)
 
+    began = time.perf_counter()
+
+    def by_now() -> JobSize:
+        return replace(size, before_s=size.before_s + time.perf_counter() - began)  # planning takes its time too
+
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
-        wall = predict(plans, work, size, prices, prepared=True).wall
+        wall = predict(plans, work, by_now(), prices, prepared=True).wall
         if wall is None:
             raise ConfigError(
                 f"a budget needs the price of everything, and encoding {size.codec} has none",
@@ -190,10 +196,10 @@ def choose(
         notice("the budget rests on shipped prices, wide intervals: `arfx bench --calibrate` measures this machine's")
     by = "budget" if policy.budget_s is not None else "error" if policy.max_error is not None else "quality"
     return plan.plans, {
-        "predicted": predict(plan.plans, stages_of(plan.plans), size, prices).to_json(prices),
+        "predicted": predict(plan.plans, stages_of(plan.plans), by_now(), prices).to_json(prices),
         "levels": {
             "by": by, "budget_s": policy.budget_s, "max_error": policy.max_error, "met": plan.choice.met, "why": plan.choice.why,
             "error": None if by == "quality" else plan.choice.error,
-            "errors_from": errors.source, "chosen": plan.explained(errors),
+            "errors_from": errors.source, "chosen": plan.explained(errors, stages),
         },
     }  # fmt: skip

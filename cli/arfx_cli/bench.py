@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import click
@@ -31,12 +32,16 @@ def parse_size(text: str) -> tuple[int, int]:
     is_flag=True,
     help="Measure this machine's price list, or a --stage's prices in it, which `plan` and --budget use; under a minute.",
 )
+@click.option("--tradeoff", type=click.Path(path_type=Path), metavar="FILE", help="A clip's errors, by `arfx tradeoff`.")
 @message_options
-def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibrate: bool, as_json: bool) -> None:
+def command(
+    stage: str | None, level: str | None, sizes: tuple[str, ...], calibrate: bool, tradeoff: Path | None, as_json: bool
+) -> None:  # fmt: skip
     """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a tenth of the picture.
 
     The ratio is to one Gaussian blur (float32, 3 channels, sigma 5) of a whole picture of that size, in turns in the
-    same run: compare ratios, not times.
+    same run: compare ratios, not times. The error beside it is the mean difference from the stage's best level, in grey
+    levels of 255: upper end of many clips, or of the --tradeoff of one.
 
     \b
     Example:
@@ -47,24 +52,32 @@ def command(stage: str | None, level: str | None, sizes: tuple[str, ...], calibr
         _calibrate(stage, level, as_json)
         return
     from arfx.measure.bench import bench
+    from arfx.plan.errors import errors_of_clip, shipped_errors
     from arfx.run.kernels import compile_ahead
 
+    errors = shipped_errors() if tradeoff is None else errors_of_clip(tradeoff)
     parsed = [parse_size(s) for s in sizes]
     with Progress("timed") as progress:
         compile_ahead(None, progress, note)
-        rows = bench(parsed, stage, level, progress)
+        rows = bench(parsed, stage, level, progress, errors=errors)
     for r in rows:
         each = 1e6 * r["ms"] / r["area_px"]
         detail(f"{r['stage']} {r['level']} {r['size']}: {r['area_px']} px, {each:.2f} ns/px, median of {r['runs']} runs")
     if as_json:
         emit_json(rows)
         return
-    title = "cost on this machine (medians; yardstick = one Gaussian blur of the picture)"
-    lines = (
-        (r["stage"], r["level"], r["size"], f"{r['ms']:.2f}", f"{r['yardstick_ms']:.2f}", f"{r['ratio']:.2f}", str(r["runs"]))
-        for r in rows
+    title = (
+        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and error, grey levels from the best level"
     )
-    print_table(title, ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "runs"), lines, words=3)
+    lines = (
+        (
+            r["stage"], r["level"], r["size"], f"{r['ms']:.2f}", f"{r['yardstick_ms']:.2f}", f"{r['ratio']:.2f}",
+            "unknown" if r["error"] is None else f"{r['error']:.2f}", str(r["runs"]),
+        )
+        for r in rows
+    )  # fmt: skip
+    print_table(title, ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "error", "runs"), lines, words=3)
+    say(f"errors: {errors.source}")
 
 
 def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:

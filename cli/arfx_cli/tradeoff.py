@@ -60,23 +60,28 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
 
 
 def _show(measured: dict[str, Any]) -> None:
-    rows: list[tuple[str, ...]] = []
+    from arfx.measure.tradeoff_html import levels_in_words
+
+    effects: list[tuple[str, ...]] = []
     last = ""
-    for r in [*measured["effects"], *measured["pipelines"]]:
+    for r in measured["effects"]:
         if last and r["name"] != last:
-            rows.append(())
-        level = r["level"] + (f" ({r['formula']})" if r["formula"] == "paper" else "")
-        if r["level"] == "mixed":
-            level = "mixed: " + ", ".join(f"{k} {v}" for k, v in r["levels"].items() if v != "standard")
+            effects.append(())
         flicker = "" if r["unrest"] is None else f"{r['unrest']['level']:.1f}/{r['unrest']['reference']:.1f}"
-        rows.append((
-            "" if r["name"] == last else r["name"], level, _duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}",
-            f"{r['p99']:.1f}", f"{r['flip']:.3f}", f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", flicker, str(r["worst_frame"]),
-        ))  # fmt: skip
+        effects.append(("" if r["name"] == last else r["name"], *_columns(r), f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", flicker))
         last = r["name"]
-    heads = ("effect", "level", "time a frame", "mean", "99 %", "FLIP", "ΔE", "SSIM", "flicker", "frame")
-    print_table(f"error against reference, grey levels; {len(measured['frames'])} frames", heads, rows, words=2)
+    heads = ("level", "time a frame", "mean", "99 %", "FLIP")
+    title = f"error against reference, grey levels; {len(measured['frames'])} frames"
+    print_table(title, ("effect", *heads, "ΔE", "SSIM", "flicker"), effects, words=2)
+    names = {r["name"] for r in measured["effects"]}
+    pipelines = [(name, levels_in_words(r, names), *rest) for r in measured["pipelines"] for name, *rest in [_columns(r)]]
+    print_table("whole pipelines against all at reference", ("pipeline", "levels", *heads[1:]), pipelines, words=2)
     click.echo(measured["recommendation"])
+
+
+def _columns(r: dict[str, Any]) -> tuple[str, ...]:
+    level = r["level"] + (" (paper)" if r["formula"] == "paper" else ", beaten" if r["beaten"] else "")
+    return level, _duration(r["seconds_per_frame"], *r["between_s"]), f"{r['mean']:.2f}", f"{r['p99']:.1f}", f"{r['flip']:.3f}"
 
 
 def _duration(seconds: float, low_s: float, high_s: float) -> str:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.core.cost import load_prices
+from arfx.core.cost import UNCALIBRATED, load_prices, shipped_prices
 from arfx.measure import costs_output
 from arfx.measure.bench import Runs, Stopwatch
 from arfx.measure.costs import calibrate, fit, save_prices
@@ -45,6 +45,9 @@ def test_few_runs_are_priced_by_pixels_with_a_wide_interval() -> None:
     few.add({"frames": 1.0, "mpx": 0.01, "object_mpx": 0.002}, 0.2)
     price = fit(few, ("frames", "mpx", "object_mpx", "new_lights"))
     assert price.seconds({"frames": 1, "mpx": 0.02}) == pytest.approx(0.4) and price.spread >= 0.2
+    few.terms, few.seconds = [{"mpx": 0.01, "depth_mpx": 0.0}, {"mpx": 0.02, "depth_mpx": 0.02}], [0.02, 0.16]
+    deep = fit(few, ("frames", "mpx", "object_mpx", "depth_mpx"))
+    assert deep.coefficients == {"mpx": pytest.approx(2.0), "depth_mpx": pytest.approx(6.0)}
     with pytest.raises(ValueError, match="nothing"):
         fit(few, ("mfaces",))
 
@@ -55,9 +58,17 @@ def test_calibration_times_what_it_prices(tmp_path) -> None:
     prices = calibrate(stages=STAGES, output=False, limit_s=2.0)
     at = {k: prices.predict(f"sleeper/{k}", {"frames": 1.0, "mpx": 0.05, "object_mpx": 0.03}) for k in ("draft", "standard")}
     assert at["draft"].seconds < at["standard"].seconds < 0.2
-    assert "encode h264" not in prices.prices
+    assert "encode h264" not in prices.prices and "raster/draft" not in prices.prices
     back = load_prices(save_prices(prices, tmp_path / "cache" / "costs.json"))
     assert back.calibrated and set(back.prices) == set(prices.prices)
+
+
+def test_what_there_is_no_time_for_keeps_the_shipped_price_and_its_wide_interval() -> None:
+    prices = calibrate(output=False, limit_s=0.0)
+    assert set(prices.prices) == {k for k in shipped_prices().prices if "/" in k}
+    assert all(p.spread >= UNCALIBRATED for p in prices.prices.values())
+    alone = calibrate(output=False, limit_s=0.0, stage="dof")
+    assert {k.removeprefix("prepare ").split("/")[0] for k in alone.prices} == {"dof"}
 
 
 def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkeypatch) -> None:  # type: ignore[no-untyped-def]
@@ -68,6 +79,7 @@ def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkey
         costs_output.time_output(timed, Stopwatch(True, pool, 2), lambda *_: None)
     assert {f"encode {c}" for c in CODECS} - timed.keys() == {"encode prores"}
     assert all(s > 0 for runs in timed.values() for s in runs.seconds)
+    assert len(timed["encode h264"].seconds) > len(timed["encode av1"].seconds), "others at one size alone"
     assert len(timed["edit"].seconds) == 4 and len(timed["join"].seconds) == 2
 
 

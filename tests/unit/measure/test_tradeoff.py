@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.cost import Prediction, measured
@@ -14,10 +18,13 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, PreparedStages, chain_of, window_of
-from arfx.measure.tradeoff import Measurements, Row
+from arfx.measure.tradeoff import Measurements, _Work
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
-from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, front, page, recommendation
+from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, page, recommendation
+from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front, level_sets, worth_showing
+from arfx.measure.tradeoff_time import Times, time_frame
 from arfx.plan.planner import plan_frame
+from arfx.run.parameters import stages_of
 from arfx.stages import STAGES
 from tests.scenes import camera, facts, look_at, scene
 
@@ -32,7 +39,8 @@ def row(name: str, level: str, seconds: float, mean: float, p99: float, formula:
 
 
 def found() -> Measurements:
-    effects = [row("dof", "draft", 0.01, 2.0, 30), row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
+    effects = [row("dof", LEFT_OUT, 0.0, 9.0, 90), row("dof", "draft", 0.01, 2.0, 30),
+               row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
                row("dof", "standard", 0.03, 4.0, 40, "paper")]  # fmt: skip
     whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
              row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
@@ -43,8 +51,8 @@ def found() -> Measurements:
 
 def told(f: Measurements) -> dict[str, Any]:
     def line(r: Row) -> dict[str, Any]:
-        return {"name": r.name, "level": r.level, "formula": r.formula, "levels": None, "seconds_per_frame": r.seconds,
-                "between_s": [r.seconds, 2 * r.seconds],
+        return {"name": r.name, "level": r.level, "formula": r.formula, "levels": {"dof": r.level}, "beaten": False,
+                "seconds_per_frame": r.seconds, "between_s": [r.seconds, 2 * r.seconds],
                 "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
                 "delta_e": r.average("delta_e"), "ssim": r.average("ssim"),
                 "worst_frame": 3, "unrest": {"level": 1.0, "reference": 0.9}}  # fmt: skip
@@ -107,6 +115,12 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     assert np.array_equal(*pictures) and (pictures[0] != bench.original()).any()
 
 
+def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
+    s = scene(camera(160, 120))
+    plan = plan_frame(list(stages.values()), dict.fromkeys(stages, "standard"), facts(s), s, s.camera.rect)
+    return FrameRenderer(facts(s), np.zeros((120, 160, 3), np.float32), plan, s.camera.rect, PreparedStages(s, stages))
+
+
 class Deep(Stage):
     """Shows the real depth, 255 grey levels a metre."""
 
@@ -165,6 +179,54 @@ def test_a_small_window_is_said() -> None:
 def test_the_front_holds_only_what_nothing_beats() -> None:
     rows = [r for r in found().pipelines if not r.formula]
     assert [r.level for r in front(rows)] == ["draft", "standard", "reference"]
+
+
+def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_at_last() -> None:
+    effects = [row("raster", "draft", 0.01, 2.0, 9), row("raster", "high", 0.02, 1.0, 9), row("raster", "reference", 5, 0, 0),
+               row("gi", LEFT_OUT, 0.0, 20.0, 9), row("gi", "draft", 0.05, 6.0, 9), row("gi", "standard", 0.06, 6.5, 9),
+               row("gi", "high", 0.3, 2.0, 9), row("gi", "reference", 50, 0, 0)]  # fmt: skip
+    sets = level_sets(effects, {"raster": "standard", "composite": "standard", "gi": "standard"})
+    assert [(s.get("raster"), s.get("gi")) for s in sets] == [
+        ("reference", "reference"), ("reference", "high"), ("high", "high"), ("high", "draft"), ("draft", "draft"),
+        ("draft", None),
+    ]  # fmt: skip
+    assert all(s["composite"] == "standard" for s in sets), (
+        "what has one level keeps it; what is worse for more time is not there"
+    )
+    for r in effects:
+        if r.name == "raster":
+            r.by_frame[3] = Difference(r.average("mean"), 9, pixels=90_000)
+    assert ("draft", "draft") not in [(s.get("raster"), s.get("gi")) for s in level_sets(effects, {})], (
+        "a larger part counts more"
+    )
+
+
+def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
+    params = {n: kind.Params() for n, kind in STAGES.items()}
+    names = ("raster", "lightmap", "gi", "composite")
+    job: Any = SimpleNamespace(scene=scene(), inputs=SimpleNamespace(config=SimpleNamespace(params=params)))
+    stages, usual = stages_of(params, names), dict.fromkeys(names, "standard")
+    frame: Any = replace(tiny_frame(stages), slow=frozenset())
+    work = _Work(job, stages, [], {3: frame}, usual, usual, usual, frozenset(), {}, Times(), found())
+    left = {n: level for n, level in usual.items() if n != "gi"}
+    assert work.frame(3, usual) is frame and work.frame(3, left) is work.frame(3, dict(left))
+    ambient = [work.frame(3, levels).prepared.stages["lightmap"].params.ambient for levels in (usual, left)]
+    assert ambient == [False, True], "indirect light takes over the light without direction, and gives it back"
+
+
+def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame, upon = tiny_frame(stages_of({n: kind.Params() for n, kind in STAGES.items()}, ("raster", "lightmap", "composite"))), []
+    monkeypatch.setattr(FrameRenderer, "run", lambda self, chain: upon.append(chain))
+    monkeypatch.setattr("arfx.measure.tradeoff_time._whole", lambda *_: None)
+    time_frame(Times(), frame, {"raster": "high", "composite": "standard"}, {("composite", "standard")}, {})
+    assert upon == [(("raster", "high"), ("composite", "standard"))]
+
+
+def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_none_is_near() -> None:
+    named = ("draft", 0.02, 2.0), ("standard", 0.05, 0.8), ("high", 0.3, 0.9), ("reference", 9, 0)
+    between = ((0.1, 0.5), (0.11, 0.49), (0.03, 2.1), (0.06, 0.7), (0.004, 5))
+    rows = [row("pipeline", *of, 9) for of in (*named, *(("mixed", *of) for of in between))]
+    assert [r.seconds for r in worth_showing(rows)] == [0.004, 0.02, 0.05, 0.1, 0.3, 9]
 
 
 def test_the_page_holds_everything_and_little_enough() -> None:

@@ -70,12 +70,23 @@ def test_a_level_whose_error_was_never_measured_is_no_choice_for_an_error_and_th
     assert total({(0, "dof"): every[0, "dof"][0]}).seconds == 1
 
 
+def test_of_many_clips_the_upper_end_counts_and_of_one_its_own(tmp_path) -> None:
+    (tmp_path / "t.json").write_text(
+        '{"errors": {"dof": {"draft": {"low": 0.2, "mean": 0.7, "high": 1.5}, "high": 0.1}}, "source": "x"}'
+    )
+    found = errors_of_clip(tmp_path / "t.json")
+    assert (found.of("dof", "draft", "reference"), found.known("dof", "high", "reference")) == (1.5, 0.1)
+    assert found.known("dof", "reference", "reference") == 0 and found.known("no such", "draft", "reference") is None
+    assert found.by_level["raster"] == shipped_errors().by_level["raster"], "what the clip did not measure"
+
+
 def test_the_shipped_errors_name_real_levels_and_a_wrong_file_is_refused(tmp_path) -> None:
     from arfx.errors import InputError
     from arfx.stages import STAGES
 
     for stage, levels in shipped_errors().by_level.items():
         assert set(levels) <= set(STAGES[stage].levels)
-    (tmp_path / "t.json").write_text('{"errors": {"dof": {"draft": -1}}, "source": "x"}')
-    with pytest.raises(InputError, match=r"tradeoff\.json"):
-        errors_of_clip(tmp_path / "t.json")
+    for wrong in ("-1", '{"low": 0.1}', '{"high": -2}', "[1]"):
+        (tmp_path / "t.json").write_text(f'{{"errors": {{"dof": {{"draft": {wrong}}}}}, "source": "x"}}')
+        with pytest.raises(InputError, match=r"tradeoff\.json"):
+            errors_of_clip(tmp_path / "t.json")

@@ -6,10 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from arfx.core.cost import Price, Prices
+import arfx.run.predict as predict_module
+from arfx.config.sections import JobConfig
+from arfx.core.cost import Price, Prices, measured
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
-from arfx.run.predict import JobPrediction, JobSize, predict, stages_of
+from arfx.plan.clip import ClipPlan, LevelPolicy
+from arfx.plan.errors import Errors
+from arfx.plan.levels import LevelChoice
+from arfx.run.predict import JobPrediction, JobSize, choose, predict, stages_of
 
 R = Rect(0, 0, 10, 10)
 PRICES = Prices(
@@ -57,6 +62,18 @@ def test_one_thread_alone_is_faster_and_a_phase_without_price_makes_the_whole_un
     alone = of(plans(range(30)), prices=replace(PRICES, alone=0.6))
     assert alone.wall.seconds < of(plans(range(30))).wall.seconds - 0.2
     assert of(plans(range(30)), replace(SIZE, codec="av1")).wall is None
+
+
+def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
+    def slow(*_: object) -> ClipPlan:
+        clock[0] += 0.5
+        return ClipPlan([], LevelChoice({}, measured(0.0), 0.0, True, ""))
+
+    clock = [7.0]
+    monkeypatch.setattr(predict_module, "plan_clip", slow)
+    monkeypatch.setattr(predict_module.time, "perf_counter", lambda: clock[0])
+    made = choose(JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE, print)[1]  # type: ignore[arg-type]
+    assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(SIZE.before_s + 0.5)
 
 
 def test_a_lone_worker_encodes_while_it_renders() -> None:
