@@ -92,14 +92,23 @@ def test_cells_wider_than_float32_tells_apart() -> None:
     assert np.array_equal(label(sites, rect).first, brute(sites, rect, None)[0])
 
 
-def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("arfx.stages.watercolor.reference._BRUTE", 0)
+def test_the_reference_level_agrees_by_other_means() -> None:
     sites = make_sites(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
     wobble = random_wobble(np.random.default_rng(0), 9)
     sites = sort_sites(sites, FRAME, wobble)
     a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, displacement(wobble, FRAME), 2.0)
     assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
     assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_the_reference_finds_the_nearest_of_few_sites_however_far(count: int) -> None:
+    g = np.random.default_rng(count)
+    x, y = (np.round(g.uniform(-300, 500, (2, count)) * STEPS)).astype(np.float32)
+    weight = -np.round(g.random(count) * 4000).astype(np.float32)
+    sites, moved = Sites(x, y, weight, np.arange(count), x, y), g.integers(-20, 20, (2, 150, 200)).astype(float)
+    found, (first, second) = reference_labels(sites, FRAME, moved, 2.0), brute(sites, FRAME, moved)
+    assert np.array_equal(found.first, first) and np.array_equal(found.second, np.where(found.inside < SOLID, second, first))
 
 
 def test_no_sites() -> None:
