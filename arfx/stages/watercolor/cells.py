@@ -183,7 +183,7 @@ def adjust_tone(root: np.ndarray, lightness: float, saturation: float, deepest: 
     deepest : square root that black becomes: no wash is black"""
     if (lightness, saturation, deepest) == (0, 1, 0):
         return root
-    thin = deepest + (1 - deepest) * (1 - (1 - root) ** (1 + lightness))
+    thin = deepest + (1 - deepest) * (1 - (1 - np.minimum(root, 1)) ** (1 + lightness))  # rounding may pass 1
     grey = thin @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     out: np.ndarray = np.clip(grey[:, None] + saturation * (thin - grey[:, None]), 0, 1).astype(np.float32)
     return out

@@ -7,7 +7,7 @@ import pytest
 
 from arfx.core.rect import Rect
 from arfx.papers.s3_watercolor import eq1_sites
-from arfx.stages.watercolor.cells import means, neighbours, smooth_washes
+from arfx.stages.watercolor.cells import adjust_tone, means, neighbours, smooth_washes
 from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.labels import STILL, Wobble, label, make_wobble, sort_sites
@@ -227,3 +227,7 @@ def test_neighbours_are_those_of_all_pairs_wherever_the_picture_moves() -> None:
         best = np.sort(s)[::-1][: near.shape[1]]
         np.testing.assert_allclose(np.sort(share[k])[::-1], best, atol=1e-5)
         assert set(near[k]) == set(moved[k])
+
+
+def test_what_rounding_made_whiter_than_white_is_white() -> None:
+    assert (adjust_tone(np.full((2, 3), np.nextafter(np.float32(1), np.float32(2))), 0.25, 1.15, 0.12) == 1).all()
