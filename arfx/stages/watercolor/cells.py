@@ -21,7 +21,7 @@ from arfx.stages.watercolor.sites import STEPS
 NEIGHBOURS = 8  # stored of a cell; a Voronoi cell has 6 on average
 REACH = 1.4  # sizes of a cell: sites that far apart have nothing to do with each other
 _STEP = 16  # sites in `neighbours`
-_MANY = 8  # below this many pixels per cell, sums over bands would cost more than they save
+_MANY = 16  # below this many pixels per cell, sums over bands would cost more than they save
 _FAST = {"contract", "nsz", "arcp"}
 _U = np.uint64  # an index of that type is not looked at for a minus: loops stay simple
 
@@ -137,30 +137,33 @@ def _find_neighbours(buckets: Buckets, left, top, a, b, near, weight):  # pragma
 
 
 def smooth_washes(
-    colours: np.ndarray, near: np.ndarray, weight: np.ndarray, area: np.ndarray, contrast: float, rounds: int
+    colours: np.ndarray, near: np.ndarray, weight: np.ndarray, area: np.ndarray, contrast: float, rounds: int,
+    step: float = 1.0,
 ) -> np.ndarray:  # fmt: skip
     """(n, 3) float32 square roots of the colours (near to what is coded), alike neighbours drawn together.
 
     colours : (n, 3) linear;  near, weight : of `neighbours`;  area (n,) : pixels of the cells: one of few counts little
-    contrast : difference of square roots at which the pull has fallen to a quarter"""
+    contrast : difference of square roots at which the pull has fallen to a quarter
+    step : how many rounds each stands for: a cell's own colour counts so much less"""
     root = np.sqrt(np.clip(colours, 0, 1)).astype(np.float32)
     if not rounds or not near.shape[1]:
         return root
     confidence = (area / (area + 0.25 * max(float(np.median(area)), 1.0))).astype(np.float32)
-    sharp = np.float32(1 / max(contrast, 1e-3) ** 2)
+    sharp, own = np.float32(1 / max(contrast, 1e-3) ** 2), np.float32(1 / step)
     for _ in range(rounds):
         out = np.empty_like(root)
-        parallel_rows(partial(_smooth_washes, root, near, weight, confidence, sharp, out), len(root))
+        parallel_rows(partial(_smooth_washes, root, near, weight, confidence, (sharp, own), out), len(root))
         root = out
     return root
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _smooth_washes(root, near, weight, confidence, sharp, out, a, b):  # pragma: no cover - compiled
-    one = np.float32(1)
+def _smooth_washes(root, near, weight, confidence, how, out, a, b):  # pragma: no cover - compiled
+    """how : 1 / contrast^2, weight of a cell's own colour"""
+    one, (sharp, own) = np.float32(1), how
     for k in range(a, b):
         r, g, b_ = root[k, 0], root[k, 1], root[k, 2]
-        sr, sg, sb, total = r, g, b_, one
+        sr, sg, sb, total = own * r, own * g, own * b_, own
         for m in range(NEIGHBOURS):
             j = np.uint64(near[k, m])
             dr, dg, db = root[j, 0] - r, root[j, 1] - g, root[j, 2] - b_
@@ -180,7 +183,7 @@ def adjust_tone(root: np.ndarray, lightness: float, saturation: float, deepest: 
     deepest : square root that black becomes: no wash is black"""
     if (lightness, saturation, deepest) == (0, 1, 0):
         return root
-    thin = deepest + (1 - deepest) * (1 - (1 - root) ** (1 + lightness))
+    thin = deepest + (1 - deepest) * (1 - (1 - np.minimum(root, 1)) ** (1 + lightness))  # rounding may pass 1
     grey = thin @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     out: np.ndarray = np.clip(grey[:, None] + saturation * (thin - grey[:, None]), 0, 1).astype(np.float32)
     return out

@@ -258,6 +258,10 @@ def _label(buckets: Buckets, ordered, displaced, blend, mask, x0, y0, y_first, y
                     n = prune(sites, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
                     if n <= PACKED:
                         fits = pack(sites, found, n, own_x, own_y, np.float32(reach), own) < PACKED_LIMIT
+                if fits and ordered and not borders and end - left == TILE and bottom - top == TILE:
+                    at = (i * positions.shape[1] + j) * 2 * PIXELS
+                    label_tile(own, np.float32(0), np.float32(0), n, flat, at, k1, first, top, left)
+                    continue
                 if fits:
                     nearest_two(own, n, p, k1, k2)
                     if n == 1:

@@ -10,7 +10,6 @@ import numba
 import numpy as np
 
 from arfx.core.parallel import parallel_rows
-from arfx.stages.four import put_four
 from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.pigment import PAPER_PX
 from arfx.stages.watercolor.rows import Cells, Picture, read_borders, read_channels, read_labels
@@ -20,53 +19,12 @@ _U, _F = np.uint64, np.float32
 _FLOW = 4.0  # turbulence lies in -_FLOW .. _FLOW
 
 
-def paint_cells(cells: Cells, colours: np.ndarray, line: np.ndarray, opacity: float, ink_rgb: np.ndarray) -> np.ndarray:
-    """(h, w, 3) float32 linear: flat cells and lines. colours (n, 3) : linear;  line : as in `paint`"""
-    out = np.empty((*cells.first.shape, 3), np.float32)
-    four = np.pad(colours, ((0, 0), (0, 1)))
-    ink = np.append(ink_rgb, 0).astype(np.float32)
-    parallel_rows(lambda ya, yb: _paint_cells(cells, four, line, _F(opacity), ink, ya, yb, out), len(out))
-    return out
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint_cells(cells: Cells, colours, line, opacity, ink, ya, yb, out):  # pragma: no cover
-    first, mask, ly = cells.first, cells.mask, cells.y
-    w = first.shape[1]
-    lh, lw = line.shape
-    a, lines, row = np.empty(w, np.int32), np.zeros(w + 1, np.float32), np.empty(max(lw, 1), np.float32)
-    table = colours.reshape(-1)
-    for y in range(ya, yb):
-        to = out[y].reshape(-1)
-        labels = first[y]
-        if ly <= y < ly + mask.shape[0]:
-            read_labels(cells, y, 0, w, a)
-            labels = a
-        if lh > 0 and not line_row(line, y, row, lines):
-            lines[:] = 0
-        _draw_row(table, labels, lines, opacity, ink, to)
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _draw_row(table, a, lines, opacity, ink, to):  # pragma: no cover - compiled
-    """The fourth number of each pixel is overwritten by the next one's."""
-    last, red, green, blue, none = a.shape[0] - 1, ink[0], ink[1], ink[2], ink[3]
-    for x in range(last):
-        i, s = _U(4) * _U(a[x]), lines[x] * opacity
-        r, g, b, n = table[i], table[i + _U(1)], table[i + _U(2)], table[i + _U(3)]
-        put_four(to, 3 * x, r + s * (red - r), g + s * (green - g), b + s * (blue - b), n + s * (none - n))
-    for c in range(3):
-        v = table[4 * a[last] + c]
-        to[3 * last + c] = v + lines[last] * opacity * (ink[c] - v)
-
-
 def paint(
     picture: Picture, cells: Cells, mean: np.ndarray, root: np.ndarray, flow: np.ndarray,
     paper: tuple[np.ndarray, int, int], line: np.ndarray, strengths: np.ndarray, ink_rgb: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 linear: the picture with pigment.
 
-    cells : without borders each pixel has its own cell's colour
     mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
     flow (n,) : their turbulence
     paper : grain of `paper_grain`, and x and y of the first pixel in the frame, which anchor it
@@ -74,17 +32,13 @@ def paint(
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
     ink_rgb (3,) : linear colour of lines"""
     out = np.empty((*cells.first.shape, 3), np.float32)
-    tinted, lines = _table(root, flow), (line, strengths, ink_rgb.astype(np.float32))
-    if not cells.second.size:
-        parallel_rows(lambda ya, yb: _paint_plain(cells, tinted, paper, lines, ya, yb, out), len(out))
-        return out
-    means = _table(mean, flow)
+    means, tinted, lines = cell_table(mean, flow), cell_table(root, flow), (line, strengths, ink_rgb.astype(np.float32))
     parallel_rows(lambda ya, yb: _paint(picture, cells, means, tinted, paper, lines, ya, yb, out), len(out))
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _table(colour, flow):  # pragma: no cover - compiled
+def cell_table(colour, flow):  # pragma: no cover - compiled
     """(n,) uint64: red, green, blue in 0..1 and the turbulence, 16 bits each."""
     out = np.empty((colour.shape[0], 4), np.uint16)
     for k in range(colour.shape[0]):
@@ -115,55 +69,12 @@ def _paint(picture: Picture, cells: Cells, means, tinted, paper, lines, ya, yb, 
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
             cell_data[0, x], cell_data[1, x], cell_data[2, x], cell_data[3, x] = means[at], means[to], tinted[at], tinted[to]
-        _grain_row(grain, y0 + y, x0, light[3, :w])
+        grain_row(grain, y0 + y, x0, light[3, :w])
         if lh > 0 and not line_row(line, y, row, light[4]):
             light[4, :] = 0
         _paint_row(cell_data, near, light, strengths, ink)
         for x in range(w):
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[5, x], light[6, x], light[7, x]
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint_plain(cells: Cells, tinted, paper, lines, ya, yb, out):  # pragma: no cover
-    first, mask, ly = cells.first, cells.mask, cells.y
-    (grain, x0, y0), (line, strengths, ink) = paper, lines
-    w = first.shape[1]
-    lh, lw = line.shape
-    both, cell_data = np.empty(w, np.int32), np.empty(w, np.uint64)
-    light, row = np.zeros((5, w + 1), np.float32), np.empty(max(lw, 1), np.float32)
-    for y in range(ya, yb):
-        a = first[y]
-        if ly <= y < ly + mask.shape[0]:
-            read_labels(cells, y, 0, w, both)
-            a = both
-        for x in range(w):
-            cell_data[x] = tinted[_U(a[x])]
-        _grain_row(grain, y0 + y, x0, light[0, :w])
-        if lh > 0 and not line_row(line, y, row, light[1]):
-            light[1, :] = 0
-        _paint_plain_row(cell_data, light, strengths, ink)
-        for x in range(w):
-            out[y, x, 0], out[y, x, 1], out[y, x, 2] = light[2, x], light[3, x], light[4, x]
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint_plain_row(cell_data, light, strengths, ink):  # pragma: no cover - compiled
-    """One row of plain cells. cell_data (w,), as in _table : colour of a pixel's cell
-    light (5, w + 1) : height of the paper, line; red, green, blue that come out"""
-    zero, one, unit = _F(0), _F(1), _F(1.0 / 65535)
-    step = _F(2 * _FLOW / 65535)
-    much_flow, much_grain, opacity, dry = strengths[2], strengths[3], strengths[4], strengths[5]
-    ir, ig, ib = ink
-    for x in range(cell_data.shape[0]):
-        c, paper = cell_data[x], light[0, x]
-        d = (_channel(c, 48) * step - _F(_FLOW)) * much_flow + much_grain * paper
-        pr, pg, pb = _channel(c, 0) * unit, _channel(c, 16) * unit, _channel(c, 32) * unit
-        pr, pg, pb = pr * pr, pg * pg, pb * pb
-        pr, pg, pb = pr * (one - (one - pr) * d), pg * (one - (one - pg) * d), pb * (one - (one - pb) * d)
-        s = min(max(light[1, x] * (one + dry * paper), zero), one) * opacity
-        light[2, x] = max(pr + s * (ir - pr), zero)
-        light[3, x] = max(pg + s * (ig - pg), zero)
-        light[4, x] = max(pb + s * (ib - pb), zero)
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -173,7 +84,7 @@ def _channel(v, shift):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _paint_row(cell_data, near, light, strengths, ink):  # pragma: no cover - compiled
-    """One row. cell_data (4, w), as in _table : mean of a pixel's cell, of the next one, colour of its cell, of the next
+    """One row. cell_data (4, w), as of `cell_table` : mean of a pixel's cell, of the next one, colour of its cell, of the next
     light (8, w + 1) : red, green, blue, height of the paper, line; and the three that come out"""
     zero, one, half, unit = _F(0), _F(1), _F(0.5), _F(1.0 / 65535)
     step = _F(2 * _FLOW / 65535)
@@ -211,7 +122,7 @@ def _paint_row(cell_data, near, light, strengths, ink):  # pragma: no cover - co
 
 
 @numba.njit(cache=True, nogil=True)
-def _grain_row(grain, y, x0, height):  # pragma: no cover - compiled
+def grain_row(grain, y, x0, height):  # pragma: no cover - compiled
     w, at = height.shape[0], 0
     row, s = y & (PAPER_PX - 1), x0 & (PAPER_PX - 1)
     while at < w:

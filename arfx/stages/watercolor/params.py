@@ -18,6 +18,8 @@ class WatercolorParams:
     measured, else the marker's plane): 0 = all the same size, 1 = in proportion
     detail : how strongly cells shrink where the picture has detail, and grow where it has none
     anchored : cells move with the things under them; false = they stay fixed on the screen
+    two_patterns : paint the pattern of cells that is carried forward through the clip and the one that is carried back, and fade
+    from one to the other, so that neither bends much: twice the time, softer borders
     wash : how readily similar neighbours merge into one wash: 0 = single cells, 1 = large washes
     lightness : how far the paint is thinned so that the paper shows: 0 = as in the picture;  saturation : factor on saturation
     deepest : coded value of the darkest wash, so that none is black
@@ -30,7 +32,7 @@ class WatercolorParams:
     line_high : edge strength from which a line is opaque, coded value per px
     alpha : weight of U and V in the edges of YUV;  beta : weight of YUV in all edges
     line_hold : blend in the edges of the frame before, moved with the things under them: a third to a half fewer pixels of lines
-    flicker, for about a fifth more time
+    flicker, for about a fifth more time (not in a draft)
     yuv : matrix of Y'UV: bt601, bt709
     pigment : simulate pigment and paper with the settings below; false = flat cells
     edge_darkening : how much darker pigment gets at the border of a wash;  flow : strength of slow turbulence
@@ -42,6 +44,7 @@ class WatercolorParams:
     nearer_finer: float = 0.5
     detail: float = 1.0
     anchored: bool = True
+    two_patterns: bool = False
     wash: float = 0.6
     lightness: float = 0.25
     deepest: float = 0.12

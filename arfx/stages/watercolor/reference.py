@@ -1,18 +1,17 @@
-"""Labels and means by other means than the kernels', in float64: every site asks every pixel, or a search tree finds the sites.
-Slow; the yardstick for them, and the level reference."""
+"""Labels by other means than the kernels' of labels.py, in float64: pixel by pixel, ring after ring of squares around it until no
+farther one can hold a nearer site. The yardstick for them, and the level reference."""
 
 from __future__ import annotations
 
+import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
+from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.label_kernels import SOLID
-from arfx.stages.watercolor.labels import Labels, unlabelled
+from arfx.stages.watercolor.labels import Labels, bucket_sites, unlabelled
 from arfx.stages.watercolor.sites import STEPS, Sites
 
-_BRUTE = 1 << 28  # sites x pixels up to which every pair is looked at
-_TIES = 8
 _AT_ONCE = 1 << 22  # distances in memory at a time
 
 
@@ -21,7 +20,7 @@ def nearest_labels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(first, second) (n,) int32: of the sites (k,), the nearest to the positions (n,) and the next, by |p - s|^2 - weight.
 
-    Of equal distances the lower number wins."""
+    Of equal distances the lower number wins. Every pair is looked at."""
     first, second = np.zeros(len(px), np.int32), np.zeros(len(px), np.int32)
     step = max(1, _AT_ONCE // max(len(x_px), 1))
     for a in range(0, len(px), step):
@@ -37,39 +36,51 @@ def nearest_labels(
 
 
 def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: float = 0.0) -> Labels:
-    """The same as labels.label, in float64 and by other means: every pair of site and pixel, or where those are too many
-    a search tree (the weight as a third coordinate) whose nearest few are compared exactly."""
-    h, w = rect.height, rect.width
+    """The same as labels.label. wobble (2, h, w) : displacement of the pixels, 1/STEPS px"""
+    h, w, borders = rect.height, rect.width, blend_px > 0
     if not len(sites):
-        return unlabelled(h, w, 1, blend_px > 0)
+        return unlabelled(h, w, 1, borders)
+    moved = np.zeros((2, h, w)) if wobble is None or not wobble.size else np.asarray(wobble, float)
     x, y, weight = (np.asarray(a, float) for a in (sites.x, sites.y, sites.weight))
-    py, px = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float) * STEPS
-    if wobble is not None and wobble.size:
-        px, py = px + wobble[0], py + wobble[1]
-    px, py = px.ravel(), py.ravel()
-    if len(sites) * px.size <= _BRUTE:
-        first, second = nearest_labels(x, y, weight, px, py)
-    else:
-        first, second = _by_tree(x, y, weight, px, py)
-    if blend_px > 0:
-        d1, d2 = (np.sqrt((px - x[k]) ** 2 + (py - y[k]) ** 2 - weight[k]) for k in (first, second))
-        inset = (d2 - d1) * (SOLID / (2 * blend_px * STEPS))
-        near = (inset < SOLID) & (second != first)
-        solid = np.where(near, inset, SOLID).astype(np.uint8)
-        second = np.where(solid < SOLID, second, first)
-    else:
-        return Labels(first.reshape(h, w), np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), len(sites))
-    return Labels(first.reshape(h, w), second.reshape(h, w), solid.reshape(h, w), len(sites))
+    left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
+    longest = max(right - left, bottom - top)
+    side = max(np.sqrt((right - left) * (bottom - top) / len(x)), longest / 8192, STEPS)
+    gh, gw = int((bottom - top) // side) + 1, int((right - left) // side) + 1
+    start, order = bucket_sites(sites.x, sites.y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
+    first, second = np.empty((h, w), np.int32), np.empty((h, w) if borders else (0, 0), np.int32)
+    inside = np.empty((h, w) if borders else (0, 0), np.uint8)
+    squares, where = (x[order], y[order], weight[order], start, order, gh, gw), (left, top, side, rect.x0, rect.y0)
+    blend = float(blend_px) * STEPS
+    parallel_rows(lambda a, b: _search(squares, where, moved, blend, a, b, (first, second, inside)), h)
+    return Labels(first, second, inside, len(x))
 
 
-def _by_tree(x: np.ndarray, y: np.ndarray, weight: np.ndarray, px: np.ndarray, py: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    k = min(_TIES, len(x))
-    tree = cKDTree(np.stack([x, y, np.sqrt(-weight)], -1))
-    _, near = tree.query(np.stack([px, py, np.zeros_like(px)], -1), k=k)
-    near = np.sort(near.reshape(len(px), k), axis=1)
-    d = (px[:, None] - x[near]) ** 2 + (py[:, None] - y[near]) ** 2 - weight[near]
-    rows = np.arange(len(px))
-    best = d.argmin(1)
-    d[rows, best] = np.inf
-    other = d.argmin(1) if k > 1 else best
-    return near[rows, best].astype(np.int32), near[rows, other].astype(np.int32)
+@numba.njit(cache=True, nogil=True)
+def _search(squares, where, moved, blend, ya, yb, out):  # pragma: no cover - compiled
+    """Rows ya ... yb - 1. squares : sites (x, y, weight, in order of the squares; start, order as of bucket_sites), rows, columns
+    where : corner of the first square, its side, 1/STEPS px; first pixel of the picture;  out : of `Labels`"""
+    (sx, sy, weight, start, order, gh, gw), (left, top, side, x0, y0), (first, second, inside) = squares, where, out
+    for y in range(ya, yb):
+        for x in range(first.shape[1]):
+            px, py = (x0 + x) * STEPS + moved[0, y, x], (y0 + y) * STEPS + moved[1, y, x]
+            row, column = min(max(int((py - top) // side), 0), gh - 1), min(max(int((px - left) // side), 0), gw - 1)
+            d1, d2, n1, n2, ring = np.inf, np.inf, -1, -1, 0
+            # what lies beyond a ring is at least as far as the ring is wide; a weight only adds to it
+            while ring <= max(gh, gw) and (ring < 1 or ((ring - 1) * side) ** 2 <= d2):
+                for i in range(max(row - ring, 0), min(row + ring, gh - 1) + 1):
+                    edge = abs(i - row) == ring
+                    for j in range(column - ring, column + ring + 1, 1 if edge or ring == 0 else 2 * ring):
+                        if not 0 <= j < gw:
+                            continue
+                        for m in range(start[i * gw + j], start[i * gw + j + 1]):
+                            d, k = (px - sx[m]) ** 2 + (py - sy[m]) ** 2 - weight[m], order[m]
+                            if d < d1 or (d == d1 and k < n1):
+                                d1, n1, d2, n2 = d, k, d1, n1
+                            elif d < d2 or (d == d2 and k < n2):
+                                d2, n2 = d, k
+                ring += 1
+            first[y, x] = n1
+            if blend > 0:
+                inset = (np.sqrt(d2) - np.sqrt(d1)) * (SOLID / (2 * blend)) if n2 >= 0 else float(SOLID)
+                inside[y, x] = min(inset, float(SOLID))
+                second[y, x] = n2 if inset < SOLID else n1

@@ -6,9 +6,8 @@ Labels are memoised by the content of the site field, a whole picture by its con
 and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while a frame is painted, 68 of them the layers that
 it reads (8K, with the finest cells that detail asks for: 3.8 GB measured, with the program; 4 bytes a pixel less with even
 cells), and 12 for each of two memoised pictures (none above 16 Mpx). Lines and toon are made beside the cells, on a free core.
-Levels: draft has fewer, coarser cells with plain borders: a pixel takes its own cell's colour alone (a chamfer
-transform costs four times the exact labels); high paints the patterns carried forward and backward and fades between
-them (Bousseau et al. 2007); reference is standard with float64 labels by other means.
+Levels (levels.py) paint the same cells: draft at half the size, without washes; standard with half the rounds of washes and
+plain borders; high all of it, exactly; reference is high with float64 labels by other means.
 line_hold looks at the frame before as well (temporal.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
 Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of real things off the plane."""
@@ -17,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import ceil
 from typing import Any, ClassVar
 
 import cv2
@@ -33,10 +33,13 @@ from arfx.stages.watercolor.cells import adjust_tone, cell_colours, neighbours, 
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.field import RealDioptre, advection_directions, frame_field
+from arfx.stages.watercolor.half import double_lines, half_rect, halve_picture, halve_sites
 from arfx.stages.watercolor.labels import Labels, Wobble, label, sort_sites
+from arfx.stages.watercolor.levels import ACCURACY
 from arfx.stages.watercolor.measure import edge_measure
 from arfx.stages.watercolor.object_sites import Surface, object_sites, sample_surface
-from arfx.stages.watercolor.paint import paint, paint_cells
+from arfx.stages.watercolor.paint import paint
+from arfx.stages.watercolor.paint_plain import paint_plain
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import paper_grain, repeat_tile, turbulence
 from arfx.stages.watercolor.reference import reference_labels
@@ -49,6 +52,7 @@ from arfx.stages.watercolor.wobble import Wobbles
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
 _EVERY = 32  # rows of the object's layers that a frame is known by
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
+_COARSE_SMOOTH = 0.8  # of the smoothing before lines: a coarser grid smooths by itself
 _MEMO_SETS, _MEMO_PICTURES, _MEMO_MEASURES = 4, 2, 3
 Key = tuple[Any, ...]
 _MEMO_LIMIT_PX = 16_000_000
@@ -78,7 +82,7 @@ class Watercolor(Stage):
     name = "watercolor"
     reads = frozenset({Layer.IMAGE, *_VIRTUAL, Layer.REAL_DEPTH})
     writes = frozenset({Layer.IMAGE})
-    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
+    levels: ClassVar[tuple[str, ...]] = tuple(ACCURACY)
     facts = frozenset({"flow", "light"})
     Params = WatercolorParams
     without_object = True
@@ -97,22 +101,24 @@ class Watercolor(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
         p = self.params
-        wobbles = Wobbles(scene.seed, p.wobble_px if p.pigment else 0.0)
+        wobbles = Wobbles(scene.seed, p.wobble_px if p.pigment else 0.0, 2 if ACCURACY[level].half else 1)
         return Prepared(paper_grain(scene.seed, p.grain_px), wobbles, sample_surface(scene, scene.seed))
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         p = self.params
         fields = [
             (self._field(view, direction), weight)
-            for direction, weight in advection_directions(view.facts, p.anchored, view.level == "high")
+            for direction, weight in advection_directions(view.facts, p.anchored, p.two_patterns)
         ]
-        before = self._before(view)
-        content = _content(view)
-        earlier = () if before is None else _content(before)
+        half, before = ACCURACY[view.level].half, self._before(view)
+        # a picture of half the size is made at once: it is quicker to know again than the whole one
+        known = BackgroundTask(lambda: self._shown(view)) if half else None
+        content = _content(view, known().image if known else view[Layer.IMAGE])
+        earlier = () if before is None else _content(before, before[Layer.IMAGE])
 
         def make() -> np.ndarray:
             # neither needs the cells: they are made beside them
-            picture = BackgroundTask(lambda: self.with_toon(view))
+            picture = known or BackgroundTask(lambda: self._shown(view))
             lines = BackgroundTask(lambda: self._lines(picture, view, content, before, earlier))
             painted = [self._painted(view, prepared, *field, picture, lines) for field, _ in fields]
             if len(painted) == 1:
@@ -130,13 +136,13 @@ class Watercolor(Stage):
 
     def _field(self, view: View, direction: str) -> tuple[SiteField, Any, Key]:
         """(site field, the pose that goes with it, a key for the field's content)."""
-        p, facts, cell_px = self.params, view.facts, self._cell_px(view.level)
+        p, facts = self.params, view.facts
         real = None
         if p.nearer_finer > 0 and facts.real_depth is not None:
             real = RealDioptre.of(view[Layer.REAL_DEPTH], view.rect)
 
         def make() -> tuple[SiteField, Any, Key]:
-            field, pose = frame_field(facts, view.scene, cell_px, p.nearer_finer, p.anchored, direction, p.detail, real)
+            field, pose = frame_field(facts, view.scene, p.cell_px, p.nearer_finer, p.anchored, direction, p.detail, real)
             return field, pose, (field.x0, field.y0, *(digest(a) for a in (field.u, field.v, field.size)))
 
         found = facts.advection if p.anchored else None
@@ -147,9 +153,6 @@ class Watercolor(Stage):
             key = (*key, digest(real.mean))
         made: tuple[SiteField, Any, Key] = view.memo.of_frame.get(key, make, "field", _MEMO_SETS)
         return made
-
-    def _cell_px(self, level: str) -> float:
-        return self.params.cell_px * (1.4 if level == "draft" else 1.0)
 
     def with_toon(self, view: View) -> Picture:
         """The picture with the object toon-shaded."""
@@ -169,36 +172,48 @@ class Watercolor(Stage):
         )  # fmt: skip
         return Picture(image, patch, *offset(box, view.rect))
 
+    def _shown(self, view: View) -> Picture:
+        """What is painted: the picture with the object toon-shaded, of half the size where the level says so."""
+        picture = self.with_toon(view)
+        return halve_picture(picture) if ACCURACY[view.level].half else picture
+
     def _painted(
         self, view: View, prepared: Prepared, field: SiteField, pose: Any, sites_key: Key, picture: BackgroundTask[Picture],
         lines: BackgroundTask[np.ndarray],
     ) -> np.ndarray:  # fmt: skip
+        """picture : of `_shown`"""
         p, rect = self.params, view.rect
         make = lambda: self._background_cells(field, view, prepared)  # noqa: E731
         cells = view.memo.of_frame.get((sites_key, rect), make, "cells", _MEMO_SETS)
-        labels = combine_labels(cells.labels)
+        labels, accuracy = combine_labels(cells.labels), ACCURACY[view.level]
         if pose is not None:
             labels, cells = self._with_object(view, cells, prepared, pose)
-        colours, rounds = cell_colours(picture(), labels), int(np.ceil(8 * p.wash))
-        root = smooth_washes(colours[:, :3], cells.near, cells.weight, colours[:, 3], 0.02 + 0.16 * p.wash, rounds)
+        colours = cell_colours(picture(), labels)
+        whole = ceil(8 * p.wash)
+        rounds = accuracy.rounds_of(whole)
+        root = smooth_washes(
+            colours[:, :3], cells.near, cells.weight, colours[:, 3], 0.02 + 0.16 * p.wash, rounds, whole / max(rounds, 1)
+        )  # fmt: skip
         root = adjust_tone(root, p.lightness, p.saturation, p.deepest)
         ink = np.array(p.ink_rgb, np.float32)
-        if not p.pigment:
-            return paint_cells(labels, root * root, lines(), p.lines, ink)
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
+        strengths[[0, 2, 3, 5]] *= p.pigment
         paper = prepared.grain, rect.x0, rect.y0
+        if not labels.second.size:
+            return paint_plain(labels, root, cells.flow, paper, lines(), strengths, ink, (rect.height, rect.width))
         return paint(picture(), labels, colours, root, cells.flow, paper, lines(), strengths, ink)
 
     def _lines(
         self, picture: BackgroundTask[Picture], view: View, content: Key, before: View | None, earlier: Key
     ) -> np.ndarray:  # fmt: skip
         """Strength of lines, empty where none are wanted. before, earlier : the frame whose edges are blended in, its content"""
-        p, get = self.params, view.memo.of_frame.get
+        p, get, half = self.params, view.memo.of_frame.get, ACCURACY[view.level].half
         if p.lines <= 0:
             return np.zeros((0, 0), np.float32)
+        every, smooth_px = (2, _COARSE_SMOOTH * p.line_smooth_px / 2) if half else (1, p.line_smooth_px)
 
         def measure(toon_shaded: Picture) -> np.ndarray:
-            return edge_measure(toon_shaded, yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
+            return edge_measure(toon_shaded, yuv_matrix(p.yuv), p.alpha, p.beta, smooth_px)
 
         if before is None:
             edges = measure(picture())
@@ -209,35 +224,41 @@ class Watercolor(Stage):
             if back is not None:
                 old = get(earlier, lambda: measure(self.with_toon(before)), "measure", _MEMO_MEASURES)
                 edges[0] = temporal_blend(edges[0], old[0], back, now.x0 - view.rect.x0, now.y0 - view.rect.y0)
-        return trace_lines(edges, p.line_low, p.line_high, p.line_width_px, *self.virtual_edges_of(view))
+        virtual, at = self.virtual_edges_of(view, every)
+        lines = trace_lines(edges, every * p.line_low, every * p.line_high, p.line_width_px / every, virtual, at)
+        return double_lines(lines, (view.rect.height + 1) // 2, (view.rect.width + 1) // 2) if half else lines
 
     def _before(self, view: View) -> View | None:
-        """The frame before, where its lines are to be blended in and it shows the same things."""
-        if not self.history or not view.before:
+        """The frame before, where its lines are to be blended in and it shows the same things; lines of half the size are not
+        steadied by that."""
+        if not self.history or not view.before or ACCURACY[view.level].half:
             return None
         before, now = view.before[-1], view.facts
         then = before.facts
         return before if then.index == now.index - 1 and then.shot == now.shot and before.rect == view.rect else None
 
-    def virtual_edges_of(self, view: View) -> tuple[np.ndarray | None, tuple[int, int]]:
-        """(edges of the object or None, where they lie on the half-size grid of the whole picture)."""
+    def virtual_edges_of(self, view: View, every: int = 1) -> tuple[np.ndarray | None, tuple[int, int]]:
+        """(edges of the object or None, where they lie on the grid of one in 2 x `every` pixels of the whole picture)."""
         now, rect, box = view.layers, view.rect, _box(view)
         if box.empty:
             return None, (0, 0)
-        y, x = (box.y0 - rect.y0) // 2, (box.x0 - rect.x0) // 2
-        whole = Rect(2 * x + rect.x0, 2 * y + rect.y0, box.x1, box.y1)
+        pitch = 2 * every
+        y, x = (box.y0 - rect.y0) // pitch, (box.x0 - rect.x0) // pitch
+        whole = Rect(pitch * x + rect.x0, pitch * y + rect.y0, box.x1, box.y1)
         seen = now.extent(Layer.COVERAGE).clip(whole)
         if seen.empty:
             return None, (0, 0)
-        part = now.crop(seen)
-        at, shape = offset(seen, whole), (whole.height, whole.width)
-        return virtual_edges(part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH], view.facts.opacity, at, shape), (y, x)
+        part, (top, left) = now.crop(seen), offset(seen, whole)
+        layers = [_sparse(part[name], top, left, every) for name in (Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH)]
+        top, left = -(-top // every), -(-left // every)
+        shape = -(-whole.height // every), -(-whole.width // every)
+        return virtual_edges(layers[0], layers[1], layers[2], view.facts.opacity, (top, left), shape), (y, x)
 
     def _background_cells(self, field: SiteField, view: View, prepared: Prepared) -> CellSet:
-        cell, area, seed = self._cell_px(view.level), view.scene.camera.rect.area, view.scene.seed
+        cell, area, seed = self.params.cell_px, view.scene.camera.rect.area, view.scene.seed
         limit = int(min(2 * area + 4096, 12 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
         # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
-        wobble, sites = prepared.wobbles.of_field(field), make_sites(field, seed, limit, cell)
+        wobble, sites = prepared.wobbles.of_field(field, _corner(view.rect, view.level)), make_sites(field, seed, limit, cell)
         return self._cells(sites, view.rect, wobble, view.level, seed, lambda ordered: _size_at(field, ordered))
 
     def _cells(
@@ -245,8 +266,11 @@ class Watercolor(Stage):
         mask: np.ndarray | None = None,
     ) -> CellSet:  # fmt: skip
         """size_at : (n,) sizes of the cells at the sites, px;  mask (h, w) : pixels of `rect` that are asked for, None = all"""
-        p, sites = self.params, sort_sites(sites, rect, wobble)
-        blend = BLEND_PX if p.pigment and level != "draft" else 0.0
+        p, accuracy = self.params, ACCURACY[level]
+        if accuracy.half:
+            sites, rect = halve_sites(sites, rect), half_rect(rect)
+        sites = sort_sites(sites, rect, wobble)
+        blend = BLEND_PX if p.pigment and accuracy.borders else 0.0
         if level == "reference":
             moved = repeat_tile(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height)
             labels = reference_labels(sites, rect, moved.astype(np.float32), blend)
@@ -254,22 +278,25 @@ class Watercolor(Stage):
             labels = label(sites, rect, wobble, blend, mask)
         flow = turbulence(sites.u, sites.v, seed, p.flow_px) if p.pigment and len(sites) else np.zeros(labels.count, np.float32)
         near, weight = np.zeros((labels.count, 0), np.int32), np.zeros((labels.count, 0), np.float32)
-        if p.wash > 0 and len(sites) > 1:
+        if accuracy.rounds > 0 and p.wash > 0 and len(sites) > 1:
             near, weight = neighbours(sites.x, sites.y, size_at(sites) * STEPS)
         return CellSet(labels, flow, near, weight)
 
     def _with_object(self, view: View, cells: CellSet, prepared: Prepared, pose: Any) -> tuple[Cells, CellSet]:
         """Labels, and what is known of all cells, with those of the object's surface in the pixels that it mostly covers."""
-        now, scene, level, cell = view.layers, view.scene, view.level, 0.8 * self._cell_px(view.level)
+        now, scene, level, cell = view.layers, view.scene, view.level, 0.8 * self.params.cell_px
         box = now.extent(Layer.COVERAGE).clip(_box(view))
-        inside = now.crop(box)[Layer.COVERAGE] >= 0.5
+        inside, (top, left) = now.crop(box)[Layer.COVERAGE] >= 0.5, offset(box, view.rect)
+        if ACCURACY[level].half:
+            inside, box = _sparse(inside, top, left, 2).copy(), Rect(box.x0 + left % 2, box.y0 + top % 2, box.x1, box.y1)
+            top, left = (top + 1) // 2, (left + 1) // 2
         if not inside.any():
             return combine_labels(cells.labels), cells
 
         def make() -> CellSet:
             p = self.params
             sites, size_px = object_sites(prepared.surface, scene, pose, cell, p.flow_px, p.nearer_finer)
-            wobble = prepared.wobbles.of_object(scene.camera, pose, scene.world_from_anchor.translation_m)
+            wobble = prepared.wobbles.of_object(scene.camera, pose, scene.world_from_anchor.translation_m, _corner(box, level))
             return self._cells(sites, box, wobble, level, scene.seed + 1, lambda ordered: size_px[ordered.key], inside)
 
         key = ("object", _pose_key(pose), box, digest(inside.view(np.uint8)))
@@ -280,7 +307,7 @@ class Watercolor(Stage):
             weight = np.concatenate([cells.weight, own.weight])
         else:
             near, weight = (np.zeros((cells.labels.count + own.labels.count, 0), t) for t in (np.int32, np.float32))
-        labels = combine_labels(cells.labels, own.labels, inside, *offset(box, view.rect))
+        labels = combine_labels(cells.labels, own.labels, inside, top, left)
         return labels, CellSet(cells.labels, np.concatenate([cells.flow, own.flow]), near, weight)
 
 
@@ -295,15 +322,28 @@ def _pose_key(pose: Pose | None) -> bytes | None:
     return None if pose is None else pose.rotation.tobytes() + pose.translation_m.tobytes()
 
 
+def _corner(rect: Rect, level: str) -> tuple[int, int]:
+    """The pixel of the frame that the wobble's first is: at half the size, whose pixels count from there, that of `rect`."""
+    return (rect.x0, rect.y0) if ACCURACY[level].half else (0, 0)
+
+
+def _sparse(a: np.ndarray, top: int, left: int, every: int) -> np.ndarray:
+    """(h, w, ...) one in `every` pixels along x and y of an array that begins at (top, left), counted from 0; read-only."""
+    if every > 1:
+        a = np.ascontiguousarray(a[-top % every :: every, -left % every :: every])
+        a.setflags(write=False)
+    return a
+
+
 def _box(view: View) -> Rect:
     """What the object may touch."""
     return view.facts.model_box.pad(PAD_PX).clip(view.rect) if view.facts.present else EMPTY
 
 
-def _content(view: View) -> Key:
-    """What a frame shows."""
+def _content(view: View, image: np.ndarray) -> Key:
+    """What a frame shows, by the image that is painted."""
     now, facts, box = view.layers, view.facts, _box(view)
-    out: list[Any] = [digest(now[Layer.IMAGE])]
+    out: list[Any] = [digest(image)]
     box = now.extent(Layer.COVERAGE).clip(box)
     if not box.empty:
         part = now.crop(box)

@@ -7,7 +7,7 @@ import pytest
 
 from arfx.core.rect import Rect
 from arfx.papers.s3_watercolor import eq1_sites
-from arfx.stages.watercolor.cells import means, neighbours, smooth_washes
+from arfx.stages.watercolor.cells import adjust_tone, means, neighbours, smooth_washes
 from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.labels import STILL, Wobble, label, make_wobble, sort_sites
@@ -92,14 +92,23 @@ def test_cells_wider_than_float32_tells_apart() -> None:
     assert np.array_equal(label(sites, rect).first, brute(sites, rect, None)[0])
 
 
-def test_the_reference_level_agrees_by_way_of_its_tree(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("arfx.stages.watercolor.reference._BRUTE", 0)
+def test_the_reference_level_agrees_by_other_means() -> None:
     sites = make_sites(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
     wobble = random_wobble(np.random.default_rng(0), 9)
     sites = sort_sites(sites, FRAME, wobble)
     a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, displacement(wobble, FRAME), 2.0)
     assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
     assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_the_reference_finds_the_nearest_of_few_sites_however_far(count: int) -> None:
+    g = np.random.default_rng(count)
+    x, y = (np.round(g.uniform(-300, 500, (2, count)) * STEPS)).astype(np.float32)
+    weight = -np.round(g.random(count) * 4000).astype(np.float32)
+    sites, moved = Sites(x, y, weight, np.arange(count), x, y), g.integers(-20, 20, (2, 150, 200)).astype(float)
+    found, (first, second) = reference_labels(sites, FRAME, moved, 2.0), brute(sites, FRAME, moved)
+    assert np.array_equal(found.first, first) and np.array_equal(found.second, np.where(found.inside < SOLID, second, first))
 
 
 def test_no_sites() -> None:
@@ -218,3 +227,7 @@ def test_neighbours_are_those_of_all_pairs_wherever_the_picture_moves() -> None:
         best = np.sort(s)[::-1][: near.shape[1]]
         np.testing.assert_allclose(np.sort(share[k])[::-1], best, atol=1e-5)
         assert set(near[k]) == set(moved[k])
+
+
+def test_what_rounding_made_whiter_than_white_is_white() -> None:
+    assert (adjust_tone(np.full((2, 3), np.nextafter(np.float32(1), np.float32(2))), 0.25, 1.15, 0.12) == 1).all()

@@ -27,9 +27,11 @@ from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.run.parameters import stage_of
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
+from arfx.stages.watercolor.half import halve_picture
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.object_sites import object_sites, sample_surface
 from arfx.stages.watercolor.params import WatercolorParams
+from arfx.stages.watercolor.rows import Picture
 from arfx.stages.watercolor.sites import SiteField, make_sites, still_field
 from tests.contract import stage_laws as laws
 from tests.scenes import camera, facts, layers_of, look_at, scene
@@ -314,31 +316,45 @@ def test_cells_that_hardly_differ_with_nearness_are_those_that_do_not() -> None:
     np.testing.assert_array_equal(hardly, alike)
 
 
-def test_levels_agree_where_they_should() -> None:
-    image = picture()
-    standard, reference, draft = (painted(image, level=le) for le in ("standard", "reference", "draft"))
-    assert np.abs(standard - reference).max() < 0.02  # rounding of the way to a border
-    assert 0.002 < np.abs(standard - draft).mean() < 0.08
-
-
-def test_a_draft_is_less_work_than_the_standard() -> None:
-    """Fewer cells, and of each pixel one label of four bytes in place of two and a share of nine: never the dearer one."""
-    cells, bytes_read = {}, {}
-    for level in Watercolor.levels[:2]:
-        ready = ReadyStage.of(Watercolor(), SCENE, level)
-        painted(picture(), f=SEEN, ready=ready)
+@pytest.mark.parametrize("more", [{}, {"pigment": False}, {"wash": 0.9, "lines": 0.95, "line_low": 0.012, "line_high": 0.035}])
+def test_levels_paint_the_same_cells_more_and_more_exactly(more: dict[str, Any]) -> None:
+    """Error against the reference in coded values; `high` differs from it by rounding of the way to a border alone."""
+    edges = np.where((np.indices((120, 160)) // 24).sum(0)[..., None] % 2, picture(), 0.7 * picture()[:, ::-1])
+    shown, cells, out = dataclasses.replace(SEEN, opacity=1.0), {}, {}
+    thing = {"coverage": np.pad(np.ones((41, 47), np.float32), ((31, 48), (55, 58)))}
+    for level in Watercolor.levels:
+        ready = ReadyStage.of(Watercolor(WatercolorParams(**more)), SCENE, level)
+        out[level] = np.sqrt(painted(edges, f=shown, ready=ready, **thing))
         made = [c.labels for c in ready.memo.of_frame._kinds["cells"].values()]
-        cells[level] = sum(len(np.unique(c.first)) for c in made)
-        bytes_read[level] = sum(c.first.nbytes + c.second.nbytes + c.inside.nbytes for c in made)
-    assert cells["draft"] < 0.65 * cells["standard"] and bytes_read["draft"] * 9 == bytes_read["standard"] * 4
+        cells[level] = [(c.count, c.first.size) for c in made]
+    error = {level: float(np.abs(out[level] - out["reference"]).mean()) for level in Watercolor.levels}
+    assert error["high"] < 1e-5 < 0.5 * error["standard"] < 0.25 * error["draft"] < 0.02, error
+    of_draft, of_high = np.array(cells["draft"]), np.array(cells["high"])
+    assert len(of_high) == 2 and np.array_equal(of_draft[:, 0], of_high[:, 0]) and cells["standard"] == cells["high"]
+    assert (of_draft[:, 1] < 0.3 * of_high[:, 1]).all(), "a quarter of the pixels is labelled"
 
 
-def test_pigment_follows_its_formula_on_an_even_wash() -> None:
+def test_half_the_picture_is_that_of_the_whole_with_its_patch() -> None:
+    g = np.random.default_rng(0)
+    for (h, w), (y, x), (ph, pw) in [
+        ((8, 10), (3, 4), (2, 3)),
+        ((9, 7), (4, 3), (5, 4)),
+        ((5, 5), (1, 0), (3, 5)),
+        ((1, 3), (0, 1), (1, 1)),
+    ]:
+        shown = Picture(g.random((h, w, 3), np.float32), g.random((ph, pw, 3), np.float32), y, x)
+        even = np.pad(shown.whole(), ((0, h % 2), (0, w % 2), (0, 0)), mode="edge")
+        means = even.reshape((h + 1) // 2, 2, (w + 1) // 2, 2, 3).mean((1, 3))
+        np.testing.assert_allclose(halve_picture(shown).image, means, atol=1e-6)
+
+
+@pytest.mark.parametrize("level", Watercolor.levels)
+def test_pigment_follows_its_formula_on_an_even_wash(level: str) -> None:
     grey = np.full((120, 160, 3), 0.25, np.float32)
     only_grain = dataclasses.replace(PLAIN, pigment=True, flow=0, edge_darkening=0, wobble_px=0, grain=0.3)
-    out = painted(grey, only_grain)
+    out = painted(grey, only_grain, level=level)
     stage = Watercolor(only_grain)
-    paper = stage.prepare(SCENE, stage.levels[1]).grain[:120, :160, None]
+    paper = stage.prepare(SCENE, level).grain[:120, :160, None]
     np.testing.assert_allclose(out, np.broadcast_to(0.25 * (1 - (1 - 0.25) * 0.3 * paper), out.shape), atol=2e-5)
 
 
@@ -432,17 +448,18 @@ def test_held_lines_change_less_and_are_the_same_whoever_painted_the_frame_befor
     assert np.array_equal(at.run(layers(frames[1]), cut)[Layer.IMAGE], stage.run(after, at.prepared)[Layer.IMAGE])
 
 
-def test_high_fades_from_the_pattern_carried_forward_to_the_one_carried_back() -> None:
+@pytest.mark.parametrize("level", ["draft", "high"])
+def test_two_patterns_fade_from_the_one_carried_forward_to_the_one_carried_back(level: str) -> None:
     nodes = still_field(160, 120, 8, 96)
     one, other = fact_of(nodes, nodes.u, nodes.v), fact_of(nodes, nodes.u + 5003, nodes.v)
     image = picture()
 
-    def at(share: float, level: str) -> np.ndarray:
+    def at(share: float, two: bool = True) -> np.ndarray:
         fact = dataclasses.replace(one, forward=one.nodes, backward=other.nodes, share=share)
-        return painted(image, f=FrameFacts(0, 0.0, advection=fact), level=level)
+        return painted(image, WatercolorParams(two_patterns=two), FrameFacts(0, 0.0, advection=fact), level)
 
-    first, last, middle = (at(share, "high") for share in (0.0, 1.0, 0.25))
-    assert np.array_equal(first, at(0.7, "standard")) and np.abs(first - last).mean() > 0.005
+    first, last, middle = (at(share) for share in (0.0, 1.0, 0.25))
+    assert np.array_equal(first, at(0.7, False)) and np.abs(first - last).mean() > 0.005
     np.testing.assert_allclose(middle, 0.75 * first + 0.25 * last, atol=1e-6)
 
 
