@@ -42,7 +42,7 @@ def page(
         section("Effects: what ran, and why not elsewhere", _stage_table(report["stages"])),
         section("Time", time),
         section("Health of the estimates", _health_table(report.get("health", []))),
-        section("Light", _light(report.get("light") or {})),
+        section("Light", light_told(report.get("light") or {})),
         section("Input and output", ends),
     ]
     return full_page(f"{clip} – arfx report", sections)
@@ -167,7 +167,7 @@ VERDICTS = {
 }
 
 
-def _light(light: Mapping[str, Any]) -> str:
+def light_told(light: Mapping[str, Any]) -> str:
     """The verdict in words, what it was in each span where it changes, and all figures."""
     said = f"<p><b>{_e(VERDICTS.get(light.get('verdict', ''), ''))}</b> {_e(light.get('reason', ''))}</p>"
     spans = light.get("spans") or []

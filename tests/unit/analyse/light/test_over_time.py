@@ -8,7 +8,8 @@ import pytest
 from arfx.analyse.light import over_time
 from arfx.analyse.light.fit import FittedLight, LightFit
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
-from arfx.analyse.light.over_time import SHARED, drift, fit_over_time, gains, jumps, matched
+from arfx.analyse.light.over_time import SHARED, Span, drift, fit_over_time, gains, jumps, matched
+from arfx.analyse.light.static_frame import span_report, used_spans
 from arfx.core.light import harmonics
 from arfx.core.numerics import normalise
 
@@ -134,3 +135,19 @@ def test_a_jump_of_one_normals_light_is_found_and_its_turning_is_not() -> None:
     assert jumps(np.repeat(times, 2), np.repeat(dimmed, 2)[:, None] * np.ones(3)) == []  # several prints in each frame
     noisy[40] *= 0.8
     assert jumps(times, np.repeat(noisy[:, None], 3, 1)) == []  # one frame disagrees
+
+
+def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees() -> None:
+    def span(start_s: float, direction: np.ndarray | None) -> Span:
+        lights = () if direction is None else (FittedLight(direction, np.ones((1, 3)), 1.0),)
+        verdict, rgb = (REFUSED if direction is None else MEASURED), np.ones((1, 3))
+        return Span(start_s, start_s + 1, LightFit(verdict, "why", rgb, rgb, lights), 0)
+
+    alike, other = normalise(LAMP + np.array([0.05, 0, 0])), np.array([-0.6, 0, 0.8])
+    lamps = [None, LAMP, None, None, alike, None, other, None]
+    spans = [span(k, lamp) for k, lamp in enumerate(lamps)]
+    used = used_spans(spans)
+    assert used.tolist() == [-1, 1, 1, 4, 4, -1, 6, -1]
+    told = span_report(spans[2], bool(used[2] >= 0)), span_report(spans[5], bool(used[5] >= 0)), span_report(spans[1], True)
+    assert [t["verdict"] for t in told] == ["refused", "refused", "measured"] and [len(t["lights"]) for t in told] == [0, 0, 1]
+    assert "before and after" in told[0]["reason"] and "soft light" in told[1]["reason"]
