@@ -44,11 +44,15 @@ def test_process_writes_both_files(job: Path) -> None:
             "lights",
             "verdict",
             "reason",
+            "spans",
+            "frames_shaded",
         },
         "timing": {"decode_s", "analyse_s", "render_s", "encode_s", "wall_s", "frames_per_s", "peak_rss_mb"},
     }
     for section, names in fields.items():
         assert names <= set(report[section]), section
+    span = {"start_s", "end_s", "verdict", "lights", "ambient_rgb", "reason"}
+    assert report["light"]["spans"] and all(span <= set(s) for s in report["light"]["spans"])
     stage = {"name", "levels", "frames_run", "frames_skipped", "area_fraction", "predicted_s", "measured_s", "reasons"}
     assert all(stage <= set(s) for s in report["stages"]) and report["stages"]
     assert all({"check", "value", "limit", "verdict", "action"} <= set(h) for h in report["health"])

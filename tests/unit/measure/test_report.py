@@ -19,7 +19,7 @@ from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, MarkerSi
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
 from arfx.measure.report import finite, read_report, write_report
-from arfx.measure.report_html import number
+from arfx.measure.report_html import light_told, number
 
 REPORT = {
     "input": {"path": "/clips/a<b>&.mp4", "frames": 6, "seconds": 0.2, "width": 64, "height": 48, "fps": 30.0, "vfr": False,
@@ -27,7 +27,10 @@ REPORT = {
     "output": {"path": "out.mp4", "frames": 6, "seconds": 0.2, "bytes": 12345},
     "pose": {"frames_measured": 4, "frames_interpolated": 1, "frames_absent": 1, "jitter_px": 0.05,
              "jitter_before_smoothing_px": 0.4, "reprojection_px": {"median": 0.21, "p95": math.nan}, "flips_resolved": 2},
-    "light": {"source": "default", "verdict": "refused", "reason": "not estimated"},
+    "light": {"source": "marker", "verdict": "likely", "reason": "two lamps up to 30 degrees apart", "spans": [
+        {"start_s": 0.0, "end_s": 0.1, "verdict": "likely", "lights": [{"rgb": [0.5, 0.4, 0.3]}],
+         "ambient_rgb": [0.1] * 3, "reason": "on"},
+        {"start_s": 0.1, "end_s": 0.2, "verdict": "likely", "lights": [], "ambient_rgb": [0.1] * 3, "reason": "off"}]},
     "stages": [{"name": "raster", "levels": {"standard": 5}, "frames_run": 5, "frames_skipped": 1, "area_fraction": 0.1,
                 "predicted_s": None, "measured_s": 1.25, "reasons": {"marker <not> visible": 1}}],
     "health": [{"check": "pose condition number", "value": 1e7, "limit": 1e6, "verdict": "warn", "action": "larger marker"}],
@@ -160,3 +163,9 @@ def test_a_pipe_in_a_job_folder_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "timings.jsonl")
     with pytest.raises(InputError, match=r"timings\.jsonl is not a file"):
         read_report(tmp_path)
+
+
+def test_a_likely_light_is_told_with_its_doubt_and_its_spans() -> None:
+    text = light_told(REPORT["light"])
+    assert "Likely: the simplest light" in text and "two lamps up to 30 degrees apart" in text
+    assert "0.10 – 0.20" in text and "0.5, 0.4, 0.3" in text
