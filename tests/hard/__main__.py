@@ -19,8 +19,11 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from tests.hard.cases import CASES
+from tests.hard.closed_forms import CLOSED_FORMS
+from tests.hard.estimates import ESTIMATES
+from tests.hard.pixels import PIXELS
 from tests.hard.scenes import Row, scene_row
-from tests.hard.sweeps import SWEEPS, Result, plot, run
+from tests.hard.sweeps import ANSWER, REFUSAL, Result, plot, run
 
 ROOT = Path(__file__).parents[2]
 
@@ -51,18 +54,17 @@ def case_rows(jobs: int) -> list[Row]:
 def sweep_rows(results: list[Result], seconds: float) -> list[Row]:
     rows = []
     for r in results:
-        refused = sum(e is None for e in r.errors)
-        worst = "always refused" if r.worst is None else f"{r.worst:.1e} {r.sweep.unit}"
-        limited = r.formula not in r.sweep.unbounded
-        verdict = "holds" if r.sound else "DOES NOT HOLD"
-        verdict += "" if limited else ", as printed: told, not limited"
-        name = f"{r.sweep.name}, {r.formula}, {r.kind}"
-        asked = (
-            f"towards {r.sweep.towards}: at most {r.sweep.bound[r.kind]:.0e} or refused"
-            if limited
-            else f"towards {r.sweep.towards}"
+        (answers, answered), (refusals, refused) = r.count(ANSWER), r.count(REFUSAL)
+        verdict = "holds" if not r.wrong else f"{len(r.wrong)} WRONG: {'; '.join(r.wrong)}"
+        verdict += ", as printed: told, not limited" if r.formula in r.sweep.unbounded else ""
+        either = len(r.points) - answers - refusals
+        worst = "none" if r.worst is None else f"{r.worst:.1e} {r.sweep.unit}"
+        told = (
+            f"answers owed {answers}, given {answered}; refusals owed {refusals}, given {refused}; either {either}; "
+            f"wrong {len(r.wrong)}; largest error {worst}"
         )
-        rows.append((name, asked, verdict, f"{worst}; {refused} of {len(r.errors)} refused", seconds / len(results)))
+        name = f"{r.sweep.name}, {r.formula}, {r.kind}"
+        rows.append((name, f"towards {r.sweep.towards}", verdict, told, seconds / len(results)))
     return rows
 
 
@@ -85,7 +87,7 @@ def main() -> int:
         table.add("cases", case_rows(given.jobs))
     if given.only in (None, "sweeps"):
         results = []
-        for sweep in SWEEPS:
+        for sweep in (*CLOSED_FORMS, *ESTIMATES, *PIXELS):
             start = time.perf_counter()
             found = run(sweep)
             table.add("sweeps", sweep_rows(found, time.perf_counter() - start))

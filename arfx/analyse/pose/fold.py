@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
-from arfx.analyse.markers.corners import aliasing_px
+from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Detection, Record, cells_per_side
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import AnalyseParams
@@ -114,7 +114,7 @@ class Views:
         sigma = np.array([s.sigma_px for _, s in seen])
         good = np.isfinite(ideal).all((1, 2))
         points = [spec[s.key].corners_m for _, s in seen]
-        shared = aliasing_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
+        shared = shared_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
         candidates = hypotheses(points, ideal, scale, np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)) if seen else []
         self.sigma_factor = self._calibrate(seen, candidates, sigma, ideal, scale, points)
         self.frames: list[list[View]] = [[] for _ in records]
