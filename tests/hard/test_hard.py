@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.hard import clips
 from tests.hard.cases import CASES
 from tests.hard.closed_forms import CLOSED_FORMS
 from tests.hard.estimates import ESTIMATES
@@ -32,6 +33,13 @@ def test_answers_and_refusals_are_what_is_owed(sweep: Sweep) -> None:
 def test_answers_and_refusals_through_pixels(sweep: Sweep) -> None:
     (found,) = run(replace(sweep, kinds=(CAMERA[:2],)), sweep.deltas[::3])
     assert not found.wrong and found.count(ANSWER)[0] >= 2 and found.count(REFUSAL)[0] >= 1, found
+
+
+@pytest.mark.parametrize("name", ["turns edge-on", "is covered by 0 to 95 %", "is blurred by 1 to 60 px"])
+def test_poses_towards_a_singularity_are_as_good_as_they_say(name: str) -> None:
+    clip = next(c for c in clips.CLIPS if c.name == name)
+    found = clips.analyse(clip)
+    assert not found.wrong and (found.opacity == 0).any() and found.owed.any(), found.wrong
 
 
 def test_the_sweeps_show_what_is_wrong_in_print() -> None:
