@@ -17,6 +17,7 @@ from arfx.core.numerics import divide
 _ACROSS = np.linspace(-0.4, 0.4, 9)  # cells, where a line between two cells is sampled
 _LEAST_CONTRAST = 0.4  # of the usual one: fainter, one of the two cells is covered
 LEAST_LINES = 12
+_RIDGE = 1e-6 * np.eye(3)
 AGREE_CELLS = 0.05  # noise, and what the camera makes of edges, move lines by less
 
 
@@ -72,11 +73,12 @@ def misplaced_px(luma: np.ndarray, corners_px: np.ndarray, family: str, number: 
     for axis, mine in enumerate((x & clear, y & clear)):
         if mine.sum() < LEAST_LINES // 3:
             return 0.0
-        signed = off[mine] * lines.normal[mine, axis]
+        signed, p = off[mine] * lines.normal[mine, axis], plane[mine]
         weight = np.ones(len(signed))
-        for _ in range(4):  # covered cells are not where they ought to be either
-            fit = np.linalg.lstsq(plane[mine] * weight[:, None], signed * weight, rcond=None)[0]
-            weight = 1 / (1 + np.abs(signed - plane[mine] @ fit) / 0.05)
+        for _ in range(3):  # what covers cells moves their lines too
+            weighted = p.T * weight
+            fit = np.linalg.solve(weighted @ p + _RIDGE, weighted @ signed)
+            weight = 1 / (1 + np.abs(signed - p @ fit) / 0.05) ** 2
         shift[:, axis] = ends @ fit
     if np.abs(shift).max() < AGREE_CELLS:
         return 0.0
