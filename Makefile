@@ -18,7 +18,7 @@ help:
 	@echo "make check   formatting, lint, types, all tests, a minute of make fuzz: what CI runs"
 	@echo "make fuzz    10,000 hostile inputs, faults, kills and signals (CASES=, SEED=)"
 	@echo "make bench   cost of whole jobs against a plain decode and encode, in one run"
-	@echo "make hard    every hard scene, stated hard case and sweep towards a singularity: one table, hard/table.md"
+	@echo "make hard    every hard scene, stated hard case, sweep and clip towards a singularity: one table, hard/table.md"
 	@echo "make errors  measures the errors of all levels that are shipped: a table, plots and arfx/plan/default_errors.json"
 	@echo "make golden  renders the expected pictures of sample_scenes/ anew; look at them before committing"
 	@echo "make wheel   a wheel for this Python that carries compiled code, in dist/"

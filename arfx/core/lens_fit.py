@@ -14,8 +14,6 @@ from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import condition, divide
 
 MIN_EDGES = 8
-# Of the dioptres' spread against their mean: below it the parabola is a line, and every focus explains it.
-MIN_SPREAD = 0.05
 MAX_CONDITION = 1e6  # of the normal matrix in scaled dioptres: float64 leaves 10 digits
 _HUBER = 1.5  # residuals beyond this many standard deviations count linearly: motion blurs some frames
 _ITERATIONS = 20
@@ -47,8 +45,8 @@ def lens_from_blur(dioptre: np.ndarray, blur_px: np.ndarray, sigma_px: np.ndarra
     if len(d) < MIN_EDGES:
         return LensFit(False, f"{len(d)} edges of known distance and blur, at least {MIN_EDGES} are needed")
     middle, spread = float(d.mean()), float(np.percentile(d, 95) - np.percentile(d, 5))
-    if spread < MIN_SPREAD * middle:
-        return LensFit(False, f"the markers' distances differ by {100 * spread / middle:.1f} % only: any focus explains the blur")
+    if spread < 1e-6 * middle:
+        return LensFit(False, "the markers are all at one distance: any focus explains the blur")
     x = (d - middle) / spread
     a = np.stack([np.ones_like(x), x, x * x], 1)
     error = 2 * blur * sigma  # of s^2
@@ -64,7 +62,8 @@ def lens_from_blur(dioptre: np.ndarray, blur_px: np.ndarray, sigma_px: np.ndarra
     scatter = max(float(np.sqrt((weight * residual**2).sum() / max(weight.sum() - 3, 1.0))), 1.0)
     covariance = np.linalg.inv(normal) * scatter**2
     if not p[2] > 3 * np.sqrt(covariance[2, 2]):
-        return LensFit(False, "the blur does not grow away from any one distance, beyond its noise")
+        why = "the blur does not grow away from any one distance beyond its noise"
+        return LensFit(False, f"{why}: distances differ by {100 * spread / middle:.1f} %")
     focus_x = -p[1] / (2 * p[2])
     slope = np.array([0.0, -1 / (2 * p[2]), p[1] / (2 * p[2] ** 2)])  # of `at` by p
     focus_x_error = float(np.sqrt(slope @ covariance @ slope))

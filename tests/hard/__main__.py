@@ -1,7 +1,7 @@
-"""`make hard`: every hard scene, every stated hard case, every sweep towards a singularity; one table, one plot.
+"""`make hard`: every hard scene, every stated hard case, every sweep and every clip towards a singularity; one table, two plots.
 
-Writes hard/table.md and hard/sweeps.png. Exit code 1 where something does not hold. The table grows row by row, and a part that
-is run alone (--only) keeps the rows of the others.
+Writes hard/table.md, hard/sweeps.png and hard/clips.png. Exit code 1 where something does not hold. The table grows row by row,
+and a part that is run alone (--only) keeps the rows of the others.
 """
 
 from __future__ import annotations
@@ -18,11 +18,18 @@ import xml.etree.ElementTree as ElementTree
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import numpy as np
+
+from tests.hard import clips
 from tests.hard.cases import CASES
+from tests.hard.closed_forms import CLOSED_FORMS
+from tests.hard.estimates import ESTIMATES
+from tests.hard.pixels import PIXELS
 from tests.hard.scenes import Row, scene_row
-from tests.hard.sweeps import SWEEPS, Result, plot, run
+from tests.hard.sweeps import ANSWER, REFUSAL, Result, plot, run
 
 ROOT = Path(__file__).parents[2]
+PARTS = ("scenes", "cases", "sweeps", "clips")
 
 
 def case_rows(jobs: int) -> list[Row]:
@@ -51,25 +58,33 @@ def case_rows(jobs: int) -> list[Row]:
 def sweep_rows(results: list[Result], seconds: float) -> list[Row]:
     rows = []
     for r in results:
-        refused = sum(e is None for e in r.errors)
-        worst = "always refused" if r.worst is None else f"{r.worst:.1e} {r.sweep.unit}"
-        limited = r.formula not in r.sweep.unbounded
-        verdict = "holds" if r.sound else "DOES NOT HOLD"
-        verdict += "" if limited else ", as printed: told, not limited"
-        name = f"{r.sweep.name}, {r.formula}, {r.kind}"
-        asked = (
-            f"towards {r.sweep.towards}: at most {r.sweep.bound[r.kind]:.0e} or refused"
-            if limited
-            else f"towards {r.sweep.towards}"
+        (answers, answered), (refusals, refused) = r.count(ANSWER), r.count(REFUSAL)
+        verdict = "holds" if not r.wrong else f"{len(r.wrong)} WRONG: {'; '.join(r.wrong)}"
+        verdict += ", as printed: told, not limited" if r.formula in r.sweep.unbounded else ""
+        either = len(r.points) - answers - refusals
+        worst = "none" if r.worst is None else f"{r.worst:.1e} {r.sweep.unit}"
+        told = (
+            f"answers owed {answers}, given {answered}; refusals owed {refusals}, given {refused}; either {either}; "
+            f"wrong {len(r.wrong)}; largest error {worst}"
         )
-        rows.append((name, asked, verdict, f"{worst}; {refused} of {len(r.errors)} refused", seconds / len(results)))
+        name = f"{r.sweep.name}, {r.formula}, {r.kind}"
+        rows.append((name, f"towards {r.sweep.towards}", verdict, told, seconds / len(results)))
     return rows
+
+
+def clip_row(found: clips.Found, seconds: float) -> Row:
+    shown = found.opacity > 0
+    told = (
+        f"{found.held:.0%} of {int(shown.sum())} poses within their 95 %; at most {np.nanmax(found.error_deg[shown]):.2g} deg, "
+        f"{np.nanmax(found.error_px[shown]):.2g} px; readable in {int(found.owed.sum())} frames"
+    )
+    return found.clip.name, "pose within what it says, no flips, fades", "; ".join(found.wrong) or "holds", told, seconds
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "hard", help="folder for table.md and sweeps.png")
-    parser.add_argument("--only", choices=("scenes", "cases", "sweeps"), help="one part of it")
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "hard", help="folder for the table and the plots")
+    parser.add_argument("--only", choices=PARTS, help="one part of it")
     parser.add_argument("--jobs", type=int, default=min(os.cpu_count() or 1, 4), help="processes at once")
     parser.add_argument("--scenes", help="of the scenes only these: 0901,0904")
     given = parser.parse_args()
@@ -85,12 +100,19 @@ def main() -> int:
         table.add("cases", case_rows(given.jobs))
     if given.only in (None, "sweeps"):
         results = []
-        for sweep in SWEEPS:
+        for sweep in (*CLOSED_FORMS, *ESTIMATES, *PIXELS):
             start = time.perf_counter()
             found = run(sweep)
             table.add("sweeps", sweep_rows(found, time.perf_counter() - start))
             results += found
         (given.output / "sweeps.png").write_bytes(plot(results))
+    if given.only in (None, "clips"):
+        analysed = []
+        for clip in clips.CLIPS:
+            start = time.perf_counter()
+            analysed.append(clips.analyse(clip))
+            table.add("clips", [clip_row(analysed[-1], time.perf_counter() - start)])
+        (given.output / "clips.png").write_bytes(clips.plot(analysed))
     rows = table.rows()
     bad = [r for r in rows if not r[2].startswith("holds")]
     print(f"{len(rows) - len(bad)} of {len(rows)} hold; {given.output / 'table.md'}")
@@ -107,7 +129,7 @@ class Table:
             self._parts = json.loads(self._kept.read_text(encoding="utf-8"))
 
     def rows(self) -> list[Row]:
-        return [tuple(row) for part in ("scenes", "cases", "sweeps") for row in self._parts.get(part, {}).values()]
+        return [tuple(row) for part in PARTS for row in self._parts.get(part, {}).values()]
 
     def add(self, part: str, rows: list[Row]) -> None:
         for row in rows:

@@ -1,321 +1,221 @@
-"""Towards every singularity of the code: inputs that are delta away from one, delta from 1e-1 to 1e-12.
+"""What a sweep towards a singularity is, and how it is judged.
 
-For each the error against a closed form has to stay within its bound, or the code has to refuse. "float32" means that the
-inputs carry float32's rounding, as everything that comes from pixels does; the solves are float64 throughout.
+Inputs that are delta away from a singularity, delta from 1 down to 1e-12. A sweep states where an answer is owed and where a
+refusal is: an answer where the least standard deviation that the data allow (the Cramer-Rao bound of the noise put in) is one
+that a user can use, a refusal where no method could answer. A refusal where an answer is owed is a failure, as is an answer where
+a refusal is owed, and one that is further from the truth than the data and the answer's own uncertainty explain.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from arfx.analyse.light.fit import REFUSED, fit
-from arfx.analyse.light.light_map import add
-from arfx.analyse.light.photometry import MEASURED, solve
-from arfx.analyse.pose.planar import hypotheses
-from arfx.core.camera import Camera
-from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
-from arfx.core.lens_fit import lens_from_blur
-from arfx.core.marker import MarkerSpec
-from arfx.core.numerics import angle_between, normalise
-from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec, rotvec_from_rotation
 from arfx.errors import ArfxError
-from arfx.papers.s1_gain import gain_and_bias
-from arfx.papers.s1_light import eq8_weight
-from arfx.papers.s2_lens import printed_limits
-from arfx.papers.s4_volumes import octree_of
-from arfx.stages.gi.pyramid import levels_of, structure_of
-from arfx.stages.gi.voxelise import Volume
 
-DELTAS = tuple(10.0**-k for k in range(1, 13))
-Round = Callable[[Any], Any]
+# four points a decade where answers turn into refusals, one beyond
+DELTAS = (*(10.0 ** (-k / 4) for k in range(17)), *(10.0**-k for k in range(5, 13)))
+ANSWER, REFUSAL, EITHER = "answer", "refusal", "either"
+SIGMAS = 4.0  # an answer further from the truth than this is wrong
+
+
+@dataclass(frozen=True)
+class Data:
+    """What kind of numbers a sweep is given. rounding : relative, of the inputs;  camera : with the noise of one
+    draw : seed of the noise"""
+
+    kind: str
+    rounding: float = 0.0
+    camera: bool = False
+    draw: int = 0
+
+    def __call__(self, value: Any) -> Any:
+        """As the inputs carry it."""
+        return value if self.kind == EXACT.kind else np.asarray(value, np.float32).astype(float)
+
+    def noise(self, sigma: float, shape: tuple[int, ...]) -> np.ndarray:
+        """Normal noise of a camera, 0 for exact numbers."""
+        return np.random.default_rng(self.draw).normal(0, sigma, shape) if self.camera else np.zeros(shape)
+
+
+EXACT, FLOAT32 = Data("float64", 1e-16), Data("float32", 6e-8)
+CAMERA = tuple(Data("camera", 6e-8, True, draw) for draw in range(6))
+NUMBERS: tuple[tuple[Data, ...], ...] = ((EXACT,), (FLOAT32,))
+WITH_CAMERA: tuple[tuple[Data, ...], ...] = (*NUMBERS, CAMERA)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """error : its distance from the truth;  stated : its own standard deviation, nan where it states none"""
+
+    error: float
+    stated: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Expected:
+    """owed : ANSWER, REFUSAL or EITHER;  bound : least standard deviation possible, or for closed forms the error allowed"""
+
+    owed: str
+    bound: float
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """error(delta, formula, rounded) : its size, None = refused;  bound : by type of the inputs;  unit : of both
-    formulas : that it is run under;  unbounded : formulas whose error is told, not limited (the paper's own defects)
-    """
+    """answer(delta, formula, data) : None or an ArfxError = refused;  expected(delta, data);  unit : of errors and bounds
+    formulas : that it is run under;  unbounded : formulas whose error is told, not limited (the paper's own defects)"""
 
     name: str
     towards: str
     unit: str
-    error: Callable[[float, str, Round], float | None]
-    bound: dict[str, float]
+    answer: Callable[[float, str, Data], Answer | None]
+    expected: Callable[[float, Data], Expected]
+    kinds: tuple[tuple[Data, ...], ...] = NUMBERS
+    deltas: tuple[float, ...] = DELTAS
     formulas: tuple[str, ...] = ("corrected",)
     unbounded: tuple[str, ...] = ()
 
 
+def always(float64: float, float32: float) -> Callable[[float, Data], Expected]:
+    """A closed form: an answer is always owed, within these errors."""
+    return lambda delta, data: Expected(ANSWER, float64 / SIGMAS if data is EXACT else float32 / SIGMAS)
+
+
+def informed(sigma: Callable[[float, Data], float], useful: float, useless: float) -> Callable[[float, Data], Expected]:
+    """An estimate: an answer is owed where its least standard deviation is at most `useful`, a refusal from `useless` on."""
+
+    def expected(delta: float, data: Data) -> Expected:
+        least = sigma(delta, data)
+        return Expected(ANSWER if least <= useful else REFUSAL if not least < useless else EITHER, least)
+
+    return expected
+
+
+def least_sigma(
+    model: Callable[[np.ndarray], np.ndarray], at: Sequence[float], sigma: float | np.ndarray,
+    prior: Sequence[float] | None = None,
+) -> np.ndarray:  # fmt: skip
+    """(p, p) Cramer-Rao bound of the covariance of the parameters `at`, from readings model(at) with standard deviation sigma.
+
+    prior : (p,) standard deviations known beforehand, inf = nothing. Infinite where the readings do not determine them."""
+    x = np.asarray(at, float)
+    steps = np.eye(len(x)) * 1e-6
+    jacobian = np.stack([(model(x + s) - model(x - s)).ravel() / 2e-6 for s in steps], 1)
+    rows = jacobian / np.broadcast_to(sigma, model(x).shape).reshape(-1, 1)
+    information = rows.T @ rows + np.diag(np.zeros(len(x)) if prior is None else 1 / np.square(prior))
+    size = np.sqrt(np.diag(information))
+    if not size.all() or np.linalg.cond(information / np.outer(size, size)) > 1e13:
+        return np.full((len(x), len(x)), np.inf)
+    return np.asarray(np.linalg.inv(information / np.outer(size, size)) / np.outer(size, size))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One delta. answers : one a draw, None = refused;  wrong : what does not hold, "" = all does"""
+
+    delta: float
+    expected: Expected
+    answers: tuple[Answer | None, ...]
+    wrong: str
+
+    @property
+    def error(self) -> float | None:
+        """Root mean square of those given."""
+        told = [a.error for a in self.answers if a is not None]
+        return float(np.sqrt(np.mean(np.square(told)))) if told else None
+
+    @property
+    def refused(self) -> int:
+        return sum(a is None for a in self.answers)
+
+
 @dataclass(frozen=True)
 class Result:
-    """errors : one a delta, None = refused;  sound : all finite and within the bound, or refused"""
-
     sweep: Sweep
     formula: str
     kind: str
-    errors: tuple[float | None, ...]
-    sound: bool
+    points: tuple[Point, ...]
+
+    @property
+    def wrong(self) -> list[str]:
+        return [f"at {p.delta:.2g}: {p.wrong}" for p in self.points if p.wrong]
 
     @property
     def worst(self) -> float | None:
-        told = [e for e in self.errors if e is not None]
-        return max(told) if told else None
+        return max((e for p in self.points if (e := p.error) is not None), default=None)
+
+    def count(self, owed: str) -> tuple[int, int]:
+        """(points at which that is owed, of these so many where all draws got it)"""
+        mine = [p for p in self.points if p.expected.owed == owed]
+        got = [p for p in mine if p.refused == (len(p.answers) if owed == REFUSAL else 0)]
+        return len(mine), len(got)
 
 
-def run(sweep: Sweep, deltas: Sequence[float] = DELTAS) -> list[Result]:
+def run(sweep: Sweep, deltas: Sequence[float] | None = None) -> list[Result]:
     out = []
     for formula in sweep.formulas:
-        for kind, rounded in (("float64", _as_is), ("float32", _float32)):
-            errors = []
-            for delta in deltas:
-                try:
-                    errors.append(sweep.error(delta, formula, rounded))
-                except ArfxError:
-                    errors.append(None)
-            bound = np.inf if formula in sweep.unbounded else sweep.bound[kind]
-            sound = all(e is None or (np.isfinite(e) and e <= bound) for e in errors)
-            out.append(Result(sweep, formula, kind, tuple(errors), sound))
+        for draws in sweep.kinds:
+            free = formula in sweep.unbounded
+            points = tuple(
+                _point(sweep, delta, formula, draws, free) for delta in sweep.deltas if deltas is None or delta in deltas
+            )
+            out.append(Result(sweep, formula, draws[0].kind, points))
     return out
 
 
-def _as_is(v: Any) -> Any:
-    return v
+def _point(sweep: Sweep, delta: float, formula: str, draws: Sequence[Data], free: bool) -> Point:
+    answers = []
+    for data in draws:
+        try:
+            answers.append(sweep.answer(delta, formula, data))
+        except ArfxError:
+            answers.append(None)
+    expected = Expected(EITHER, np.inf) if free else sweep.expected(delta, draws[0])
+    return Point(delta, expected, tuple(answers), _wrong(expected, answers))
 
 
-def _float32(v: Any) -> Any:
-    return np.asarray(v, np.float32).astype(float)
-
-
-_AXES = normalise(np.random.default_rng(3).normal(size=(12, 3)))
-
-
-def _rotation(at: float) -> Callable[[float, str, Round], float]:
-    """Rotation matrix to vector and back, at angles delta beside `at`."""
-
-    def error(delta: float, formula: str, rounded: Round) -> float:
-        angles = np.array([at - delta, at, at + delta])
-        matrices = rotation_from_rotvec((_AXES[:, None] * angles[:, None]).reshape(-1, 3))
-        given = rounded(matrices)
-        return float(np.abs(rotation_from_rotvec(rotvec_from_rotation(given)) - matrices).max())
-
-    return error
-
-
-def _between(at: float) -> Callable[[float, str, Round], float]:
-    def error(delta: float, formula: str, rounded: Round) -> float:
-        angle = at + (-delta if at > 0 else delta)
-        a = np.array([1.0, 0.0, 0.0])
-        b = np.array([np.cos(angle), np.sin(angle), 0.0])
-        return abs(float(angle_between(rounded(a), rounded(b))) - angle)
-
-    return error
-
-
-def _light_weight(delta: float, formula: str, rounded: Round) -> float:
-    """Eq. (8) at an angle delta from the normal, against the exponential itself."""
-    s = 0.2
-    cosine, variance = rounded(np.cos(delta)), np.full((1, 3), 1e12)
-    add(
-        np.array([[0.0, 0, cosine]]),
-        np.zeros((1, 3)),
-        variance,
-        np.array([[0.0, 0, 1]]),
-        np.zeros((1, 3)),
-        np.ones((1, 3)),
-        0,
-        1,
-        s,
-    )
-    found = 1 / float(variance[0, 0]) if formula == "corrected" else float(eq8_weight(cosine, s))
-    return abs(found - float(np.exp(-(delta**2) / (2 * s * s))))
-
-
-def _focus(delta: float, formula: str, rounded: Round) -> float:
-    """Blur circle of a thing delta beyond the focus: against the difference written out."""
-    lens = Lens(50.0, 2.8, 800.0)
-    away = float(rounded(800.0 * (1 + delta)))
-    exact = 50.0 * 50.0 * 800.0 * delta / ((800.0 - 50.0) * 2.8 * 800.0 * (1 + delta))
-    return abs(float(circle_of_confusion_mm(away, lens)) - exact)
-
-
-def _near_lens(delta: float, formula: str, rounded: Round) -> float:
-    """A thing at a distance of delta focal lengths: bounded by its documented limit."""
-    lens = Lens(50.0, 2.8, 800.0)
-    limit = float(circle_of_confusion_mm(0.01 * 50.0, lens))
-    return max(float(circle_of_confusion_mm(rounded(50.0 * delta), lens)) / limit - 1, 0.0)
-
-
-def _focal(delta: float, formula: str, rounded: Round) -> float:
-    """Focused delta beyond the focal length: finite, and what the formula says."""
-    focus = float(rounded(50.0 * (1 + delta)))
-    lens = Lens(50.0, 2.8, focus)  # refuses where rounding leaves nothing
-    exact = 50.0 / 2.8 * 50.0 / (focus - 50.0)
-    return abs(lens.coc_at_infinity_mm / exact - 1)
-
-
-def _hyperfocal(delta: float, formula: str, rounded: Round) -> float | None:
-    """Focused just nearer than the hyperfocal distance: the blur at the far limit is the circle that was allowed."""
-    far = 50.0 * 50.0 / (8.0 * 0.03) + (50.0 if formula == "corrected" else 0.0)
-    lens = Lens(50.0, 8.0, float(rounded(far * (1 - delta))))
-    back = (depth_of_field if formula == "corrected" else printed_limits)(lens, 0.03).back_mm
-    if back is None or np.isinf(back):
-        return None
-    return abs(float(circle_of_confusion_mm(lens.focus_mm + back, lens)) / 0.03 - 1)
-
-
-def _albedo(delta: float, formula: str, rounded: Round) -> float | None:
-    """Two albedos delta apart: the bias, against its own stated interval where it has one (1 = at its end)."""
-    rho = np.array([0.5 - delta / 2, 0.5 + delta / 2] * 4)
-    y = np.random.default_rng(0).uniform(0.3, 0.9, (30, 3))
-    seen = rounded(rho[None, :, None] * y[:, None] + 0.05)
-    found = (solve if formula == "corrected" else gain_and_bias)(seen, albedo=rho)
-    return None if found.verdict != MEASURED else float(np.abs(found.bias - 0.05).max())
-
-
-def _normals(delta: float, formula: str, rounded: Round) -> float | None:
-    """Normals within 10 delta of the middle one: the lamp's direction, degrees, or none."""
-    rng = np.random.default_rng(2)
-    tilt, phi = 10 * delta * np.sqrt(rng.random(120)), 2 * np.pi * rng.random(120)
-    n = np.stack([np.sin(tilt) * np.cos(phi), np.sin(tilt) * np.sin(phi), np.cos(tilt)], -1)
-    lamp = normalise(np.array([0.5, 0.3, 0.8]))
-    light = np.clip(n @ lamp, 0, None)[:, None] * np.array([0.6, 0.5, 0.4]) + 0.2
-    found = fit(n, rounded(light))
-    if found.verdict == REFUSED or not found.lights:
-        return None
-    off = min(float(np.degrees(angle_between(np.array(li.direction), lamp))) for li in found.lights)
-    return off / max(min(li.confidence_deg for li in found.lights), 3.0)
-
-
-def _tilt(at: float) -> Callable[[float, str, Round], float | None]:
-    """A marker of 10 cm half a metre away, tilted by an angle delta from `at`: the best hypothesis's turn, degrees."""
-
-    def error(delta: float, formula: str, rounded: Round) -> float | None:
-        turn = rotation_from_rotvec(np.array([at - delta if at > 0 else delta, 0.0, 0.0])) @ np.diag([1.0, -1.0, -1.0])
-        corners = MarkerSpec("36h11", 0, 0.1).corners_m
-        seen = corners @ turn.T + np.array([0.02, 0.01, 0.5])
-        ideal = rounded(seen[:, :2] / seen[:, 2:])
-        focal = np.broadcast_to(900.0 * np.eye(2), (1, 4, 2, 2))
-        (found,) = hypotheses([corners], ideal[None], focal, np.array([0.1]))
-        if not found:
-            return None
-        off = [rotation_angle_rad(h.camera_from_marker, Pose(turn, np.zeros(3))) for h in found]
-        return float(np.degrees(min(off)))
-
-    return error
-
-
-def _baseline(delta: float, formula: str, rounded: Round) -> float | None:
-    """A marker seen 100 delta pixels wide: turn of the best hypothesis beside what a tenth of a pixel leaves, or none."""
-    away = 0.1 * 900.0 / (100.0 * delta)
-    turn = rotation_from_rotvec(np.array([0.6, 0.2, 0.0])) @ np.diag([1.0, -1.0, -1.0])
-    corners = MarkerSpec("36h11", 0, 0.1).corners_m
-    seen = corners @ turn.T + np.array([0.02, 0.01, 1.0]) * away
-    (found,) = hypotheses([corners], rounded(seen[:, :2] / seen[:, 2:])[None], np.broadcast_to(900.0 * np.eye(2), (1, 4, 2, 2)),
-                          np.array([0.1]))  # fmt: skip
-    if not found:
-        return None
-    off = min(rotation_angle_rad(h.camera_from_marker, Pose(turn, np.zeros(3))) for h in found)
-    return float(off / max(0.1 / (100.0 * delta), 1e-3))
-
-
-def _dioptres(delta: float, formula: str, rounded: Round) -> float | None:
-    """Edges whose distances differ by a share delta: the focus of the lens in units of its interval, or none."""
-    d = 2.0 * (1 + delta * np.linspace(-1, 1, 60))
-    blur = np.sqrt(0.6**2 + (15.0 / 2 * (d - 2.0 * (1 - 0.3 * delta))) ** 2)
-    found = lens_from_blur(rounded(d), rounded(blur), 0.02)
-    return None if not found.known else abs(found.focus - 2.0 * (1 - 0.3 * delta)) / max(found.focus_ci95, 1e-6)
-
-
-def _distance(delta: float, formula: str, rounded: Round) -> float | None:
-    """A point delta metres before the camera, a millionth of a radian wide: pixel to direction and back, px."""
-    camera = Camera(1280, 720, np.array([[900.0, 0, 640], [0, 900.0, 360], [0, 0, 1]]), np.array([-0.2, 0.05, 1e-3, -1e-3, 0.0]))
-    point = np.array([[0.1 * delta, 0.05 * delta, delta]])
-    pixel = camera.project(rounded(point))
-    if not np.isfinite(pixel).all():
-        return None
-    again = camera.project(np.concatenate([camera.normalised(pixel), np.ones((1, 1))], 1))
-    return float(np.abs(again - pixel).max())
-
-
-def _focal_length(delta: float, formula: str, rounded: Round) -> float:
-    """A focal length of width / delta: the same."""
-    f = 1280.0 / delta
-    camera = Camera(1280, 720, np.array([[f, 0, 640], [0, f, 360], [0, 0, 1.0]]))
-    pixels = np.array([[3.0, 5.0], [640.0, 360.0], [1270.0, 700.0]])
-    ideal = rounded(camera.normalised(pixels))
-    return float(np.abs(camera.project(np.concatenate([ideal, np.ones((3, 1))], 1)) - pixels).max())
-
-
-_WALL = np.array([(7, y, z) for z in range(16) for y in range(16)])
-
-
-def _wall(delta: float, formula: str, rounded: Round) -> float:
-    """A wall of opacity 1 - delta, one voxel thick, at the mip level of eight voxels: what leaks beside what should."""
-    values = np.zeros((len(_WALL), 4), np.float32)
-    values[:, 3] = rounded(1 - delta)
-    if formula == "paper":
-        tree = octree_of(Volume(16, (0.0, 0.0, 0.0), 1.0), _WALL, np.zeros((len(_WALL), 3)), values[:, 3])
-        opacity = tree.tree.eta[tree.rows_of(3), 3]
-    else:
-        opacity = levels_of(structure_of(_WALL, 16), values)[3][:, 0, 3]
-    return abs(float(opacity.max()) - (1 - delta))
-
-
-BOTH = ("corrected", "paper")
-SWEEPS: tuple[Sweep, ...] = (
-    Sweep("rotation vector", "angle 0", "matrix element", _rotation(0.0), {"float64": 1e-12, "float32": 1e-6}),
-    Sweep("rotation vector", "angle pi/2", "matrix element", _rotation(np.pi / 2), {"float64": 1e-12, "float32": 1e-6}),
-    Sweep("rotation vector", "angle pi", "matrix element", _rotation(np.pi), {"float64": 1e-12, "float32": 1e-6}),
-    Sweep("angle between", "angle 0", "rad", _between(0.0), {"float64": 1e-15, "float32": 1e-7}),
-    Sweep("angle between", "angle pi/2", "rad", _between(np.pi / 2), {"float64": 1e-15, "float32": 1e-7}),
-    Sweep("angle between", "angle pi", "rad", _between(np.pi), {"float64": 1e-12, "float32": 3e-7}),
-    Sweep("weight of a normal, eq. 8", "angle 0", "of 1", _light_weight, {"float64": 1e-9, "float32": 1e-5}, BOTH, ("paper",)),
-    Sweep("blur circle", "the focus", "mm", _focus, {"float64": 1e-13, "float32": 1e-6}),
-    Sweep("blur circle", "distance 0", "share over its limit", _near_lens, {"float64": 1e-12, "float32": 1e-6}),
-    Sweep("lens", "focus at the focal length", "share", _focal, {"float64": 1e-9, "float32": 1e-9}),
-    Sweep(
-        "depth of field", "the hyperfocal distance", "share", _hyperfocal, {"float64": 1e-3, "float32": 1e-1}, BOTH, ("paper",)
-    ),
-    Sweep("photometry", "albedo contrast 0", "bias, of 1", _albedo, {"float64": 0.02, "float32": 0.02}, BOTH, ("paper",)),
-    Sweep("light direction", "one normal", "of its confidence", _normals, {"float64": 2.0, "float32": 2.0}),
-    Sweep("marker pose", "facing the camera", "deg", _tilt(0.0), {"float64": 0.05, "float32": 0.5}),
-    Sweep("marker pose", "edge on", "deg", _tilt(np.pi / 2), {"float64": 1.0, "float32": 3.0}),
-    Sweep("marker pose", "no width", "of its uncertainty", _baseline, {"float64": 3.0, "float32": 3.0}),
-    Sweep("lens of the footage", "one distance", "of its interval", _dioptres, {"float64": 2.0, "float32": 2.0}),
-    Sweep("projection", "distance 0", "px", _distance, {"float64": 1e-3, "float32": 1e-3}),
-    Sweep("projection", "an endless focal length", "px", _focal_length, {"float64": 1e-3, "float32": 1e-3}),
-    Sweep("voxel wall", "opacity 1", "of 1", _wall, {"float64": 1e-6, "float32": 1e-6}, BOTH, ("paper",)),
-)
+def _wrong(expected: Expected, answers: Sequence[Answer | None]) -> str:
+    told = [a for a in answers if a is not None]
+    if expected.owed == ANSWER and len(told) < len(answers):
+        return f"refused, though {expected.bound:.1e} could be known"
+    if expected.owed == REFUSAL and told:
+        return f"answered, though nothing better than {expected.bound:.1e} can be known"
+    for a in told:
+        if not np.isfinite(a.error):
+            return "not finite"
+        if a.error > SIGMAS * max(expected.bound, a.stated if np.isfinite(a.stated) else 0.0):
+            return f"error {a.error:.1e}, stated {a.stated:.1e}, possible {expected.bound:.1e}"
+    return ""
 
 
 def plot(results: Sequence[Result]) -> bytes:
-    """Error against delta, one panel a sweep; refusals are crosses along the top. PNG bytes."""
-    import io
-
-    from matplotlib.figure import Figure
-
+    """Error, stated uncertainty and bound against delta, one panel a sweep. PNG bytes."""
     names = list(dict.fromkeys((r.sweep.name, r.sweep.towards) for r in results))
     columns = 4
-    rows = -(-len(names) // columns)
-    fig = Figure(figsize=(4.0 * columns, 2.7 * rows), layout="constrained")
-    axes = np.atleast_1d(fig.subplots(rows, columns, squeeze=False)).ravel()
-    colours = {"corrected": "#2f81f7", "paper": "#d9822b"}
+    fig = Figure(figsize=(4.2 * columns, 2.9 * -(-len(names) // columns)), layout="constrained")
+    axes = np.atleast_1d(fig.subplots(-(-len(names) // columns), columns, squeeze=False)).ravel()
+    colours = {"float64": "#2f81f7", "float32": "#1b9e77", "camera": "#d9822b"}
     for axis, (name, towards) in zip(axes, names, strict=False):
         mine = [r for r in results if (r.sweep.name, r.sweep.towards) == (name, towards)]
-        for r in mine:
-            style = "-" if r.kind == "float64" else "--"
-            y = [np.nan if e is None else max(e, 1e-18) for e in r.errors]
-            axis.loglog(
-                DELTAS[: len(y)], y, style, marker=".", ms=3, lw=1, color=colours[r.formula], label=f"{r.formula} {r.kind}"
-            )
-            refused = [d for d, e in zip(DELTAS, r.errors, strict=False) if e is None]
-            axis.plot(refused, [0.97 if r.kind == "float64" else 0.92] * len(refused), "x", ms=4, color=colours[r.formula],
-                      transform=axis.get_xaxis_transform())  # fmt: skip
-        for value in mine[0].sweep.bound.values():
-            axis.axhline(value, color="#8b949e", lw=0.6, ls=":")
+        for row, r in enumerate(mine):
+            delta, colour = [p.delta for p in r.points], colours[r.kind] if r.formula == "corrected" else "#8b949e"
+            axis.loglog(delta, [np.nan if p.error is None else max(p.error, 1e-18) for p in r.points], "-", marker=".", ms=3,
+                        lw=1, color=colour, label=f"{r.formula} {r.kind}: error")  # fmt: skip
+            stated = [np.median([a.stated for a in p.answers if a is not None] or [np.nan]) for p in r.points]
+            if np.isfinite(stated).any():
+                axis.loglog(delta, stated, "--", lw=1, color=colour, label="stated")
+            if r.formula not in r.sweep.unbounded:
+                axis.loglog(delta, [p.expected.bound for p in r.points], ":", lw=0.8, color=colour)
+            refused = [p.delta for p in r.points if p.refused]
+            axis.plot(refused, [0.98 - 0.05 * row] * len(refused), "x", ms=4, color=colour, transform=axis.get_xaxis_transform())
+        for p in mine[-1].points:
+            if p.expected.owed == REFUSAL:
+                axis.axvspan(p.delta / 1.4, p.delta * 1.4, color="#8b949e", alpha=0.12, lw=0)
         axis.set_title(f"{name}, towards {towards}", fontsize=8, loc="left")
         axis.set_ylabel(mine[0].sweep.unit, fontsize=7)
         axis.tick_params(labelsize=6)
@@ -323,8 +223,8 @@ def plot(results: Sequence[Result]) -> bytes:
     for axis in axes[len(names) :]:
         axis.set_visible(False)
     fig.supxlabel(
-        "distance from the singularity; crosses: refused (upper row float64, lower float32); dotted: what float64 (lower) and "
-        "float32 (upper) must stay below; 1e-18 stands for no error",
+        "distance from the singularity; dotted: what the data allow (or the error allowed); crosses: refused; "
+        "grey: a refusal is owed; 1e-18 stands for no error",
         fontsize=8,
     )
     out = io.BytesIO()

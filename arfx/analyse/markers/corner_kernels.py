@@ -31,25 +31,29 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
     """Move quads (n, 4, 2) onto their edges, in place; out (n, 6) by the columns above.
 
     luma : (h, w) uint8, at least 2 x 2;  table : (256,) to linear light;  bend : (n, 4, SAMPLES, 2) px off the chord
-    half : (n,) px searched to either side of an edge;  reach : (n,) px for the first passes, not below half
+    half : (n, 4) px searched to either side of an edge;  reach : (n, 4) px for the first passes, not below half
     least_gain : (n,) give up where a side is fainter, at once;  fractions : FRACTIONS (a constant would be unrolled, and
     the compiler take three times as long)"""
     samples = len(fractions)
     offset, slope = np.empty((4, samples)), np.empty((4, samples, STEPS - 1))
-    ends, moved = np.empty((4, 2)), np.empty((4, 2))
+    ends, moved, window = np.empty((4, 2)), np.empty((4, 2)), np.empty(4)
     for i in range(len(quads)):
         quad, stats = quads[i], out[i]
-        wide = WIDE_ITERATIONS if reach[i] > half[i] else 0
-        window, blur = reach[i] / 2, np.nan
-        least = min(max(WINDOW_FRACTION * half[i], WINDOW_PX[0]), WINDOW_PX[1])
+        wide, blur = 0, np.nan
+        for side in range(4):
+            window[side] = reach[i, side] / 2
+            if reach[i, side] > half[i, side]:
+                wide = WIDE_ITERATIONS
         stats[OK] = 1.0
         for k in range(ITERATIONS + wide):
             far = reach[i] if k < wide else half[i]
             gain, blur, skew, inverted = _edges(luma, table, quad, bend[i], far, window, blur, fractions, slope, offset)
             stats[BLUR], stats[GAIN], stats[SKEW], stats[INVERTED] = blur, gain, skew, inverted
             if k < 3 + wide:  # the blur's estimate settles; then the window is held, so that the fixed point is one
-                next_half = reach[i] if k + 1 < wide else half[i]
-                window = min(max(1.2 * blur, least), next_half / 2)
+                after = reach[i] if k + 1 < wide else half[i]
+                for side in range(4):
+                    least = min(max(WINDOW_FRACTION * half[i, side], WINDOW_PX[0]), WINDOW_PX[1])
+                    window[side] = min(max(1.2 * blur, least), after[side] / 2)
             stats[SPREAD] = _fit(offset, fractions, ends)
             _meet(quad, ends, moved)
             step = 0.0
@@ -71,14 +75,14 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
 def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset):  # pragma: no cover - compiled
     """Where the four edges are along their normals: offset (4, SAMPLES) px inwards from the chord.
 
-    blur : NaN at first;  slope (4, SAMPLES, STEPS - 1) : work space
+    half, window : (4,) px of each side;  blur : NaN at first;  slope (4, SAMPLES, STEPS - 1) : work space
     Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0 for white on black."""
     h, w = luma.shape
     samples, steps = len(fractions), slope.shape[2] + 1
     last_x, last_y = w - 1.001, h - 1.001
-    spacing = 2 * half / (steps - 1)
     total = 0.0
     for side in range(4):
+        spacing = 2 * half[side] / (steps - 1)
         ax, ay = quad[side, 0], quad[side, 1]
         cx, cy = quad[(side + 1) % 4, 0] - ax, quad[(side + 1) % 4, 1] - ay
         length = np.sqrt(cx * cx + cy * cy)
@@ -89,7 +93,7 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset
             mx, my = ax + cx * fractions[m] + bend[side, m, 0], ay + cy * fractions[m] + bend[side, m, 1]
             before = 0.0
             for s in range(steps):
-                along = half * (s / ((steps - 1) / 2) - 1)
+                along = half[side] * (s / ((steps - 1) / 2) - 1)
                 # bilinear, in linear light, exact coordinates (cv2.remap rounds them to 1/32 px); borders are replicated
                 x, y = mx + nx * along, my + ny * along
                 if not x > 0:  # also NaN
@@ -113,12 +117,13 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset
                 before = light
     inverted = 1.0 if total < 0 else 0.0  # else bright outside, dark inside: positive
     sign = -1.0 if total < 0 else 1.0
-    # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a displacement
-    boost = min((blur * blur + window * window) / (window * window), 3.0) if np.isfinite(blur) else 1.0
-    mean, narrow, at = np.zeros((4, steps - 1)), np.empty(steps - 1), np.empty(steps - 1)
-    for s in range(steps - 1):
-        at[s] = half * ((s + 0.5) / ((steps - 1) / 2) - 1)
-        narrow[s] = np.exp(-0.5 * (at[s] / window) ** 2)
+    mean, narrow, at, boost = np.zeros((4, steps - 1)), np.empty((4, steps - 1)), np.empty((4, steps - 1)), np.ones(4)
+    for side in range(4):
+        if np.isfinite(blur):  # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a displacement
+            boost[side] = min((blur * blur + window[side] * window[side]) / (window[side] * window[side]), 3.0)
+        for s in range(steps - 1):
+            at[side, s] = half[side] * ((s + 0.5) / ((steps - 1) / 2) - 1)
+            narrow[side, s] = np.exp(-0.5 * (at[side, s] / window[side]) ** 2)
     gain = np.inf
     for side in range(4):
         for m in range(samples):
@@ -127,36 +132,37 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset
         mass = 0.0
         for s in range(steps - 1):
             mean[side, s] *= sign / samples
-            mass += mean[side, s] * narrow[s]
+            mass += mean[side, s] * narrow[side, s]
         gain = min(gain, mass)
         for m in range(samples):
             first = 0.0
             for s in range(steps - 1):
-                first += slope[side, m, s] * narrow[s] * at[s]
-            e = sign * first / mass * boost
-            offset[side, m] = min(max(e, -half), half) if np.isfinite(e) else 0.0
+                first += slope[side, m, s] * narrow[side, s] * at[side, s]
+            e = sign * first / mass * boost[side]
+            offset[side, m] = min(max(e, -half[side]), half[side]) if np.isfinite(e) else 0.0
     blur_px = _width(mean, at, half)
     third, near = 0.0, np.empty(steps - 1)
     for side in range(4):
         for s in range(steps - 1):
-            near[s] = mean[side, s] * np.exp(-0.5 * (at[s] / (1.5 * blur_px)) ** 2)
-        cube = _moments(near, at)[1]
+            near[s] = mean[side, s] * np.exp(-0.5 * (at[side, s] / (1.5 * blur_px)) ** 2)
+        cube = _moments(near, at[side])[1]
         third += (cube if np.isfinite(cube) else 0.0) / 4
     return gain, blur_px, third / blur_px**3, inverted
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _width(mean, at, half):  # pragma: no cover - compiled
-    """Standard deviation px of the mean profiles (4, s), median of the sides; the window's own narrowing is taken out."""
-    seen, wide = np.empty(4), np.empty(len(at))
+    """Standard deviation px of the mean profiles (4, s) at (4, s), median of the sides; the window's narrowing is taken out."""
+    seen, wide = np.empty(4), np.empty(at.shape[1])
     for side in range(4):
-        for s in range(len(at)):
-            wide[s] = max(mean[side, s], 0.0) * np.exp(-0.5 * (at[s] / (half / 2)) ** 2)
-        square = _moments(wide, at)[0]
-        seen[side] = square if np.isfinite(square) else 1.0
+        for s in range(len(wide)):
+            wide[s] = max(mean[side, s], 0.0) * np.exp(-0.5 * (at[side, s] / (half[side] / 2)) ** 2)
+        square = _moments(wide, at[side])[0]
+        own = 1 / (1 / square - 1 / (half[side] / 2) ** 2)
+        own = min(max(own, 0.04), half[side] ** 2) if np.isfinite(own) and own > 0 else half[side] ** 2
+        seen[side] = own if np.isfinite(square) else 1.0
     sort(seen)
-    own = 1 / (1 / ((seen[1] + seen[2]) / 2) - 1 / (half / 2) ** 2)
-    return np.sqrt(min(max(own, 0.04), half**2)) if np.isfinite(own) and own > 0 else half
+    return np.sqrt((seen[1] + seen[2]) / 2)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -1,8 +1,8 @@
 """Sub-pixel corners of square markers: lines through the four sides' edges, met at the corners.
 
-Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples share because the side runs along
-the pixels (aliasing_px). `EdgeRefiner` decides once per clip in which values edges are symmetric, light or code: until then both
-are computed and kept. Leaves out: rolling shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
+Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples share (shared_px).
+`EdgeRefiner` decides once per clip in which values edges are symmetric, light or code: until then both are computed and kept.
+Leaves out: rolling shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from arfx.analyse.fold import Stateful
 from arfx.analyse.markers import corner_kernels as kernels
 from arfx.analyse.markers.corner_kernels import FRACTIONS, SAMPLES
 from arfx.analyse.markers.detect import Candidate, Detection, cells_per_side
+from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
 from arfx.core.numerics import divide
@@ -27,20 +28,24 @@ HALF_PX = (1.8, 8.0)  # least and most that is looked at to either side of an ed
 # Measured: error of an edge that lies along the pixels, by its blur (which holds the pixel's own width and that of the
 # interpolation, together .5 px); and the directions in which rows of pixels lie.
 _STEP_BLUR_PX, _STEP_PX = (0.455, 0.49, 0.65, 1.0), (0.3, 0.04, 0.03, 0.015)
+# Measured: error of an edge, of the width of a cell, by the edge's blur over that width.
+_BLUR_CELLS, _NEXT_CELL = (0.15, 0.18, 0.21, 0.25, 0.29, 0.32), (0.0, 0.001, 0.002, 0.005, 0.014, 0.03)
+# Measured: error of an edge, of the width of a cell, by the edge's blur over that width.
+_BLUR_CELLS, _NEXT_CELL = (0.15, 0.18, 0.21, 0.25, 0.29, 0.32), (0.0, 0.001, 0.002, 0.005, 0.014, 0.03)
 _ROWS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
 FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
 AUTO, LIGHT, CODE = "auto", "srgb", "gamma:1"
 SIGHTINGS = 12  # decide after so many
 FRAMES = 120  # or after so many with a marker in them, by what there is: edges too poor to tell are poor later too
 # Measured: true linear blur gives skews up to .03 in light; camera-sharpened footage .19 in light and -.03 in code.
-_SKEWED = 0.1
+_SKEWED = 0.07
 
 
 @dataclass(frozen=True)
 class Corners:
     """Refined corners of n markers.
 
-    corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner coordinate, without aliasing_px
+    corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner coordinate, without shared_px
     blur_px : (n,) standard deviation of the edge's blur, median of sides;  inverted : (n,) white on black
     refined : (n,) False where no clear edge was found and the input corners are returned (sigma 1 px)
     skew : (n,) third moment of the edge's gradient over blur^3: near 0 where `table` makes the edge symmetric"""
@@ -68,7 +73,7 @@ def refine_corners(
     The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
     n = len(start)
-    cell = np.linalg.norm(start - start[:, [1, 2, 3, 0]], axis=-1).mean(-1) / np.asarray(cells, float).reshape(n)
+    cell = _cell_px(start, np.reshape(cells, n))
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
     quad, stats, ok = start.copy(), np.zeros((n, 6)), np.zeros(n, bool)
@@ -76,9 +81,9 @@ def refine_corners(
         light, bend = np.array(table, float), _bend(start, camera)
         luma = luma.view()
         luma.flags.writeable = False  # whoever made it, it is one type to the compiler
-        kernels.refine_quad(luma, light, quad, bend, half, half, np.where(reach > half, FAINT, 0.0), FRACTIONS, stats)
+        kernels.refine_quad(luma, light, quad, bend, half, half, np.where((reach > half).any(1), FAINT, 0.0), FRACTIONS, stats)
         ok = _clear(start, quad, stats, half, half)
-        again = np.flatnonzero(~ok & (reach > half))
+        again = np.flatnonzero(~ok & (reach > half).any(1))
         if len(again):
             far, far_stats = start[again], stats[again]
             kernels.refine_quad(
@@ -94,28 +99,40 @@ def refine_corners(
     )  # fmt: skip
 
 
-def aliasing_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """(n,) standard deviation of a corner coordinate from the steps of the pixels, beside Corners.sigma_px.
+def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """(n,) standard deviation of a corner coordinate that all samples of a side share, beside Corners.sigma_px.
 
     corners_px : (n, 4, 2);  blur_px : (n,) of Corners, NaN gives 0;  cells : (n,) cells along a side, border included
     The position of a step between pixels is known as well as the blur spreads it over several. A side that crosses many rows of
-    pixels averages that away; one that keeps within a row, be it a diagonal one, does not."""
+    pixels averages that away; one that keeps within a row, be it a diagonal one, does not. And blur brings the cells
+    behind the border near."""
     side = np.roll(corners_px, -1, 1) - corners_px
     shared = np.zeros(side.shape[:2])
     for x, y in _ROWS:
         crossed = np.abs(side[..., 0] * y - side[..., 1] * x)  # rows of pixels along (x, y): 1 / |(x, y)| apart
         shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
-    cell = np.linalg.norm(side, axis=-1).mean(1) / cells
+    cell, blur = _cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
     window = np.clip(kernels.WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *kernels.WINDOW_PX)
-    step = np.minimum(np.interp(blur_px, _STEP_BLUR_PX, _STEP_PX) * (kernels.WINDOW_PX[1] / window) ** 2, _STEP_PX[0])
+    step = np.minimum(np.interp(blur, _STEP_BLUR_PX, _STEP_PX) * (kernels.WINDOW_PX[1] / window) ** 2, _STEP_PX[0])
+    near = cell * np.interp(divide(blur, cell), _BLUR_CELLS, _NEXT_CELL)
     # the line that runs to a corner from the samples on its side carries their error on, and more of it if they disagree
-    return np.where(np.isfinite(blur_px), 1.3 * step * np.sqrt(shared.mean(1)), 0.0)
+    return np.where(np.isfinite(blur_px), np.sqrt((1.3**2 * step**2 * shared + near**2).mean(1)), 0.0)
+
+
+def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,) along a side."""
+    length = np.linalg.norm(np.roll(quad, -1, 1) - quad, axis=-1)
+    opposite = np.roll(length, 2, 1)
+    across, up = quad[:, 2] - quad[:, 0], quad[:, 3] - quad[:, 1]
+    area = np.abs(across[:, 0] * up[:, 1] - across[:, 1] * up[:, 0]) / 2
+    deep = divide(2 * area[:, None], length + opposite) * np.minimum(divide(length, opposite, where_zero=1.0), 1.0)
+    return np.asarray(deep / np.asarray(cells, float)[:, None])
 
 
 def _clear(start: np.ndarray, quad: np.ndarray, stats: np.ndarray, half: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
-    near = np.abs(quad - start).max((1, 2)) <= np.maximum(3.0, 1.5 * reach)
-    return (stats[:, kernels.OK] > 0) & near & (stats[:, kernels.GAIN] > FAINT) & (stats[:, kernels.SPREAD] < half)
+    near = np.abs(quad - start).max((1, 2)) <= np.maximum(3.0, 1.5 * reach.max(1))
+    return (stats[:, kernels.OK] > 0) & near & (stats[:, kernels.GAIN] > FAINT) & (stats[:, kernels.SPREAD] < half.max(1))
 
 
 def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
@@ -185,8 +202,9 @@ def _refined(
 ) -> tuple[tuple[Detection, ...], np.ndarray]:
     quads = np.stack([c.quad_px for c in found])
     r = refine_corners(luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera)
+    off = [misplaced_px(luma, r.corners_px[i], c.family, c.id, bool(r.inverted[i]), table) for i, c in enumerate(found)]
     seen = tuple(
-        Detection(c.key, r.corners_px[i], float(r.sigma_px[i]), float(r.blur_px[i]), bool(r.inverted[i]))
+        Detection(c.key, r.corners_px[i], float(np.hypot(r.sigma_px[i], off[i])), float(r.blur_px[i]), bool(r.inverted[i]))
         for i, c in enumerate(found)
     )
     return seen, r.skew

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
-from arfx.analyse.markers.corners import aliasing_px
+from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Detection, Record, cells_per_side
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import AnalyseParams
@@ -30,6 +30,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Check
 from arfx.errors import NothingToDoError
 
+_COMMON_PX = 0.005  # of a corner, at least, that no smoothing averages away: the print's edges, the optics
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
 
 
@@ -114,13 +115,15 @@ class Views:
         sigma = np.array([s.sigma_px for _, s in seen])
         good = np.isfinite(ideal).all((1, 2))
         points = [spec[s.key].corners_m for _, s in seen]
-        shared = aliasing_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
+        shared = shared_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
         candidates = hypotheses(points, ideal, scale, np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)) if seen else []
         self.sigma_factor = self._calibrate(seen, candidates, sigma, ideal, scale, points)
+        self.common_px = np.full(len(records), _COMMON_PX)  # error of a frame's corners that its neighbours' have too
         self.frames: list[list[View]] = [[] for _ in records]
         self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
         for i, (k, s) in enumerate(seen):
             px = float(np.hypot(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX), shared[i]))
+            self.common_px[k] = max(self.common_px[k], shared[i])
             if good[i] and candidates[i]:
                 poses = tuple(h.camera_from_marker for h in candidates[i])
                 self.frames[k].append(View(s.key, points[i], ideal[i], scale[i], px, poses))
@@ -186,6 +189,9 @@ def solve(
         else:
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
+        known = replace(part, weight=(part.weight > 0) / views.common_px[at, None] ** 2)
+        common = np.linalg.pinv(information(rotation[at], translation[at], known), hermitian=True)
+        covariance[at] += common  # 0 where no corner is
     facts, errors = _facts(records, views, path, layout, rotation, translation, covariance, shot, status, opacity)
     static, evidence = params.static, dict[str, float]()
     if static == "auto":

@@ -7,7 +7,7 @@ import pytest
 
 from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
-from arfx.analyse.markers.corners import aliasing_px, linear_table, refine_corners
+from arfx.analyse.markers.corners import linear_table, refine_corners, shared_px
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
@@ -60,7 +60,7 @@ def scatter(side_px: float, angle_deg: float, point: bool, blur_px: float = 0.0)
         r = refine_corners(dark_quad(quad, size, point, blur_px), quad[None] + rng.uniform(-0.8, 0.8, 2), CELLS, TABLE)
         assert r.refined[0]
         error.append(r.corners_px[0] - quad)
-        said.append(np.hypot(r.sigma_px[0], aliasing_px(r.corners_px, r.blur_px, CELLS)[0]))
+        said.append(np.hypot(r.sigma_px[0], shared_px(r.corners_px, r.blur_px, CELLS)[0]))
     return float(np.sqrt(np.mean(np.square(error)))), float(np.sqrt(np.mean(np.square(said))))
 
 
@@ -90,8 +90,8 @@ def test_a_lens_spreads_the_steps(angle_deg: float) -> None:
 
 def test_an_unrefined_corner_has_no_steps() -> None:
     quad = np.array([[[10.0, 10], [50, 10], [50, 50], [10, 50]]])
-    assert aliasing_px(quad, np.array([np.nan]), CELLS)[0] == 0.0
-    wide, sharp = (aliasing_px(quad, np.array([b]), CELLS)[0] for b in (1.5, 0.3))
+    assert shared_px(quad, np.array([np.nan]), CELLS)[0] == 0.0
+    wide, sharp = (shared_px(2 * quad, np.array([b]), CELLS)[0] for b in (1.5, 0.3))
     assert 0 < wide < 0.03 < sharp < 0.5
 
 
@@ -114,3 +114,15 @@ def test_frontal_40_px_print_without_any_blur_is_never_mirrored(seed: int) -> No
         for f, pose in zip(facts, truth, strict=True):
             got = f.camera_from_world if smoothed else f.raw_camera_from_world
             assert got is not None and np.degrees(rotation_angle_rad(got, pose)) < limit_deg
+
+
+def test_blur_brings_the_next_cells_near_the_edge() -> None:
+    quad = np.array([[[10.0, 10], [90, 10], [90, 90], [10, 90]]])
+    little, some, much = (shared_px(quad, np.array([b]), CELLS)[0] for b in (1.4, 2.5, 3.2))
+    assert little < 0.02 and 0.04 < some < 0.06 and 0.15 < much < 0.4  # measured on drawn prints: tests/hard/pixels.py
+
+
+def test_a_print_turned_away_is_as_narrow_as_it_looks() -> None:
+    """The window keeps off the inner cells of the narrow direction."""
+    square, turned = (np.array([[[10.0, 10], [90, 10], [90, 10 + h], [10, 10 + h]]]) for h in (80.0, 20.0))
+    assert shared_px(turned, np.array([0.6]), CELLS)[0] > 2 * shared_px(square, np.array([0.6]), CELLS)[0]
