@@ -1,0 +1,212 @@
+"""What was claimed, against the truth: rows of clips, their table, the goals, the plot."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse.fold import Analysis
+from tests.calibrated.scenes import Clip
+
+REFUSED, MEASURED, LIKELY = "refused", "measured", "likely"
+FALSE_DEG, FALSE_CONES = 3.0, 3.0  # a claim farther off than both is false
+LEAST_LIGHT = 0.05  # of a frame's mean light: less is no claim
+MOSTLY = 75  # percentile of a claim's frames
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A direction that is used in frames. error_deg : from the nearest lamp, 180 = there is none
+    mean_deg : from the lamps' mean direction, by their brightness: what looks like one lamp where all normals face both"""
+
+    verdict: str
+    error_deg: float
+    mean_deg: float
+    cone_deg: float
+    frames: int
+
+    @property
+    def off_deg(self) -> float:
+        """What the cone has to hold: of what is measured a lamp; of what is likely that, or what would look the same."""
+        return self.error_deg if self.verdict == MEASURED else min(self.error_deg, self.mean_deg)
+
+    @property
+    def held(self) -> bool:
+        return self.off_deg <= self.cone_deg
+
+    @property
+    def false(self) -> bool:
+        return self.off_deg > max(FALSE_DEG, FALSE_CONES * self.cone_deg)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One clip. alone_deg : error where one lamp is said to be all there is, None = not asked or refused"""
+
+    part: str
+    case: str
+    seed: int
+    lamps: int
+    owed: bool
+    never: bool
+    verdict: str
+    reason: str
+    claims: tuple[Claim, ...]
+    alone_deg: float | None
+    seconds: float
+
+    @property
+    def main(self) -> Claim | None:
+        """The claim of most frames."""
+        return max(self.claims, key=lambda c: c.frames, default=None)
+
+
+def to_json(row: Row) -> dict[str, Any]:
+    return asdict(row)
+
+
+def from_json(tree: dict[str, Any]) -> Row:
+    return Row(**(tree | {"claims": tuple(Claim(**c) for c in tree["claims"])}))
+
+
+def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def claims_of(clip: Clip, found: Analysis) -> list[Claim]:
+    """Lights of all frames, those of one direction and verdict together."""
+    report = found.summary["light"]
+    groups: dict[tuple[Any, ...], list[tuple[float, float]]] = {}
+    first_s = found.facts[0].time_s
+    for k, f in enumerate(found.facts):
+        if f.light is None or f.camera_from_world is None or f.light.source not in ("marker", "markers"):
+            continue
+        verdict = _verdict_at(report, f.time_s)
+        total = float(np.mean(f.light.mean_radiance))
+        rest = f.camera_from_world.rotation if found.static == "camera" else np.eye(3)
+        frame = min(round((f.time_s - first_s) / (clip.times_s[1] - clip.times_s[0])), len(clip.times_s) - 1)
+        lamps = [lamp for lamp in clip.lamps if lamp.on[frame] > 0]
+        weight = np.array([lamp.rgb.mean() for lamp in lamps])
+        mean = sum((w * lamp.direction for w, lamp in zip(weight, lamps, strict=True)), np.zeros(3))
+        for i, li in enumerate(f.light.lights):
+            if np.mean(li.rgb) / 4 < LEAST_LIGHT * total or li.confidence_deg >= 180:
+                continue
+            d = rest @ li.unit
+            truths = [*(lamp.direction for lamp in lamps), *([] if clip.bright_side is None else [clip.bright_side])]
+            error = min((angle_deg(d, truth) for truth in truths), default=180.0)
+            off = angle_deg(d, mean) if lamps and len(f.light.lights) == 1 else error
+            key = (verdict, i, round(li.confidence_deg, 3), *np.round(100 * d).astype(int).tolist())
+            groups.setdefault(key, []).append((error, off))
+    return [
+        Claim(key[0], *(float(v) for v in np.percentile(rows, MOSTLY, axis=0)), float(key[2]), len(rows))
+        for key, rows in groups.items()
+        if len(rows) > 1
+    ]
+
+
+def _verdict_at(report: dict[str, Any], time_s: float) -> str:
+    for span in report.get("spans") or ():
+        if span["start_s"] <= time_s <= span["end_s"]:
+            return str(span["verdict"])
+    return str(report["verdict"])
+
+
+@dataclass(frozen=True)
+class Goal:
+    name: str
+    found: str
+    holds: bool
+
+
+def goals(rows: Sequence[Row]) -> list[Goal]:
+    """What has to hold of the rows that there are."""
+    claims = [c for r in rows for c in r.claims]
+    false = [r for r in rows if any(c.false for c in r.claims)]
+    out = [Goal("false confidences: none", f"{len(false)} of {len(rows)} clips{_named(false)}", not false)]
+    inside = [c for r in rows if r.lamps for c in r.claims]
+    if inside:
+        held = float(np.mean([c.held for c in inside]))
+        out.append(Goal("95 % cones hold 90 % of the truths or more", f"{held:.1%} of {len(inside)} claims", held >= 0.9))
+    owed = [r for r in rows if r.owed]
+    if owed:
+        claimed = [r for r in owed if r.main is not None]
+        share = len(claimed) / len(owed)
+        out.append(Goal("owed directions claimed in 95 % or more", f"{len(claimed)} of {len(owed)}", share >= 0.95))
+        errors = [r.main.off_deg for r in claimed if r.main]
+        middle = float(np.median(errors)) if errors else np.inf
+        out.append(Goal("owed directions: median error 1° at most", f"{middle:.2f}°", middle <= 1))
+        beyond = [r for r in claimed if any(c.off_deg > FALSE_CONES * c.cone_deg for c in r.claims)]
+        out.append(Goal("owed directions: none beyond three cones", f"{len(beyond)}{_named(beyond)}", not beyond))
+    never = [r for r in rows if r.never]
+    if never:
+        wrong = [r for r in never if r.claims or r.verdict != REFUSED]
+        text = f"{len(never) - len(wrong)} of {len(never)}{_named(wrong)}"
+        out.append(Goal("one print at rest, and no lamp, always refused", text, not wrong))
+    assert claims or owed or never or not rows
+    return out
+
+
+def _named(rows: Sequence[Row]) -> str:
+    return "".join(f"; {r.part}: {r.case} {r.seed}" for r in rows[:8])
+
+
+HEAD = ("part", "case", "clips", "measured", "likely", "refused", "error median", "90 %", "cone median", "held", "false",
+        "refused, one lamp within 1°")  # fmt: skip
+
+
+def table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """A line of each part and case, then all."""
+    keys = list(dict.fromkeys((r.part, r.case) for r in rows))
+    lines = [_line(part, case, [r for r in rows if (r.part, r.case) == (part, case)]) for part, case in keys]
+    return [*lines, *(_line(part, "all", [r for r in rows if r.part == part]) for part in dict.fromkeys(r.part for r in rows))]
+
+
+def _line(part: str, case: str, rows: Sequence[Row]) -> tuple[str, ...]:
+    main = [r.main for r in rows if r.main is not None]
+    every = [c for r in rows for c in r.claims]
+    missed = sum(r.main is None and r.alone_deg is not None and r.alone_deg <= 1 for r in rows)
+    numbers = (
+        f"{np.median([c.off_deg for c in main]):.2f}°", f"{np.percentile([c.off_deg for c in main], 90):.2f}°",
+        f"{np.median([c.cone_deg for c in main]):.2f}°", f"{sum(c.held for c in every)} of {len(every)}",
+    ) if main else ("", "", "", "")  # fmt: skip
+    verdicts = [r.verdict if r.main is not None or r.verdict == REFUSED else "no lamp" for r in rows]
+    false = sum(any(c.false for c in r.claims) for r in rows)
+    return (part, case, str(len(rows)), *(str(verdicts.count(v)) for v in (MEASURED, LIKELY)),
+            str(sum(v not in (MEASURED, LIKELY) for v in verdicts)), *numbers, str(false), str(missed))  # fmt: skip
+
+
+def markdown(lines: Sequence[tuple[str, ...]], held: Sequence[Goal]) -> str:
+    out = [f"| {' | '.join(HEAD)} |", "|" + "---|" * len(HEAD), *(f"| {' | '.join(line)} |" for line in lines), ""]
+    out += ["| goal | found | |", "|---|---|---|", *(f"| {g.name} | {g.found} | {'holds' if g.holds else 'missed'} |" for g in held)]
+    return "\n".join(out) + "\n"
+
+
+def plot(rows: Sequence[Row]) -> bytes:
+    """Error against stated cone, both logarithmic; left one lamp, right two. PNG bytes."""
+    from matplotlib.figure import Figure
+
+    fig = Figure(figsize=(11, 5), layout="constrained")
+    colours = {MEASURED: "#2f81f7", LIKELY: "#d9822b"}
+    for axis, many, title in zip(fig.subplots(1, 2, sharex=True, sharey=True), (False, True), ("one lamp", "two lamps"), strict=True):
+        for part, sign in (("readings", "o"), ("pixels", "s")):
+            for verdict, colour in colours.items():
+                mine = [c for r in rows if r.part == part and (r.lamps > 1) == many for c in r.claims if c.verdict == verdict]
+                if mine:
+                    error = [max(c.off_deg, 0.01) for c in mine]
+                    axis.loglog([c.cone_deg for c in mine], error, sign, ms=4, alpha=0.7, mew=0, color=colour,
+                                label=f"{verdict}, {part}: {len(mine)}")  # fmt: skip
+        x = np.array([0.3, 60.0])
+        axis.plot(x, x, "-", color="#8b949e", lw=0.8)
+        axis.plot(x, np.maximum(FALSE_CONES * x, FALSE_DEG), "--", color="#cf222e", lw=0.8)
+        axis.set_title(title, fontsize=9, loc="left")
+        axis.set_xlabel("stated 95 % cone, degrees")
+        axis.legend(fontsize=7, frameon=False)
+    fig.axes[0].set_ylabel("error, degrees")
+    fig.suptitle("grey: error = cone; red: above it a claim is false", fontsize=8)
+    out = io.BytesIO()
+    fig.savefig(out, format="png", dpi=110)
+    return out.getvalue()
