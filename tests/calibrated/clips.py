@@ -11,7 +11,7 @@ from pathlib import Path
 from arfx.analyse.fold import Analysis
 from arfx.analyse.params import LightParams
 from tests.calibrated import pixels, readings
-from tests.calibrated.scenes import CASES, drawn
+from tests.calibrated.scenes import CASES, Clip, drawn
 from tests.calibrated.score import REFUSED, Row, claims_of
 
 READINGS, PIXELS = "readings", "pixels"
@@ -30,14 +30,14 @@ def row(clip: tuple[str, int, int]) -> Row:
     start = time.process_time()
     if part == READINGS:
         truth = drawn(CASES[number], seed)
-        return _row(part, truth, partial(readings.lit, truth), start)
+        return measured(part, truth, partial(readings.lit, truth), start)
     truth = drawn(CASES[number], seed, pixels.FRAMES)
     with tempfile.TemporaryDirectory() as folder:
-        made = pixels.made(truth, Path(folder) / "clip")
-        return _row(part, truth, partial(pixels.lit, truth, made), start)
+        return measured(part, truth, pixels.Filmed(truth, Path(folder) / "clip").lit, start)
 
 
-def _row(part: str, truth, lit: Callable[[LightParams], Analysis], start: float) -> Row:  # type: ignore[no-untyped-def]
+def measured(part: str, truth: Clip, lit: Callable[[LightParams], Analysis], start: float = 0.0) -> Row:
+    """What is claimed of a clip.  lit : its analysis;  start : processor time at which work on it began"""
     found, case = lit(LightParams()), truth.case
     report, alone = found.summary["light"], None
     if report["verdict"] == REFUSED and case.lamps == 1:

@@ -99,8 +99,9 @@ class Lamp:
 
 @dataclass(eq=False)
 class Clip:
-    """A drawn clip. camera_from_world : (frames, 3, 3), (frames, 3) m;  prints : key to (3, 3), (3,): world_from_print
-    sky : (m, 3) unit directions and (m, 3) radiance over m pi, static axes;  gain : (frames,)
+    """A drawn clip. turns : (frames, 3, 3), places_m : (frames, 3), camera_from_world
+    prints : key to (3, 3), (3,) m: world_from_print;  sky : (m, 3) unit directions, (m, 3) radiance over m pi, static axes
+    gain : (frames,);  drift : its amplitude in stops, and period in seconds
     bright_side : (3,) unit, middle of what is brighter of the sky, None = it is even"""
 
     case: Case
@@ -117,6 +118,7 @@ class Clip:
     gamma: float
     gloss: float
     noise_grey: float
+    drift: tuple[float, float]
     bright_side: np.ndarray | None
 
     @property
@@ -192,7 +194,7 @@ def drawn(case: Case, seed: int, frames: int = FRAMES) -> Clip:
         case, seed, times, turns, places, _prints(rng, case.prints), lamps, ambient, sky,
         2.0 ** (stops * np.sin(2 * np.pi * (times / period + rng.uniform()))), bias, rng.uniform(*case.gamma),
         rng.uniform(*case.gloss), rng.uniform(*case.noise_grey),
-        middle if case.gradient[1] else None,
+        (stops, period), middle if case.gradient[1] else None,
     )  # fmt: skip
     brightest = np.quantile(
         [clip.gain[k] * clip.irradiance(n, k).max() for k in range(0, frames, 3) for n in clip_normals(clip, k)], 1 - case.over
@@ -300,7 +302,9 @@ def _lamps(rng: np.random.Generator, case: Case, pole: np.ndarray, strength: flo
     return lamps
 
 
-def _sky(rng: np.random.Generator, pole: np.ndarray, ambient: np.ndarray, share: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+def _sky(
+    rng: np.random.Generator, pole: np.ndarray, ambient: np.ndarray, share: float
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Ambient light, of which a share comes from one side, a slope, or a window 40 to 80 degrees wide; and that side's middle."""
     directions = sphere(1200)
     middle = near(rng, pole, 20, 100)

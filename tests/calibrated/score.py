@@ -20,12 +20,16 @@ MOSTLY = 75  # percentile of a claim's frames
 
 @dataclass(frozen=True)
 class Claim:
-    """A direction that is used in frames. error_deg : from the nearest lamp, 180 = there is none
-    mean_deg : from the lamps' mean direction, by their brightness: what looks like one lamp where all normals face both"""
+    """A direction that is used in frames.
+    error_deg : from the nearest lamp or the middle of the sky's brighter side, 180 = there is none
+    mean_deg : from the lamps' mean direction, by their brightness: what looks like one lamp where all normals face both
+    far_deg : from the farthest lamp;  alone : no other direction is claimed beside it"""
 
     verdict: str
     error_deg: float
     mean_deg: float
+    far_deg: float
+    alone: bool
     cone_deg: float
     frames: int
 
@@ -80,29 +84,29 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 def claims_of(clip: Clip, found: Analysis) -> list[Claim]:
     """Lights of all frames, those of one direction and verdict together."""
     report = found.summary["light"]
-    groups: dict[tuple[Any, ...], list[tuple[float, float]]] = {}
+    groups: dict[tuple[Any, ...], list[tuple[float, float, float]]] = {}
     first_s = found.facts[0].time_s
-    for k, f in enumerate(found.facts):
+    for f in found.facts:
         if f.light is None or f.camera_from_world is None or f.light.source not in ("marker", "markers"):
             continue
         verdict = _verdict_at(report, f.time_s)
         total = float(np.mean(f.light.mean_radiance))
-        rest = f.camera_from_world.rotation if found.static == "camera" else np.eye(3)
+        rest = f.camera_from_world.rotation if clip.camera_rests else np.eye(3)
         frame = min(round((f.time_s - first_s) / (clip.times_s[1] - clip.times_s[0])), len(clip.times_s) - 1)
         lamps = [lamp for lamp in clip.lamps if lamp.on[frame] > 0]
         weight = np.array([lamp.rgb.mean() for lamp in lamps])
         mean = sum((w * lamp.direction for w, lamp in zip(weight, lamps, strict=True)), np.zeros(3))
-        for i, li in enumerate(f.light.lights):
-            if np.mean(li.rgb) / 4 < LEAST_LIGHT * total or li.confidence_deg >= 180:
-                continue
+        truths = [*(lamp.direction for lamp in lamps), *([] if clip.bright_side is None else [clip.bright_side])]
+        used = [li for li in f.light.lights if np.mean(li.rgb) / 4 >= LEAST_LIGHT * total and li.confidence_deg < 180]
+        for i, li in enumerate(used):
             d = rest @ li.unit
-            truths = [*(lamp.direction for lamp in lamps), *([] if clip.bright_side is None else [clip.bright_side])]
-            error = min((angle_deg(d, truth) for truth in truths), default=180.0)
-            off = angle_deg(d, mean) if lamps and len(f.light.lights) == 1 else error
-            key = (verdict, i, round(li.confidence_deg, 3), *np.round(100 * d).astype(int).tolist())
-            groups.setdefault(key, []).append((error, off))
+            off = [angle_deg(d, truth) for truth in truths] or [180.0]
+            of_mean = angle_deg(d, mean) if lamps and len(used) == 1 else min(off)
+            far = max(off[: len(lamps)], default=180.0)
+            key = (verdict, i, len(used) == 1, round(li.confidence_deg, 3), *np.round(100 * d).astype(int).tolist())
+            groups.setdefault(key, []).append((min(off), of_mean, far))
     return [
-        Claim(key[0], *(float(v) for v in np.percentile(rows, MOSTLY, axis=0)), float(key[2]), len(rows))
+        Claim(key[0], *(float(v) for v in np.percentile(rows, MOSTLY, axis=0)), key[2], float(key[3]), len(rows))
         for key, rows in groups.items()
         if len(rows) > 1
     ]
@@ -124,7 +128,6 @@ class Goal:
 
 def goals(rows: Sequence[Row]) -> list[Goal]:
     """What has to hold of the rows that there are."""
-    claims = [c for r in rows for c in r.claims]
     false = [r for r in rows if any(c.false for c in r.claims)]
     out = [Goal("false confidences: none", f"{len(false)} of {len(rows)} clips{_named(false)}", not false)]
     inside = [c for r in rows if r.lamps for c in r.claims]
@@ -136,9 +139,9 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         claimed = [r for r in owed if r.main is not None]
         share = len(claimed) / len(owed)
         out.append(Goal("owed directions claimed in 95 % or more", f"{len(claimed)} of {len(owed)}", share >= 0.95))
-        errors = [r.main.off_deg for r in claimed if r.main]
-        middle = float(np.median(errors)) if errors else np.inf
-        out.append(Goal("owed directions: median error 1° at most", f"{middle:.2f}°", middle <= 1))
+        if errors := [r.main.off_deg for r in claimed if r.main]:
+            middle = float(np.median(errors))
+            out.append(Goal("owed directions: median error 1° at most", f"{middle:.2f}°", middle <= 1))
         beyond = [r for r in claimed if any(c.off_deg > FALSE_CONES * c.cone_deg for c in r.claims)]
         out.append(Goal("owed directions: none beyond three cones", f"{len(beyond)}{_named(beyond)}", not beyond))
     never = [r for r in rows if r.never]
@@ -146,7 +149,6 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         wrong = [r for r in never if r.claims or r.verdict != REFUSED]
         text = f"{len(never) - len(wrong)} of {len(never)}{_named(wrong)}"
         out.append(Goal("one print at rest, and no lamp, always refused", text, not wrong))
-    assert claims or owed or never or not rows
     return out
 
 
@@ -179,10 +181,25 @@ def _line(part: str, case: str, rows: Sequence[Row]) -> tuple[str, ...]:
             str(sum(v not in (MEASURED, LIKELY) for v in verdicts)), *numbers, str(false), str(missed))  # fmt: skip
 
 
-def markdown(lines: Sequence[tuple[str, ...]], held: Sequence[Goal]) -> str:
-    out = [f"| {' | '.join(HEAD)} |", "|" + "---|" * len(HEAD), *(f"| {' | '.join(line)} |" for line in lines), ""]
-    out += ["| goal | found | |", "|---|---|---|", *(f"| {g.name} | {g.found} | {'holds' if g.holds else 'missed'} |" for g in held)]
-    return "\n".join(out) + "\n"
+def pairs(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """Where two lamps are lit and one direction is claimed: verdict, claims, how many cones hold their mean, one, both."""
+    out = []
+    for verdict in (MEASURED, LIKELY):
+        mine = [c for r in rows if r.lamps == 2 for c in r.claims if c.alone and c.verdict == verdict]
+        inside = [[at <= c.cone_deg for at in (c.mean_deg, c.error_deg, c.far_deg)] for c in mine]
+        out.append((verdict, str(len(mine)), *(str(n) for n in np.sum(inside, 0, dtype=int).tolist() or [0, 0, 0])))
+    return out
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """All that was found, as tables."""
+    of_pairs = ("two lamps, one direction claimed", "claims", "cone holds the lamps' mean", "a lamp", "both lamps")
+    held = [(g.name, g.found, "holds" if g.holds else "missed") for g in goals(rows)]
+    return "\n".join((_lines(HEAD, table(rows)), _lines(of_pairs, pairs(rows)), _lines(("goal", "found", ""), held)))
+
+
+def _lines(head: tuple[str, ...], lines: Sequence[tuple[str, ...]]) -> str:
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ("---",) * len(head), *lines)) + "\n"
 
 
 def plot(rows: Sequence[Row]) -> bytes:
@@ -191,7 +208,9 @@ def plot(rows: Sequence[Row]) -> bytes:
 
     fig = Figure(figsize=(11, 5), layout="constrained")
     colours = {MEASURED: "#2f81f7", LIKELY: "#d9822b"}
-    for axis, many, title in zip(fig.subplots(1, 2, sharex=True, sharey=True), (False, True), ("one lamp", "two lamps"), strict=True):
+    for axis, many, title in zip(
+        fig.subplots(1, 2, sharex=True, sharey=True), (False, True), ("one lamp", "two lamps"), strict=True
+    ):
         for part, sign in (("readings", "o"), ("pixels", "s")):
             for verdict, colour in colours.items():
                 mine = [c for r in rows if r.part == part and (r.lamps > 1) == many for c in r.claims if c.verdict == verdict]
@@ -199,7 +218,7 @@ def plot(rows: Sequence[Row]) -> bytes:
                     error = [max(c.off_deg, 0.01) for c in mine]
                     axis.loglog([c.cone_deg for c in mine], error, sign, ms=4, alpha=0.7, mew=0, color=colour,
                                 label=f"{verdict}, {part}: {len(mine)}")  # fmt: skip
-        x = np.array([0.3, 60.0])
+        x = np.geomspace(0.3, 60.0, 50)
         axis.plot(x, x, "-", color="#8b949e", lw=0.8)
         axis.plot(x, np.maximum(FALSE_CONES * x, FALSE_DEG), "--", color="#cf222e", lw=0.8)
         axis.set_title(title, fontsize=9, loc="left")
