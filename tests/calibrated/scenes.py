@@ -55,7 +55,8 @@ class Case:
 FAR, MIDDLE, LITTLE, NONE = ((8, 20), (50, 65)), ((8, 20), (30, 50)), ((0, 3), (8, 20)), ((0, 0), (0, 0))
 CASES: tuple[Case, ...] = (
     Case("one lamp, 50 to 65°", 20, 3, FAR, owed=True),
-    Case("one lamp, 30 to 50°", 16, 8, MIDDLE),
+    Case("one lamp, 30 to 50°", 16, 0, MIDDLE),
+    Case("one print turned by hand, filmed", 0, 8, MIDDLE),
     Case("one lamp, 8 to 20°", 10, 2, LITTLE),
     Case("one print at rest, camera at rest", 8, 2, NONE, AT_REST, never=True),
     Case("one print at rest, hand-held", 6, 2, NONE, HELD, never=True),
@@ -79,6 +80,7 @@ CASES: tuple[Case, ...] = (
     Case("switched off half-way", 10, 2, FAR, change="off"),
     Case("moved half-way", 8, 1, FAR, change="moved"),
     Case("board of three prints, turned", 8, 1, MIDDLE, prints="board"),
+    Case("board of three prints, exposure drifts", 8, 1, MIDDLE, prints="board", drift_stops=(0.1, 0.5)),
     Case("prints at rest at several tilts", 8, 1, NONE, HELD, prints="tilted"),
     Case("hand-held, cube of markers", 12, 3, NONE, HELD, prints="cube"),
     Case("hand-held, cube, two lamps", 8, 1, NONE, HELD, prints="cube", lamps=2, apart_deg=(15, 90)),

@@ -156,18 +156,18 @@ def _named(rows: Sequence[Row]) -> str:
     return "".join(f"; {r.part}: {r.case} {r.seed}" for r in rows[:8])
 
 
-HEAD = ("part", "case", "clips", "measured", "likely", "refused", "error median", "90 %", "cone median", "held", "false",
+HEAD = ("case", "clips", "measured", "likely", "refused", "error median", "90 %", "cone median", "held", "false",
         "refused, one lamp within 1°")  # fmt: skip
 
 
 def table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    """A line of each part and case, then all."""
-    keys = list(dict.fromkeys((r.part, r.case) for r in rows))
-    lines = [_line(part, case, [r for r in rows if (r.part, r.case) == (part, case)]) for part, case in keys]
-    return [*lines, *(_line(part, "all", [r for r in rows if r.part == part]) for part in dict.fromkeys(r.part for r in rows))]
+    """A line of each case, then of all clips that were fed alike."""
+    lines = [_line(case, [r for r in rows if r.case == case]) for case in dict.fromkeys(r.case for r in rows)]
+    parts = dict.fromkeys(r.part for r in rows)
+    return [*lines, *(_line(f"all, {part}", [r for r in rows if r.part == part]) for part in parts)]
 
 
-def _line(part: str, case: str, rows: Sequence[Row]) -> tuple[str, ...]:
+def _line(name: str, rows: Sequence[Row]) -> tuple[str, ...]:
     main = [r.main for r in rows if r.main is not None]
     every = [c for r in rows for c in r.claims]
     missed = sum(r.main is None and r.alone_deg is not None and r.alone_deg <= 1 for r in rows)
@@ -175,10 +175,10 @@ def _line(part: str, case: str, rows: Sequence[Row]) -> tuple[str, ...]:
         f"{np.median([c.off_deg for c in main]):.2f}°", f"{np.percentile([c.off_deg for c in main], 90):.2f}°",
         f"{np.median([c.cone_deg for c in main]):.2f}°", f"{sum(c.held for c in every)} of {len(every)}",
     ) if main else ("", "", "", "")  # fmt: skip
-    verdicts = [r.verdict if r.main is not None or r.verdict == REFUSED else "no lamp" for r in rows]
+    verdicts = [r.main.verdict if r.main is not None else REFUSED for r in rows]
     false = sum(any(c.false for c in r.claims) for r in rows)
-    return (part, case, str(len(rows)), *(str(verdicts.count(v)) for v in (MEASURED, LIKELY)),
-            str(sum(v not in (MEASURED, LIKELY) for v in verdicts)), *numbers, str(false), str(missed))  # fmt: skip
+    counts = (str(verdicts.count(v)) for v in (MEASURED, LIKELY, REFUSED))
+    return name, str(len(rows)), *counts, *numbers, str(false), str(missed)
 
 
 def pairs(rows: Sequence[Row]) -> list[tuple[str, ...]]:

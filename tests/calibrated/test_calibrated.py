@@ -19,7 +19,7 @@ NAMED = {case.name: case for case in CASES}
 
 
 def test_a_few_clips_of_every_kind_make_no_false_claim() -> None:
-    rows = [clips.row((clips.READINGS, i, case.clips - 1)) for i, case in enumerate(CASES) if i % 2 == 0]
+    rows = [clips.row((clips.READINGS, i, case.clips - 1)) for i, case in enumerate(CASES) if case.clips and i % 2 == 0]
     missed = [g for g in goals(rows) if not g.holds and ("false" in g.name or "refused" in g.name or "beyond" in g.name)]
     assert not missed, missed
     assert sum(bool(r.claims) for r in rows if r.owed) >= 1, "one that refuses all makes none either"
@@ -76,7 +76,7 @@ def test_a_simulated_surface_is_lit_as_the_lamp_and_an_even_sky_light_it() -> No
         assert clip.irradiance(n, 20) == pytest.approx(exact, rel=5e-3)
 
 
-@pytest.mark.parametrize("name", ["one lamp, 30 to 50°", "moved half-way", "hand-held, cube of markers"])
+@pytest.mark.parametrize("name", ["one print turned by hand, filmed", "moved half-way", "hand-held, cube of markers"])
 def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
     """Print, lamps and camera of the filmed scene, against the drawn clip."""
     clip = drawn(NAMED[name], 1000, pixels.FRAMES)
