@@ -22,10 +22,12 @@ TURNED, ROCKED, AT_REST, HELD = "turned", "rocked", "at rest", "held"  # HELD: t
 class Case:
     """What a clip is drawn from; a range is drawn from evenly.
 
-    clips, whole : how many are fed as readings, and how many go through pixels;  tilt_deg : least and most, of the print
-    apart_deg : between two lamps;  ambient : over the lamps' light;  gradient : of ambient light, 1 = none from one side
-    gamma : exponent of the camera's curve over sRGB's;  drift_stops : amplitude;  change : of the lamp half-way, "off" or "moved"
-    near_m : distance of the lamp, 0 = far away;  size_deg : half-angle of its disc;  prints : one, board, tilted or cube
+    clips, whole : how many are fed as readings, and how many go through pixels
+    tilt_deg : least and most, of the print;  rate_hz : at which it goes to and fro between them
+    apart_deg : between two lamps;  ambient : over the lamps' light;  gradient : share of ambient light that comes from one side
+    gamma : exponent of the camera's curve over sRGB's;  drift_stops : amplitude
+    change : of the lamp half-way, "off" or "moved";  near_m : its distance, 0 = far away;  size_deg : half-angle of its disc
+    prints : one, board, tilted or cube;  over : share of bright cells that are clipped
     owed : one even lamp and a print turned far: a direction is owed;  never : none may be claimed"""
 
     name: str
@@ -34,6 +36,7 @@ class Case:
     tilt_deg: tuple[Range, Range] = ((8, 20), (50, 65))
     motion: str = TURNED
     prints: str = "one"
+    rate_hz: Range = (0.2, 0.5)
     lamps: int = 1
     apart_deg: Range = (0, 0)
     ratio: Range = (0.3, 1)
@@ -56,7 +59,7 @@ FAR, MIDDLE, LITTLE, NONE = ((8, 20), (50, 65)), ((8, 20), (30, 50)), ((0, 3), (
 CASES: tuple[Case, ...] = (
     Case("one lamp, 50 to 65°", 20, 3, FAR, owed=True),
     Case("one lamp, 30 to 50°", 16, 0, MIDDLE),
-    Case("one print turned by hand, filmed", 0, 8, MIDDLE),
+    Case("one print turned by hand, filmed", 0, 8, MIDDLE, rate_hz=(0.5, 0.8)),
     Case("one lamp, 8 to 20°", 10, 2, LITTLE),
     Case("one print at rest, camera at rest", 8, 2, NONE, AT_REST, never=True),
     Case("one print at rest, hand-held", 6, 2, NONE, HELD, never=True),
@@ -221,7 +224,7 @@ def _by_hand(rng: np.random.Generator, case: Case, times: np.ndarray) -> tuple[n
     least, most = (np.radians(rng.uniform(*r)) for r in case.tilt_deg)
     if case.motion == AT_REST:
         least = most = np.radians(rng.uniform(0, 50))
-    rate, phase, spin = rng.uniform(0.2, 0.5), rng.uniform(0, 2 * np.pi, 3), rng.uniform(-0.4, 0.4)
+    rate, phase, spin = rng.uniform(*case.rate_hz), rng.uniform(0, 2 * np.pi, 3), rng.uniform(-0.4, 0.4)
     goes = 0.5 - 0.5 * np.cos(2 * np.pi * rate * times + phase[0])
     towards = phase[1] + rng.choice([-1, 1]) * rng.uniform(0.8, 1.5) * times
     if case.motion == ROCKED:

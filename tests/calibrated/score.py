@@ -13,7 +13,7 @@ from arfx.analyse.fold import Analysis
 from tests.calibrated.scenes import Clip
 
 REFUSED, MEASURED, LIKELY = "refused", "measured", "likely"
-FALSE_DEG, FALSE_CONES = 3.0, 3.0  # a claim farther off than both is false
+FALSE_DEG, FALSE_CONES, MOST_OFF_DEG = 3.0, 3.0, 90.0  # a claim is false that is farther off than both, or than the third
 LEAST_LIGHT = 0.05  # of a frame's mean light: less is no claim
 MOSTLY = 75  # percentile of a claim's frames
 
@@ -44,7 +44,7 @@ class Claim:
 
     @property
     def false(self) -> bool:
-        return self.off_deg > max(FALSE_DEG, FALSE_CONES * self.cone_deg)
+        return self.off_deg > min(max(FALSE_DEG, FALSE_CONES * self.cone_deg), MOST_OFF_DEG)
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,9 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     out = [Goal("false confidences: none", f"{len(false)} of {len(rows)} clips{_named(false)}", not false)]
     inside = [c for r in rows if r.lamps for c in r.claims]
     if inside:
-        held = float(np.mean([c.held for c in inside]))
-        out.append(Goal("95 % cones hold 90 % of the truths or more", f"{held:.1%} of {len(inside)} claims", held >= 0.9))
+        shares = {v: [c.held for c in inside if c.verdict == v] for v in (MEASURED, LIKELY)}
+        text = ", ".join(f"{v} {np.mean(held):.1%} of {len(held)}" for v, held in shares.items() if held)
+        out.append(Goal("95 % cones hold 90 % of the truths or more", text, all(np.mean(h) >= 0.9 for h in shares.values() if h)))
     owed = [r for r in rows if r.owed]
     if owed:
         claimed = [r for r in owed if r.main is not None]
@@ -220,10 +221,11 @@ def plot(rows: Sequence[Row]) -> bytes:
                                 label=f"{verdict}, {part}: {len(mine)}")  # fmt: skip
         x = np.geomspace(0.3, 60.0, 50)
         axis.plot(x, x, "-", color="#8b949e", lw=0.8)
-        axis.plot(x, np.maximum(FALSE_CONES * x, FALSE_DEG), "--", color="#cf222e", lw=0.8)
+        axis.plot(x, np.clip(FALSE_CONES * x, FALSE_DEG, MOST_OFF_DEG), "--", color="#cf222e", lw=0.8)
         axis.set_title(title, fontsize=9, loc="left")
         axis.set_xlabel("stated 95 % cone, degrees")
-        axis.legend(fontsize=7, frameon=False)
+        if axis.lines[:-2]:
+            axis.legend(fontsize=7, frameon=False)
     fig.axes[0].set_ylabel("error, degrees")
     fig.suptitle("grey: error = cone; red: above it a claim is false", fontsize=8)
     out = io.BytesIO()
