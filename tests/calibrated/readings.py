@@ -32,7 +32,7 @@ def analysis(clip: Clip) -> tuple[Analysis, list[Reading]]:
     ink, paper = rng.uniform(0.03, 0.07), rng.uniform(0.82, 0.92)
     rho = np.where(BRIGHT, paper, ink)
     codec = rng.normal(0, 0.25 / 255, 3)  # a codec's rounding, the same in all frames
-    slow, wrong = np.zeros(3), np.radians(rng.uniform(0.05, 0.4))
+    slow, wrong = np.zeros(3), np.radians(rng.uniform(*clip.case.pose_off_deg))
     facts, readings = [], []
     for k, time_s in enumerate(clip.times_s):
         slow = 0.8 * slow + 0.6 * wrong * rng.normal(size=3)

@@ -27,6 +27,7 @@ class Case:
     apart_deg : between two lamps;  ambient : over the lamps' light;  gradient : share of ambient light that comes from one side
     gamma : exponent of the camera's curve over sRGB's;  drift_stops : amplitude
     change : of the lamp half-way, "off" or "moved";  near_m : its distance, 0 = far away;  size_deg : half-angle of its disc
+    pose_off_deg : rms error of the poses that readings come with
     prints : one, board, tilted or cube;  over : share of bright cells that are clipped
     owed : one even lamp and a print turned far: a direction is owed;  never : none may be claimed"""
 
@@ -46,6 +47,7 @@ class Case:
     gamma: Range = (0.98, 1.02)
     gloss: Range = (0, 0)
     noise_grey: Range = (0.7, 2)
+    pose_off_deg: Range = (0.05, 0.4)
     drift_stops: Range = (0, 0)
     over: float = 0.0
     change: str = ""
@@ -56,12 +58,16 @@ class Case:
 
 
 FAR, MIDDLE, LITTLE, NONE = ((8, 20), (50, 65)), ((8, 20), (30, 50)), ((0, 3), (8, 20)), ((0, 0), (0, 0))
+OFF = (1, 3)
 CASES: tuple[Case, ...] = (
     Case("one lamp, 50 to 65°", 20, 3, FAR, owed=True),
     Case("one lamp, 30 to 50°", 16, 0, MIDDLE),
     Case("one print turned by hand, filmed", 0, 8, MIDDLE, rate_hz=(0.5, 0.8)),
     Case("one lamp, 8 to 20°", 10, 2, LITTLE),
     Case("one print at rest, camera at rest", 8, 2, NONE, AT_REST, never=True),
+    Case("one print at rest, poses 1 to 3° off", 8, 0, NONE, AT_REST, pose_off_deg=OFF, never=True),
+    Case("one print at rest, poses off, exposure drifts", 8, 0, NONE, AT_REST, pose_off_deg=OFF, drift_stops=(0.1, 0.5), never=True),
+    Case("one print at rest, poses off, lamp switched", 8, 0, NONE, AT_REST, pose_off_deg=OFF, change="off", never=True),
     Case("one print at rest, hand-held", 6, 2, NONE, HELD, never=True),
     Case("turned about one axis", 8, 1, MIDDLE, ROCKED),
     Case("bias .02 to .08", 10, 1, FAR, bias=(0.02, 0.08), owed=True),
