@@ -62,8 +62,10 @@ class LightParams:
     ink : linear albedo of a print's dark cells;  paper : linear albedo of a print's bright cells
     albedos : known (ink and paper hold), normalised (light from each frame's own contrast) or unknown (ink is estimated);
         as printed: known, or brightness, the default there (each patch as bright as in the first picture of the print)
-    most_lights : most directional lights that are looked for, 0 to 2; 1 if there is only one lamp. This and the next three
+    most_lights : most directional lights that are looked for, 0 to 2; 1 if there is only one lamp. This and the next four
         settings have no effect with formula = "paper"
+    claims : likely (the simplest light that explains what was seen is used, its shadow as soft as it is uncertain) or measured
+        (only a light that nothing else explains as well)
     limit_deg : widest confidence cone with which a direction counts as measured
     drift_per_s : relative change of the light that is expected in one second
     window_s : longest interval over which changing light is treated as constant
@@ -71,6 +73,7 @@ class LightParams:
     map_blur_rad : s of the light map's update (8)"""
 
     ALBEDOS: ClassVar[tuple[str, ...]] = ("known", "normalised", "unknown")
+    CLAIMS: ClassVar[tuple[str, ...]] = ("likely", "measured")
 
     formula: str = field(default="corrected", init=False)
     given: tuple[float, ...] = ()
@@ -80,6 +83,7 @@ class LightParams:
     paper: float = 0.88
     albedos: str = "known"
     most_lights: int = 2
+    claims: str = "likely"
     limit_deg: float = 15.0
     drift_per_s: float = 0.05
     window_s: float = 2.0
@@ -91,6 +95,8 @@ class LightParams:
             raise ConfigError(
                 f'light.albedos {self.albedos!r} is unknown with formula = "{self.formula}"', f"one of {', '.join(self.ALBEDOS)}"
             )
+        if self.claims not in self.CLAIMS:
+            raise ConfigError(f"light.claims {self.claims!r} is unknown", f"one of {', '.join(self.CLAIMS)}")
         if self.given and len(self.given) not in (2, 5):
             raise ConfigError(f"light.given has {len(self.given)} numbers", "azimuth, elevation in degrees; or these and R, G, B")
         if self.given and not abs(self.given[0]) <= 1e6:

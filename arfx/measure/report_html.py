@@ -42,7 +42,7 @@ def page(
         section("Effects: what ran, and why not elsewhere", _stage_table(report["stages"])),
         section("Time", time),
         section("Health of the estimates", _health_table(report.get("health", []))),
-        section("Light", _facts_table(report.get("light") or {})),
+        section("Light", _light(report.get("light") or {})),
         section("Input and output", ends),
     ]
     return full_page(f"{clip} – arfx report", sections)
@@ -157,6 +157,26 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], right: frozen
 def _facts_table(values: Mapping[str, Any]) -> str:
     rows = [(_e(k.replace("_", " ")), _e(number(v))) for k, v in values.items() if k != "stream"]
     return html_table(("", ""), rows)
+
+
+VERDICTS = {
+    "measured": "Measured: nothing else explains what the markers showed.",
+    "likely": "Likely: the simplest light that explains what the markers showed. Its shadow is as soft as it is uncertain.",
+    "refused": "Not known: soft light is used.",
+    "assumed": "Given, as bright as the markers show.",
+}
+
+
+def _light(light: Mapping[str, Any]) -> str:
+    """The verdict in words, what it was in each span where it changes, and all figures."""
+    said = f"<p><b>{_e(VERDICTS.get(light.get('verdict', ''), ''))}</b> {_e(light.get('reason', ''))}</p>"
+    spans = light.get("spans") or []
+    rows = [
+        (f"{s['start_s']:.2f} – {s['end_s']:.2f}", _e(s["verdict"]), _e(number([li["rgb"] for li in s["lights"]])),
+         _e(number(s["ambient_rgb"])), _e(s["reason"])) for s in spans
+    ]  # fmt: skip
+    table = html_table(("seconds", "verdict", "lights, RGB", "ambient RGB", "reason"), rows) if len(spans) > 1 else ""
+    return said + table + _facts_table({k: v for k, v in light.items() if k not in ("spans", "reason")})
 
 
 def _stage_table(stages: Sequence[Mapping[str, Any]]) -> str:

@@ -25,8 +25,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.analyse.fold import Analysis
-from arfx.analyse.light.fit import MEASURED, REFUSED
 from arfx.analyse.light.fold import LightOfMarkers, with_light
+from arfx.analyse.light.hypotheses import MEASURED, REFUSED
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import UNKNOWN, Observation
 from arfx.analyse.light.photometry import Photometry
@@ -42,7 +42,7 @@ from arfx.papers.s1_gain import brightness, gain_and_bias
 CUBE = {2: 9, 3: 17, 4: 33, 5: 49}  # side of a face by the map's level: odd, so that a texel lies on the axis
 _EQUAL = 9  # decimals of the brightest, to which values are compared
 BRIGHTNESS = "brightness"
-UNUSED = ("most_lights", "limit_deg", "drift_per_s", "window_s")  # the paper knows nothing of them
+UNUSED = ("most_lights", "claims", "limit_deg", "drift_per_s", "window_s")  # the paper knows nothing of them
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from arfx.analyse.light.fit import MEASURED, FittedLight, LightFit, fit
+from arfx.analyse.light.fit import FittedLight, LightFit, fit
+from arfx.analyse.light.hypotheses import MEASURED
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import UNKNOWN, Observation, add, wait
 from arfx.analyse.light.patches import WHITE

@@ -31,6 +31,8 @@ from arfx.run.schedule import Chunk
 from arfx.run.times import TimeSpent
 from arfx.stages import STAGES
 
+_SHADING = frozenset({"lightmap", "gi"})  # stages that lay the light on the object
+
 
 def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, Any]:
     """The report of a job whose output is written. join_s : seconds that it took to put the chunks together"""
@@ -48,6 +50,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     written = [output.with_name(output.name % f.index) for f in facts] if plan.is_sequence else [output]
     size = sum(p.stat().st_size for p in written)
     stream = info.to_json()
+    lit = {f.index for f in job.plan.frames if any(s.stage in _SHADING for s in f.steps)}
     return {
         "input": {
             "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
@@ -60,7 +63,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
             "codec": plan.codec, "pixel_format": plan.pixel_format,
         },
         "pose": _pose(job),
-        "light": dict(analysed.summary["light"]),
+        "light": analysed.summary["light"] | {"frames_shaded": sum(f.light is not None and f.index in lit for f in facts)},
         "depth": analysed.summary.get("depth"),
         "lens": analysed.summary.get("footage_lens"),
         "stages": rows,

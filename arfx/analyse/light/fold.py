@@ -14,8 +14,7 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, Picture, Stateful
 from arfx.analyse.light import patches
-from arfx.analyse.light.fit import MEASURED as LIT
-from arfx.analyse.light.fit import REFUSED
+from arfx.analyse.light.hypotheses import LIKELY, REFUSED
 from arfx.analyse.light.photometry import Photometry, Tolerances
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
@@ -38,6 +37,7 @@ MOST_ENVIRONMENT_SAMPLES = 240  # beyond that every second one is dropped, and t
 SHARP_PX = 0.7  # blur assumed where it could not be measured
 _AROUND_PX = 2
 THREE_ASKED = 1.221  # width of an interval for one of three questions at .95 of all (Bonferroni), over the width for one
+_OF_SPAN = ("verdict", "lights", "ambient_rgb", "reason")
 LEAST_FACING = 0.15  # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 
 
@@ -204,6 +204,7 @@ def with_light(
     anchor = analysis.anchor
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
+    spans: list[dict[str, Any]] = []
     known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
     # frames that share one static frame: the whole clip, or each shot where the camera's axes are the static ones
     shared = [[k for k in posed if facts[k].shot == s] for s in sorted({facts[k].shot for k in posed})] if turns else [[*posed]]
@@ -222,9 +223,13 @@ def with_light(
                 light.turned(static_from_world[shots[0]] @ analysis.world_from_anchor.rotation), stated, why
             )
         out |= lights
+        ends = facts[shots[0]].time_s, facts[shots[-1]].time_s
         reports.append((len(shots), report))
-        if report["verdict"] == LIT:
-            known |= set(lights)
+        spans += report.pop("spans", None) or [
+            dict(zip(("start_s", "end_s"), ends, strict=True)) | {k: report[k] for k in _OF_SPAN}
+        ]
+        if report["verdict"] in (MEASURED, LIKELY):
+            known |= {k for k, one in lights.items() if one.lights}
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
     shaded = {
@@ -244,9 +249,9 @@ def with_light(
     )  # fmt: skip
     known_bias, p = bool(photometry.determined.all()), photometry
     summary = {
-        "frames_shaded": len(shaded),
+        "frames_with_real_shadow": len(shaded),
         "formula": params.formula,
-        "gain": [1.0, 1.0, 1.0],  # the free scale: gain and light are known as a product only
+        "gain": None,  # gain and light are known as a product only; over time, where they change together: static_frame.py
         "bias": p.bias.tolist() if known_bias else None,
         "bias_ci95": p.bias_95.tolist() if known_bias else None,
         "clipped_fraction": p.clipped,
@@ -255,12 +260,14 @@ def with_light(
             "condition": p.condition.tolist(), "misfit": p.misfit.tolist(), "readings": len(p.seen),
             "readings_used": int(p.seen.sum()), "not_finite": p.ignored,
         },
-        "frame": "camera" if turns else "marker", **report,
+        "frame": "camera" if turns else "marker", **report, "spans": spans,
     }  # fmt: skip
     notice = None
     if report and report["verdict"] == REFUSED:
         one = " or, if there is one lamp only, --set light.most_lights=1" if report["rank"] == 4 else ""
         notice = f"light: no direction is known: {report['reason']}. --light AZ,EL or --environment FILE gives one{one}"
+    elif report and report["verdict"] == LIKELY:
+        notice = f"light: likely, not certain: {report['reason']}. --set light.claims=measured claims only what is certain"
     return analysis.adding(lit, notice, light=summary)
 
 

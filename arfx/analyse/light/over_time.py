@@ -4,9 +4,9 @@
 2. switched: the lamps are all on or all off between one step of the light and the next;
 3. segments: the directions of the clip, colours and brightness of their own between one step and the next;
 4. shared: the same, with a factor for every frame where frames show several normals, else in windows of a few seconds;
-5. windows: a fit for each window alone.
-The next one is tried where the one before does not explain the observations. A light that is refused for another reason stays
-refused: cut into pieces, its evidence only gets less. Source: docs/methods/light.md#time."""
+5. windows: a fit for each segment that holds alone, or for each window.
+The next one is tried where the one before does not explain the observations, or only with a second light. A light that is refused
+for another reason stays refused: cut into pieces, its evidence only gets less. Source: docs/methods/light.md#time."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from arfx.analyse.light.fit import MEASURED, REFUSED, LightFit, Params, fit
+from arfx.analyse.light.fit import LightFit, doubted, fit
+from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
 from arfx.analyse.light.icosphere import icosphere
+from arfx.analyse.light.search import NO_CONE_DEG
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
 
@@ -28,6 +30,8 @@ _GOOD_ERROR = 0.006  # model error up to which an account holds
 _MOST_DRIFT = 0.02  # of the level, `drift`: an account under which normals change more does not hold
 _CELL_LEVEL = 4  # 4 degrees: within, normals count as one
 _WINDOW_S = 0.25
+_LEAST_PIECE = 8  # observations of a segment whose light can be asked for
+_JUMP_SIGMA, _LEAST_JUMP = 8.0, 0.03  # of a step between two frames: usual deviations, share of the level
 _LEAST_FRAMES = 0.8  # share of the frames that show normals apart
 _APART = 0.97  # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
 _PASSES = 60
@@ -61,15 +65,24 @@ def fit_over_time(
         return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, params), ignored=len(fine)), 0)]
     times = times[fine]
 
-    def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None) -> LightFit:
-        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], params, lit)
+    def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None, lights: int = 2) -> LightFit:
+        p = replace(params, most_lights=min(params.most_lights, lights))
+        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit)
 
     # where most frames show normals that are apart, changing light is distinguished from a changing direction
     several = np.mean(_mean_lengths(times, n) < np.cos(np.radians(_APART_DEG / 2))) > 0.5
     agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
 
     def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
-        return _confirmed(found, [run(rows, group) for rows in halves], agree_deg) if found.verdict == MEASURED else found
+        """By halves that say where the lights are, if there are as many."""
+        if not found.claimed:
+            return found
+        return _confirmed(found, [run(rows, group, None, len(found.lights)) for rows in halves], agree_deg, params)
+
+    def holds(found: LightFit, group: np.ndarray | None, rows: np.ndarray | slice = slice(None)) -> bool:
+        if not found.claimed or found.model_error > _GOOD_ERROR:
+            return False
+        return drift(times[rows], n[rows], E[rows], group) <= _MOST_DRIFT
 
     every = np.ones(len(times), bool)
     start, stop = float(times.min()), float(times.max())
@@ -77,17 +90,20 @@ def fit_over_time(
     constant = run(every, None)
     if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
         return CONSTANT, [Span(start, stop, constant, 0)]
+    breaks_s = [*breaks_s, *(j for j in jumps(times, E) if all(abs(j - b) > _WINDOW_S for b in breaks_s))]
     segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
     best_refusal = constant  # the account whose refusal says most: the first that explains what was seen
+    held: list[tuple[str, LightFit, list[Span]]] = []  # accounts that explain it
     if (lit := switches(times, E, segments)) is not None:
         group = _group(times, segments)
         found = run(every, group, lit)
-        steady = drift(times, n, E, lit[group].astype(int)) <= _MOST_DRIFT
-        if found.verdict == MEASURED and found.model_error <= _GOOD_ERROR and steady:
+        if holds(found, lit[group].astype(int)):
             dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
             fits = [found if on else dark for on in lit]
-            return SWITCHED, [Span(a, b, f, 0) for f, (a, b) in zip(fits, pairwise(segments), strict=True)]
+            held.append((SWITCHED, found, [Span(a, b, f, 0) for f, (a, b) in zip(fits, pairwise(segments), strict=True)]))
     for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
+        if held and (name == SHARED or held[0][1].verdict == MEASURED or len(held[0][1].lights) == 1):
+            continue
         group = _group(times, edges)
         if name == SEGMENTS and len(edges) < 3:
             continue
@@ -97,21 +113,34 @@ def fit_over_time(
                 return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
         best_refusal = shared if shared.model_error <= _GOOD_ERROR < best_refusal.model_error else best_refusal
-        if shared.verdict == MEASURED and shared.model_error <= _GOOD_ERROR and drift(times, n, E, group) <= _MOST_DRIFT:
+        if holds(shared, group):
             if name == SHARED:
                 shared = confirmed(shared, [~late, late], group)
-            if shared.verdict == MEASURED:
+            if shared.claimed:
                 present = np.unique(group)  # the groups that fit numbers
-                return name, [Span(a, b, shared, int(np.abs(present - g).argmin())) for g, (a, b) in enumerate(pairwise(edges))]
-    group = _group(times, windows)
-    spans = []
-    for g, (a, b) in enumerate(pairwise(windows)):
-        alone, second = run(group == g, None), times > (a + b) / 2
-        spans.append(Span(a, b, confirmed(alone, [(group == g) & ~second, (group == g) & second], None), 0))
-    if any(s.fit.verdict == MEASURED for s in spans):
+                spans = [Span(a, b, shared, int(np.abs(present - g).argmin())) for g, (a, b) in enumerate(pairwise(edges))]
+                held.append((name, shared, spans))
+    name, best, spans = min(held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)), default=(WINDOWS, None, []))
+    if best is not None and len(best.lights) == 1:
+        return name, spans
+    pieces = [(times >= a) & ((times < b) | (b == stop)) for a, b in pairwise(segments)]
+    alone = [run(rows, None) for rows in pieces]
+    steady = [holds(f, None, rows) for f, rows in zip(alone, pieces, strict=True)]
+    simple = (ok and len(f.lights) == 1 for f, rows, ok in zip(alone, pieces, steady, strict=True) if rows.sum() >= _LEAST_PIECE)
+    if best is not None and not all(simple):
+        return name, spans
+    spans = []  # one light of its own in each segment, or two for all: the former is simpler
+    for (a, b), found, ok in zip(pairwise(segments), alone, steady, strict=True):
+        if ok:
+            spans.append(Span(a, b, found, 0))
+            continue
+        for c, d in pairwise(window_edges(a, b, (), window_s)):
+            inside, second = (times >= c) & ((times < d) | (d == stop)), times > (c + d) / 2
+            spans.append(Span(c, d, confirmed(run(inside, None), [inside & ~second, inside & second], None), 0))
+    if any(s.fit.claimed for s in spans):
         return WINDOWS, spans
     last = confirmed(constant, [~late, late], None)
-    if last.verdict == REFUSED and best_refusal.verdict == REFUSED:
+    if not last.claimed and not best_refusal.claimed:
         last = replace(last, reason=best_refusal.reason)
     return CONSTANT, [Span(start, stop, last, 0)]
 
@@ -131,6 +160,26 @@ def switches(times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]
     if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
         return None
     return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
+
+
+def jumps(times_s: np.ndarray, irradiance: np.ndarray) -> list[float]:
+    """Times at which the light of one normal after the other jumps: from one frame to the next it changes by far more, and
+    otherwise, than before and after. Empty where frames show several normals: what is seen of them may change."""
+    t, first, count = np.unique(times_s, return_index=True, return_counts=True)
+    if len(t) < 8 or (count > 1).any():
+        return []
+    light = np.asarray(irradiance, float).mean(1)[first]
+    step = np.diff(light)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(step, 3, mode="edge"), 7)[:, [0, 1, 2, 4, 5, 6]]
+    off = np.abs(step - np.median(around, 1))
+    usual = 1.4826 * float(np.median(off))
+    near = np.diff(t) < 2 * np.median(np.diff(t))
+    near[:3] = near[-3:] = False
+    found = near & (off > _JUMP_SIGMA * usual) & (off > _LEAST_JUMP * np.percentile(light, 90))
+    at = np.flatnonzero(found)
+    alone = np.diff(at, prepend=-9) > 3  # two in a row are a frame that disagrees, or a highlight that passes
+    alone &= np.append(alone[1:], True)
+    return [float((t[i] + t[i + 1]) / 2) for i in at[alone]]
 
 
 def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float) -> list[float]:
@@ -155,7 +204,9 @@ def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
 
 
 def _exposure_drift_fit(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params) -> LightFit | None:
-    """The light under one factor per frame (`gains`); None where that is not to be had, does not hold, or is refused."""
+    """The light under one factor per frame (`gains`); None where that is not to be had, does not hold, or is refused.
+
+    A second light is left soft: what the factors are off by looks like one."""
     g = gains(times, n, E) if len(times) else None
     if g is None:
         return None
@@ -163,24 +214,32 @@ def _exposure_drift_fit(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.n
     rough = replace(params, gamma_sigma=0.0)
     for p in (rough, params):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
         found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, p)
-        if found.verdict != MEASURED:
+        if not found.claimed:
             return None
         g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
         if not (g > 1e-3).all():
             return None
-    return found if drift(times, n, E / g[:, None]) <= _MOST_DRIFT else None
+    if found is None or drift(times, n, E / g[:, None]) > _MOST_DRIFT:
+        return None
+    soft = (replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED) for li in found.lights[1:])
+    return replace(found, lights=(found.lights[0], *soft))
 
 
-def _confirmed(found: LightFit, halves: Sequence[LightFit], limit_deg: float) -> LightFit:
-    """`found` with its first light's cone widened to what the halves say, or refused."""
+def _confirmed(found: LightFit, halves: Sequence[LightFit], agree_deg: float, params: Params) -> LightFit:
+    """`found` with its first light's cone widened to what the halves say: beyond agree_deg likely, beyond the limit refused."""
     first, off = found.lights[0], 0.0
     for half in halves:
         apart = [angle_between(li.direction, first.direction) for li in half.lights]
         off = max(off, float(np.degrees(min(apart, default=np.inf))))
-    if off > limit_deg:
+    if off > (params.limit_deg if params.likely and found.model_error <= _GOOD_ERROR else agree_deg):
         why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
         return replace(found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb)
-    return replace(found, lights=(replace(first, confidence_deg=max(first.confidence_deg, off)), *found.lights[1:]))
+    if off <= agree_deg:
+        first = replace(first, confidence_deg=max(first.confidence_deg, off))
+        return replace(found, lights=(first, *found.lights[1:]))
+    doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
+    first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
+    return replace(found, verdict=LIKELY, reason=f"{found.reason}; {doubt}", lights=(first, *found.lights[1:]))
 
 
 def drift(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, group: np.ndarray | None = None) -> float:

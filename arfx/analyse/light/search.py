@@ -23,7 +23,7 @@ NO_CONE_DEG = 180.0
 SOFT_DEG = (10.0, 20.0, 35.0)  # half-angles of a large light, tried beside a point
 DOME = 1.0
 RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
-RADII = np.array([1, 1.5, 2.2, 3.3, 4.5])  # of the stronger from the light that they replace, over the least
+PAIR_DEG = 10.0  # that the other of two lights stays from the one that they replace, at least
 FINE_GAIN, FOLLOWED_GAIN, ROUGH_GAIN = 1e-6, 1e-4, 1e-3  # of chi squared: a pass that gains less is the last
 _SAME_DEG = 1.0  # minima nearer to each other than that are one
 _APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
@@ -245,18 +245,17 @@ def cone_deg(model: Model, light: int, bound: float) -> float:
 
 def dome_beside(model: Model, s: Samples, radius_deg: float) -> float:
     """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a dome wherever that helps most."""
-    best = np.inf
-    for d, opposite in zip(cone_directions(model.dirs[0], radius_deg), cone_directions(model.dirs[0], 60.0, np.pi), strict=True):
-        for start in (opposite, -d):
-            moved = refine(s, np.array([d, start]), np.append(model.soft, DOME), 0, 12)
-            best = min(best, moved.chi2)
-    return best
+    d, soft = cone_directions(model.dirs[0], radius_deg), np.append(model.soft, DOME)
+    starts = np.concatenate([cone_directions(model.dirs[0], 60.0, np.pi), -d])
+    many = np.stack([np.concatenate([d, d]), starts], 1)
+    best = np.argsort(_scan(s, many, _each(soft)), kind="stable")[:4]
+    return min(refine(s, many[i], soft, 0, 12).chi2 for i in best)
 
 
-def two_in_place(model: Model, s: Samples, light: int, least_deg: float, bound: float) -> tuple[float, float]:
+def two_in_place(model: Model, s: Samples, light: int, radius_deg: float, bound: float) -> tuple[float, float]:
     """(lowest chi squared with two lights of one colour in the place of one, angle between the two in degrees).
 
-    Both stand `least_deg` or more from the light that they replace, the stronger is held there; everything else is free.
+    The stronger is held `radius_deg` from the light that they replace; everything else is free, but the other stays away too.
     The search ends at the first that is not above `bound`. Normals that are all lit by both can never tell them from one."""
     q, replaced_dir = len(model.dirs), model.dirs[light]
     others = np.delete(model.dirs, light, 0)
@@ -264,22 +263,22 @@ def two_in_place(model: Model, s: Samples, light: int, least_deg: float, bound: 
     column = np.concatenate([[0, 0], np.arange(1, q)])
     body = np.concatenate([[-1, 0], np.arange(1, q)])
     best, apart = np.inf, 0.0
+    a = cone_directions(replaced_dir, radius_deg)
     for ratio in RATIOS:
+        sine = np.sin(np.radians(radius_deg)) / ratio  # the two balance about the light that they replace
+        if sine >= 1:
+            continue
         columns = light_model.Columns(column, np.concatenate([[1, ratio], np.ones(q - 1)]), soft, q)
-        for radius in least_deg * RADII:
-            sine = np.sin(np.radians(radius)) / ratio  # the two balance about the light that they replace
-            if sine >= 1:
-                continue
-            a, b = cone_directions(replaced_dir, radius), cone_directions(replaced_dir, float(np.degrees(np.arcsin(sine))), np.pi)
-            many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
-            for i in np.argsort(_scan(s, many, columns), kind="stable")[:2]:
-                d = np.array(many[i])
-                chi = float(light_model.refine(s.data, d, columns, body, 12, FINE_GAIN))
-                # one that has moved to where the light was leaves it in its place, beside one that no normal sees
-                if chi < best and np.degrees(angle_between(d[1], replaced_dir)) > 0.9 * least_deg:
-                    best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
-                    if best <= bound:
-                        return best, apart
+        b = cone_directions(replaced_dir, float(np.degrees(np.arcsin(sine))), np.pi)
+        many = np.concatenate([a[:, None], b[:, None], np.broadcast_to(others, (len(a), q - 1, 3))], 1)
+        for i in np.argsort(_scan(s, many, columns), kind="stable")[:2]:
+            d = np.array(many[i])
+            chi = float(light_model.refine(s.data, d, columns, body, 12, FINE_GAIN))
+            # one that has moved to where the light was leaves it in its place, beside one that no normal sees
+            if chi < best and np.degrees(angle_between(d[1], replaced_dir)) > 0.9 * min(radius_deg, PAIR_DEG):
+                best, apart = chi, float(np.degrees(angle_between(d[0], d[1])))
+                if best <= bound:
+                    return best, apart
     return best, apart
 
 

@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 
 from arfx.analyse.light import light_map
-from arfx.analyse.light.fit import MEASURED, REFUSED
-from arfx.analyse.light.fit import Params as FitParams
+from arfx.analyse.light.fit import best_verdict
+from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
+from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import kalman_pass
 from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
@@ -24,7 +25,7 @@ from arfx.analyse.light.surroundings import OUTSTANDING, EnvironmentSample, matc
 from arfx.analyse.params import LightParams
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, DirectionalLight, Light, harmonics, triple
-from arfx.core.numerics import divide, normalise
+from arfx.core.numerics import angle_between, divide, normalise
 
 ROWS = 64  # a panorama is reduced to: 2.8 degrees a pixel
 LEAST_FRACTION = 0.1  # of all light that a lamp gives
@@ -33,6 +34,8 @@ ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
 JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
 UNKNOWN = light_map.UNKNOWN  # variance
+MOST_GAINS = 200  # in the report
+ALIKE_DEG = 15.0  # lights before and after a span that is refused, to be used in it
 MODEL_ERROR = 0.003  # of a model's irradiance, relative: a reading of one normal is no better
 LEAST_SEEN = 0.02  # of the brightest irradiance seen: darker normals say nothing about a frame's brightness
 _TEMPORAL_MODELS = {
@@ -157,7 +160,7 @@ class StaticFrameLight:
         breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
         times = np.array([self.facts[k].time_s for k in self.numbers])
         everything = LightReading(self.y, self.variance, np.ones(len(times), bool))
-        fit_params = FitParams(most_lights=self.params.most_lights, limit_deg=self.params.limit_deg)
+        fit_params = FitParams(self.params.most_lights, self.params.limit_deg, self.params.claims == LIKELY)
         model, spans, better = fit_temporal_model(
             times, self.normals, everything, self.alone, breaks, self.params.window_s, fit_params
         )
@@ -165,22 +168,32 @@ class StaticFrameLight:
             self.y, self.variance = better.y, better.variance
         longest = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
         normals = self.normal_statistics(longest.span_deg)
-        known = [s for s in spans if s.fit.verdict == MEASURED]
+        known = [s for s in spans if s.fit.claimed]
         if known and rests:
-            at = np.array([self.facts[k].time_s for k in self.frames])
-            start, stop = np.array([[s.start_s, s.stop_s] for s in known]).T
-            nearest = np.maximum(np.maximum(start - at[:, None], at[:, None] - stop), 0).argmin(1)
-            lights = self._follow([s.fit.light(s.group) for s in known], nearest)
-            best = max(known, key=lambda s: s.stop_s - s.start_s)
-            why = f"{best.fit.reason}; {_TEMPORAL_MODELS[model]}"
-            report = light_report(MEASURED, "marker", why, best.fit.light(best.group), **normals)
-            return lights, report | {"gamma": best.fit.gamma, "account": model}
+            soft, _ = self._surroundings(samples)
+            at = np.searchsorted([s.start_s for s in spans], [self.facts[k].time_s for k in self.frames], side="right") - 1
+            use = used_spans(spans)
+            lights = self._follow([soft, *(s.fit.light(s.group) for s in spans)], use[np.clip(at, 0, None)] + 1)
+            best = max(known, key=lambda s: (s.fit.told(s.group)[0] != REFUSED, s.stop_s - s.start_s))
+            verdict, why = best.fit.told(best.group)
+            why += f"; {_TEMPORAL_MODELS[model]}"
+            report = light_report(verdict, "marker", why, best.fit.light(best.group), **normals)
+            gain = self._relative_gain(lights) if model == SHARED else None
+            told = [span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)]
+            return lights, report | {"gamma": best.fit.gamma, "account": model, "gain": gain, "spans": told}
         why = longest.reason if rests else "camera and marker both move: no frame is known in which a light rests"
         soft, source = self._surroundings(samples)
         lights = self._follow([soft])
         used = "soft light from the picture's surroundings" if source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
         return lights, light_report(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
+
+    def _relative_gain(self, lights: Lights) -> list[dict[str, float]]:
+        """Brightness of at most MOST_GAINS frames, over its median."""
+        frames = [self.frames[i] for i in np.unique(np.linspace(0, len(self.frames) - 1, MOST_GAINS).astype(int))]
+        bright = np.array([float(lights[k].mean_radiance.mean()) for k in frames])
+        relative = divide(bright, float(np.median(bright)), where_zero=1.0)
+        return [{"time_s": self.facts[k].time_s, "relative": float(g)} for k, g in zip(frames, relative, strict=True)]
 
     def from_given(self, light: Light, stated: bool, why: str) -> tuple[Lights, dict[str, Any]]:
         """A light that the user gave, as bright in each frame as the markers show."""
@@ -259,13 +272,15 @@ def fit_temporal_model(
     times_s: np.ndarray, normals: np.ndarray, reading: LightReading, alone: LightReading | None, breaks_s: Sequence[float],
     window_s: float = 2.0, params: FitParams = FitParams(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span], LightReading | None]:  # fmt: skip
-    """(account, spans, the readings that tell it if not the first): `alone` where the light is refused by what all cells tell."""
+    """(account, spans, the readings that tell it if not the first): `alone` where it says more than all cells."""
     account, spans = fit_over_time(times_s, normals, reading.y, reading.variance, breaks_s, window_s, params)
-    if alone is None or not alone.fit.any() or any(s.fit.verdict == MEASURED for s in spans):
+    verdict = best_verdict(s.fit for s in spans)
+    if alone is None or not alone.fit.any() or verdict == MEASURED:
         return account, spans, None
     on = alone.fit
     again, other = fit_over_time(times_s[on], normals[on], alone.y[on], alone.variance[on], breaks_s, window_s, params)
-    if any(s.fit.verdict == MEASURED for s in other):
+    better = best_verdict(s.fit for s in other)
+    if better == MEASURED or better != verdict == REFUSED:
         return again, other, alone
     return account, spans, None
 
@@ -293,4 +308,30 @@ def light_report(verdict: str, source: str, reason: str, light: Light, **more: A
     return {
         "source": source, **normals, **more, "ambient_rgb": document["ambient_rgb"], "lights": document["lights"],
         "verdict": verdict, "reason": reason,
+    }  # fmt: skip
+
+
+def used_spans(spans: Sequence[Span]) -> np.ndarray:
+    """(s,) int: which span's light is used in each, -1 = soft light. One that is refused takes what those around it agree on."""
+    known = [i for i, s in enumerate(spans) if s.fit.claimed]
+    out = np.full(len(spans), -1)
+    out[known] = known
+    for before, after in pairwise(known):
+        first, second = spans[before].fit.lights, spans[after].fit.lights
+        if first and second and angle_between(first[0].direction, second[0].direction) < np.radians(ALIKE_DEG):
+            middle = (spans[before].stop_s + spans[after].start_s) / 2
+            for i in range(before + 1, after):
+                out[i] = before if spans[i].stop_s <= middle else after
+    return out
+
+
+def span_report(span: Span, used: bool) -> dict[str, Any]:
+    """What the summary says of one span of a clip in which some light is known. used : whether some direction is used in it"""
+    verdict, why = span.fit.told(span.group)
+    if not span.fit.claimed:
+        why += "; used instead: " + ("the light before and after it" if used else "soft light")
+    document = span.fit.light(span.group).to_json()
+    return {
+        "start_s": span.start_s, "end_s": span.stop_s, "verdict": verdict, "lights": document["lights"],
+        "ambient_rgb": document["ambient_rgb"], "reason": why,
     }  # fmt: skip

@@ -137,7 +137,7 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
         patches.mean[[0, 2, 4, 6]] = 0.4 * (patches.mean[[0, 2, 4, 6]] - 0.004) + 0.004  # the left half
         assert key == KEY and k in range(10, 15)
     done = with_light(analysis, meter.readings, meter.samples, LightParams())
-    assert done.summary["light"]["verdict"] == "measured" and done.summary["light"]["frames_shaded"] == 5
+    assert done.summary["light"]["verdict"] == "measured" and done.summary["light"]["frames_with_real_shadow"] == 5
     shadow = done.facts[12].plane_shadow
     assert (
         shadow is not None

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light import over_time
-from arfx.analyse.light.fit import MEASURED, REFUSED, FittedLight, LightFit, Params
-from arfx.analyse.light.over_time import SHARED, drift, fit_over_time, gains, matched
+from arfx.analyse.light.fit import FittedLight, LightFit
+from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
+from arfx.analyse.light.over_time import SHARED, drift, fit_over_time, gains, jumps, matched
 from arfx.core.light import harmonics
 from arfx.core.numerics import normalise
 
@@ -81,7 +82,9 @@ def test_one_normal_seen_once_says_nothing_of_drift() -> None:
     assert drift(np.arange(30) / 5, n, np.random.default_rng(1).random((30, 3))) < 0.25
 
 
-def told(off_deg: float, tilts: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[str, LightFit]:
+def told(
+    off_deg: float, tilts: np.ndarray, monkeypatch: pytest.MonkeyPatch, params: Params = Params(),  # noqa: B008 - frozen
+) -> tuple[str, LightFit]:  # fmt: skip
     """(account, fit) of a clip whose brightness wanders, where fits of its first and its second half stand off_deg to either
     side of the whole's. The fits are made up: this is about what is made of them."""
 
@@ -95,10 +98,11 @@ def told(off_deg: float, tilts: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> 
         return LightFit(MEASURED, "made up", np.ones((9, 3)), np.ones((9, 3)), (light,), model_error=error)
 
     monkeypatch.setattr(over_time, "fit", made_up)
+    monkeypatch.setattr(over_time, "jumps", lambda *_: [])
     times = np.repeat(np.arange(100) / 25, len(tilts))
     normals = np.tile(tilts, (100, 1))
     light = np.where(times > 1.98, 2.0, 1.0)[:, None] * np.ones(3)
-    account, spans = fit_over_time(times, normals, light, None, (), 2.0, Params())
+    account, spans = fit_over_time(times, normals, light, None, (), 2.0, params)
     return account, spans[0].fit
 
 
@@ -107,6 +111,9 @@ def test_halves_of_a_light_that_wanders_before_one_normal_have_to_agree(monkeypa
     account, found = told(2.0, TILTS[:1], monkeypatch)
     assert account == SHARED and found.verdict == MEASURED and found.lights[0].confidence_deg == pytest.approx(2.0)
     _, found = told(4.0, TILTS[:1], monkeypatch)
+    assert found.verdict == LIKELY and found.lights[0].confidence_deg == pytest.approx(8.0) and "4 degrees" in found.reason
+    assert told(4.0, TILTS[:1], monkeypatch, Params(likely=False))[1].verdict == REFUSED
+    _, found = told(20.0, TILTS[:1], monkeypatch)
     assert found.verdict == REFUSED and not found.lights and "no two parts" in found.reason
 
 
@@ -114,3 +121,16 @@ def test_halves_may_differ_more_where_frames_show_several_normals(monkeypatch: p
     account, found = told(4.0, TILTS, monkeypatch)
     assert account == SHARED and found.verdict == MEASURED and found.lights[0].confidence_deg == pytest.approx(4.0)
     assert told(20.0, TILTS, monkeypatch)[1].verdict == REFUSED
+
+
+def test_a_jump_of_one_normals_light_is_found_and_its_turning_is_not() -> None:
+    n = turned(72)[:, :, 2]
+    times = np.arange(72) / 12
+    light = 0.3 + 0.6 * np.clip(n @ LAMP, 0, None)
+    noisy = light * (1 + 0.003 * np.random.default_rng(0).normal(size=72))
+    assert jumps(times, np.repeat(noisy[:, None], 3, 1)) == []
+    dimmed = np.where(np.arange(72) < 40, noisy, 0.8 * noisy)
+    assert jumps(times, np.repeat(dimmed[:, None], 3, 1)) == [pytest.approx(39.5 / 12)]
+    assert jumps(np.repeat(times, 2), np.repeat(dimmed, 2)[:, None] * np.ones(3)) == []  # several prints in each frame
+    noisy[40] *= 0.8
+    assert jumps(times, np.repeat(noisy[:, None], 3, 1)) == []  # one frame disagrees

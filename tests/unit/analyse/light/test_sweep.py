@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from arfx.analyse.light.fit import MEASURED, LightFit
+from arfx.analyse.light.fit import LightFit
+from arfx.analyse.light.hypotheses import MEASURED
 from arfx.analyse.light.patches import WHITE, comparable, cut_off
 from arfx.analyse.light.photometry import INK, PAPER, solve
 from arfx.analyse.light.static_frame import LightReading, fit_temporal_model
@@ -199,10 +200,10 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
         for f in {id(s.fit): s.fit for s in spans}.values():
             assert np.isfinite(f.ambient_rgb).all() and np.isfinite(f.seen_rgb).all() and np.isfinite(f.condition)
             assert all(np.isfinite([*li.direction, *li.rgb.ravel(), li.confidence_deg]).all() for li in f.lights)
-            if f.verdict != MEASURED or not f.lights:  # none in the dark
+            if not f.claimed or not f.lights:  # none in the dark
                 continue
             off = off_deg(f, lamps)
-            if not known or off > 2 * f.lights[0].confidence_deg:
+            if (not known and f.verdict == MEASURED) or off > 2 * f.lights[0].confidence_deg:
                 out.false.append(f"scene {seed}: off {off:.3g}, cone {f.lights[0].confidence_deg:.3g}, {f.reason}")
         if best.verdict != MEASURED:
             out.refused.append(f"scene {seed} refused: {best.reason}")

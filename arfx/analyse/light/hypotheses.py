@@ -1,0 +1,218 @@
+"""All explanations of what was seen by 0, 1 or 2 lights: the one that a criterion chooses, and what explains the data as well.
+
+Beside the lights' directions one exponent of the values is free, within what a wrong transfer function leaves: a power of an
+irradiance bends it, and what bends it would else be taken for another light. A second light may be a dome: ambient light that is
+brighter from one side, ((n.d + 1) / 2)^2. Source: docs/methods/light.md#lamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import fdtri
+
+from arfx.analyse.light import search
+from arfx.analyse.light.search import DOME, NO_CONE_DEG, Model, Samples
+from arfx.core.numerics import angle_between
+
+MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
+LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
+LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
+LEAST_LIGHT = 0.015  # share of the light seen below which a directional light counts as none
+MOST_OFF_DEG = 45.0  # of a likely light: another place of it that explains the data as well
+MOST_SPREAD_DEG = 75.0  # of a likely light: others in its place, whose middle it is
+_WORSE, _WORSE_BY, _MOST_MODELS = 3.0, 50.0, 5  # other minima that are kept: chi squared, times the best's and more; number
+_GAMMA_STEPS = (-0.08, 0.08, -0.16, 0.16)  # of ln gamma
+_RINGS_DEG = (
+    2.5,
+    5.0,
+    7.5,
+    10.0,
+    15.0,
+    20.0,
+    30.0,
+    40.0,
+    50.0,
+    60.0,
+    MOST_SPREAD_DEG,
+    NO_CONE_DEG,
+)  # where others in its place are tried
+
+
+@dataclass(frozen=True)
+class Params:
+    """most_lights : 0 to 2;  limit_deg : widest cone that counts as measured;  likely : whether more is claimed, as likely
+    gamma_sigma : standard deviation of the exponent's logarithm that a wrong transfer function leaves, 0 = exact"""
+
+    most_lights: int = 2
+    limit_deg: float = 15.0
+    likely: bool = True
+    gamma_sigma: float = 0.08
+
+
+class Assessment(NamedTuple):
+    """cone_deg : half-angle that holds all that explains the data as well;  doubt : the widest of it in words, "" if measured"""
+
+    verdict: str
+    cone_deg: float
+    doubt: str
+
+
+class LightHypotheses:
+    """All models of 0 to 2 lights under all exponents; cost = chi squared + the exponent's prior.
+
+    best, best_cost : by number of lights;  count : the number that the criterion chose;  plain : samples as they came"""
+
+    def __init__(self, s: Samples, params: Params, start: LightHypotheses | None = None) -> None:
+        """start : of the same observations under other weights; its minima are followed, none is searched again."""
+        self.params, most = params, max(0, min(params.most_lights, 2))
+        if start is not None:
+            found = self._follow(s, start.plain_models, 0.0)
+        else:
+            found = [search.minima(s, 0)]
+            if most >= 1:
+                ones = search.minima(s, 1)
+                large = [search.refine(s, ones[0].dirs, float(np.sin(np.radians(a)))) for a in search.SOFT_DEG]
+                found.append(self._ranked([*ones, *large]))
+            if most >= 2:
+                found.append(self._ranked([*search.minima(s, 2, ones[0]), *search.search_dome(s, ones)]))
+        for _ in range(2):
+            calmer = s.downweighted(found[most][0].amplitudes()[1])
+            if (calmer.weight >= 0.5 * s.weight).all():
+                break
+            s = calmer
+            found = self._follow(s, found, 0.0)
+        self.plain_models: list[list[Model]] = found
+        self.plain, self.groups, self.effective = s, s.groups, s.effective
+        curve = {0.0: found}
+        if params.gamma_sigma > 0:
+            curve |= {step: self._follow(s, found, step) for step in _GAMMA_STEPS}
+            for count in range(most + 1):  # where the costs of three steps have their least
+                at = _lowest({k: self._prior(k) + m[count][0].chi2 for k, m in curve.items()})
+                if min(abs(at - k) for k in curve) > 0.01:
+                    curve[at] = self._follow(s, found, at)
+        self.nodes = [(self._prior(k), m) for k, m in curve.items()]  # (prior's cost, models by count)
+        self.best: list[Model] = []
+        self.best_cost: list[float] = []
+        for count in range(most + 1):
+            costs = [prior + models[count][0].chi2 for prior, models in self.nodes]
+            self.best.append(self.nodes[int(np.argmin(costs))][1][count][0])
+            self.best_cost.append(min(costs))
+        wide = max(1.0, self.best_cost[most] / max(self.effective - self._parameters(most), 1.0))
+        bic = [c / wide + self._parameters(k) * np.log(max(self.effective, 2.0)) for k, c in enumerate(self.best_cost)]
+        self.count = 0
+        for k in range(1, most + 1):
+            sound = (self.best[k].fractions >= LEAST_LIGHT).all()
+            if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
+                self.count = k
+
+    def _ranked(self, models: list[Model]) -> list[Model]:
+        """Best first; last those with a light that hardly any normal sees, which explains noise and no more. None far worse."""
+        ranked = sorted(models, key=lambda m: (bool((m.fractions < LEAST_LIGHT).any()), m.chi2))
+        limit = _WORSE * ranked[0].chi2 + _WORSE_BY
+        return [m for i, m in enumerate(ranked[:_MOST_MODELS]) if i == 0 or m.chi2 <= limit]
+
+    def _follow(self, s: Samples, found: list[list[Model]], step: float) -> list[list[Model]]:
+        t = s.without_gamma(float(np.exp(step)))
+        return [
+            self._ranked([search.refine(t, m.dirs, m.soft, None, 15, search.FOLLOWED_GAIN) for m in models]) for models in found
+        ]
+
+    def _prior(self, step: float) -> float:
+        return (step / self.params.gamma_sigma) ** 2 if step else 0.0
+
+    def _parameters(self, count: int) -> int:
+        return 3 * self.groups * (1 + count) + 2 * count
+
+    def misfit(self, count: int) -> float:
+        return float(self.best_cost[count] / max(self.effective - self._parameters(count), 1.0))
+
+    def bound(self) -> float:
+        """Cost up to which another explanation is no worse, at 95 % for two parameters."""
+        dof = max(self.effective - self._parameters(self.count), 1.0)
+        wider = max(1.0, self.misfit(self.count))
+        return float(self.best_cost[self.count] + 2 * fdtri(2, dof, 0.95) * wider)
+
+    def cone(self, light: int) -> float:
+        """Of one light of the chosen model, degrees, over all exponents that are within the bound."""
+        best, bound = self.best[self.count].dirs[light], self.bound()
+        out = 0.0
+        for prior, models in self.nodes:
+            model = models[self.count][0]
+            if prior + model.chi2 <= bound:
+                off = np.where(model.soft < DOME, np.degrees(angle_between(model.dirs, best)), np.inf)
+                near = int(off.argmin())
+                out = max(out, min(float(off[near]) + search.cone_deg(model, near, bound - prior), NO_CONE_DEG))
+        return out
+
+    def assess(self, light: int) -> Assessment:
+        """Of one light of the chosen model. light : its row in best.dirs"""
+        best = self.best[self.count]
+        if best.soft[light] >= DOME:
+            return Assessment(REFUSED, NO_CONE_DEG, "it is a sky")
+        cone, off = max(self.cone(light), LEAST_CONE_DEG), self._farthest_minimum(light)
+        doubts = [
+            (cone, f"the direction is uncertain by {cone:.3g} degrees"),
+            (off, f"another direction, {off:.0f} degrees off, explains the data as well"),
+        ]
+        sound = max(cone, off) <= MOST_OFF_DEG
+        if sound and self.params.most_lights >= 2:
+            ring, apart = self._farthest_beside(lambda s, at_deg, bound: search.two_in_place(best, s, light, at_deg, bound))
+            doubts.append((ring, f"two lamps {_up_to(apart, ring)} apart would look the same to this print"))
+            if self.count == 1:
+                wider, shift = self._farthest_beside(lambda s, at_deg, _: (search.dome_beside(best, s, at_deg), at_deg), ring)
+                doubts.append((wider, f"ambient light that is brighter from one side may shift it by {_up_to(shift, wider)}"))
+            sound = max(d[0] for d in doubts) <= MOST_SPREAD_DEG
+        widest, doubt = max(doubts, key=lambda d: d[0])
+        if widest <= self.params.limit_deg:
+            return Assessment(MEASURED, widest, "")
+        return Assessment(LIKELY if sound and self.params.likely else REFUSED, widest, doubt)
+
+    def _farthest_minimum(self, light: int) -> float:
+        """Degrees from the light to the farthest minimum that is no worse."""
+        best, bound, out = self.best[self.count], self.bound(), 0.0
+        for prior, models in self.nodes:
+            for m in models[self.count]:
+                if prior + m.chi2 <= bound:
+                    points = m.dirs[m.soft < DOME]
+                    off = float(np.degrees(angle_between(points, best.dirs[light]).min())) if len(points) else NO_CONE_DEG
+                    out = max(out, off)
+        return out
+
+    def _farthest_beside(
+        self, tried: Callable[[Samples, float, float], tuple[float, float]], least_deg: float = 0.0
+    ) -> tuple[float, float]:
+        """(ring beyond the farthest on which others explain the data as well, 0 = none does; what `tried` says of that one).
+
+        tried : (samples, ring in degrees, chi squared that is no worse) to (chi squared, degrees to be said)
+        least_deg : what is not farther is of no interest"""
+        out, said, bound = least_deg, 0.0, self.bound()
+        for prior, models in self.nodes:
+            if self.count == 1 and prior + min(m.chi2 for m in models[2]) > bound:
+                continue  # not even two free lights
+            for beyond, ring in pairwise(_RINGS_DEG[::-1]):
+                if beyond <= out:
+                    break
+                chi2, degrees = tried(models[self.count][0].at, ring, bound - prior)
+                if chi2 <= bound - prior:
+                    out, said = beyond, degrees
+                    break
+        return (out, said) if out > least_deg else (0.0, 0.0)
+
+
+def _up_to(degrees: float, ring_deg: float) -> str:
+    return f"{degrees:.0f} degrees or more" if ring_deg >= NO_CONE_DEG else f"up to {degrees:.0f} degrees"
+
+
+def _lowest(cost: dict[float, float]) -> float:
+    """Minimum of the parabola through the lowest of evenly spaced costs and its neighbours, kept between these."""
+    steps = sorted(cost)
+    i = int(np.argmin([cost[k] for k in steps]))
+    if i in (0, len(steps) - 1):
+        return steps[i]
+    a, b, c = (cost[steps[i + k]] for k in (-1, 0, 1))
+    bend = a - 2 * b + c
+    return steps[i] + (steps[i + 1] - steps[i]) * (0.5 * (a - c) / bend if bend > 0 else 0.0)
