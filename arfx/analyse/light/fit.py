@@ -22,6 +22,7 @@ from arfx.core.numerics import condition, divide
 MODEL_ERROR, MOST_ERROR = 0.002, 0.03  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
 SIZE_OF_DOUBT, MOST_SIZE_DEG = 1.0, 30.0  # disc of a likely light, over its cone; beyond that no shadow is seen
+MOST_BESIDE_DEG = 60.0  # cone of a light beside which another one's direction says anything
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
 # Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients times 4 pi / (2 l + 1)
 _COSINE, _DOME = np.pi * np.array([1, 2 / 3, 1 / 4]), np.pi * np.array([4 / 3, 2 / 3, 2 / 15])
@@ -176,8 +177,10 @@ def fit(
     first = known[0]
     if first.verdict == REFUSED:
         return LightFit(REFUSED, first.doubt, seen, seen, **about)
-    if first.verdict == LIKELY and known[-1].verdict == MEASURED:  # so far only as there are two
-        known[-1] = Assessment(LIKELY, max(known[-1].cone_deg, params.limit_deg), "there may be another pair of lights")
+    if count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED:  # it is so only beside the first
+        cone = max(known[1].cone_deg, params.limit_deg)
+        verdict = LIKELY if first.cone_deg <= MOST_BESIDE_DEG else REFUSED
+        known[1] = Assessment(verdict, cone, known[1].doubt or "there may be another pair of lights")
     size_deg = _size_deg(found, domes)
     lights = []
     for i, (verdict, cone, doubt) in zip(order, known, strict=True):

@@ -24,22 +24,12 @@ LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
 LEAST_LIGHT = 0.015  # share of the light seen below which a directional light counts as none
 MOST_OFF_DEG = 45.0  # of a likely light: another place of it that explains the data as well
 MOST_SPREAD_DEG = 75.0  # of a likely light: others in its place, whose middle it is
+LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
+SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
 _WORSE, _WORSE_BY, _MOST_MODELS = 3.0, 50.0, 5  # other minima that are kept: chi squared, times the best's and more; number
 _GAMMA_STEPS = (-0.08, 0.08, -0.16, 0.16)  # of ln gamma
-_RINGS_DEG = (
-    2.5,
-    5.0,
-    7.5,
-    10.0,
-    15.0,
-    20.0,
-    30.0,
-    40.0,
-    50.0,
-    60.0,
-    MOST_SPREAD_DEG,
-    NO_CONE_DEG,
-)  # where others in its place are tried
+# where others in its place are tried
+_RINGS_DEG = (1.5, 2.5, 3.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, MOST_SPREAD_DEG, NO_CONE_DEG)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -163,13 +153,24 @@ class LightHypotheses:
             ring, apart = self._farthest_beside(lambda s, at_deg, bound: search.two_in_place(best, s, light, at_deg, bound))
             doubts.append((ring, f"two lamps {_up_to(apart, ring)} apart would look the same to this print"))
             if self.count == 1:
-                wider, shift = self._farthest_beside(lambda s, at_deg, _: (search.dome_beside(best, s, at_deg), at_deg), ring)
-                doubts.append((wider, f"ambient light that is brighter from one side may shift it by {_up_to(shift, wider)}"))
+                doubts.append(self._sky(best))
             sound = max(d[0] for d in doubts) <= MOST_SPREAD_DEG
         widest, doubt = max(doubts, key=lambda d: d[0])
         if widest <= self.params.limit_deg:
             return Assessment(MEASURED, widest, "")
         return Assessment(LIKELY if sound and self.params.likely else REFUSED, widest, doubt)
+
+    def _sky(self, best: Model) -> tuple[float, str]:
+        """(degrees, words) of ambient light that is brighter from one side, beside the lamp or in its place."""
+
+        def farthest(share: float) -> tuple[float, float]:
+            return self._farthest_beside(lambda s, at_deg, _: (search.dome_beside(best, s, at_deg, share), at_deg))
+
+        sky, _ = farthest(0.0)
+        ring, shift = farthest(LEAST_SHADOW) if sky else (0.0, 0.0)
+        if ring < min(sky, SKY_DEG):  # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
+            return min(sky, SKY_DEG), "ambient light that is brighter from one side, without a lamp, would look the same"
+        return ring, f"ambient light that is brighter from one side may shift it by {_up_to(shift, ring)}"
 
     def _farthest_minimum(self, light: int) -> float:
         """Degrees from the light to the farthest minimum that is no worse."""
@@ -182,14 +183,11 @@ class LightHypotheses:
                     out = max(out, off)
         return out
 
-    def _farthest_beside(
-        self, tried: Callable[[Samples, float, float], tuple[float, float]], least_deg: float = 0.0
-    ) -> tuple[float, float]:
+    def _farthest_beside(self, tried: Callable[[Samples, float, float], tuple[float, float]]) -> tuple[float, float]:
         """(ring beyond the farthest on which others explain the data as well, 0 = none does; what `tried` says of that one).
 
-        tried : (samples, ring in degrees, chi squared that is no worse) to (chi squared, degrees to be said)
-        least_deg : what is not farther is of no interest"""
-        out, said, bound = least_deg, 0.0, self.bound()
+        tried : (samples, ring in degrees, chi squared that is no worse) to (chi squared, degrees to be said)"""
+        out, said, bound = 0.0, 0.0, self.bound()
         for prior, models in self.nodes:
             if self.count == 1 and prior + min(m.chi2 for m in models[2]) > bound:
                 continue  # not even two free lights
@@ -200,7 +198,7 @@ class LightHypotheses:
                 if chi2 <= bound - prior:
                     out, said = beyond, degrees
                     break
-        return (out, said) if out > least_deg else (0.0, 0.0)
+        return out, said
 
 
 def _up_to(degrees: float, ring_deg: float) -> str:

@@ -243,13 +243,16 @@ def cone_deg(model: Model, light: int, bound: float) -> float:
     return NO_CONE_DEG
 
 
-def dome_beside(model: Model, s: Samples, radius_deg: float) -> float:
-    """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a dome wherever that helps most."""
+def dome_beside(model: Model, s: Samples, radius_deg: float, least_share: float = 0.0) -> float:
+    """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a dome wherever that helps most.
+
+    least_share : of the light that the lamp gives, else inf"""
     d, soft = cone_directions(model.dirs[0], radius_deg), np.append(model.soft, DOME)
     starts = np.concatenate([cone_directions(model.dirs[0], 60.0, np.pi), -d])
     many = np.stack([np.concatenate([d, d]), starts], 1)
     best = np.argsort(_scan(s, many, _each(soft)), kind="stable")[:4]
-    return min(refine(s, many[i], soft, 0, 12).chi2 for i in best)
+    moved = [refine(s, many[i], soft, 0, 12) for i in best]
+    return min((m.chi2 for m in moved if m.fractions[0] >= least_share), default=np.inf)
 
 
 def two_in_place(model: Model, s: Samples, light: int, radius_deg: float, bound: float) -> tuple[float, float]:
