@@ -210,7 +210,7 @@ def plot(rows: Sequence[Row]) -> bytes:
     fig = Figure(figsize=(11, 5), layout="constrained")
     colours = {MEASURED: "#2f81f7", LIKELY: "#d9822b"}
     for axis, many, title in zip(
-        fig.subplots(1, 2, sharex=True, sharey=True), (False, True), ("one lamp", "two lamps"), strict=True
+        fig.subplots(1, 2, sharex=True, sharey=True), (False, True), ("one lamp or none", "two lamps"), strict=True
     ):
         for part, sign in (("readings", "o"), ("pixels", "s")):
             for verdict, colour in colours.items():
