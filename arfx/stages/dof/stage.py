@@ -69,9 +69,9 @@ class Dof(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Any:
         if level == "reference":
-            from arfx.stages.dof import reference
+            from arfx.stages.dof.lens_rays import RayScene
 
-            return reference.prepare(scene)
+            return RayScene.of(scene)
         return direction_grid(scene.camera)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
