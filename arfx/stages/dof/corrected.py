@@ -9,7 +9,7 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.numerics import EPS_DEPTH_M
+from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.parallel import parallel_map
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
@@ -109,6 +109,8 @@ def render(
     sharp = RealPixels.of(now, facts, parts)
     measured = None
     occluders, visibility = _real_occluders(rect, sharp, real, grid, optics, pyramid, params) if real_blurs else ([], _NONE)
+    if boxed is not None and real_blurs and real.base is not None and not occluders and pyramid.hides:
+        visibility = _seen_behind(now, facts, real, nodes, coc)
     if real_blurs and real.tiles is not None:
         measured = depth_layers(sharp.crop(Rect.of(rect.width, rect.height)), dioptre_of(now[Layer.REAL_DEPTH]), coc)
         sharp = sharp.with_all(measured.base)
@@ -235,6 +237,25 @@ def _object(
     colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
     opacity, sharp = np.float32(facts.opacity), box if least <= SHARP_PX else EMPTY
     return _occluder(rect, padded, colour, coverage, opacity, pyramid, max(float(largest), SHARP_PX), params, box, sharp)
+
+
+def _seen_behind(now: Layers, facts: FrameFacts, real: Real, nodes: np.ndarray, coc: CircleOfConfusion) -> np.ndarray:
+    """(h, w) fraction of the light of each pixel of the real plane that comes past the object.
+
+    Through the place o of the lens a pixel p sees the plane at p + s o, the object at p + s' o: with s = s' what the pinhole
+    sees. Where either is sharp every point of the plane comes past from somewhere."""
+    box = facts.raster_box.clip(now.rect)
+    part, (near, far) = now.crop(box), depth_range(facts)
+    plane, one = np.empty((box.height, box.width), np.float32), np.float32(1)
+    itself = one, np.float32(0), np.float32(np.inf)  # a radius of 1 px a dioptre from a focus at infinity
+    plane_radius(plane, 0, box.height, 0, box.width, box.x0, box.y0, nodes, np.float32(real.background), itself)
+    plane -= np.float32(coc.focus)
+    own = one / np.clip(part[Layer.DEPTH], np.float32(near), np.float32(far)) - np.float32(coc.focus)
+    smaller, larger = np.minimum(np.abs(own), np.abs(plane)), np.maximum(np.abs(own), np.abs(plane))
+    alike = np.where(own * plane > 0, divide(smaller, larger), 0).astype(np.float32)
+    out = np.ones((now.rect.height, now.rect.width), np.float32)
+    out[box.slices_in(now.rect)] -= alike * part[Layer.COVERAGE] * np.float32(facts.opacity)
+    return out
 
 
 def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:

@@ -3,7 +3,9 @@
 The fraction of rays that meet the model is its coverage; a point met has the colour that the pinhole picture has there. Places
 on the lens and in the pixel are one Sobol' sequence, the same for every pixel. A pixel whose samples have the standard
 deviation sd is off by about sd n^-3/4 after n rays: it gets more until that is at most NOISE, or it has MOST. So a pixel depends
-on no other. Cost: O(pixels of the object x rays), most of them with FIRST. Leaves out: colours of points that the pinhole
+on no other. Before a plane, what passes by the object comes from one side of the lens: where some rays meet it and some do not,
+the mean of the real scene over the whole lens is corrected by its covariance with passing by.
+Cost: O(pixels of the object x rays), most of them with FIRST. Leaves out: colours of points that the pinhole
 picture does not show (they take the mean of those met beside them), partly transparent materials."""
 
 # mypy: disable-error-code="no-untyped-def"
@@ -26,6 +28,7 @@ from arfx.stages.dof.aperture import circumradius
 from arfx.stages.dof.corrected import depth_range
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
+from arfx.stages.dof.surfaces import Real
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import build_mesh
 from arfx.stages.triangles import Triangles
@@ -69,9 +72,10 @@ def lens_points(count: int, blades: int, turn_deg: float) -> np.ndarray:
 
 def seen_object(
     now: Layers, facts: FrameFacts, camera: Camera, coc: CircleOfConfusion, params: DofParams, scene: RayScene,
-    behind: np.ndarray,
+    sharp: np.ndarray, blurred: np.ndarray, real: Real,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Fraction of the lens that sees the object (h, w), and its premultiplied colour (h, w, 3). behind : (h, w, 3), blurred"""
+    """Fraction of the lens that sees the object (h, w), and what its light adds (h, w, 3), together with the correction of
+    what passes by it. sharp, blurred : (h, w, 3) the real scene"""
     shape = (now.rect.height, now.rect.width)
     fraction, colour = np.zeros(shape), np.zeros((*shape, 3))
     near, far = depth_range(facts)
@@ -81,13 +85,14 @@ def seen_object(
         return fraction, colour
     points = lens_points(MOST, params.blades, params.blade_turn_deg).copy()
     points[:, :2] *= coc.px_per_dioptre / camera.fx
-    rays = _Rays(now, facts, camera, coc.focus, points, scene)
+    on_plane = params.scope == "all" and real.base is not None and not real.finite_planes
+    rays = _Rays(now, facts, camera, coc.focus, points, scene, sharp, real if on_plane else None)
     rows = max(_BATCH_PX // box.width, 1)
 
     def trace(top: int) -> None:
         part = Rect(box.x0, top, box.x1, min(top + rows, box.y1))
         at = part.slices_in(now.rect)
-        seen, mean = rays.trace(part, behind[at].reshape(-1, 3))
+        seen, mean = rays.trace(part, blurred[at].reshape(-1, 3))
         fraction[at], colour[at] = seen.reshape(fraction[at].shape), mean.reshape(colour[at].shape)
 
     parallel_map(trace, list(range(box.y0, box.y1, rows)))
@@ -96,7 +101,8 @@ def seen_object(
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """points : (n, 4) of `lens_points`, the lens in metres;  focus : 1/m"""
+    """points : (n, 4) of `lens_points`, the lens in metres;  focus : 1/m;  behind : (h, w, 3) the real scene, sharp
+    real : it is an endless plane before a background; None = what passes by the object is not looked at"""
 
     now: Layers
     facts: FrameFacts
@@ -104,13 +110,15 @@ class _Rays:
     focus: float
     points: np.ndarray
     scene: RayScene
+    behind: np.ndarray
+    real: Real | None
 
     def trace(self, part: Rect, behind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the pixels of a rectangle (n,): fraction of rays that meet the object, and its premultiplied colour (n, 3)."""
+        """Of the pixels of a rectangle: fraction of rays that meet the object (n, 1), and what `seen_object` adds (n, 3)."""
         corners = self.scene.directions.at(np.arange(part.y0, part.y1 + 1) - 0.5, np.arange(part.x0, part.x1 + 1) - 0.5)
         known = np.isfinite(corners).all(-1)
         active = np.flatnonzero(known[1:, 1:] & known[:-1, 1:] & known[1:, :-1] & known[:-1, :-1])
-        sums, count = np.zeros((part.area, 8)), np.ones((part.area, 1))
+        sums, count = np.zeros((part.area, 11)), np.ones((part.area, 1))
         first, last = 0, FIRST
         while len(active) and first < len(self.points):
             self._add(sums, active, np.ascontiguousarray(corners, float), self.points[first:last])
@@ -123,7 +131,7 @@ class _Rays:
             active = active[left[active] > NOISE]
             first, last = last, 2 * last
         fraction = sums[:, :1] / count
-        return fraction, fraction * divide(sums[:, 2:5], sums[:, 1:2])
+        return fraction, fraction * divide(sums[:, 2:5], sums[:, 1:2]) + sums[:, 8:] / count
 
     def _add(self, sums: np.ndarray, active: np.ndarray, corners: np.ndarray, points: np.ndarray) -> None:
         """More rays of the pixels `active`, from these points."""
@@ -137,7 +145,25 @@ class _Rays:
         place = self.camera.project((origins[met] + along * directions[met] - eye) @ pose.rotation.T)
         place -= [now.rect.x0, now.rect.y0]
         picture = now[Layer.VIRTUAL], now[Layer.COVERAGE], now[Layer.DEPTH]
-        _look_up(sums, active[met // n], place, along[:, 0], points[met % n, 2:], picture)
+        opaque = np.zeros(len(origins), bool)
+        _look_up(sums, active[met // n], place, along[:, 0], points[met % n, 2:], picture, opaque, met)
+        if self.real is not None:
+            passing = 1.0 - opaque.reshape(-1, n)
+            passing -= passing.mean(1, keepdims=True)
+            mixed = np.flatnonzero(passing.any(1))
+            rays = directions.reshape(-1, n, 3)[mixed] @ pose.rotation.T
+            sums[active[mixed], 8:] += (passing[mixed][..., None] * self._behind(rays, points, self.real)).sum(1)
+
+    def _behind(self, rays: np.ndarray, points: np.ndarray, real: Real) -> np.ndarray:
+        """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would meet."""
+        assert real.base is not None
+        form = real.base.forms[2]
+        dioptre = np.maximum(divide(rays @ form, 1 - points[:, :2] @ form[:2]), real.background)
+        rays = rays + dioptre[..., None] * np.pad(points[:, :2], ((0, 0), (0, 1)))
+        place = self.camera.project(rays) - [self.now.rect.x0, self.now.rect.y0] - (points[:, 2:] - 0.5)
+        h, w = self.behind.shape[:2]
+        x, y = np.rint(np.where(np.isfinite(place), place, 0.0)).astype(int).transpose(2, 0, 1)
+        return self.behind[y.clip(0, h - 1), x.clip(0, w - 1)]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -157,8 +183,9 @@ def _aim(active, corners, points, eye, rotation, focus, origins, directions):  #
 
 
 @numba.njit(cache=True, nogil=True)
-def _look_up(sums, pixel, place, z, within, picture):  # pragma: no cover - compiled
-    """Add points met to sums (n, 8): number that is opaque, and of those that the pinhole picture shows, colour, its squares.
+def _look_up(sums, pixel, place, z, within, picture, opaque, met):  # pragma: no cover - compiled
+    """Add points met to sums (n, 8 and more): number that is opaque, and of those that the pinhole picture shows, colour, its
+    squares. Of rays met (m,) that are opaque, sets opaque (rays,).
 
     place (m, 2) px, z (m,) metres : of the points;  within (m, 2) : where in its pixel the ray begins. The picture is an average
     over pixels already, so it is asked at the place that belongs to a ray from the pixel's middle."""
@@ -168,6 +195,7 @@ def _look_up(sums, pixel, place, z, within, picture):  # pragma: no cover - comp
         u, v, to = place[i, 0], place[i, 1], sums[pixel[i]]
         if not (np.isfinite(u) and np.isfinite(v)):
             to[0] += 1
+            opaque[met[i]] = True
             continue
         if 0 <= u <= w - 1 and 0 <= v <= h - 1:
             y, x = int(v), int(u)
@@ -175,6 +203,7 @@ def _look_up(sums, pixel, place, z, within, picture):  # pragma: no cover - comp
             if max(max(coverage[y, x], coverage[y, r]), max(coverage[b, x], coverage[b, r])) < _HOLE:
                 continue
         to[0] += 1
+        opaque[met[i]] = True
         for shift in (1.0, 0.0):
             x, y = int(np.rint(u - shift * (within[i, 0] - 0.5))), int(np.rint(v - shift * (within[i, 1] - 0.5)))
             if 0 <= x < w and 0 <= y < h and coverage[y, x] > 0 and abs(depth[y, x] - z[i]) < 0.02 * z[i]:

@@ -21,11 +21,13 @@ ALIGN_PX = 1 << (MAX_LEVELS - 1)  # cells of every level begin at multiples of t
 class Pyramid:
     """fade : (n - 1, 2) float32, radius in px at which level k begins to hand over to k + 1, and at which it has done so
     filter_px2 : (n,) float32, to be taken from a squared radius, px, for what the level's own cells blur
+    hides : the real scene does not spread what the object hides
     slanted : the discs of a plane that is seen at a slant are moved to where its light goes (`surfaces.move_light`)
     stays : (a, b), the fraction a - b r^2 of the light of a radius r above SHARP_PX stays in its pixel; (0, 0) = none"""
 
     fade: np.ndarray
     filter_px2: np.ndarray
+    hides: bool
     slanted: bool
     stays: tuple[np.float32, np.float32]
 
@@ -63,9 +65,8 @@ def _pyramid(*fade: tuple[float, float], slanted: bool = False, without_finest: 
     ranges = list(fade)
     while len(ranges) < MAX_LEVELS - 1:
         ranges.append((ranges[-1][0] * 2, ranges[-1][1] * 2))
-    return Pyramid(
-        np.array(ranges, np.float32), np.array([_filter_px2(k) for k in range(MAX_LEVELS)], np.float32), slanted, stays
-    )
+    filter_px2 = np.array([_filter_px2(k) for k in range(MAX_LEVELS)], np.float32)
+    return Pyramid(np.array(ranges, np.float32), filter_px2, not without_finest, slanted, stays)
 
 
 PYRAMIDS = {

@@ -45,7 +45,7 @@ def render(
         directions = np.concatenate([np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1)
         depth = now[Layer.REAL_DEPTH] if real.tiles is not None else None
         out = _real(behind, directions, real, coc, params, scene.camera, depth)
-    fraction, colour = seen_object(now, facts, scene.camera, coc, params, prepared, out)
+    fraction, colour = seen_object(now, facts, scene.camera, coc, params, prepared, behind, out, real)
     return (out * (1 - opacity * fraction[..., None]) + opacity * colour).astype(np.float32)
 
 

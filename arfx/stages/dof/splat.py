@@ -56,8 +56,7 @@ def splat_real(
     image, patch, box = real
     fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
     whole = visibility.shape[0] == 0
-    plain = whole and boost <= 0
-    width, bits = end, radius.view(np.int32)
+    width, bits, seen = end, radius.view(np.int32), visibility.view(np.int32)
     source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
     work = np.empty(15 * width, np.float32)
@@ -65,7 +64,7 @@ def splat_real(
     blurred = False
     tiles = (width - left + TILE_PX - 1) // TILE_PX
     lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # levels of each tile; -1 = nothing blurred
-    patched = np.empty(tiles, np.bool_)
+    patched, plain = np.empty(tiles, np.bool_), np.empty(tiles, np.bool_)
     for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
         ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
         for i in range(tiles):
@@ -77,16 +76,23 @@ def splat_real(
                 continue
             blurred = True
             lowest[i], highest[i] = levels_of(extreme[0], extreme[1], fade, levels)
+            plain[i] = boost <= 0
+            if not whole:
+                ends[0], ends[1] = _extremes(seen, ya, xa, yb, xb)
+                plain[i] = plain[i] and extreme[0] >= 1
         after = 0
         for i in range(tiles):
             if i < after or highest[i] < 0:
                 continue
             xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
             light, up, along = (patch, box[1], box[0]) if patched[i] else (image, 0, 0)
-            if plain and _alike(lowest[i], highest[i], buffers):
+            if plain[i] and _alike(lowest[i], highest[i], buffers):
                 after = i + 1  # as many tiles as there are alike: memory is read along the rows
                 while (
-                    after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]) and patched[after] == patched[i]
+                    after < tiles
+                    and (lowest[after], highest[after]) == (lowest[i], highest[i])
+                    and patched[after] == patched[i]
+                    and plain[after]
                 ):
                     after += 1
                 xb = min(left + after * TILE_PX, width)
@@ -98,7 +104,7 @@ def splat_real(
                     weight, k = np.float32(1), np.float32(1)
                     first = 3 * (x - along)
                     red, green, blue = light[y - up, first], light[y - up, first + 1], light[y - up, first + 2]
-                    if not plain:
+                    if not plain[i]:
                         if not whole:
                             weight = visibility[y, x]
                             k = weight
