@@ -118,7 +118,7 @@ class _Rays:
         corners = self.scene.directions.at(np.arange(part.y0, part.y1 + 1) - 0.5, np.arange(part.x0, part.x1 + 1) - 0.5)
         known = np.isfinite(corners).all(-1)
         active = np.flatnonzero(known[1:, 1:] & known[:-1, 1:] & known[1:, :-1] & known[:-1, :-1])
-        sums, count = np.zeros((part.area, 11)), np.ones((part.area, 1))
+        sums, count = np.zeros((part.area, 12)), np.ones((part.area, 1))
         first, last = 0, FIRST
         while len(active) and first < len(self.points):
             self._add(sums, active, np.ascontiguousarray(corners, float), self.points[first:last])
@@ -127,11 +127,11 @@ class _Rays:
             mean, square = (divide(sums[:, a : a + 3], sums[:, 1:2]) for a in (2, 5))
             colour = fraction * mean + (1 - fraction) * behind
             variance = fraction * square + (1 - fraction) * behind**2 - colour**2
-            left = np.sqrt(np.maximum(variance.max(1), 0)) * last**-0.75
+            left = np.sqrt(np.maximum(variance.max(1), 0) + sums[:, 11] / count[:, 0]) * last**-0.75
             active = active[left[active] > NOISE]
             first, last = last, 2 * last
         fraction = sums[:, :1] / count
-        return fraction, fraction * divide(sums[:, 2:5], sums[:, 1:2]) + sums[:, 8:] / count
+        return fraction, fraction * divide(sums[:, 2:5], sums[:, 1:2]) + sums[:, 8:11] / count
 
     def _add(self, sums: np.ndarray, active: np.ndarray, corners: np.ndarray, points: np.ndarray) -> None:
         """More rays of the pixels `active`, from these points."""
@@ -152,7 +152,9 @@ class _Rays:
             passing -= passing.mean(1, keepdims=True)
             mixed = np.flatnonzero(passing.any(1))
             rays = directions.reshape(-1, n, 3)[mixed] @ pose.rotation.T
-            sums[active[mixed], 8:] += (passing[mixed][..., None] * self._behind(rays, points, self.real)).sum(1)
+            behind = passing[mixed][..., None] * self._behind(rays, points, self.real)
+            sums[active[mixed], 8:11] += behind.sum(1)
+            sums[active[mixed], 11] += n * behind.var(1).max(1)
 
     def _behind(self, rays: np.ndarray, points: np.ndarray, real: Real) -> np.ndarray:
         """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would meet."""
