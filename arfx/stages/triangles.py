@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from arfx.core.numerics import divide
+from arfx.core.parallel import parallel_map
 from arfx.core.scene import Scene
 
 _BATCH = 1 << 19  # rays in flight: bounds memory to about 40 MB
@@ -32,23 +33,30 @@ class Triangles:
         o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
         return np.asarray(self._scene.run(o, d, query="OCCLUDED")) >= 0
 
-    def visible_fraction(self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+    def visible_fraction(
+        self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None = None, first: int = 1
+    ) -> np.ndarray:
         """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met from each point (n, 3).
 
-        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface"""
-        k = len(directions)
-        out = np.empty(len(points))
-        step = max(_BATCH // k, 1)
-        d32 = directions.astype(np.float32)
-        for a in range(0, len(points), step):
-            p = points[a : a + step].astype(np.float32)
-            seen = ~self.blocked(np.repeat(p, k, axis=0), np.tile(d32, (len(p), 1))).reshape(len(p), k)
-            if normals is None:
-                out[a : a + step] = seen.mean(1)
-            else:
-                weight = np.clip(normals[a : a + step] @ directions.T, 0, None)
-                out[a : a + step] = divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
-        return out
+        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface
+        first : every so manieth direction is asked first, the others where those do not agree"""
+        if first > 1:
+            out = self.visible_fraction(points, directions[first // 2 :: first], normals)
+            mixed = (out > 0) & (out < 1)
+            out[mixed] = self.visible_fraction(points[mixed], directions, None if normals is None else normals[mixed])
+            return out
+        step = max(_BATCH // len(directions), 1)
+        parts = [slice(a, a + step) for a in range(0, len(points), step)]
+        each = parallel_map(lambda s: self._visible(points[s], directions, None if normals is None else normals[s]), parts)
+        return np.concatenate(each) if each else np.zeros(0)
+
+    def _visible(self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+        p, k = points.astype(np.float32), len(directions)
+        seen = ~self.blocked(np.repeat(p, k, axis=0), np.tile(directions.astype(np.float32), (len(p), 1))).reshape(len(p), k)
+        if normals is None:
+            return np.asarray(seen.mean(1))
+        weight = np.clip(normals @ directions.T, 0, None)
+        return divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
 
 
 def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -15,8 +15,8 @@ from arfx.core.model import Model
 from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
-from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture, hidden_fraction
-from arfx.stages.triangles import Triangles
+from arfx.stages.lightmap.plane import PlaneLevel, PlaneTexture, ambient_texture, hidden_fraction, texel_places
+from arfx.stages.triangles import Triangles, hemisphere
 
 _TEXELS, _RAYS = 64, 400
 _BORDER = 2.5  # heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less
@@ -34,7 +34,9 @@ class ShadowRegion:
         border = max(_BORDER * self.caster.height_m, 1e-3 * self.caster.extent_m)
         low, high = footprint.min(0) - border, footprint.max(0) + border
         self.centre_m, self.half_m = (low + high) / 2, (high - low) / 2
-        self.hidden = hidden_fraction(self.caster, self.rays, self.centre_m, self.half_m, _TEXELS, _RAYS)
+        self.hidden = hidden_fraction(
+            self.caster, self.rays, texel_places(self.centre_m, self.half_m, _TEXELS), hemisphere(_RAYS)
+        )
         self.ambient_outline_m = lru_cache(maxsize=64)(self._ambient_outline_m)
         self.beam_outline_m = lru_cache(maxsize=256)(self._beam_outline_m)
         self._whole_outline_m = lru_cache(maxsize=256)(self._joined)
