@@ -94,12 +94,15 @@ def _texture(texels, table, t, u, v, across, down, most):  # pragma: no cover - 
 
 
 @numba.njit(inline="always")
-def _along(slopes, f, z, slant, gu, gv, ax, ay, az, nx, ny, nz):  # pragma: no cover - compiled
-    """How texture coordinates change where the ray turns by (ax, ay, az): the hit stays on the plane of its face."""
-    away = (nx * ax + ny * ay + nz * az) * slant
+def _along(slopes, f, z, slant, d, turn, normal):  # pragma: no cover - compiled
+    """How texture coordinates change where the ray d turns by `turn`: the hit stays on the plane of face f.
+
+    d, turn, normal : of three;  slant : 1 / (normal d)"""
+    away = (normal[0] * turn[0] + normal[1] * turn[1] + normal[2] * turn[2]) * slant
+    x, y, w = turn[0] - away * d[0], turn[1] - away * d[1], turn[2] - away * d[2]
     return (
-        z * (slopes[f, 0, 0] * ax + slopes[f, 0, 1] * ay + slopes[f, 0, 2] * az - away * gu),
-        z * (slopes[f, 1, 0] * ax + slopes[f, 1, 1] * ay + slopes[f, 1, 2] * az - away * gv),
+        z * (slopes[f, 0, 0] * x + slopes[f, 0, 1] * y + slopes[f, 0, 2] * w),
+        z * (slopes[f, 1, 0] * x + slopes[f, 1, 1] * y + slopes[f, 1, 2] * w),
     )
 
 
@@ -138,12 +141,10 @@ def _surface(face, b1, b2, z, d, side, level, seen_from: View, mesh: Surfaces): 
         else:
             cosine = max(abs(facing), np.float32(_GRAZING) * length)
             slant, reach = np.float32(1) / (cosine if facing > 0 else -cosine), z * side
-            gu = slopes[f, 0, 0] * dx + slopes[f, 0, 1] * dy + slopes[f, 0, 2] * dz
-            gv = slopes[f, 1, 0] * dx + slopes[f, 1, 1] * dy + slopes[f, 1, 2] * dz
-            ax, ay, az = np.float32(rotation[0, 0]), np.float32(rotation[0, 1]), np.float32(rotation[0, 2])
-            across = _along(slopes, f, reach, slant, gu, gv, ax, ay, az, fx, fy, fz)
-            ax, ay, az = np.float32(rotation[1, 0]), np.float32(rotation[1, 1]), np.float32(rotation[1, 2])
-            down = _along(slopes, f, reach, slant, gu, gv, ax, ay, az, fx, fy, fz)
+            right = np.float32(rotation[0, 0]), np.float32(rotation[0, 1]), np.float32(rotation[0, 2])
+            below = np.float32(rotation[1, 0]), np.float32(rotation[1, 1]), np.float32(rotation[1, 2])
+            across = _along(slopes, f, reach, slant, d, right, (fx, fy, fz))
+            down = _along(slopes, f, reach, slant, d, below, (fx, fy, fz))
             t0, t1, t2, t3 = _texture(texels, table, t, tu, tv, across, down, seen_from.taps)
         if slot == 0:
             r, g, b, alpha = r * t0, g * t1, b * t2, alpha * t3
