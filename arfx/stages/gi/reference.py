@@ -34,7 +34,7 @@ from arfx.stages.gi.reference_sampling import (
     balance_weight,
     cosine_density,
     cosine_directions,
-    in_frame_of,
+    in_disc,
     lambertian,
     towards_ball,
 )
@@ -43,9 +43,10 @@ from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG, Planes
 
 BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
-ASKED = 4.0  # times the share of the hemisphere that the object fills: of places on planes, how many are asked what it changes
+SPREAD = 0.4  # of the largest change of a plane, by which rays towards the object differ
+ASKED = 4.0  # times the share of the hemisphere that the object fills: how many places on planes are asked
 DIM, DIM_F0 = 4, 0.1  # what mirrors less than this is asked for it in one of so many samples
-_BATCH = 1 << 13  # pixels at once: they stay in the cache
+_BATCH = 1 << 15  # pixels at once: bounds memory
 
 
 class Tracer:
@@ -140,7 +141,7 @@ class Tracer:
         """(n, 3) of white surfaces, by one ray to each light's disc."""
         out = np.zeros((len(points), 3))
         for d, rgb, size_deg in self.lights:
-            towards = _in_disc(d, size_deg, draw)
+            towards = in_disc(d, size_deg, draw)
             facing = np.clip((normals * towards).sum(1), 0, None)
             rows = np.flatnonzero(facing > 0)
             if len(rows):
@@ -156,7 +157,7 @@ class Tracer:
         plane_light = self.plane_light[plane]
         hidden_light = np.zeros((len(positions), 3))
         for d, rgb, size_deg in self.lights:
-            towards = _in_disc(d, size_deg, draw)
+            towards = in_disc(d, size_deg, draw)
             rows = np.flatnonzero(normals @ d > 0)
             if len(rows):
                 hidden_light[rows] += ((normals[rows] @ d) * self.rays.blocked(start[rows], towards[rows]))[:, None] * rgb
@@ -309,11 +310,11 @@ def trace_frame(
             def noticed(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
                 return strength * grey_slope(plate[rows]) * (values[:, :3] / alone[rows] * plate[rows] + values[:, 6:])
 
-            # as many as bring the largest change that the object can make below the noise
+            # what rays towards the ball bring differs by SPREAD of the largest change that the object can make
             away = np.maximum(np.linalg.norm(start - tracer.ball[0], axis=1), tracer.ball[1])
             facing = ((tracer.ball[0] - start) * n).sum(1) / away + tracer.ball[1] / away
             largest = (grey_slope(plate) * plate).max(1) * (tracer.ball[1] / away) ** 2 * np.clip(facing, 0, 1)
-            few = np.ceil((largest / NOISE) ** 2).clip(1, samples).astype(int)
+            few = np.ceil((SPREAD * largest / NOISE) ** 2).clip(1, samples).astype(int)
             most = np.where(several | tracer.sampled.glows | tracer.sampled.bright | glossy[at], samples, few)
             total, others, mirrored = np.split(settled(draw, noticed, most, 9), 3, axis=1)
             plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
@@ -326,13 +327,6 @@ def trace_frame(
 
         parallel_map(plane_pixels, _batches(np.argwhere((wanted | glossy) & requested & np.isfinite(directions).all(-1))))
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.clip(shadow, 0, None)}
-
-
-def _in_disc(d: np.ndarray, size_deg: float, draw: Sampler) -> np.ndarray:
-    """(n, 3) unit directions to points of a light's disc around d (3,)."""
-    u, v = draw.pair()
-    r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
-    return normalise(in_frame_of(np.broadcast_to(d, (len(u), 3)), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
 
 
 def _object_light(

@@ -114,6 +114,13 @@ def in_frame_of(normals: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray
     return x[:, None] * u + y[:, None] * v + z[:, None] * normals
 
 
+def in_disc(d: np.ndarray, size_deg: float, draw: Sampler) -> np.ndarray:
+    """(n, 3) unit directions to points of a light's disc around d (3,)."""
+    u, v = draw.pair()
+    r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
+    return normalise(in_frame_of(np.broadcast_to(d, (len(u), 3)), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
+
+
 def cosine_directions(normals: np.ndarray, draw: Sampler) -> np.ndarray:
     """(n, 3) unit, with a density as their cosine to the normals (n, 3)."""
     u, v = draw.pair()
