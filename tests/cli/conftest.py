@@ -16,7 +16,6 @@ import pytest
 from arfx_cli.main import main
 from tests.clips import MARKER, write_camera, write_clip, write_model
 
-
 FRAMES = 66  # in three chunks
 
 

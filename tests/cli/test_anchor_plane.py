@@ -25,7 +25,7 @@ DOWN_DEG, HEIGHT_M = 35.0, 0.5
 
 
 def depth_map(floor: bool = True) -> np.ndarray:
-    """(h, w) uint16 mm, half the clip's size: a floor 0.5 m under a camera that looks down, or a wall before it; a third of it not measured."""
+    """(h, w) uint16 mm, half the clip's size: a floor 0.5 m under a camera that looks down, or a wall; a third not measured."""
     w, h = SIZE[0] // 2, SIZE[1] // 2
     d = clip_camera(w, h).directions(np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(float))
     a = np.radians(DOWN_DEG)

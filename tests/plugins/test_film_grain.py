@@ -96,25 +96,14 @@ def rendered(arfx: Run, folder: Path) -> Path:
 def told(site: Path, folder: Path, rendered: Path) -> dict[str, Result]:
     """What commands say that run, in this order and after `rendered`, in one process: each of its own takes seconds to start."""
     plan = ["plan", *JOB, "--pipeline", "film_grain"]
+    costs = ["--pipeline", "film_grain", "--formula", "paper", "--frames", "1", "--report", "tradeoff", "--json"]
     commands = {
         "plan": plan,
         "in budget": [*plan, "--budget", "60s"],
         "stages": ["stages", "film_grain"],
         "measure": ["bench", "--calibrate", "--stage", "film_grain", "--json"],
         "in budget again": [*plan, "--budget", "60s", "--json"],
-        "tradeoff": [
-            "tradeoff",
-            *JOB,
-            "--pipeline",
-            "film_grain",
-            "--formula",
-            "paper",
-            "--frames",
-            "1",
-            "--report",
-            "tradeoff",
-            "--json",
-        ],
+        "tradeoff": ["tradeoff", *JOB, *costs],
         "without": ["process", *JOB, "--set", "film_grain.strength=0", *GRAINY[2:], "--workers", "1", "-o", "bare.mkv"],
     }
     p = subprocess.run(
