@@ -176,7 +176,7 @@ def test_no_board_says_what_is_there_instead() -> None:
     with pytest.raises(NothingToDoError, match=r"none of 1 pictures.*chessboard with 7x5 inner corners"):
         find_board([("a", flat(BoardSpec.parse("chessboard:7x5:20mm")))], CHESS)
     with pytest.raises(NothingToDoError, match=r"a\.png: 17 markers of 5X5_1000"):
-        find_board([("a.png", flat(BoardSpec.parse("charuco:7x5:25mm:18mm:5X5_100")))], CHESS)
+        find_board([("a.png", flat(BoardSpec.parse("charuco:7x5:25mm:18mm:5X5_100"), 40))], CHESS)
     with pytest.raises(NothingToDoError, match="no other board or marker"):
         find_board([("a", np.full((200, 300), 128, np.uint8))], CHARUCO)
     with pytest.raises(NothingToDoError, match="fits charuco:10x7:25mm:18mm:5X5_50"):
